@@ -1,0 +1,258 @@
+"""From a YAML file to frozen dataclasses, strictly.
+
+A section of a file is a frozen dataclass whose fields are declared with :func:`quantity` (a number
+with a unit and a range), :func:`choice`, :func:`text` or :func:`section`. :func:`load` refuses an
+unknown key, a missing one, a wrong type and a value out of range, and names file, key, value and
+range; nothing is guessed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+Section = TypeVar("Section")
+
+
+class ConfigurationError(ValueError):
+    """A configuration file that cannot be used; the message names file, key, value and range."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a field accepts: description, unit and the closed range [minimum, maximum]."""
+
+    description: str
+    unit: str = ""
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    choices: tuple[str, ...] = ()
+
+    def range_text(self) -> str:
+        """The range in words, with the unit."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        unit = f" {self.unit}" if self.unit else ""
+        if math.isinf(self.minimum) and math.isinf(self.maximum):
+            return "any finite number" + unit
+        if math.isinf(self.maximum):
+            return f"at least {self.minimum:g}{unit}"
+        if math.isinf(self.minimum):
+            return f"at most {self.maximum:g}{unit}"
+        return f"{self.minimum:g} to {self.maximum:g}{unit}"
+
+
+def quantity(
+    description: str,
+    unit: str = "",
+    minimum: float = -math.inf,
+    maximum: float = math.inf,
+    default: Any = MISSING,
+) -> Any:
+    """A number, or a sequence of numbers, each within [minimum, maximum]."""
+    limits = Limits(description, unit, minimum, maximum)
+    return field(default=default, metadata={"limits": limits})
+
+
+def choice(description: str, *choices: str, default: Any = MISSING) -> Any:
+    """One word out of several."""
+    return field(default=default, metadata={"limits": Limits(description, choices=choices)})
+
+
+def text(description: str, default: Any = MISSING) -> Any:
+    """A text or a truth value without a range."""
+    return field(default=default, metadata={"limits": Limits(description)})
+
+
+def section(description: str, default: Any = MISSING) -> Any:
+    """A nested section, or a sequence of them."""
+    return field(default=default, metadata={"limits": Limits(description)})
+
+
+def limits_of(owner: type, name: str) -> Limits:
+    """The declared limits of a field of a section class."""
+    fields = {entry.name: entry for entry in dataclasses.fields(owner)}
+    limits: Limits = fields[name].metadata["limits"]
+    return limits
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """YAML as people expect it: `1e-3` is a number, and a key written twice is an error."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=deep)
+            if key in seen:
+                raise yaml.constructor.ConstructorError(
+                    problem=f"the key '{key}' stands here twice", problem_mark=key_node.start_mark
+                )
+            seen.add(key)
+        return super().construct_mapping(node, deep=deep)
+
+
+_StrictLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    list("-+.0123456789"),
+)
+
+
+def read_yaml(path: Path) -> Any:
+    """The document of a YAML file.
+
+    Raises:
+        ConfigurationError: the file is missing, unreadable or not YAML; with its line and column.
+    """
+    try:
+        return yaml.load(path.read_text(encoding="utf-8"), _StrictLoader)  # noqa: S506
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be read ({error.strerror}); give the path of an existing YAML file"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise ConfigurationError(f"{path}: is not UTF-8 text; save it as UTF-8") from error
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "it cannot be parsed"
+        raise ConfigurationError(f"{path}: malformed YAML{where}: {problem}") from error
+
+
+def load(kind: type[Section], path: Path | str) -> Section:
+    """A section of class ``kind`` from a YAML file.
+
+    Raises:
+        ConfigurationError: names file, key, value and range.
+    """
+    path = Path(path)
+    return build(kind, read_yaml(path), source=str(path))
+
+
+def build(kind: type[Section], document: Any, source: str, key: str = "") -> Section:
+    """A section of class ``kind`` from a parsed document; ``source`` names it in messages."""
+    if not isinstance(document, Mapping):
+        raise ConfigurationError(
+            f"{source}: {key or 'the document'} must be a mapping of keys to values, "
+            f"not {_kind_name(document)}"
+        )
+    fields = {entry.name: entry for entry in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    hints = typing.get_type_hints(kind)
+    for name in document:
+        if name not in fields:
+            known = ", ".join(fields)
+            raise ConfigurationError(
+                f"{source}: unknown key '{_join(key, name)}'; the keys here are {known}"
+            )
+    values: dict[str, Any] = {}
+    for name, entry in fields.items():
+        if name in document:
+            limits = entry.metadata["limits"]
+            values[name] = _value(
+                hints[name], document[name], limits, source, _join(key, name)
+            )
+        elif entry.default is MISSING and entry.default_factory is MISSING:
+            limits = entry.metadata["limits"]
+            raise ConfigurationError(
+                f"{source}: key '{_join(key, name)}' is missing: {limits.description} "
+                f"({limits.range_text()})"
+            )
+    try:
+        return kind(**values)
+    except ConfigurationError:
+        raise
+    except ValueError as error:
+        raise ConfigurationError(f"{source}: {key or 'the document'}: {error}") from error
+
+
+def _join(key: str, name: object) -> str:
+    return f"{key}.{name}" if key else str(name)
+
+
+def _kind_name(value: Any) -> str:
+    names = {
+        type(None): "nothing",
+        bool: "a truth value",
+        int: "a number",
+        float: "a number",
+        str: "a text",
+    }
+    if isinstance(value, Mapping):
+        return "a mapping"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return "a list"
+    return names.get(type(value), type(value).__name__)
+
+
+def _value(hint: Any, value: Any, limits: Limits, source: str, key: str) -> Any:
+    """One value checked against its type and limits, converted to the declared type."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        if value is None and type(None) in arguments:
+            return None
+        (inner,) = [argument for argument in arguments if argument is not type(None)]
+        return _value(inner, value, limits, source, key)
+    if dataclasses.is_dataclass(hint):
+        return build(hint, value, source, key)  # type: ignore[arg-type]
+    if origin is tuple:
+        return _tuple(arguments, value, limits, source, key)
+    if hint is float:
+        return _number(value, limits, source, key)
+    if hint is int:
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise _wrong(source, key, value, "a whole number", limits)
+        _number(value, limits, source, key)
+        return value
+    if hint is bool:
+        if not isinstance(value, bool):
+            raise _wrong(source, key, value, "true or false", limits)
+        return value
+    if hint is str:
+        if not isinstance(value, str):
+            raise _wrong(source, key, value, "a text", limits)
+        if limits.choices and value not in limits.choices:
+            raise _wrong(source, key, value, limits.range_text(), limits)
+        return value
+    raise TypeError(f"{key}: the schema cannot hold a {hint}")
+
+
+def _tuple(
+    arguments: tuple[Any, ...], value: Any, limits: Limits, source: str, key: str
+) -> tuple[Any, ...]:
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise _wrong(source, key, value, "a list", limits)
+    if arguments[-1] is Ellipsis:
+        kinds = [arguments[0]] * len(value)
+    elif len(value) == len(arguments):
+        kinds = list(arguments)
+    else:
+        raise _wrong(source, key, value, f"a list of {len(arguments)} entries", limits)
+    return tuple(
+        _value(kind, entry, limits, source, f"{key}[{index}]")
+        for index, (kind, entry) in enumerate(zip(kinds, value, strict=True))
+    )
+
+
+def _number(value: Any, limits: Limits, source: str, key: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise _wrong(source, key, value, "a number", limits)
+    number = float(value)
+    if not math.isfinite(number) or not limits.minimum <= number <= limits.maximum:
+        raise _wrong(source, key, value, limits.range_text(), limits)
+    return number
+
+
+def _wrong(source: str, key: str, value: Any, wanted: str, limits: Limits) -> ConfigurationError:
+    shown = repr(value) if isinstance(value, (str, int, float, bool)) else _kind_name(value)
+    return ConfigurationError(
+        f"{source}: key '{key}' is {shown}, but must be {wanted}: {limits.description}"
+    )

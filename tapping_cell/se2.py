@@ -1,0 +1,87 @@
+"""Planar poses: a frame B seen from a frame A, X_AB = (x, y, theta).
+
+A pose is three numbers, metres, metres and radians, and a :class:`Pose` is a tuple of them, so that
+``numpy.asarray(pose)`` has shape (3,). The functions take any array of shape (..., 3) and broadcast.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def wrap_angle(angle: ArrayLike) -> Array:
+    """Angle in radians brought into [-pi, pi); any shape."""
+    return np.asarray((np.asarray(angle, dtype=float) + math.pi) % (2 * math.pi) - math.pi)
+
+
+class Pose(NamedTuple):
+    """The pose of one frame in another: x and y in m, theta in rad, counter-clockwise."""
+
+    x: float
+    y: float
+    theta: float
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """X_AC = X_AB @ X_BC."""
+        return Pose(*compose(self, other).tolist())
+
+    def inverse(self) -> Pose:
+        """X_BA of X_AB."""
+        return Pose(*inverse(self).tolist())
+
+    def distance_to(self, other: Pose) -> float:
+        """Distance between the two origins, in m."""
+        return math.hypot(other.x - self.x, other.y - self.y)
+
+    def rotation_to(self, other: Pose) -> float:
+        """Signed rotation from this pose to the other, in rad, in [-pi, pi)."""
+        return float(wrap_angle(other.theta - self.theta))
+
+
+def compose(first: ArrayLike, second: ArrayLike) -> Array:
+    """X_AC from X_AB and X_BC, arrays of shape (..., 3); the angle is not wrapped."""
+    a = np.asarray(first, dtype=float)
+    b = np.asarray(second, dtype=float)
+    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack(
+        [
+            a[..., 0] + cos * b[..., 0] - sin * b[..., 1],
+            a[..., 1] + sin * b[..., 0] + cos * b[..., 1],
+            a[..., 2] + b[..., 2],
+        ],
+        axis=-1,
+    )
+
+
+def inverse(pose: ArrayLike) -> Array:
+    """X_BA from X_AB, arrays of shape (..., 3)."""
+    a = np.asarray(pose, dtype=float)
+    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack(
+        [
+            -cos * a[..., 0] - sin * a[..., 1],
+            sin * a[..., 0] - cos * a[..., 1],
+            -a[..., 2],
+        ],
+        axis=-1,
+    )
+
+
+def transform_points(pose: ArrayLike, points: ArrayLike) -> Array:
+    """Points of shape (..., 2) in frame B, in m, expressed in frame A by the pose X_AB."""
+    a = np.asarray(pose, dtype=float)
+    p = np.asarray(points, dtype=float)
+    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack(
+        [
+            a[..., 0] + cos * p[..., 0] - sin * p[..., 1],
+            a[..., 1] + sin * p[..., 0] + cos * p[..., 1],
+        ],
+        axis=-1,
+    )
