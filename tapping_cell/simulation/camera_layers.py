@@ -1,0 +1,102 @@
+"""Flat printed things of the rendered scene: pre-filtered textures sampled where a pixel looks.
+
+A layer is drawn once, at several texels a pixel, with exact coverage at its edges, and then blurred
+by the camera's point spread. Sampling it at the centre of a pixel is then an area sample of the true
+pattern: an edge lies where it lies, without the bias that comes from sampling sharp patterns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tapping_cell.vision.markers import marker_pattern
+
+Array32 = NDArray[np.float32]
+
+PAPER = 0.90
+INK = 0.06
+"""Reflectance of white paper and of black toner (typical of laser prints)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layer:
+    """A texture (rows, columns, 2) of reflectance times coverage, and coverage; around its middle."""
+
+    texture: Array32
+    texel: float
+
+    @property
+    def half(self) -> float:
+        """Half of the texture's side, in m."""
+        return 0.5 * self.texel * self.texture.shape[0]
+
+    def sample(self, u: Array32, v: Array32) -> tuple[Array32, Array32]:
+        """Reflectance times coverage, and coverage, at points (m) of the layer's frame (v up)."""
+        scale = np.float32(1.0 / self.texel)
+        middle = np.float32(0.5 * self.texture.shape[0] - 0.5)
+        found = cv2.remap(
+            self.texture,
+            u * scale + middle,
+            middle - v * scale,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=0,
+        )
+        return np.asarray(found[..., 0]), np.asarray(found[..., 1])
+
+
+def marker_layer(dictionary: str, marker_id: int, size: float, pixel: float, blur: float) -> Layer:
+    """A marker of side ``size`` with one module of white around; ``pixel`` and ``blur`` (sigma) in m."""
+    pattern = np.pad(marker_pattern(dictionary, marker_id), 1, constant_values=True)
+    module = size / (pattern.shape[0] - 2)
+    # About eight texels a pixel; module edges fall on texel edges, so coverage is exact.
+    each = int(np.clip(np.ceil(8.0 * module / pixel), 4, 96))
+    texel = module / each
+    sheet = np.kron(np.where(pattern, PAPER, INK), np.ones((each, each)))
+    margin = int(np.ceil(4.0 * blur / texel))
+    coverage = np.pad(np.ones_like(sheet), margin)
+    return _blurred(np.pad(sheet, margin), coverage, texel, blur)
+
+
+def outline_layer(outline: ArrayLike, reflectance: float, pixel: float, blur: float) -> Layer:
+    """A convex outline, points (N, 2) in m around the origin, in one grey."""
+    points = np.asarray(outline, dtype=float)
+    reach = float(np.max(np.abs(points))) + 4.0 * blur
+    texels = int(np.clip(np.ceil(16.0 * reach / pixel), 64, 1600))
+    texel = 2.0 * reach / texels
+    coverage = convex_coverage(points / texel + texels / 2.0, texels)[::-1]
+    return _blurred(coverage * reflectance, coverage, texel, blur)
+
+
+def convex_coverage(points: ArrayLike, cells: int, rows_each: int = 4) -> NDArray[np.float64]:
+    """Share of every cell of a (cells, cells) grid that a convex polygon covers.
+
+    ``points`` (N, 2) count in cells, row index along y. Exact along x, ``rows_each`` samples along y.
+    """
+    p = np.asarray(points, dtype=float)
+    y = (np.arange(cells * rows_each) + 0.5) / rows_each
+    left, right = np.full(y.size, np.inf), np.full(y.size, -np.inf)
+    for a, b in zip(p, np.roll(p, -1, axis=0), strict=True):
+        low, high = sorted((a[1], b[1]))
+        first, last = np.searchsorted(y, [low, high])
+        if last > first:
+            x = a[0] + (y[first:last] - a[1]) * (b[0] - a[0]) / (b[1] - a[1])
+            left[first:last] = np.minimum(left[first:last], x)
+            right[first:last] = np.maximum(right[first:last], x)
+    edge = np.arange(cells)
+    share = np.minimum(right[:, None], edge + 1.0) - np.maximum(left[:, None], edge)
+    return np.clip(share, 0.0, 1.0).reshape(cells, rows_each, cells).mean(axis=1)
+
+
+def _blurred(
+    reflected: NDArray[np.float64], coverage: NDArray[np.float64], texel: float, blur: float
+) -> Layer:
+    both = np.stack([reflected, coverage], axis=-1).astype(np.float32)
+    sigma = blur / texel
+    return Layer(
+        np.asarray(cv2.GaussianBlur(both, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)), texel
+    )

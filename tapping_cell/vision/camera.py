@@ -1,0 +1,209 @@
+"""The camera: pinhole with lens distortion, its pose over the table, rays met with planes of the table.
+
+Model and coefficients are OpenCV's and ROS's ``camera_info`` (``plumb_bob``: k1 k2 p1 p2 k3;
+``rational_polynomial``: k1 k2 p1 p2 k3 k4 k5 k6 and, if there, thin prism and tilt). Pixels count
+from the centre of the top left pixel, x to the right, y down. Optical frame: z forward (REP-103).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+_LENGTHS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14)}
+# Fixed-point undistortion gains at least a digit an iteration for lenses up to 100 degrees.
+_UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
+
+
+class CameraError(ValueError):
+    """A camera description or an image that cannot be used; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraModel:
+    """Size of the image in pixels, focal lengths and principal point in pixels, lens distortion."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    distortion_model: str = "plumb_bob"
+
+    def __post_init__(self) -> None:
+        """Refuse what is no camera, with the value."""
+        if self.distortion_model not in _LENGTHS:
+            raise CameraError(
+                f"distortion_model is {self.distortion_model!r}: plumb_bob and "
+                "rational_polynomial are known; calibrate again with one of them"
+            )
+        if len(self.distortion) not in _LENGTHS[self.distortion_model]:
+            raise CameraError(
+                f"{self.distortion_model} takes {_LENGTHS[self.distortion_model][-1]} or fewer "
+                f"coefficients ({_LENGTHS[self.distortion_model]}); {len(self.distortion)} given"
+            )
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not np.all(np.isfinite(numbers)):
+            raise CameraError("the camera matrix or the distortion holds a number that is not finite")
+        if self.width < 16 or self.height < 16:
+            raise CameraError(f"an image of {self.width} x {self.height} pixels is too small")
+        if self.fx <= 0 or self.fy <= 0:
+            raise CameraError(
+                f"focal lengths are {self.fx} and {self.fy} pixels; they must be above 0 "
+                "(a camera_info full of zeros means an uncalibrated camera)"
+            )
+
+    @classmethod
+    def from_camera_info(
+        cls,
+        width: int,
+        height: int,
+        distortion_model: str,
+        d: Sequence[float],
+        k: Sequence[float],
+    ) -> CameraModel:
+        """From the fields of ``sensor_msgs/CameraInfo`` (k row by row, 9 numbers).
+
+        Raises CameraError for an unknown lens model, wrong counts or an uncalibrated camera.
+        """
+        if len(k) != 9:
+            raise CameraError(f"the camera matrix has {len(k)} numbers instead of 9")
+        return cls(
+            int(width),
+            int(height),
+            float(k[0]),
+            float(k[4]),
+            float(k[2]),
+            float(k[5]),
+            tuple(float(value) for value in d),
+            distortion_model or "plumb_bob",
+        )
+
+    @property
+    def matrix(self) -> Array:
+        """Camera matrix K, shape (3, 3)."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def coefficients(self) -> Array:
+        """Distortion coefficients in OpenCV's order, at least 5 of them."""
+        padded = self.distortion + (0.0,) * max(0, 5 - len(self.distortion))
+        return np.array(padded)
+
+    def project(self, points: ArrayLike) -> Array:
+        """Pixels, shape (..., 2), of points of shape (..., 3) in the optical frame, in m."""
+        p = np.asarray(points, dtype=float)
+        flat = np.ascontiguousarray(p.reshape(-1, 1, 3))
+        if flat.size == 0:
+            return np.zeros((*p.shape[:-1], 2))
+        zero = np.zeros(3)
+        pixels, _ = cv2.projectPoints(flat, zero, zero, self.matrix, self.coefficients)
+        return np.asarray(pixels, dtype=float).reshape(*p.shape[:-1], 2)
+
+    def rays(self, pixels: ArrayLike) -> Array:
+        """Directions (x / z, y / z), shape (..., 2), of pixels of shape (..., 2): distortion undone."""
+        p = np.asarray(pixels, dtype=float)
+        flat = np.ascontiguousarray(p.reshape(-1, 1, 2))
+        if flat.size == 0:
+            return np.zeros(p.shape)
+        found = cv2.undistortPointsIter(
+            flat, self.matrix, self.coefficients, np.eye(3), np.eye(3), _UNDISTORT_CRITERIA
+        )
+        return np.asarray(found, dtype=float).reshape(p.shape)
+
+    def check_image(self, image: NDArray[np.generic]) -> str | None:
+        """None if the image is one of this camera's (uint8, height x width), else a sentence."""
+        if image.ndim != 2 or image.dtype != np.uint8:
+            return (
+                f"the image has type {image.dtype} and shape {image.shape}; expected is uint8, "
+                f"one channel (mono8), {self.height} rows of {self.width}"
+            )
+        if image.shape != (self.height, self.width):
+            return (
+                f"the image is {image.shape[1]} x {image.shape[0]} pixels but the calibration is for "
+                f"{self.width} x {self.height}; calibrate at this size or set the camera to that one"
+            )
+        return None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraPose:
+    """X_CT, the pose of the table in the camera: p_C = rotation p_T + translation, in m."""
+
+    rotation: Array
+    translation: Array
+
+    @classmethod
+    def above(
+        cls,
+        position: Sequence[float],
+        aim: Sequence[float] = (0.0, 0.0),
+        spin: float = 0.0,
+    ) -> CameraPose:
+        """A camera at ``position`` (x, y, z in m) looking at the point ``aim`` (x, y) of the table.
+
+        With ``spin`` (rad) 0 the image's x axis lies along the table's x axis.
+        """
+        place = np.asarray(position, dtype=float)
+        forward = np.array([aim[0], aim[1], 0.0]) - place
+        forward /= np.linalg.norm(forward)
+        heading = np.array([np.cos(spin), np.sin(spin), 0.0])
+        right = heading - forward * (heading @ forward)
+        right /= np.linalg.norm(right)
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        return cls(rotation, -rotation @ place)
+
+    @property
+    def position(self) -> Array:
+        """Where the camera is in the table's frame, shape (3,), in m."""
+        return np.asarray(-self.rotation.T @ self.translation)
+
+    def apply(self, points: ArrayLike) -> Array:
+        """Points of the table, shape (..., 3), in the optical frame."""
+        return np.asarray(np.asarray(points, dtype=float) @ self.rotation.T + self.translation)
+
+    def plane(self, height: float) -> Array:
+        """Matrix (3, 3) that takes (x, y, 1) of the plane at ``height`` over the table to the camera."""
+        third = self.rotation[:, 2] * height + self.translation
+        return np.column_stack([self.rotation[:, 0], self.rotation[:, 1], third])
+
+    def moved(self, step: ArrayLike) -> CameraPose:
+        """This pose after a small motion (rotation vector in rad, translation in m; camera axes)."""
+        s = np.asarray(step, dtype=float)
+        turn, _ = cv2.Rodrigues(s[:3])
+        return CameraPose(turn @ self.rotation, turn @ self.translation + s[3:])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A camera and its pose over the table: between pixels and the table's planes."""
+
+    camera: CameraModel
+    pose: CameraPose
+
+    def project(self, points: ArrayLike, height: float = 0.0) -> Array:
+        """Pixels of points (..., 2) of the plane at ``height`` (m), or of points (..., 3)."""
+        p = np.asarray(points, dtype=float)
+        if p.shape[-1] == 2:
+            p = np.concatenate([p, np.full((*p.shape[:-1], 1), height)], axis=-1)
+        return self.camera.project(self.pose.apply(p))
+
+    def on_plane(self, pixels: ArrayLike, height: float = 0.0) -> Array:
+        """Points (..., 2) of the plane at ``height`` (m) that the pixels (..., 2) see, in m."""
+        return self.rays_on_plane(self.camera.rays(pixels), height)
+
+    def rays_on_plane(self, rays: ArrayLike, height: float = 0.0) -> Array:
+        """Points (..., 2) of the plane at ``height`` (m) that the directions (..., 2) meet."""
+        r = np.asarray(rays, dtype=float)
+        inverse = np.linalg.inv(self.pose.plane(height))
+        homogeneous = r @ inverse[:, :2].T + inverse[:, 2]
+        return np.asarray(homogeneous[..., :2] / homogeneous[..., 2:])
