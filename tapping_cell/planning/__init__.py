@@ -1,0 +1,63 @@
+"""Which tap next: planning methods, learning while tapping, the strike, and their evaluation.
+
+The whole of it in use::
+
+    planner = make_planner("exact", PlannerSettings(cone_slope=tap.cone_slope))
+    space = StrikeSpace(tap, Workspace(), arm_reach)
+    session = PositioningSession(goal_pose, planner, space)
+    decision = session.decide(object_pose, covariance)  # Done, Strike or Refusal
+    ...  # fire decision.plan, look again
+    session.observe(decision, object_pose, pose_after)
+"""
+
+from tapping_cell.planning.errors import PlanningError, UnknownPlannerError
+from tapping_cell.planning.free_space import FreeSpace
+from tapping_cell.planning.gains import Gains
+from tapping_cell.planning.goal import check_goal
+from tapping_cell.planning.interface import Planner, Taps
+from tapping_cell.planning.refusal import Refusal, RefusalReason
+from tapping_cell.planning.registry import make_planner, planner_names
+from tapping_cell.planning.session import Decision, Done, PositioningSession, Strike
+from tapping_cell.planning.settings import CameraNoise, PlannerSettings, Scatter
+from tapping_cell.planning.stopping import StoppingBox, stopping_box
+from tapping_cell.planning.strike import (
+    ArmReach,
+    StrikePlan,
+    StrikeSettings,
+    StrikeSpace,
+    Waypoint,
+    reach_everywhere,
+)
+from tapping_cell.planning.workspace import CircleArea, PolygonArea, Workspace
+
+__all__ = [
+    "ArmReach",
+    "CameraNoise",
+    "CircleArea",
+    "Decision",
+    "Done",
+    "FreeSpace",
+    "Gains",
+    "Planner",
+    "PlannerSettings",
+    "PlanningError",
+    "PolygonArea",
+    "PositioningSession",
+    "Refusal",
+    "RefusalReason",
+    "Scatter",
+    "StoppingBox",
+    "Strike",
+    "StrikePlan",
+    "StrikeSettings",
+    "StrikeSpace",
+    "Taps",
+    "UnknownPlannerError",
+    "Waypoint",
+    "Workspace",
+    "check_goal",
+    "make_planner",
+    "planner_names",
+    "reach_everywhere",
+    "stopping_box",
+]

@@ -1,0 +1,71 @@
+"""The taps to try when the method's own cannot be struck, best first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from tapping_cell.planning.free_space import PathLengths
+from tapping_cell.planning.gains import Gains
+from tapping_cell.planning.interface import Array, Planner
+from tapping_cell.se2 import wrap_angle
+
+HEADINGS = 36
+SHARES_OF_FIRST = (1.0, 0.7, 0.5, 0.3)
+SHARES_OF_LARGEST = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
+TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
+CHUNK = 160
+
+
+def alternative_taps(
+    pose: Array,
+    goal: Array,
+    first: Array,
+    gains: Gains,
+    planner: Planner,
+    paths: PathLengths,
+) -> Iterator[Array]:
+    """Displacements to command, in chunks of shape (n, 3), best first.
+
+    All directions, several distances (shares of the method's own choice ``first`` and of the largest
+    tap) and rotations (shares of the cone). They are ranked by how many taps the method would need
+    from where they lead, with the distance measured along the path around obstacles.
+    """
+    settings = planner.settings
+    length = math.hypot(first[0], first[1])
+    sizes = np.clip(
+        np.concatenate(
+            [
+                length * np.array(SHARES_OF_FIRST),
+                settings.largest_distance * np.array(SHARES_OF_LARGEST),
+            ]
+        ),
+        settings.smallest_distance,
+        settings.largest_distance,
+    )
+    headings = math.atan2(first[1], first[0]) + np.arange(HEADINGS) * (2.0 * math.pi / HEADINGS)
+    heading, size, turn = (
+        axis.ravel() for axis in np.meshgrid(headings, np.unique(sizes), TURNS, indexing="ij")
+    )
+    most = settings.cone_slope * size
+    left = float(wrap_angle(goal[2] - pose[2])) / float(gains.value[1])
+    rotation = np.where(turn == 1.0, np.clip(left, -most, most), turn * most)
+    commanded = np.stack([size * np.cos(heading), size * np.sin(heading), rotation], axis=-1)
+    after = pose + gains.predict(commanded)
+    path = paths.length(after[:, :2])
+    remaining = wrap_angle(goal[2] - after[:, 2])
+    reachable = np.isfinite(path)
+    cost = np.where(
+        reachable,
+        planner.taps_to_go(
+            np.where(reachable, path, 0.0) / gains.value[0], remaining / gains.value[1]
+        )
+        + 0.05 * size / settings.largest_distance,
+        np.inf,
+    )
+    order = np.argsort(cost, kind="stable")
+    order = order[np.isfinite(cost[order])]
+    for start in range(0, order.size, CHUNK):
+        yield commanded[order[start : start + CHUNK]]

@@ -1,0 +1,32 @@
+"""Conservative two-tap plans: a subgoal that the first tap's errors do not miss (section 4.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
+
+from tapping_cell.planning.interface import Array, Taps
+from tapping_cell.planning.nominal import nominal_taps
+from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.two_tap import two_tap_choice
+
+ERROR_LINE = 0.3
+"""Two standard deviations of the rotation's scatter, 15 % (section 3.1.1)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConservativePlanner:
+    """Aims inside the reachable region by the length of the error line: larger first taps."""
+
+    settings: PlannerSettings
+    name: str = "conservative"
+
+    def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
+        """The direct tap, or the first of a conservative two-tap plan."""
+        line = ERROR_LINE if self.settings.error_line is None else self.settings.error_line
+        return two_tap_choice(distance, rotation, self.settings, line)
+
+    def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
+        """Taps of the plan without errors."""
+        return nominal_taps(distance, rotation, self.settings)

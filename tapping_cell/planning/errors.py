@@ -1,0 +1,11 @@
+"""What planning refuses by raising; refusals of a goal or a tap are values (``Refusal``) instead."""
+
+from __future__ import annotations
+
+
+class PlanningError(ValueError):
+    """A setting or an argument of planning that makes no sense; the sentence says which."""
+
+
+class UnknownPlannerError(PlanningError):
+    """A planner's name that is neither built in nor registered as an entry point."""

@@ -1,0 +1,60 @@
+"""Goals that cannot be reached are refused before the first tap."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tapping_cell.planning.free_space import WIDEST_GAP, FreeSpace, widest_gap
+from tapping_cell.planning.refusal import Refusal, RefusalReason
+from tapping_cell.planning.strike import StrikeSpace
+
+
+def place_text(pose: ArrayLike) -> str:
+    """A pose for people: "(10.0 mm, 0.0 mm, 5.0 degrees)"."""
+    x, y, theta = np.asarray(pose, dtype=float)
+    return f"({1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {math.degrees(theta):.1f} degrees)"
+
+
+def check_goal(goal_pose: ArrayLike, space: StrikeSpace, free: FreeSpace | None = None) -> Refusal | None:
+    """Why no run to this goal (x, y, theta in `table`) can end well, or None.
+
+    With the map of the free space the goal must also be workable by it, so that the closed loop
+    around the goal always has a tap.
+    """
+    goal = np.asarray(goal_pose, dtype=float)
+    if goal.shape != (3,) or not np.all(np.isfinite(goal)):
+        return Refusal(
+            RefusalReason.GOAL_NOT_FINITE,
+            f"the goal {goal.tolist()} is not three finite numbers x, y, theta; send a valid pose",
+        )
+    table, radius = space.workspace, space.object_radius
+    edge = float(table.edge_distance(goal[:2]))
+    if edge < radius + table.edge_margin:
+        return Refusal(
+            RefusalReason.GOAL_OFF_TABLE,
+            f"the goal {place_text(goal)} is {1e3 * edge:.1f} mm inside the table's edge; the "
+            f"object needs {1e3 * (radius + table.edge_margin):.1f} mm, so the goal must lie within "
+            f"+-{1e3 * (table.length / 2 - radius - table.edge_margin):.1f} mm in x and "
+            f"+-{1e3 * (table.width / 2 - radius - table.edge_margin):.1f} mm in y",
+        )
+    keep_out = float(table.keep_out_distance(goal[:2]))
+    if keep_out < radius + table.keep_out_margin:
+        return Refusal(
+            RefusalReason.GOAL_IN_KEEP_OUT,
+            f"the goal {place_text(goal)} is {1e3 * keep_out:.1f} mm from a keep-out area; the "
+            f"object needs {1e3 * (radius + table.keep_out_margin):.1f} mm; move the goal away",
+        )
+    gap = float(widest_gap(space, goal[:2]))
+    workable = gap <= WIDEST_GAP if free is None else bool(free.contains(goal[:2]))
+    if not workable:
+        return Refusal(
+            RefusalReason.GOAL_OUT_OF_REACH,
+            f"at the goal {place_text(goal)} the arm cannot tap from a range of "
+            f"{math.degrees(gap):.0f} degrees of directions; at most "
+            f"{math.degrees(WIDEST_GAP):.0f} degrees may be missing for a tap to be corrected; "
+            "choose a goal nearer to the middle of the arm's reach, or away from keep-outs",
+        )
+    return None

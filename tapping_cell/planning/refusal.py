@@ -1,0 +1,32 @@
+"""Why planning will not tap: numbered reasons, each with a sentence that says what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class RefusalReason(IntEnum):
+    """Numbers are fixed: they appear in messages and logs."""
+
+    GOAL_NOT_FINITE = 1
+    GOAL_OFF_TABLE = 2
+    GOAL_IN_KEEP_OUT = 3
+    GOAL_OUT_OF_REACH = 4
+    NO_PATH_TO_GOAL = 5
+    OBJECT_POSE_NOT_FINITE = 6
+    OBJECT_OFF_TABLE = 7
+    NO_STRIKE = 8
+    CAMERA_TOO_COARSE = 9
+    TOO_MANY_TAPS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A tap or a goal that planning refuses.
+
+    ``sentence`` names the value, the limit and what to do, in mm and degrees.
+    """
+
+    reason: RefusalReason
+    sentence: str

@@ -1,0 +1,266 @@
+"""One positioning task in closed loop: look, decide, tap, observe. Pure: no clock, no ROS."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tapping_cell.planning.alternatives import alternative_taps
+from tapping_cell.planning.free_space import FreeSpace
+from tapping_cell.planning.gains import Gains
+from tapping_cell.planning.goal import check_goal, place_text
+from tapping_cell.planning.interface import Array, Planner
+from tapping_cell.planning.refusal import Refusal, RefusalReason
+from tapping_cell.planning.settings import CameraNoise
+from tapping_cell.planning.stopping import StoppingBox, stopping_box
+from tapping_cell.planning.strike import StrikePlan, StrikeSpace
+from tapping_cell.se2 import Pose, wrap_angle
+
+MOST_TAPS = 100
+"""Taps after which something is wrong that planning cannot see."""
+
+BLOCKED = 1.05
+"""Path over straight distance beyond which the way is not straight (the grid is true to 3 %)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """The object is at the goal, as far as the camera can honestly say.
+
+    residual: goal less object, (dx, dy, dtheta) in `table`, m and rad. box: where it had to be.
+    """
+
+    residual: Pose
+    box: StoppingBox
+
+
+@dataclass(frozen=True, slots=True)
+class Strike:
+    """The next tap.
+
+    commanded: displacement (dx, dy, dtheta) that the mechanics is asked for, in `table`.
+    wanted: displacement that it is expected to make by the gains learnt; predicted: the pose after.
+    residual: goal less object before the tap. plan: where the arm goes.
+    method: the planning method that chose it; detour: why it is not the method's first choice, or
+    an empty text.
+    """
+
+    commanded: Pose
+    wanted: Pose
+    predicted: Pose
+    residual: Pose
+    plan: StrikePlan
+    method: str
+    detour: str = ""
+
+
+Decision = Done | Strike | Refusal
+
+
+class PositioningSession:
+    """Goal, method, learnt gains and the room for strikes of one task.
+
+    Args:
+        goal_pose: x, y (m), theta (rad) of the object in `table`.
+        planner: the method; its settings hold the tolerance and the box.
+        space: which taps can be struck.
+        free: its map of workable places; made here when not given (about 0.1 s: keep it between
+            goals).
+        gains: what is known of the object from earlier runs.
+        adapt: whether ``observe`` learns.
+        most_taps: a limit against endless runs.
+    """
+
+    def __init__(
+        self,
+        goal_pose: ArrayLike,
+        planner: Planner,
+        space: StrikeSpace,
+        free: FreeSpace | None = None,
+        gains: Gains | None = None,
+        *,
+        adapt: bool = True,
+        most_taps: int = MOST_TAPS,
+    ) -> None:
+        self.goal = np.asarray(goal_pose, dtype=float)
+        self.planner = planner
+        self.gains = Gains.start() if gains is None else gains
+        self.taps = 0
+        self._space = space
+        self._adapt = adapt
+        self._most_taps = most_taps
+        self._free = FreeSpace(space) if free is None else free
+        self._goal_refusal = check_goal(goal_pose, space, self._free)
+        if self._goal_refusal is None:
+            self._paths = self._free.to_goal(self.goal)
+
+    def residual(self, object_pose: ArrayLike) -> Array:
+        """Goal less object: (dx, dy, dtheta) in `table`, the rotation the short way round."""
+        left = self.goal - np.asarray(object_pose, dtype=float)
+        left[2] = wrap_angle(left[2])
+        return left
+
+    def stopping(self, covariance: ArrayLike | None) -> StoppingBox:
+        """The box in which a look with this covariance, (3, 3) in m and rad, may say done."""
+        settings = self.planner.settings
+        noise = settings.camera if covariance is None else noise_of(covariance)
+        return stopping_box(
+            settings.tolerance_position,
+            settings.tolerance_angle,
+            noise.position,
+            noise.angle,
+            settings.box,
+        )
+
+    def decide(self, object_pose: ArrayLike, covariance: ArrayLike | None = None) -> Decision:
+        """What to do with the object at rest at this pose, seen with this covariance.
+
+        Args:
+            object_pose: x, y, theta in `table`, m and rad.
+            covariance: (3, 3) of that pose; None takes the nominal noise of the camera.
+        """
+        if self._goal_refusal is not None:
+            return self._goal_refusal
+        pose = np.asarray(object_pose, dtype=float)
+        if pose.shape != (3,) or not np.all(np.isfinite(pose)):
+            return Refusal(
+                RefusalReason.OBJECT_POSE_NOT_FINITE,
+                f"the object's pose {pose.tolist()} is not three finite numbers; look again",
+            )
+        left = self.residual(pose)
+        box = self.stopping(covariance)
+        distance = math.hypot(left[0], left[1])
+        if distance <= box.distance and abs(left[2]) <= box.rotation and box.camera_suffices:
+            return Done(Pose(*left.tolist()), box)
+        return self._refusal_before_tap(pose, left, box) or self._strike(pose, left)
+
+    def observe(
+        self,
+        strike: Strike,
+        pose_before: ArrayLike,
+        pose_after: ArrayLike,
+        covariance: ArrayLike | None = None,
+    ) -> None:
+        """Learn from a tap that was fired: poses at rest before and after it.
+
+        Call it once for each tap fired, also when nothing is known of the result (NaN poses).
+        """
+        self.taps += 1
+        if not self._adapt:
+            return
+        settings = self.planner.settings
+        moved = np.asarray(pose_after, dtype=float) - np.asarray(pose_before, dtype=float)
+        moved[2] = wrap_angle(moved[2])
+        noise = settings.camera if covariance is None else noise_of(covariance)
+        self.gains = self.gains.observe(strike.commanded, moved, settings.scatter, noise)
+
+    def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
+        settings = self.planner.settings
+        within = (
+            math.hypot(left[0], left[1]) <= settings.tolerance_position
+            and abs(left[2]) <= settings.tolerance_angle
+        )
+        if within and not box.camera_suffices:
+            return Refusal(
+                RefusalReason.CAMERA_TOO_COARSE,
+                "the object may be at the goal, but the camera is too uncertain to say so within "
+                f"{1e3 * settings.tolerance_position:.2f} mm and "
+                f"{math.degrees(settings.tolerance_angle):.2f} degrees; look longer at the object "
+                "at rest, calibrate the camera or widen the tolerance",
+            )
+        edge = float(self._space.workspace.edge_distance(pose[:2]))
+        if edge < 0.0:
+            return Refusal(
+                RefusalReason.OBJECT_OFF_TABLE,
+                f"the object's centre at {place_text(pose)} is {-1e3 * edge:.1f} mm beyond the "
+                "table's edge; put it back by hand",
+            )
+        if not self._paths.reachable(pose):
+            return Refusal(
+                RefusalReason.NO_PATH_TO_GOAL,
+                f"no path of places where the object can be tapped leads from {place_text(pose)} "
+                f"to the goal {place_text(self.goal)}; remove a keep-out or choose another goal",
+            )
+        if self.taps >= self._most_taps:
+            return Refusal(
+                RefusalReason.TOO_MANY_TAPS,
+                f"{self.taps} taps did not bring the object to the goal, the limit is "
+                f"{self._most_taps}; check the striker, the camera and the object's file",
+            )
+        return None
+
+    def _strike(self, pose: Array, left: Array) -> Strike | Refusal:
+        distance, turn, heading = self.gains.to_command(left)
+        tap = self.planner.choose(distance, turn)
+        first = _displacement(heading, tap.distance, tap.rotation)
+        detour = self._obstacle(pose, first)
+        if not detour:
+            found = self._space.first_strike(Pose(*pose.tolist()), first[None, :])
+            if found is not None:
+                return self._made(pose, left, first, found[1], "")
+            detour = "the arm or the tool has no room for the tap along the line"
+        for candidates in alternative_taps(
+            pose, self.goal, first, self.gains, self.planner, self._paths
+        ):
+            safe = candidates[self._ends_well(pose, candidates)]
+            if safe.shape[0] == 0:
+                continue
+            found = self._space.first_strike(Pose(*pose.tolist()), safe)
+            if found is not None:
+                return self._made(pose, left, safe[found[0]], found[1], detour)
+        return Refusal(
+            RefusalReason.NO_STRIKE,
+            f"no tap is possible with the object at {place_text(pose)}: every one would leave the "
+            "table, enter a keep-out or a place where the object cannot be tapped back, or is out "
+            f"of the arm's reach (first: {detour}); move the object by hand towards the middle",
+        )
+
+    def _ends_well(self, pose: Array, commanded: Array) -> Array:
+        """Which displacements (n, 3) slide safely and end, footprint and all, where taps go on."""
+        expected = self.gains.predict(commanded)
+        centres = self._space.footprint(pose, expected)
+        end = centres[..., -1, :]
+        workable = np.all(self._free.contains(end), axis=-1)
+        nominal = self._free.contains(pose[:2] + expected[..., :2])
+        if not self._free.contains(pose[:2]):
+            workable = nominal  # an escape: better than here, its footprint cannot be asked for
+        return np.asarray(workable & nominal & self._space.slide_is_safe(pose, expected))
+
+    def _obstacle(self, pose: Array, commanded: Array) -> str:
+        """Why the slide of a displacement (3,) is not acceptable, or an empty text."""
+        straight = math.hypot(self.goal[0] - pose[0], self.goal[1] - pose[1])
+        if float(self._paths.length(pose[:2])) > BLOCKED * straight + 1e-9:
+            return "the straight line to the goal is blocked"
+        if bool(self._ends_well(pose, commanded[None, :])[0]):
+            return ""
+        return "the tap along the line would leave the table, enter a keep-out or end out of reach"
+
+    def _made(
+        self, pose: Array, left: Array, commanded: Array, plan: StrikePlan, detour: str
+    ) -> Strike:
+        wanted = self.gains.predict(commanded)
+        after = pose + wanted
+        after[2] = wrap_angle(after[2])
+        return Strike(
+            commanded=Pose(*commanded.tolist()),
+            wanted=Pose(*wanted.tolist()),
+            predicted=Pose(*after.tolist()),
+            residual=Pose(*left.tolist()),
+            plan=plan,
+            method=self.planner.name,
+            detour=detour,
+        )
+
+
+def noise_of(covariance: ArrayLike) -> CameraNoise:
+    """The camera's noise that a pose's covariance (3, 3) stands for: the worse of its axes."""
+    matrix = np.asarray(covariance, dtype=float)
+    largest = float(np.max(np.linalg.eigvalsh(matrix[:2, :2])))
+    return CameraNoise(math.sqrt(max(largest, 0.0)), math.sqrt(max(float(matrix[2, 2]), 0.0)))
+
+
+def _displacement(heading: Array, distance: Array, turn: Array) -> Array:
+    return np.stack([distance * np.cos(heading), distance * np.sin(heading), turn], axis=-1)

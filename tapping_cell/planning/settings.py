@@ -1,0 +1,114 @@
+"""What a planning method is told about the cell: the cone of taps, their scatter, the camera, the box.
+
+All lengths in metres, angles in radians. The numbers of the paper's cell are the defaults: a cone of
+10 degrees in 30 mm (Huang and Mason, section 4: the task needs three times the rotation of one tap),
+a smallest tap of 1.7 mm (section 4), 5 % and 15 % of scatter (section 3.1.1).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+
+from tapping_cell.planning.errors import PlanningError
+from tapping_cell.planning.stopping import StoppingBox, stopping_box
+
+VARIANTS = ("retreat", "overshoot")
+
+
+def _check_range(owner: object, name: str, low: float, high: float, unit: str) -> None:
+    value = getattr(owner, name)
+    if not (isinstance(value, int | float) and low <= value <= high):
+        raise PlanningError(
+            f"{type(owner).__name__}.{name} is {value!r}, allowed is {low:g} to {high:g} {unit}; "
+            "correct it in the configuration"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """One standard deviation of a tap's result: shares of distance and rotation; direction in rad.
+
+    The first two as measured by Huang and Mason, section 3.1.1; the direction is an assumption.
+    """
+
+    distance: float = 0.05
+    rotation: float = 0.15
+    direction: float = math.radians(1.0)
+
+    def __post_init__(self) -> None:
+        """Refuse shares outside [0, 1] and directions outside [0, 0.5] rad (PlanningError)."""
+        _check_range(self, "distance", 0.0, 1.0, "(share of the distance)")
+        _check_range(self, "rotation", 0.0, 1.0, "(share of the rotation)")
+        _check_range(self, "direction", 0.0, 0.5, "rad")
+
+
+@dataclass(frozen=True, slots=True)
+class CameraNoise:
+    """One standard deviation of a look at the object at rest: position (each axis, m), angle (rad)."""
+
+    position: float = 0.0
+    angle: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse negative or absurd values (PlanningError)."""
+        _check_range(self, "position", 0.0, 0.1, "m")
+        _check_range(self, "angle", 0.0, 1.0, "rad")
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerSettings:
+    """Everything a planning method may depend on; equal settings give equal plans.
+
+    cone_slope: most rotation per distance of a tap, rad/m.
+    smallest_distance, largest_distance: of one tap, m.
+    tolerance_position, tolerance_angle: where the object must end, m and rad.
+    box: share of the tolerance to plan for and to stop in; None derives it from the camera's noise
+        (``stopping.stopping_share``).
+    variant: which two-tap plan ``exact`` and ``conservative`` make: "retreat" first taps away from
+        the goal, "overshoot" first taps past it.
+    error_line: half length of a tap's error line as a share of its rotation, for ``conservative``
+        and ``multi``; None takes the method's own (0.3 and 0.6).
+    """
+
+    cone_slope: float = math.radians(10.0) / 0.030
+    smallest_distance: float = 0.0017
+    largest_distance: float = 0.120
+    scatter: Scatter = field(default_factory=Scatter)
+    camera: CameraNoise = field(default_factory=CameraNoise)
+    tolerance_position: float = 0.001
+    tolerance_angle: float = math.radians(1.0)
+    box: float | None = None
+    variant: str = "overshoot"
+    error_line: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse values out of range (PlanningError names the value and the range)."""
+        _check_range(self, "cone_slope", 1e-3, 1e3, "rad/m")
+        _check_range(self, "smallest_distance", 1e-5, 0.1, "m")
+        _check_range(self, "largest_distance", 2.0 * self.smallest_distance, 2.0, "m")
+        _check_range(self, "tolerance_position", 1e-5, 0.1, "m")
+        _check_range(self, "tolerance_angle", 1e-5, 1.5, "rad")
+        if self.box is not None:
+            _check_range(self, "box", 0.05, 1.0, "(share of the tolerance)")
+        if self.error_line is not None:
+            _check_range(self, "error_line", 0.0, 0.95, "(share of the rotation)")
+        if self.variant not in VARIANTS:
+            raise PlanningError(
+                f"PlannerSettings.variant is {self.variant!r}, allowed are {', '.join(VARIANTS)}"
+            )
+
+    @property
+    def stopping(self) -> StoppingBox:
+        """The box that plans are made for and in which a look with the nominal noise stops."""
+        return stopping_box(
+            self.tolerance_position,
+            self.tolerance_angle,
+            self.camera.position,
+            self.camera.angle,
+            self.box,
+        )
+
+    def key(self) -> str:
+        """A text that is equal exactly when the settings are: the identity of a solved plan."""
+        return ";".join(f"{item.name}={getattr(self, item.name)!r}" for item in fields(self))

@@ -1,0 +1,132 @@
+"""Where things may be: the table's edges and the keep-out areas, seen from the `table` frame.
+
+Distances are signed: positive inside the table and outside every keep-out. Points have shape
+(..., 2) in m.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tapping_cell.planning.errors import PlanningError
+from tapping_cell.planning.interface import Array
+
+
+@dataclass(frozen=True, slots=True)
+class CircleArea:
+    """A round keep-out: a clamp, a screw, a camera's foot. Centre and radius in m."""
+
+    x: float
+    y: float
+    radius: float
+
+    def __post_init__(self) -> None:
+        """Refuse a circle that is not finite or has no size (PlanningError)."""
+        if not (np.all(np.isfinite([self.x, self.y])) and 0.0 < self.radius < 10.0):
+            raise PlanningError(f"keep-out circle {self}: needs finite numbers and a radius above 0")
+
+    def distance(self, points: ArrayLike) -> Array:
+        """Distance from the points to the area, negative inside."""
+        p = np.asarray(points, dtype=float)
+        return np.asarray(np.hypot(p[..., 0] - self.x, p[..., 1] - self.y) - self.radius)
+
+
+@dataclass(frozen=True, slots=True)
+class PolygonArea:
+    """A keep-out with straight edges, convex or not; corners in m in order around the area."""
+
+    vertices: tuple[tuple[float, float], ...]
+
+    def __post_init__(self) -> None:
+        """Refuse fewer than three corners or numbers that are not finite (PlanningError)."""
+        if len(self.vertices) < 3 or not np.all(np.isfinite(self.vertices)):
+            raise PlanningError(
+                f"keep-out polygon with {len(self.vertices)} corners: needs at least 3, all finite"
+            )
+
+    def distance(self, points: ArrayLike) -> Array:
+        """Distance from the points to the area, negative inside (even-odd rule)."""
+        p = np.asarray(points, dtype=float)
+        x, y = p[..., 0], p[..., 1]
+        nearest = np.full(x.shape, np.inf)
+        inside = np.zeros(x.shape, dtype=bool)
+        corners = np.asarray(self.vertices, dtype=float)
+        for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            ux, uy = bx - ax, by - ay
+            along = np.clip(((x - ax) * ux + (y - ay) * uy) / (ux * ux + uy * uy or 1.0), 0.0, 1.0)
+            nearest = np.minimum(nearest, np.hypot(x - ax - along * ux, y - ay - along * uy))
+            if ay != by:
+                crosses = (ay > y) != (by > y)
+                inside ^= crosses & (x < ax + (y - ay) * ux / uy)
+        return np.asarray(np.where(inside, -nearest, nearest))
+
+
+KeepOut = CircleArea | PolygonArea
+
+
+@dataclass(frozen=True, slots=True)
+class Workspace:
+    """The table and what stands on it.
+
+    length, width: of the table area along its x and y, centred on the table's origin, m.
+    edge_margin: least distance of the object's outline from an edge, m.
+    keep_outs: areas where neither the object nor the striker may be.
+    keep_out_margin: least distance of either from a keep-out, m.
+    overhang: how far beyond the edges the striker may stand, m.
+    """
+
+    length: float = 0.60
+    width: float = 0.44
+    edge_margin: float = 0.005
+    keep_outs: tuple[KeepOut, ...] = ()
+    keep_out_margin: float = 0.005
+    overhang: float = 0.15
+
+    def __post_init__(self) -> None:
+        """Refuse sizes out of range (PlanningError names the value and the range)."""
+        for name, low, high in (
+            ("length", 0.05, 10.0),
+            ("width", 0.05, 10.0),
+            ("edge_margin", 0.0, 0.5),
+            ("keep_out_margin", 0.0, 0.5),
+            ("overhang", 0.0, 2.0),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise PlanningError(f"Workspace.{name} is {value!r}, allowed is {low:g} to {high:g} m")
+
+    def edge_distance(self, points: ArrayLike) -> Array:
+        """Distance to the nearest edge of the table, negative beyond it."""
+        p = np.asarray(points, dtype=float)
+        return np.asarray(
+            np.minimum(self.length / 2 - np.abs(p[..., 0]), self.width / 2 - np.abs(p[..., 1]))
+        )
+
+    def keep_out_distance(self, points: ArrayLike) -> Array:
+        """Distance to the nearest keep-out, negative inside one, infinite where there is none."""
+        p = np.asarray(points, dtype=float)
+        nearest = np.full(p.shape[:-1], np.inf)
+        for area in self.keep_outs:
+            nearest = np.minimum(nearest, area.distance(p))
+        return nearest
+
+    def object_room(self, points: ArrayLike) -> Array:
+        """Largest radius of an object centred at the points that respects both margins."""
+        return np.asarray(
+            np.minimum(
+                self.edge_distance(points) - self.edge_margin,
+                self.keep_out_distance(points) - self.keep_out_margin,
+            )
+        )
+
+    def striker_room(self, points: ArrayLike) -> Array:
+        """Largest radius of a part of the striker centred at the points."""
+        return np.asarray(
+            np.minimum(
+                self.edge_distance(points) + self.overhang,
+                self.keep_out_distance(points) - self.keep_out_margin,
+            )
+        )
