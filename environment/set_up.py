@@ -1,0 +1,405 @@
+"""Build what env.sh needs and what is missing or stale: .venv, the messages, the package.
+
+Run by env.sh with the interpreter that .venv is made of, isolated (``-I -S``), so only the standard
+library is at hand. Each stage leaves a fingerprint of everything that it was made from, written last:
+a stage that was interrupted has none and is made again from nothing.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / ".venv"
+BUILD = ROOT / "build"
+INSTALL = ROOT / "install"
+LOG = ROOT / "log"
+LOCK = ROOT / "requirements.lock"
+
+PYTHON_VERSIONS = ((3, 10), (3, 13))  # first and last for which ROS 2 Jazzy wheels exist
+DISK_FOR_VENV = 2.0e9  # bytes; .venv takes 0.7e9, its downloads and the build the rest
+DISK_FOR_BUILD = 0.2e9  # bytes; the messages take 0.03e9
+GLIBC = (2, 28)  # of the ROS wheels
+CMAKE = (3, 20)  # asked for by msg_defs/CMakeLists.txt
+
+# Built from the lock without pip's own build environments; setuptools comes from the lock as well.
+SOURCE_DISTRIBUTIONS = ("empy",)
+# With ROS 2 from apt these come from apt too: its compiled messages need its own numpy.
+FROM_APT = ("ros-", "colcon-", "numpy", "empy", "lark-parser", "catkin-pkg", "setuptools")
+# Variables that would bend pip, CMake or colcon to another environment or to another make.
+FOREIGN_VARIABLES = re.compile(
+    r"PYTHON(PATH|HOME|STARTUP)|PIP_(USER|TARGET|PREFIX|REQUIREMENT|CONSTRAINT|NO_DEPS)|COLCON_.*"
+    r"|VIRTUAL_ENV|CONDA_PREFIX|MAKEFLAGS|MAKELEVEL|MFLAGS|DESTDIR|CMAKE_(GENERATOR|INSTALL_PREFIX)"
+)
+ROS_VARIABLES = re.compile(r"AMENT_.*|CMAKE_PREFIX_PATH|LD_LIBRARY_PATH|PKG_CONFIG_PATH")
+
+
+class SetUpError(RuntimeError):
+    """What is wrong and what to do, in one sentence."""
+
+
+def say(words: str) -> None:
+    """Tell the person who waits what is being done."""
+    print(f"tapping cell: {words}", file=sys.stderr, flush=True)
+
+
+# ---- what a stage was made from
+
+
+def fingerprint(files: Iterable[Path], *words: str) -> str:
+    """One digest of the files' names and contents and of the words."""
+    digest = hashlib.sha256()
+    for word in words:
+        digest.update(f"{word}\0".encode())
+    for file in sorted(files):
+        content = hashlib.sha256(file.read_bytes()).hexdigest()
+        digest.update(f"{file.relative_to(ROOT)}\0{content}\0".encode())
+    return digest.hexdigest()
+
+
+def files_below(*folders: Path) -> list[Path]:
+    """Every file below the folders, without what Python leaves there."""
+    return [
+        file
+        for folder in folders
+        for file in folder.rglob("*")
+        if file.is_file() and "__pycache__" not in file.parts
+    ]
+
+
+def is_made(stamp: Path, wanted: str) -> bool:
+    """Whether the stage that leaves this stamp was finished from the wanted inputs."""
+    try:
+        return stamp.read_text() == wanted
+    except OSError:
+        return False
+
+
+def write_stamp(stamp: Path, text: str) -> None:
+    """Write the stamp whole or not at all."""
+    partial = stamp.with_name(stamp.name + ".partial")
+    partial.write_text(text)
+    partial.replace(stamp)
+
+
+# ---- what the machine must have
+
+
+def require_disk(limit: float) -> None:
+    """Raise `SetUpError` if less than ``limit`` bytes are free where the cell is."""
+    free = shutil.disk_usage(ROOT).free
+    if free < limit:
+        raise SetUpError(
+            f"the disk of {ROOT} has {free / 1e9:.2f} GB free and the set-up needs {limit / 1e9:.1f} GB:"
+            " free some space, or move the cell to a larger disk."
+        )
+
+
+def require_writable() -> None:
+    """Raise `SetUpError` if the cell's folder cannot be written."""
+    if os.access(ROOT, os.W_OK):
+        return
+    raise SetUpError(
+        f"{ROOT} cannot be written by user {os.getuid()} and the set-up builds in it:"
+        " copy the cell to a folder of yours."
+    )
+
+
+def require_wheel_platform() -> None:
+    """Raise `SetUpError` where no ROS 2 wheels exist for the machine."""
+    machine = platform.machine()
+    name, version = platform.libc_ver()
+    wanted = f"Linux on x86_64 with glibc {GLIBC[0]}.{GLIBC[1]} or newer"
+    advice = "use such a machine, or one with ROS 2 Jazzy in /opt/ros/jazzy."
+    if sys.platform != "linux" or machine != "x86_64":
+        raise SetUpError(
+            f"this is {sys.platform} on {machine} and the ROS 2 wheels need {wanted}: {advice}"
+        )
+    if name != "glibc" or tuple(map(int, version.split(".")[:2])) < GLIBC:
+        raise SetUpError(
+            f"this machine's C library is {name or 'unknown'} {version} and the ROS 2 wheels need"
+            f" {wanted}: {advice}"
+        )
+
+
+def require_python(version: tuple[int, int]) -> None:
+    """Raise `SetUpError` for a Python that the ROS 2 wheels do not exist for."""
+    first, last = PYTHON_VERSIONS
+    if not first <= version <= last:
+        raise SetUpError(
+            f"this Python is {version[0]}.{version[1]} and the cell needs {first[0]}.{first[1]} to"
+            f" {last[0]}.{last[1]}: set PYTHON to the path of one that suits."
+        )
+
+
+def require_build_tools() -> None:
+    """Raise `SetUpError` if the messages cannot be compiled here."""
+    compiler = os.environ.get("CXX", "g++").split()[0]
+    wanted = {"cmake": "cmake", "make": "make", compiler: "g++", os.environ.get("CC", "gcc"): "gcc"}
+    missing = {tool: package for tool, package in wanted.items() if shutil.which(tool) is None}
+    if missing:
+        raise SetUpError(
+            f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} not on the PATH and the"
+            f" messages are compiled with it: install it (on Debian and Ubuntu: apt install"
+            f" {' '.join(missing.values())})."
+        )
+    answer = subprocess.run(["cmake", "--version"], capture_output=True, text=True).stdout
+    found = re.search(r"(\d+)\.(\d+)", answer)
+    if found is None or (int(found[1]), int(found[2])) < CMAKE:
+        raise SetUpError(
+            f"cmake is {found[0] if found else 'of an unknown version'} and the messages need"
+            f" {CMAKE[0]}.{CMAKE[1]} or newer: install a newer one."
+        )
+
+
+def require_python_headers(python: Path) -> None:
+    """Raise `SetUpError` if the interpreter's C headers are not installed."""
+    include = ask(python, "import sysconfig; print(sysconfig.get_path('include'))")
+    if not Path(include, "Python.h").is_file():
+        raise SetUpError(
+            f"{include}/Python.h is not there and the messages are compiled with it: install this"
+            " Python's headers (on Debian and Ubuntu: apt install"
+            f" python{sys.version_info[0]}.{sys.version_info[1]}-dev), or set PYTHON to one that has them."
+        )
+
+
+# ---- running other programs
+
+
+def ask(python: Path, program: str) -> str:
+    """What the interpreter prints for a one-line program."""
+    environment = build_environment(os.environ, ros_sourced())
+    answer = subprocess.run(
+        [python, "-c", program], env=environment, capture_output=True, text=True, check=False
+    )
+    return answer.stdout.strip()
+
+
+def ros_sourced() -> bool:
+    """Whether ROS 2 Jazzy is there as it is; otherwise it comes as wheels."""
+    return os.environ.get("ROS_DISTRO") == "jazzy"
+
+
+def build_environment(outside: Mapping[str, str], sourced: bool) -> dict[str, str]:
+    """The variables to build in: the shell's, without those of other environments.
+
+    A sourced ROS stays; without one, what is left of other ROS environments goes and the wheels'
+    own libraries and packages take their place.
+    """
+    kept = {
+        name: value for name, value in outside.items() if not FOREIGN_VARIABLES.fullmatch(name)
+    }
+    if sourced:
+        if "PYTHONPATH" in outside:
+            kept["PYTHONPATH"] = outside["PYTHONPATH"]
+    else:
+        kept = {name: value for name, value in kept.items() if not ROS_VARIABLES.fullmatch(name)}
+        libraries = [VENV / "lib", *VENV.glob("lib/python3.*/site-packages/ros_*.libs")]
+        kept["LD_LIBRARY_PATH"] = ":".join(map(str, libraries))
+        kept["_ROS_WHEELS_BOOTSTRAP_COMPLETE"] = "1"
+        kept["AMENT_PREFIX_PATH"] = kept["CMAKE_PREFIX_PATH"] = str(VENV)
+    kept["PATH"] = f"{VENV / 'bin'}:{outside.get('PATH', os.defpath)}"
+    kept["VIRTUAL_ENV"] = str(VENV)
+    kept["PIP_USER"] = "0"
+    kept["PIP_DISABLE_PIP_VERSION_CHECK"] = "1"
+    kept["COLCON_DEFAULTS_FILE"] = os.devnull
+    kept["COLCON_EXTENSION_BLOCKLIST"] = "colcon_core.event_handler.desktop_notification"
+    return kept
+
+
+def run(words: list[str], log: Path, failure: str) -> None:
+    """Run a program with its output in ``log``; raise `SetUpError` with the cause if it fails."""
+    log.parent.mkdir(exist_ok=True)
+    with log.open("w") as output:
+        status = subprocess.run(
+            words,
+            cwd=ROOT,
+            env=build_environment(os.environ, ros_sourced()),
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            check=False,
+        ).returncode
+    if status != 0:
+        text = log.read_text(errors="replace")
+        raise SetUpError(f"{failure}: {cause_of(text)} (all of it: {log.relative_to(ROOT)}).")
+
+
+CAUSES = (
+    (r"No space left on device|Errno 28\b", "the disk is full: free some space and try again"),
+    (
+        r"NewConnectionError|Cannot connect to proxy|ProxyError|name resolution|Name or service not known"
+        r"|ConnectTimeout|ReadTimeout|Network is unreachable|Connection refused|Connection reset",
+        "the package index does not answer: check the network and the proxy variables and try again",
+    ),
+    (
+        r"CERTIFICATE_VERIFY_FAILED|SSLError",
+        "the package index's certificate is not trusted here: set PIP_CERT to your network's"
+        " certificates and try again",
+    ),
+    (r"Permission denied|Errno 13\b", "a file cannot be written: see to the folder's permissions"),
+    (r"Killed signal|Killed\b|out of memory", "the machine ran out of memory: close programs"),
+)
+
+
+def cause_of(text: str) -> str:
+    """The likely cause in a program's output, or the line in which it says what failed."""
+    for pattern, cause in CAUSES:
+        if re.search(pattern, text):
+            return cause
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    errors = [line for line in lines if re.search(r"\berror\b", line, re.IGNORECASE)]
+    return (errors or lines or ["it printed nothing"])[0][:300]
+
+
+# ---- the stages
+
+
+def pinned(lock: str, sourced: bool) -> list[str]:
+    """The lock's requirement lines to install: all of them, or those that apt's ROS leaves to us."""
+    lines = [line for line in lock.splitlines() if line and not line.startswith("#")]
+    return [line for line in lines if not (sourced and line.startswith(FROM_APT))]
+
+
+def make_venv(stamp: Path, wanted: str) -> None:
+    """Make .venv from nothing and fill it from the lock."""
+    sourced = ros_sourced()
+    require_disk(DISK_FOR_VENV)
+    if not sourced:
+        require_wheel_platform()
+    require_build_tools()
+    python = Path(sys.executable).resolve()
+    version = platform.python_version()
+    if VENV.exists():
+        say(f"making .venv again for Python {version}: it was unfinished or is out of date")
+        shutil.rmtree(VENV)
+    lines = pinned(LOCK.read_text(), sourced)
+    say(f"installing {len(lines)} packages for Python {version} into .venv (about a minute)")
+    site = ["--system-site-packages"] if sourced else []
+    run([str(python), "-I", "-m", "venv", *site, str(VENV)], LOG / "venv.log", "making .venv failed")
+
+    from_source = [line for line in lines if line.startswith(SOURCE_DISTRIBUTIONS)]
+    (VENV / "wheels.txt").write_text("\n".join(x for x in lines if x not in from_source))
+    install = [str(VENV / "bin" / "python"), "-m", "pip", "install", "--no-input", "--no-deps"]
+    install += ["--progress-bar", "off", "--no-warn-script-location", "--retries", "2"]
+    wheels = ["--only-binary", ":all:", "-r", str(VENV / "wheels.txt")]
+    run([*install, *wheels], LOG / "pip.log", "installing packages failed")
+    if from_source:
+        source = ["--no-build-isolation", *from_source]
+        run([*install, *source], LOG / "pip_source.log", "installing packages failed")
+    if not sourced:
+        repair_exports(VENV)
+    write_stamp(stamp, wanted)
+
+
+def repair_exports(prefix: Path) -> None:
+    """Give CMake this interpreter's headers instead of those of the image that built the wheels.
+
+    The targets that the interface wheels export name the include folders of that image's Python
+    and numpy; a build against them stops at the first folder that does not exist.
+    """
+    python = prefix / "bin" / "python"
+    include = ask(python, "import sysconfig; print(sysconfig.get_path('include'))")
+    numpy = ask(python, "import numpy; print(numpy.get_include())")
+    for file in prefix.glob("share/*/cmake/export_*__rosidl_generator_pyExport.cmake"):
+        file.write_text(replace_image_paths(file.read_text(), include, numpy))
+
+
+def replace_image_paths(text: str, include: str, numpy: str) -> str:
+    """The text with the build image's numpy and Python header folders replaced by these."""
+    image = r"/opt/python/cp3\d+-cp3\d+"
+    text = re.sub(rf"{image}/lib/python3\.\d+/site-packages/numpy/_?core/include", numpy, text)
+    return re.sub(rf"{image}/include/python3\.\d+", include, text)
+
+
+def build(packages: list[str], words: str) -> None:
+    """Build packages with colcon."""
+    require_disk(DISK_FOR_BUILD)
+    python = VENV / "bin" / "python"
+    if "tapping_cell_msgs" in packages:
+        require_build_tools()
+        require_python_headers(python)
+    say(words)
+    for package in packages:
+        for folder in (BUILD / package, INSTALL / package):
+            shutil.rmtree(folder, ignore_errors=True)
+    colcon = "import sys; from colcon_core.command import main; sys.exit(main())"
+    options = ["--base-paths", ".", "msg_defs", "--symlink-install", "--packages-select", *packages]
+    cmake = ["--cmake-args", f"-DPython3_EXECUTABLE={python}", "-DBUILD_TESTING=OFF"]
+    run(
+        [str(python), "-c", colcon, "build", *options, *cmake],
+        LOG / "colcon.log",
+        f"building {' and '.join(packages)} failed",
+    )
+
+
+def set_up() -> None:
+    """Bring every stage up to date."""
+    sourced = ros_sourced()
+    version = f"{sys.version_info[0]}.{sys.version_info[1]}"
+    base = str(Path(sys.executable).resolve())
+    kind = os.environ.get("AMENT_PREFIX_PATH", "") if sourced else "wheels"
+    own = [Path(__file__), LOCK]
+    venv = fingerprint(own, str(ROOT), version, base, "sourced" if sourced else "wheels")
+    messages = fingerprint(files_below(ROOT / "msg_defs"), venv)
+    sources = [ROOT / name for name in ("setup.py", "setup.cfg", "package.xml")]
+    listed = files_below(ROOT / "resource", ROOT / "config", ROOT / "launch")
+    names = [str(file.relative_to(ROOT)) for file in sorted(listed)]
+    package = fingerprint(sources, messages, *names)
+
+    stages = (
+        (VENV / ".fingerprint", venv),
+        (INSTALL / "tapping_cell_msgs" / ".fingerprint", messages),
+        (INSTALL / "tapping_cell" / ".fingerprint", package),
+    )
+    if all(is_made(stamp, wanted) for stamp, wanted in stages):
+        return
+    require_writable()
+    require_python(sys.version_info[:2])
+    folder = os.open(ROOT, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        say("waiting for another set-up of this folder to end")
+        fcntl.flock(folder, fcntl.LOCK_EX)
+    started = time.monotonic()
+    if not is_made(*stages[0]):
+        make_venv(*stages[0])
+    if not is_made(*stages[1]):
+        build(["tapping_cell_msgs", "tapping_cell"], "building the messages and the package")
+        write_stamp(*stages[1])
+        write_stamp(*stages[2])
+    elif not is_made(*stages[2]):
+        build(["tapping_cell"], "building the package")
+        write_stamp(*stages[2])
+    say(f"set up in {time.monotonic() - started:.0f} s")
+
+
+def main() -> int:
+    """The exit status: 0, 1 with a sentence, or 130 when interrupted."""
+    try:
+        set_up()
+    except SetUpError as error:
+        say(str(error))
+        return 1
+    except OSError as error:
+        say(f"the set-up failed: {error}.")
+        return 1
+    except KeyboardInterrupt:
+        say("interrupted: the next call goes on from the last finished stage.")
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
