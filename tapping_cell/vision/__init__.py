@@ -1,5 +1,6 @@
 """Where the object truly is on the table, with an honest covariance, from an overhead camera."""
 
+from tapping_cell.vision.annotate import annotate
 from tapping_cell.vision.camera import CameraError, CameraModel, CameraPose, View
 from tapping_cell.vision.markers import (
     MarkerError,
@@ -7,6 +8,10 @@ from tapping_cell.vision.markers import (
     ReferenceMap,
     ReferenceMarker,
 )
+from tapping_cell.vision.observation import Observation, Problem
+from tapping_cell.vision.rest import RestSettings
+from tapping_cell.vision.table import TableSettings
+from tapping_cell.vision.tracker import PoseTracker, TrackerSettings
 
 __all__ = [
     "CameraError",
@@ -14,7 +19,14 @@ __all__ = [
     "CameraPose",
     "MarkerError",
     "ObjectMarker",
+    "Observation",
+    "PoseTracker",
+    "Problem",
     "ReferenceMap",
     "ReferenceMarker",
+    "RestSettings",
+    "TableSettings",
+    "TrackerSettings",
     "View",
+    "annotate",
 ]

@@ -1,0 +1,36 @@
+"""Many measurements of one pose into one: robust mean with its covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tapping_cell.se2 import wrap_angle
+from tapping_cell.vision.camera import Array
+
+_HUBER = 3.0
+"""Mahalanobis distance beyond which a frame counts less (3 dof: 2.9 % of good frames)."""
+
+
+def fuse(poses: ArrayLike, covariances: ArrayLike) -> tuple[Array, Array]:
+    """Robust mean (3,) of poses (N, 3) in m, m, rad with covariances (N, 3, 3), and its covariance.
+
+    Huber's weights on the Mahalanobis distance, starting from the median; errors of the poses are
+    taken as independent.
+    """
+    p = np.asarray(poses, dtype=float)
+    information = np.linalg.inv(np.asarray(covariances, dtype=float))
+    relative = p - p[0]
+    relative[:, 2] = wrap_angle(relative[:, 2])
+    mean = np.median(relative, axis=0)
+    total = information.sum(axis=0)
+    for _ in range(4):
+        error = relative - mean
+        distance = np.sqrt(np.einsum("ni,nij,nj->n", error, information, error))
+        weight = np.minimum(1.0, _HUBER / np.maximum(distance, 1e-12))
+        total = np.einsum("n,nij->ij", weight, information)
+        vector = np.einsum("n,nij,nj->i", weight, information, relative)
+        mean = np.linalg.solve(total, vector)
+    fused = p[0] + mean
+    fused[2] = wrap_angle(fused[2])
+    return fused, np.linalg.inv(total)

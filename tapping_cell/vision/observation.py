@@ -1,0 +1,50 @@
+"""What one frame says about the object."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+from tapping_cell.se2 import Pose
+from tapping_cell.vision.camera import Array
+
+
+class Problem(enum.Enum):
+    """Why a frame gives no pose; the sentence of the observation says it with values."""
+
+    NONE = 0
+    WRONG_IMAGE = 1
+    LATE_FRAME = 2
+    FROZEN_FRAME = 3
+    DARK = 4
+    OVEREXPOSED = 5
+    TABLE_UNKNOWN = 6
+    REFERENCES_HIDDEN = 7
+    CAMERA_MOVED = 8
+    CAMERA_MOVED_TOO_FAR = 9
+    OBJECT_HIDDEN = 10
+    WRONG_MARKER = 11
+    DUPLICATE_MARKER = 12
+    MIRRORED_MARKER = 13
+    MISSHAPEN_MARKER = 14
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """One frame's answer. ``pose`` and ``covariance`` (3, 3; m, m, rad) of the object in ``table`` are
+    there exactly when ``visible``; they come from ``frames_fused`` frames while the object is at rest
+    (since ``at_rest_since``, s) and from this frame while it moves at ``velocity`` (m/s, m/s, rad/s).
+    ``sentence`` explains ``problem``, or warns of something that was put right when there is none.
+    """
+
+    stamp: float
+    visible: bool = False
+    pose: Pose | None = None
+    covariance: Array | None = None
+    at_rest: bool = False
+    at_rest_since: float | None = None
+    frames_fused: int = 0
+    velocity: Array | None = None
+    references_used: tuple[int, ...] = ()
+    problem: Problem = Problem.NONE
+    sentence: str = ""

@@ -1,0 +1,146 @@
+"""At rest or moving, from the track of measured poses and their covariances.
+
+Rest is a statement about speed, so it is tested as one: a line through the last few poses gives a
+velocity and its standard deviation, and rest is declared only when even the upper confidence bound
+lies below the limit. How long that takes follows from the noise, not from a timer.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from tapping_cell.se2 import wrap_angle
+from tapping_cell.vision.camera import Array
+from tapping_cell.vision.fusion import fuse
+
+
+@dataclass(frozen=True, slots=True)
+class RestSettings:
+    """``speed`` (m/s) or ``turn`` (rad/s) count as moving.
+
+    ``confidence`` standard deviations of safety; windows of ``shortest`` to ``longest`` frames;
+    ``memory`` frames fused at most; ``leave`` is the squared Mahalanobis distance (3 degrees of
+    freedom) at which a frame at rest is no longer at the same place; ``gap`` (s) without a pose after
+    which what was known is forgotten.
+    """
+
+    speed: float = 0.0005
+    turn: float = 0.02
+    confidence: float = 5.0
+    shortest: int = 3
+    longest: int = 6
+    memory: int = 120
+    leave: float = 30.0
+    gap: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """What the track says: ``pose`` (3,) and ``covariance`` (3, 3) from ``frames`` measurements,
+    ``velocity`` (3,) in m/s and rad/s, and since when it rests (None while moving).
+    """
+
+    pose: Array
+    covariance: Array
+    frames: int
+    velocity: Array
+    rest_since: float | None
+
+
+class Track:
+    """The object's poses since it last moved, and whether it rests."""
+
+    def __init__(self, settings: RestSettings | None = None) -> None:
+        self.settings = settings or RestSettings()
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything: the next pose begins a new track."""
+        self._recent: deque[tuple[float, Array, Array]] = deque(maxlen=self.settings.longest)
+        self._resting: deque[tuple[Array, Array]] = deque(maxlen=self.settings.memory)
+        self._rest_since: float | None = None
+        self._strayed = 0
+
+    def add(self, stamp: float, pose: Array, covariance: Array) -> Motion:
+        """Take the pose of a frame taken at ``stamp`` (s, increasing) and judge."""
+        s = self.settings
+        if self._recent and stamp - self._recent[-1][0] > s.gap:
+            self.clear()
+        if self._rest_since is not None and self._stays(pose, covariance):
+            self._strayed = 0
+            self._recent.append((stamp, pose, covariance))
+            self._resting.append((pose, covariance))
+            fused, spread = self._fused()
+            return Motion(fused, spread, len(self._resting), np.zeros(3), self._rest_since)
+        if self._rest_since is not None:
+            # One frame off its place is not fused and not trusted; a second one ends the rest.
+            self._strayed += 1
+            if self._strayed == 1:
+                velocity = self._step_velocity(stamp, pose)
+                return Motion(pose, covariance, 1, velocity, None)
+            self.clear()
+        self._recent.append((stamp, pose, covariance))
+        window = self._resting_window()
+        if window:
+            chosen = list(self._recent)[-window:]
+            self._rest_since = chosen[0][0]
+            self._resting.extend((p, c) for _, p, c in chosen)
+            fused, spread = self._fused()
+            return Motion(fused, spread, window, np.zeros(3), self._rest_since)
+        velocity, _ = self._velocity(min(3, len(self._recent)))
+        return Motion(pose, covariance, 1, velocity, None)
+
+    def _fused(self) -> tuple[Array, Array]:
+        poses, covariances = zip(*self._resting, strict=True)
+        return fuse(np.stack(poses), np.stack(covariances))
+
+    def _stays(self, pose: Array, covariance: Array) -> bool:
+        fused, spread = self._fused()
+        if _distance(pose, covariance, fused, spread) > self.settings.leave:
+            return False
+        # A creep slower than one frame shows: the mean of the last few against that of all.
+        last = list(self._resting)[-4:] + [(pose, covariance)]
+        if len(self._resting) < 12:
+            return True
+        mean, error = fuse(np.stack([p for p, _ in last]), np.stack([c for _, c in last]))
+        return _distance(mean, error, fused, spread) <= self.settings.leave
+
+    def _resting_window(self) -> int:
+        """Length of the shortest window that proves rest, 0 if none does."""
+        s = self.settings
+        for window in range(s.shortest, len(self._recent) + 1):
+            velocity, spread = self._velocity(window)
+            bound = np.abs(velocity) + s.confidence * spread
+            if np.hypot(bound[0], bound[1]) < s.speed and bound[2] < s.turn:
+                return window
+        return 0
+
+    def _velocity(self, window: int) -> tuple[Array, Array]:
+        """Velocity (3,) of the last frames by least squares, and its standard deviations."""
+        if window < 2:
+            return np.zeros(3), np.full(3, np.inf)
+        chosen = list(self._recent)[-window:]
+        t = np.array([stamp for stamp, _, _ in chosen])
+        t -= t.mean()
+        poses = np.stack([pose for _, pose, _ in chosen])
+        relative = poses - poses[-1]
+        relative[:, 2] = wrap_angle(relative[:, 2])
+        weight = t / (t @ t)
+        variance = np.stack([np.diag(covariance) for _, _, covariance in chosen])
+        return weight @ relative, np.sqrt((weight**2) @ variance)
+
+    def _step_velocity(self, stamp: float, pose: Array) -> Array:
+        last_stamp, last_pose, _ = self._recent[-1]
+        step = pose - last_pose
+        step[2] = wrap_angle(step[2])
+        return np.asarray(step / (stamp - last_stamp))
+
+
+def _distance(first: Array, first_cov: Array, second: Array, second_cov: Array) -> float:
+    """Squared Mahalanobis distance of two poses with independent errors."""
+    error = first - second
+    error[2] = wrap_angle(error[2])
+    return float(error @ np.linalg.solve(first_cov + second_cov, error))

@@ -1,0 +1,417 @@
+"""From one frame after another to the object's pose: finding, measuring, judging, fusing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.se2 import Pose
+from tapping_cell.vision.camera import Array, CameraModel, Image, View
+from tapping_cell.vision.edges import MarkerEdges, refine
+from tapping_cell.vision.markers import UNIT_CORNERS, ObjectMarker, ReferenceMap, marker_pattern
+from tapping_cell.vision.object import fit_marker, marker_pose, object_pose
+from tapping_cell.vision.observation import Observation, Problem
+from tapping_cell.vision.rest import Motion, RestSettings, Track
+from tapping_cell.vision.search import Census, census, near, patterns_agree
+from tapping_cell.vision.table import TableSettings, TableState, TableTracker, pose_jacobian
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerSettings:
+    """``audit_period`` (s) between full searches while all is well; ``lost_period`` (s) between them
+    while the object or the table is not seen; ``references_each`` reference markers measured in a frame;
+    ``references_timeout`` (s) that the table may go unseen; ``size_tolerance``: share that the marker's
+    apparent side may differ from the configured one; ``dark`` and ``bright`` grey levels.
+    """
+
+    audit_period: float = 1.0
+    lost_period: float = 0.15
+    references_each: int = 4
+    references_timeout: float = 2.0
+    size_tolerance: float = 0.03
+    dark: float = 12.0
+    bright: float = 250.0
+    table: TableSettings = field(default_factory=TableSettings)
+    rest: RestSettings = field(default_factory=RestSettings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """The markers measured in a frame; ``rows`` of the reference map, then perhaps the object's."""
+
+    edges: MarkerEdges
+    rows: NDArray[np.intp]
+    object_row: int | None
+
+
+class PoseTracker:
+    """Follows one object on the table.
+
+    ``camera`` is the calibrated camera, ``table`` the map of reference markers, ``object_marker`` what
+    to look for. Frames go to :meth:`update` in the order in which they were taken.
+    """
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        table: ReferenceMap,
+        object_marker: ObjectMarker,
+        settings: TrackerSettings | None = None,
+    ) -> None:
+        self.camera = camera
+        self.marker = object_marker
+        self.settings = settings or TrackerSettings()
+        self.table = TableTracker(camera, table, self.settings.table)
+        self._map = table
+        self._track = Track(self.settings.rest)
+        self._patterns = [marker_pattern(table.dictionary, m.id) for m in table.markers]
+        self._pattern = marker_pattern(object_marker.dictionary, object_marker.id)
+        self._modules = max(p.shape[0] for p in [*self._patterns, self._pattern])
+        self._stamp = -math.inf
+        self._signature: Image | None = None
+        self._group = 0
+        self._last_search = -math.inf
+        self._search_next = True
+        self._references_seen = -math.inf
+        self._object: tuple[float, Array, Array] | None = None
+        self._jacobian: tuple[Array, Array] | None = None
+        self._reference_quads: Array | None = None
+        self._warning: tuple[float, str] = (-math.inf, "")
+
+    @property
+    def view(self) -> View | None:
+        """The camera over the table as now known, None before the reference markers were seen."""
+        return None if self.table.pose is None else View(self.camera, self.table.pose)
+
+    def reset(self) -> None:
+        """Forget the table and the object, e.g. after a refused move of the camera."""
+        self.__init__(self.camera, self._map, self.marker, self.settings)  # type: ignore[misc]
+
+    def update(self, image: Image, stamp: float) -> Observation:
+        """Judge one frame: mono8 image (height, width), time of its exposure in s.
+
+        Never raises for what a camera may deliver: every trouble is a problem and a sentence.
+        """
+        refusal = self._refuse(image, stamp)
+        if refusal is not None:
+            return refusal
+        seen, object_quad, trouble = self._look(image, stamp)
+        found = self._measure(image, seen, object_quad)
+        if found.object_row is None and trouble is None and self.view is not None:
+            found = self._search_object(image, stamp, found)
+        state = self._update_table(found, stamp)
+        problem = self._table_problem(state, stamp)
+        if problem is not None:
+            return problem
+        if trouble is not None:
+            return self._nothing(stamp, *trouble)
+        return self._observe(found, stamp)
+
+    # -- what may be wrong with a frame before anything is looked for
+
+    def _refuse(self, image: Image, stamp: float) -> Observation | None:
+        sentence = self.camera.check_image(image)
+        if sentence is not None:
+            return self._nothing(stamp, Problem.WRONG_IMAGE, sentence)
+        if not math.isfinite(stamp) or stamp <= self._stamp:
+            late = (self._stamp - stamp) * 1e3
+            return self._nothing(
+                stamp,
+                Problem.LATE_FRAME,
+                f"the frame is {late:.0f} ms older than one already used; it is left out",
+            )
+        self._stamp = stamp
+        signature = image[:: max(1, self.camera.height // 64)]
+        frozen = self._signature is not None and np.array_equal(signature, self._signature)
+        if frozen:
+            return self._nothing(
+                stamp,
+                Problem.FROZEN_FRAME,
+                "the frame equals the one before, down to the noise: the camera repeats itself",
+            )
+        self._signature = signature.copy()
+        sample = image[::16, ::16]
+        if float(np.percentile(sample, 98)) < self.settings.dark:
+            return self._nothing(
+                stamp,
+                Problem.DARK,
+                f"the image is dark (98 % of it below grey level {self.settings.dark:.0f}); "
+                "turn on the light or lengthen the exposure",
+            )
+        if float(np.percentile(sample, 30)) > self.settings.bright:
+            return self._nothing(
+                stamp,
+                Problem.OVEREXPOSED,
+                f"the image is overexposed (70 % of it above grey level "
+                f"{self.settings.bright:.0f}); shorten the exposure",
+            )
+        return None
+
+    # -- where to look
+
+    def _look(
+        self, image: Image, stamp: float
+    ) -> tuple[dict[int, Array], Array | None, tuple[Problem, str] | None]:
+        """Quads of the reference markers to measure by row of the map, of the object, and trouble."""
+        s = self.settings
+        lost = self._object is None or self.view is None or self._search_next
+        period = s.lost_period if lost else s.audit_period
+        if stamp - self._last_search >= period:
+            return self._search_all(image, stamp)
+        if self._reference_quads is None:
+            return {}, self._object_quad(stamp), None
+        count = len(self._reference_quads)
+        groups = max(1, math.ceil(count / s.references_each))
+        self._group = (self._group + 1) % groups
+        rows = range(self._group, count, groups)
+        return {r: self._reference_quads[r] for r in rows}, self._object_quad(stamp), None
+
+    def _object_quad(self, stamp: float) -> Array | None:
+        """Where the object's marker should be in the image, from its last pose and velocity."""
+        view = self.view
+        if self._object is None or view is None:
+            return None
+        then, pose, velocity = self._object
+        ahead = pose + velocity * min(stamp - then, 0.1)
+        corners = _square(marker_pose(ahead, self.marker), self.marker.size)
+        return view.project(corners, self.marker.height)
+
+    def _search_all(
+        self, image: Image, stamp: float
+    ) -> tuple[dict[int, Array], Array | None, tuple[Problem, str] | None]:
+        self._last_search = stamp
+        self._search_next = False
+        table = census(image, self._map.dictionary)
+        same = self._map.dictionary == self.marker.dictionary
+        objects = table if same else census(image, self.marker.dictionary)
+        rows = {int(i): row for row, i in enumerate(self.table.ids)}
+        known = dict(table.single)
+        quads = {rows[i]: quad for i, quad in known.items() if i in rows}
+        if self.marker.id in objects.repeated:
+            self._object = None
+            return quads, None, (
+                Problem.DUPLICATE_MARKER,
+                f"marker {self.marker.id} of the object is in view more than once; cover the others",
+            )
+        quad = objects.single.get(self.marker.id)
+        if quad is not None:
+            return quads, quad, None
+        return quads, None, self._explain(image, objects, set(rows) if same else set())
+
+    def _explain(
+        self, image: Image, objects: Census, expected: set[int]
+    ) -> tuple[Problem, str] | None:
+        """Why the object's marker may not be there."""
+        mirrored = census(np.ascontiguousarray(image[:, ::-1]), self.marker.dictionary)
+        if self.marker.id in mirrored.single:
+            return (
+                Problem.MIRRORED_MARKER,
+                f"marker {self.marker.id} is seen mirrored; turn off the camera's mirroring or print "
+                "the marker again",
+            )
+        others = sorted(set(objects.single) - expected - {self.marker.id})
+        if others:
+            return (
+                Problem.WRONG_MARKER,
+                f"the object's marker {self.marker.id} is not seen but marker "
+                f"{', '.join(map(str, others))} is; check the object file",
+            )
+        return None
+
+    # -- measuring
+
+    def _measure(self, image: Image, quads: dict[int, Array], object_quad: Array | None) -> _Found:
+        rows = list(quads)
+        stack = [quads[r] for r in rows] + ([] if object_quad is None else [object_quad])
+        if not stack:
+            return _Found(_no_edges(), np.array([], dtype=np.intp), None)
+        edges = refine(image, np.stack(stack), self._modules)
+        patterns = [self._patterns[r] for r in rows]
+        if object_quad is not None:
+            patterns.append(self._pattern)
+        right = patterns_agree(image, edges, patterns)
+        kept = np.flatnonzero(right[: len(rows)])
+        chosen = np.array(rows, dtype=np.intp)[kept]
+        if object_quad is None or not right[-1]:
+            return _Found(_take(edges, kept), chosen, None)
+        return _Found(_take(edges, np.append(kept, len(rows))), chosen, len(kept))
+
+    def _search_object(self, image: Image, stamp: float, found: _Found) -> _Found:
+        """The object is not where it was expected: search around, then everywhere."""
+        expected = self._object_quad(stamp)
+        quad = None
+        if expected is not None:
+            quad = near(image, self.marker.dictionary, self.marker.id, expected)
+        if quad is None:
+            self._search_next = True
+            return found
+        fresh = self._measure(image, {}, quad)
+        if fresh.object_row is None:
+            self._search_next = True
+            return found
+        return _Found(_join(found.edges, fresh.edges), found.rows, len(found.rows))
+
+    # -- the table
+
+    def _update_table(self, found: _Found, stamp: float) -> TableState:
+        references = _take(found.edges, np.arange(len(found.rows)))
+        state = self.table.update(references, found.rows)
+        if state in (TableState.STEADY, TableState.MOVED, TableState.TOO_FAR):
+            self._references_seen = stamp
+        if len(found.rows) < self.settings.table.least_references or state is TableState.SUSPECT:
+            # The next frame looks everywhere: they may have gone further than a few pixels.
+            self._search_next = True
+        view = self.view
+        if view is not None and state is not TableState.UNSEEN:
+            self._reference_quads = view.project(self.table.points)
+        if state is TableState.MOVED:
+            self._track.clear()
+            self._jacobian = None
+            self._warning = (
+                stamp,
+                f"the camera or the table moved by {self.table.move * 1e3:.1f} mm; corrected",
+            )
+        return state
+
+    def _table_problem(self, state: TableState, stamp: float) -> Observation | None:
+        limit = self.settings.table.largest_move * 1e3
+        if state is TableState.UNKNOWN:
+            return self._nothing(
+                stamp,
+                Problem.TABLE_UNKNOWN,
+                f"fewer than {self.settings.table.least_references} of the reference markers "
+                f"{self.table.ids.tolist()} are seen; uncover them or check the table file",
+            )
+        if state is TableState.SUSPECT:
+            self._track.clear()
+            return self._nothing(
+                stamp,
+                Problem.CAMERA_MOVED,
+                "the reference markers are not where they were: the camera or the table moves",
+            )
+        if state is TableState.TOO_FAR:
+            self._track.clear()
+            return self._nothing(
+                stamp,
+                Problem.CAMERA_MOVED_TOO_FAR,
+                f"the camera or the table has moved by more than {limit:.0f} mm since the start; "
+                "check the mounting and configure again",
+            )
+        unseen = stamp - self._references_seen
+        if unseen > self.settings.references_timeout:
+            return self._nothing(
+                stamp,
+                Problem.REFERENCES_HIDDEN,
+                f"the reference markers have been hidden for {unseen:.1f} s; uncover at least "
+                f"{self.settings.table.least_references} of them",
+            )
+        return None
+
+    # -- the object
+
+    def _observe(self, found: _Found, stamp: float) -> Observation:
+        view = self.view
+        fit = None
+        if found.object_row is not None and view is not None:
+            fit = fit_marker(view, found.edges, found.object_row, self.marker)
+        if fit is None:
+            if self._object is not None and stamp - self._object[0] > 0.1:
+                self._object = (self._object[0], self._object[1], np.zeros(3))
+            return self._nothing(
+                stamp,
+                Problem.OBJECT_HIDDEN,
+                f"the object's marker {self.marker.id} is not seen, or not the whole of it",
+            )
+        pose, covariance = object_pose(fit.pose, fit.covariance, self.marker)
+        stretch = fit.size / self.marker.size - 1.0
+        if abs(stretch) > self.settings.size_tolerance:
+            return self._nothing(
+                stamp,
+                Problem.MISSHAPEN_MARKER,
+                f"the object's marker looks {stretch * 100:+.1f} % larger than its "
+                f"{self.marker.size * 1e3:.1f} mm (limit {self.settings.size_tolerance * 100:.0f} %): "
+                "lifted, tilted or not the size and height of the object file",
+            )
+        motion = self._track.add(stamp, pose, covariance)
+        self._object = (stamp, pose, motion.velocity)
+        return self._good(motion, stamp)
+
+    def _good(self, motion: Motion, stamp: float) -> Observation:
+        since, sentence = self._warning
+        if self.table.displaced:
+            names = ", ".join(map(str, self.table.displaced))
+            sentence = f"reference marker {names} is not where the table file puts it; left out"
+        elif stamp - since > 2.0:
+            sentence = ""
+        return Observation(
+            stamp=stamp,
+            visible=True,
+            pose=Pose(*motion.pose.tolist()),
+            covariance=motion.covariance + self._calibration_covariance(motion.pose),
+            at_rest=motion.rest_since is not None,
+            at_rest_since=motion.rest_since,
+            frames_fused=motion.frames,
+            velocity=motion.velocity,
+            references_used=self.table.used,
+            sentence=sentence,
+        )
+
+    def _calibration_covariance(self, pose: Array) -> Array:
+        """What all frames share: the table's pose, lens and printing as the references show them."""
+        view = self.view
+        assert view is not None
+        if self._jacobian is None or np.abs(self._jacobian[0] - pose).max() > 0.002:
+            self._jacobian = (pose, pose_jacobian(view, pose, self.marker.height))
+        jacobian = self._jacobian[1]
+        return np.asarray(jacobian @ self.table.covariance @ jacobian.T + self.table.systematic)
+
+    def _nothing(self, stamp: float, problem: Problem, sentence: str) -> Observation:
+        return Observation(
+            stamp, references_used=self.table.used, problem=problem, sentence=sentence
+        )
+
+
+def _square(pose: Array, size: float) -> Array:
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    turn = np.array([[cos, sin], [-sin, cos]])
+    return np.asarray(UNIT_CORNERS * size @ turn + pose[:2])
+
+
+def _take(edges: MarkerEdges, rows: NDArray[np.intp]) -> MarkerEdges:
+    return MarkerEdges(
+        edges.points[rows],
+        edges.weights[rows],
+        edges.corners[rows],
+        edges.spread[rows],
+        edges.black[rows],
+        edges.white[rows],
+        edges.good[rows],
+    )
+
+
+def _join(first: MarkerEdges, second: MarkerEdges) -> MarkerEdges:
+    return MarkerEdges(
+        np.concatenate([first.points, second.points]),
+        np.concatenate([first.weights, second.weights]),
+        np.concatenate([first.corners, second.corners]),
+        np.concatenate([first.spread, second.spread]),
+        np.concatenate([first.black, second.black]),
+        np.concatenate([first.white, second.white]),
+        np.concatenate([first.good, second.good]),
+    )
+
+
+def _no_edges() -> MarkerEdges:
+    none = np.zeros(0)
+    return MarkerEdges(
+        np.zeros((0, 4, 1, 2)),
+        np.zeros((0, 4, 1)),
+        np.zeros((0, 4, 2)),
+        none,
+        none,
+        none,
+        none.astype(bool),
+    )
