@@ -1,0 +1,33 @@
+"""How an object answers a tap: bodies, support friction, sliding, impact and the whole tap."""
+
+from tapping_cell.mechanics.bodies import Body, Disk, Polygon, Ring
+from tapping_cell.mechanics.errors import (
+    InvalidBody,
+    InvalidParameter,
+    MechanicsError,
+    UnreachableDisplacement,
+)
+from tapping_cell.mechanics.impact import Impact, ImpactResult, Striker
+from tapping_cell.mechanics.sliding import Launch, Profile, Rest, Sliding
+from tapping_cell.mechanics.tap import Tap, TapPlan, TapResult
+
+__all__ = [
+    "Body",
+    "Disk",
+    "Impact",
+    "ImpactResult",
+    "InvalidBody",
+    "InvalidParameter",
+    "Launch",
+    "MechanicsError",
+    "Polygon",
+    "Profile",
+    "Rest",
+    "Ring",
+    "Sliding",
+    "Striker",
+    "Tap",
+    "TapPlan",
+    "TapResult",
+    "UnreachableDisplacement",
+]

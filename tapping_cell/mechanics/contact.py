@@ -1,0 +1,88 @@
+"""Where a ball that flies along a line first touches a body; all in the body's frame, in m."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.mechanics.bodies import Body, Polygon
+
+Array = NDArray[np.float64]
+
+
+class Contact(NamedTuple):
+    """The first touch: ``travel`` of the ball until then in m (negative where it starts inside),
+    ``point`` (..., 2) on the body in m, ``normal`` (..., 2) into the body, and ``missed``, where
+    the other fields hold harmless numbers."""
+
+    missed: NDArray[np.bool_]
+    travel: Array
+    point: Array
+    normal: Array
+
+
+def first_contact(body: Body, tip_radius: float, start: Array, direction: Array) -> Contact:
+    """The contact of a ball of ``tip_radius`` that flies from ``start`` along ``direction``.
+
+    Both are (..., 2) in the body's frame, the direction of unit length. A ball that starts inside
+    the body is brought back along its line to the side where it would have come in; one that is
+    already past the body misses.
+    """
+    if isinstance(body, Polygon):
+        return _polygon_contact(body, tip_radius, start, direction)
+    reach = body.bounding_radius + tip_radius
+    travel, hits = _enter_circle(start, direction, reach)
+    normal = -(start + travel[..., None] * direction) / reach
+    return _contact(hits, travel, -body.bounding_radius * normal, normal)
+
+
+def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) -> Contact:
+    """The boundary that the ball's centre cannot cross: edges moved out by its radius, and arcs."""
+    points, normals, lengths = body.points, body.edge_normals, body.edge_lengths
+    from_vertex = start[..., None, :] - points
+    closing = direction @ normals.T
+    faces = closing < 0
+    height = np.einsum("...ij,ij->...i", from_vertex, normals) - tip
+    with np.errstate(divide="ignore", invalid="ignore"):
+        edge_travel = np.where(faces, -height / np.where(faces, closing, 1.0), np.inf)
+    tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
+    along = np.einsum("...ij,ij->...i", from_vertex, tangents) + np.where(
+        faces, edge_travel, 0.0
+    ) * (direction @ tangents.T)
+    slack = 1e-12 * lengths
+    edge_travel = np.where(faces & (along >= -slack) & (along <= lengths + slack), edge_travel, np.inf)
+    corner_travel, corner_hits = _enter_circle(from_vertex, direction[..., None, :], tip)
+    corner_travel = np.where(corner_hits, corner_travel, np.inf)
+    edge, corner = edge_travel.argmin(axis=-1), corner_travel.argmin(axis=-1)
+    first_edge = np.take_along_axis(edge_travel, edge[..., None], axis=-1)[..., 0]
+    first_corner = np.take_along_axis(corner_travel, corner[..., None], axis=-1)[..., 0]
+    # A corner's arc begins where its edges end: prefer the edge in a tie.
+    by_edge = first_edge <= first_corner + 1e-12 * body.bounding_radius
+    travel = np.where(by_edge, first_edge, first_corner)
+    hits = np.isfinite(travel)
+    travel = np.where(hits, travel, 0.0)
+    centre = start + travel[..., None] * direction
+    radius = tip if tip > 0 else 1.0
+    corner_normal = (points[corner] - centre) / radius
+    normal = np.where(by_edge[..., None], -normals[edge], corner_normal)
+    # The last place where the ball touches: is the whole body behind the start?
+    support = (np.einsum("...i,ji->...j", direction, points)).max(axis=-1) + tip
+    hits &= np.einsum("...i,...i->...", start, direction) < support
+    normal = np.where(hits[..., None], normal, -direction)
+    return _contact(hits, travel, centre + tip * normal, normal)
+
+
+def _contact(hits: NDArray[np.bool_], travel: Array, point: Array, normal: Array) -> Contact:
+    return Contact(~hits, travel, point, normal)
+
+
+def _enter_circle(start: Array, direction: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Travel until a point enters a circle round the origin; False where it never does."""
+    nearest = -(start * direction).sum(axis=-1)
+    offset = start[..., 0] * direction[..., 1] - start[..., 1] * direction[..., 0]
+    under = radius * radius - offset * offset
+    half = np.sqrt(np.maximum(under, 0.0))
+    hits = (under > 0) & (nearest + half > 0)
+    return np.where(hits, nearest - half, 0.0), hits

@@ -1,0 +1,83 @@
+"""What the mechanics refuse, and how they say so.
+
+Every refusal is a :class:`MechanicsError`, a ``ValueError`` whose sentence names the quantity, the
+value that was given and the limit that it broke.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+class MechanicsError(ValueError):
+    """A body, a parameter or a displacement that the mechanics cannot work with."""
+
+
+class InvalidBody(MechanicsError):
+    """A body that cannot exist: a negative mass, a polygon that is not convex."""
+
+
+class InvalidParameter(MechanicsError):
+    """A number that is not finite or lies outside its range."""
+
+
+class UnreachableDisplacement(MechanicsError):
+    """A displacement that no single tap makes: more rotation than its distance allows."""
+
+
+def positive(
+    name: str, value: float, unit: str = "", error: type[MechanicsError] = InvalidParameter
+) -> float:
+    """``value`` as a float if it is finite and above zero; raises ``error`` otherwise."""
+    return _within(name, value, 0.0, math.inf, unit, error)
+
+
+def fraction(name: str, value: float) -> float:
+    """``value`` as a float if it lies in [0, 1]; raises :class:`InvalidParameter` otherwise."""
+    number = _number(name, value, InvalidParameter)
+    if not 0.0 <= number <= 1.0:
+        raise InvalidParameter(f"{name} is {number!r}; it must lie from 0 to 1.")
+    return number
+
+
+def not_negative(name: str, value: float, unit: str = "") -> float:
+    """``value`` as a float if it is finite and not below zero."""
+    number = _number(name, value, InvalidParameter)
+    if not 0.0 <= number < math.inf:
+        raise InvalidParameter(f"{name} is {_with_unit(number, unit)}; it must be 0 or more.")
+    return number
+
+
+def finite(name: str, values: ArrayLike, unit: str = "") -> NDArray[np.float64]:
+    """``values`` as an array of floats if all are finite; raises :class:`InvalidParameter`."""
+    array = np.asarray(values, dtype=float)
+    wrong = ~np.isfinite(array)
+    if wrong.any():
+        value = float(array[wrong].flat[0])
+        raise InvalidParameter(
+            f"{name} holds {_with_unit(value, unit)}; every value must be a finite number."
+        )
+    return array
+
+
+def _within(
+    name: str, value: float, low: float, high: float, unit: str, error: type[MechanicsError]
+) -> float:
+    number = _number(name, value, error)
+    if not low < number < high:
+        raise error(f"{name} is {_with_unit(number, unit)}; it must be finite and above {low:g}.")
+    return number
+
+
+def _number(name: str, value: float, error: type[MechanicsError]) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError) as problem:
+        raise error(f"{name} is {value!r}; it must be a number.") from problem
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return f"{value!r} {unit}" if unit else repr(value)

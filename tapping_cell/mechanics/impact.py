@@ -1,0 +1,273 @@
+"""Planar impact of a striker on a body: Routh's method with Poisson's restitution.
+
+Contact frame: n is the normal into the body, t is n turned by +90 degrees. The body's contact point
+is c = (c_n, c_t) from its centre of mass, the striker moves along a = (a_n, a_t) at speed v_s, and
+the impulse on the body is (P_n, P_t). The velocity of the body relative to the striker is, along
+the normal (compression) and along the tangent (sliding),
+
+    C = -a_n v_s + B2 P_n - B3 P_t
+    S = -a_t v_s - B3 P_n + B1 P_t
+
+    B1 = 1/m + c_n^2 / I + striker,  B2 = 1/m + c_t^2 / I + striker,  B3 = c_n c_t / I + striker
+
+where a striker in linear bearings adds (a_t^2, a_n^2, -a_n a_t) / m_s and a free one adds
+(1, 1, 0) / m_s. Routh's method (Wang and Mason, J. Applied Mechanics 59, 1992) follows the impulse
+along the friction limit until sliding stops (S = 0), then along S = 0 if friction can hold it,
+else along the opposite limit. Compression ends at C = 0, and Poisson's restitution e makes the
+whole normal impulse 1 + e times that of the compression.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tapping_cell.mechanics.bodies import Body
+from tapping_cell.mechanics.errors import (
+    InvalidParameter,
+    finite,
+    fraction,
+    not_negative,
+    positive,
+)
+
+Array = NDArray[np.float64]
+Constraint = Literal["linear_bearings", "free"]
+
+# The largest angle between the striker's axis and the contact normal that plans use: a grazing
+# striker slides through the whole impact, so every impulse within the friction has a plan.
+LARGEST_INCIDENCE = math.radians(89.0)
+_ROOT_STEPS = 60
+_ROOT_TOLERANCE = 1e-15
+
+
+@dataclass(frozen=True, slots=True)
+class Striker:
+    """The moving part of the tapper: ``mass`` in kg, ball of ``tip_radius`` in m at its tip.
+
+    ``constraint`` is ``"linear_bearings"`` (it can only move along its axis, as the paper's) or
+    ``"free"``. Raises :class:`InvalidParameter` for a mass that is not positive, a radius below 0
+    or another constraint.
+    """
+
+    mass: float
+    tip_radius: float
+    constraint: Constraint = "linear_bearings"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mass", positive("striker mass", self.mass, "kg"))
+        object.__setattr__(self, "tip_radius", not_negative("tip radius", self.tip_radius, "m"))
+        if self.constraint not in get_args(Constraint):
+            raise InvalidParameter(
+                f"striker constraint is {self.constraint!r}; it must be one of "
+                f"{', '.join(get_args(Constraint))}."
+            )
+
+
+class ImpactResult(NamedTuple):
+    """What an impact leaves, in the contact frame (n, t); every field has the shape of the input.
+
+    ``normal_impulse`` and ``tangential_impulse`` on the body in N s; ``velocity`` (..., 2) of its
+    centre of mass in m/s and ``spin`` in rad/s; ``striker_velocity`` (..., 2) in m/s; ``sliding``
+    is the sign of S at the end, 0 where the contact stuck.
+    """
+
+    normal_impulse: Array
+    tangential_impulse: Array
+    velocity: Array
+    spin: Array
+    striker_velocity: Array
+    sliding: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Impact:
+    """Impact of ``striker`` on ``body`` at rest.
+
+    ``restitution`` is Poisson's, 0 to 1; ``friction`` is that of the contact; ``scale`` multiplies
+    B1, B2 and B3, for devices whose constants were fitted (section 3.1.1 of the paper fits two).
+    With the scale (1, 1, 1) energy is never gained; a fitted scale answers for itself. The third
+    may be negative: the paper's Jacobian asks for it (``docs/mechanics.md``). Raises
+    :class:`InvalidParameter` for values out of range.
+    """
+
+    body: Body
+    striker: Striker
+    restitution: float
+    friction: float
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "restitution", fraction("restitution", self.restitution))
+        object.__setattr__(self, "friction", positive("contact friction", self.friction))
+        scale = tuple(float(s) for s in finite("impact scale", self.scale).ravel())
+        if len(scale) != 3 or scale[0] <= 0 or scale[1] <= 0:
+            raise InvalidParameter(
+                f"impact scale is {scale}; it must hold three numbers, the first two above 0."
+            )
+        object.__setattr__(self, "scale", scale)
+
+    def largest_impulse_angle(self, contact: ArrayLike) -> Array:
+        """The largest angle (rad) of the impulse to either side of the normal at ``contact``.
+
+        It is atan of the contact friction, unless no incidence up to ``LARGEST_INCIDENCE`` makes
+        the contact slide that far. ``contact`` as for :meth:`strike`.
+        """
+        c = np.asarray(contact, dtype=float)
+        angle = np.full(c.shape[:-1], LARGEST_INCIDENCE)
+        slopes = []
+        for side in (angle, -angle):
+            p_n, p_t, _ = self._routh(side, c)
+            slopes.append(np.abs(p_t / p_n))
+        return np.arctan(np.minimum(*slopes))
+
+    def inverse_inertias(
+        self, incidence: ArrayLike, contact: ArrayLike
+    ) -> tuple[Array, Array, Array]:
+        """B1, B2 and B3, scaled, in 1/kg. Arguments as for :meth:`strike`.
+
+        Raises :class:`InvalidParameter` where the scaled values are not those of any mass,
+        B1 B2 <= B3^2.
+        """
+        angle, c = np.asarray(incidence, dtype=float), np.asarray(contact, dtype=float)
+        a_n, a_t = np.cos(angle), np.sin(angle)
+        mass, inertia, striker = self.body.mass, self.body.inertia, self.striker.mass
+        c_n, c_t = c[..., 0], c[..., 1]
+        if self.striker.constraint == "free":
+            add1, add2, add3 = 1 / striker, 1 / striker, 0.0 * a_n
+        else:
+            add1, add2, add3 = a_t**2 / striker, a_n**2 / striker, -a_n * a_t / striker
+        b1 = self.scale[0] * (1 / mass + c_n**2 / inertia + add1)
+        b2 = self.scale[1] * (1 / mass + c_t**2 / inertia + add2)
+        b3 = self.scale[2] * (c_n * c_t / inertia + add3)
+        singular = np.asarray(b1 * b2 <= b3 * b3)
+        if singular.any():
+            raise InvalidParameter(
+                f"impact scale {self.scale} gives B1 B2 <= B3^2 at this contact; no body has such "
+                "constants. Fit the scale again."
+            )
+        return b1, b2, b3
+
+    def strike(self, speed: ArrayLike, incidence: ArrayLike, contact: ArrayLike) -> ImpactResult:
+        """The impact of a striker at ``speed`` (m/s, 0 or more).
+
+        ``incidence`` is the angle from the normal n to the striker's axis in rad, within a right
+        angle; ``contact`` (..., 2) is (c_n, c_t) in m, (-R, 0) for a disk. Arguments broadcast.
+        Raises :class:`InvalidParameter` for values out of range.
+        """
+        v = finite("striker speed", speed, "m/s")
+        angle = finite("incidence", incidence, "rad")
+        c = finite("contact point", contact, "m")
+        if v.size and v.min() < 0:
+            raise InvalidParameter(f"striker speed is {v.min():g} m/s; it must be 0 or more.")
+        if angle.size and np.abs(angle).max() > math.pi / 2:
+            raise InvalidParameter(
+                f"incidence is {np.abs(angle).max():g} rad; the striker must approach (pi/2)."
+            )
+        p_n, p_t, sliding = self._routh(angle, c)
+        p_n, p_t, sliding = p_n * v, p_t * v, sliding * (v > 0)
+        p_n, p_t, c_n, c_t, angle, v = np.broadcast_arrays(p_n, p_t, c[..., 0], c[..., 1], angle, v)
+        impulse = np.stack([p_n, p_t], axis=-1)
+        axis = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        lost = impulse
+        if self.striker.constraint == "linear_bearings":
+            lost = (impulse * axis).sum(axis=-1, keepdims=True) * axis
+        return ImpactResult(
+            normal_impulse=p_n,
+            tangential_impulse=p_t,
+            velocity=impulse / self.body.mass,
+            spin=(c_n * p_t - c_t * p_n) / self.body.inertia,
+            striker_velocity=axis * v[..., None] - lost / self.striker.mass,
+            sliding=np.broadcast_to(sliding, p_n.shape),
+        )
+
+    def incidence_for(self, impulse_slope: ArrayLike, contact: ArrayLike) -> Array:
+        """The incidence (rad) whose impulse has P_t / P_n = ``impulse_slope``, within friction.
+
+        ``contact`` as for :meth:`strike`. NaN where no incidence within
+        ``LARGEST_INCIDENCE`` gives the slope.
+        """
+        slope = np.asarray(impulse_slope, dtype=float)
+        c = np.asarray(contact, dtype=float)
+        shape = np.broadcast_shapes(slope.shape, c.shape[:-1])
+        # Right at the limit the slope is flat in the incidence: aim a hair inside it.
+        limit = self.friction * (1 - 1e-11)
+        target = np.clip(np.broadcast_to(slope, shape), -limit, limit)
+        beyond = np.abs(slope) > self.friction * (1 + 1e-9)
+        low = np.full(shape, -LARGEST_INCIDENCE)
+        high = np.full(shape, LARGEST_INCIDENCE)
+
+        def error(angle: Array) -> Array:
+            p_n, p_t, _ = self._routh(angle, c)
+            return p_t / p_n - target
+
+        e_low, e_high = error(low), error(high)
+        missing = (e_low > 0) | (e_high < 0) | beyond
+        root = _bracketed_root(error, low, high, e_low, e_high)
+        return np.where(missing, np.nan, root)
+
+    def _routh(self, incidence: Array, contact: Array) -> tuple[Array, Array, Array]:
+        """Impulses for a striker of unit speed, and the sign of the sliding at the end."""
+        a_n, a_t = np.cos(incidence), np.sin(incidence)
+        b1, b2, b3 = self.inverse_inertias(incidence, contact)
+        mu = self.friction
+        # First leg: friction opposes the sliding, until p_stop.
+        direction = -np.sign(a_t)
+        first = -direction * mu
+        closing = direction * b3 + mu * b1
+        stops = (closing > 0) | (direction == 0)
+        p_stop = np.where(stops, np.abs(a_t) / np.where(stops & (closing > 0), closing, 1), np.inf)
+        # Second leg: sticking, or reverse sliding where friction cannot hold.
+        hold = b3 / b1
+        second = np.clip(hold, -mu, mu)
+        rate_first = b2 - b3 * first
+        rate_second = b2 - b3 * second
+        ends_first = (rate_first > 0) & (a_n <= rate_first * p_stop)
+        start_second = np.where(ends_first, 0.0, np.where(np.isinf(p_stop), 0.0, p_stop))
+        p_compression = np.where(
+            ends_first,
+            a_n / np.where(ends_first, rate_first, 1.0),
+            start_second + (a_n - rate_first * start_second) / rate_second,
+        )
+        p_n = (1 + self.restitution) * p_compression
+        along_first = np.minimum(p_n, p_stop)
+        p_t = first * along_first + second * (p_n - along_first)
+        still_first = p_n < p_stop
+        reverse = np.where(np.abs(hold) <= mu, 0.0, -np.sign(hold))
+        return p_n, p_t, np.where(still_first, direction, reverse)
+
+
+
+
+def _bracketed_root(function, low: Array, high: Array, f_low: Array, f_high: Array) -> Array:
+    """Zeros of an increasing function by Chandrupatla's method, elementwise (1997)."""
+    a, b, c = high.copy(), low.copy(), high.copy()
+    fa, fb, fc = f_high.copy(), f_low.copy(), f_high.copy()
+    t = np.full(a.shape, 0.5)
+    for _ in range(_ROOT_STEPS):
+        x = a + t * (b - a)
+        fx = function(x)
+        same = np.sign(fx) == np.sign(fa)
+        c, fc = np.where(same, a, b), np.where(same, fa, fb)
+        b, fb = np.where(same, b, a), np.where(same, fb, fa)
+        a, fa = x, fx
+        best = np.where(np.abs(fa) < np.abs(fb), a, b)
+        best_f = np.minimum(np.abs(fa), np.abs(fb))
+        width = np.abs(b - a)
+        tolerance = _ROOT_TOLERANCE / np.where(width > 0, width, 1.0)
+        if np.all((best_f == 0) | (width <= _ROOT_TOLERANCE)):
+            break
+        with np.errstate(divide="ignore", invalid="ignore"):
+            xi = (a - b) / (c - b)
+            phi = (fa - fb) / (fc - fb)
+            inverse = (fa / (fb - fa)) * (fc / (fb - fc)) + (
+                (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
+            )
+            good = (phi**2 < xi) & ((1 - phi) ** 2 < 1 - xi) & np.isfinite(inverse)
+        t = np.where(good, np.where(good, inverse, 0.5), 0.5)
+        t = np.clip(t, np.minimum(tolerance, 0.5), np.maximum(1 - tolerance, 0.5))
+    return best

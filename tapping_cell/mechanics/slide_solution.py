@@ -1,0 +1,186 @@
+"""The equations of sliding for one support and one torque factor, solved over one variable.
+
+Sliding scales: friction depends on the ratio of spin and speed alone. Let N be the larger of v and
+R omega and tau the smaller over N. Then, in the regimes of ``support_friction``,
+
+    distance = (v N / mu g) X(tau),  R rotation = (R omega N / mu g) Theta(tau),
+    duration = (N / mu g) D(tau),
+
+where X, Theta and D obey the linear equations  psi y' = a y - 1  with (translating, then spinning)
+
+    psi     = tau (F - Lambda T / tau)            tau (Lambda T - F / tau)
+    a_X     = 2 F                                 Lambda T + F / tau
+    a_Theta = F + Lambda T / tau                  2 Lambda T
+    a_D     = F                                   Lambda T
+
+Lambda is the torque factor times m R^2 / I. Motion runs towards the one attracting zero of psi (the
+terminal ratio); the wanted solution is the only one that stays bounded there. So the table starts
+in the interval around that zero, by collocation with no initial value, and is carried outward to
+pure sliding and to pure spinning by the Radau IIA method of order five, which is stable that way.
+
+At the ends y behaves as tau to powers a little above one, and a ring's friction has a logarithm at
+tau = 1. The table is therefore uniform in p, with tau = p^2 / (p^2 + (1 - p)^2): a square root's
+grading at both ends that costs two square roots to undo.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.mechanics.support_friction import SupportFriction
+
+Array = NDArray[np.float64]
+Friction = Callable[[Array, Array, NDArray[np.bool_]], SupportFriction]
+
+PIECES = 1024
+
+_ROOT6 = math.sqrt(6.0)
+# Radau IIA of order five: Hairer and Wanner, Solving Ordinary Differential Equations II, IV.5.
+_RADAU_C = np.array([(4 - _ROOT6) / 10, (4 + _ROOT6) / 10, 1.0])
+_RADAU_A = np.array(
+    [
+        [(88 - 7 * _ROOT6) / 360, (296 - 169 * _ROOT6) / 1800, (-2 + 3 * _ROOT6) / 225],
+        [(296 + 169 * _ROOT6) / 1800, (88 + 7 * _ROOT6) / 360, (-2 - 3 * _ROOT6) / 225],
+        [(16 - _ROOT6) / 36, (16 + _ROOT6) / 36, 1 / 9],
+    ]
+)
+_START_DEGREE = 4
+
+
+class SlideSolution:
+    """X, Theta and D at the knots of p, in both regimes.
+
+    ``values`` and ``slopes`` (by p) have shape (3, 2, PIECES + 1): the function, translating or
+    spinning, and the knot; p rises in both regimes. ``ratio_rates``, shape (2, PIECES + 1), is
+    d ln(R omega / v) / d ln(time left). ``terminal_ratio`` is v / (R omega) in the last instant.
+    """
+
+    def __init__(self, friction: Friction, torque_ratio: float) -> None:
+        self._friction = friction
+        self._torque_ratio = torque_ratio
+        # The path runs from pure sliding (p 0 to 1, translating) to pure spinning (p 1 to 0).
+        knots = np.linspace(0.0, 1.0, PIECES + 1)
+        path_p = np.concatenate([knots, knots[-2::-1]])
+        count = path_p.size - 1
+        flow, _ = self._terms(path_p, np.arange(count + 1) > PIECES)
+        flow[PIECES + 1 :] *= -1
+        stops = np.flatnonzero(flow < 0)
+        first = min(max(int(stops[0]) - 1, 0), count - 1) if stops.size else count - 1
+        values = np.empty((3, count + 1))
+        slopes = np.empty((3, count + 1))
+        self._start(path_p, first, values, slopes)
+        self._march(path_p, first, values, slopes)
+        slopes[:, [0, PIECES, count]] = 0.0
+        shape = (3, 2, PIECES + 1)
+        self.values = np.empty(shape)
+        self.slopes = np.empty(shape)
+        for target, source in ((self.values, values), (self.slopes, slopes)):
+            target[:, 0] = source[:, : PIECES + 1]
+            target[:, 1] = source[:, : PIECES - 1 : -1]
+        rates = -flow * values[2]
+        self.ratio_rates = np.stack([rates[: PIECES + 1], rates[: PIECES - 1 : -1]])
+        self.terminal_ratio = self._terminal(path_p, flow, first)
+
+    def _terms(self, p: Array, spinning: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """psi / tau, and the three factors a, at values of p."""
+        square = p * p + (1 - p) ** 2
+        tau = p * p / square
+        complement = (1 - p) ** 2 / square * (1 + tau)
+        leading, trailing = self._friction(tau, complement, spinning)
+        leading = np.where(spinning, self._torque_ratio, 1.0) * leading
+        trailing = np.where(spinning, 1.0, self._torque_ratio) * trailing
+        mixed = leading + trailing
+        factors = np.stack(
+            [
+                np.where(spinning, mixed, 2 * leading),
+                np.where(spinning, 2 * leading, mixed),
+                leading,
+            ]
+        )
+        return leading - trailing, factors
+
+    def _equation(
+        self, p: Array, spinning: NDArray[np.bool_]
+    ) -> tuple[Array, Array, Array]:
+        """P, Q and a of the equation  P dy/dp = Q (a y - 1), regular at both ends."""
+        flow, factors = self._terms(p, spinning)
+        square = p * p + (1 - p) ** 2
+        return p * flow * square, 2 * (1 - p), factors
+
+    def _start(self, path_p: Array, first: int, values: Array, slopes: Array) -> None:
+        """Collocate the interval of the terminal ratio: the bounded solution needs no start."""
+        low, high = path_p[first], path_p[first + 1]
+        width = high - low
+        points, _ = np.polynomial.legendre.leggauss(_START_DEGREE + 1)
+        s = (points + 1) / 2
+        spinning = np.full(s.size, first >= PIECES)
+        flow, weight, factors = self._equation(low + width * s, spinning)
+        powers = np.arange(_START_DEGREE + 1)
+        basis = s[:, None] ** powers
+        derivative = powers * s[:, None] ** np.maximum(powers - 1, 0) / width
+        matrix = flow[:, None] * derivative - (weight * factors)[:, :, None] * basis
+        right = np.broadcast_to(-weight[:, None], (3, s.size, 1))
+        polynomial = np.linalg.solve(matrix, right)[:, :, 0]
+        values[:, first] = polynomial[:, 0]
+        values[:, first + 1] = polynomial.sum(axis=1)
+        slopes[:, first] = polynomial[:, 1] / width
+        slopes[:, first + 1] = polynomial @ powers / width
+
+    def _march(self, path_p: Array, first: int, values: Array, slopes: Array) -> None:
+        """Radau steps of all intervals at once, then the chain of their affine maps."""
+        count = path_p.size - 1
+        interval = np.arange(count)
+        outward = interval > first
+        start = np.where(outward, path_p[:-1], path_p[1:])
+        width = np.where(outward, path_p[1:], path_p[:-1]) - start
+        stages = start[:, None] + width[:, None] * _RADAU_C
+        spinning = np.broadcast_to((interval >= PIECES)[:, None], stages.shape)
+        flow, weight, factors = self._equation(np.clip(stages, 0.0, 1.0), spinning)
+        pull = weight * factors
+        matrix = flow[:, :, None] * np.eye(3) - pull[:, :, :, None] * (
+            width[:, None, None] * _RADAU_A
+        )
+        matrix[:, first] = np.eye(3)  # the starting interval is solved already
+        right = np.stack([pull, np.broadcast_to(-weight, pull.shape)], axis=-1)
+        rates = np.linalg.solve(matrix, right)
+        ends = width[:, None] * np.einsum("j,kijm->kim", _RADAU_A[2], rates)
+        gain = (1 + ends[:, :, 0]).tolist()
+        shift = ends[:, :, 1].tolist()
+        for kind in range(3):
+            chain = values[kind].tolist()
+            gains, shifts = gain[kind], shift[kind]
+            for i in range(first + 1, count):
+                chain[i + 1] = gains[i] * chain[i] + shifts[i]
+            for i in range(first - 1, -1, -1):
+                chain[i] = gains[i] * chain[i + 1] + shifts[i]
+            values[kind] = chain
+            last = rates[kind, :, 2]
+            after, before = interval[first + 1 :], interval[:first]
+            slopes[kind, after + 1] = last[after, 0] * values[kind, after] + last[after, 1]
+            slopes[kind, before] = last[before, 0] * values[kind, before + 1] + last[before, 1]
+
+    def _terminal(self, path_p: Array, flow: Array, first: int) -> float:
+        """v / (R omega) in the last instant: inf if the spin dies first, 0 if the travel does."""
+        if first == 0 and flow[0] <= 0:
+            return math.inf
+        if first == path_p.size - 2 and flow[-1] >= 0:
+            return 0.0
+        low, high = float(path_p[first]), float(path_p[first + 1])
+        spinning = np.array([first >= PIECES])
+        rising = float(self._terms(np.array([low]), spinning)[0][0]) > 0
+        for _ in range(60):
+            middle = (low + high) / 2
+            positive = float(self._terms(np.array([middle]), spinning)[0][0]) > 0
+            low, high = (middle, high) if positive == rising else (low, middle)
+        tau = float(grade_inverse(np.array(low)))
+        return tau if first >= PIECES else 1 / tau
+
+
+def grade_inverse(p: Array) -> Array:
+    """tau of the graded variable p, both in [0, 1]."""
+    square: Array = p * p
+    return square / (square + (1 - p) ** 2)

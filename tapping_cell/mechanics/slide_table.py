@@ -1,0 +1,371 @@
+"""The whole of sliding for one support and one torque factor: a table, forward and inverse.
+
+The functions X, Theta and D of ``slide_solution`` as cubic Hermite pieces over its graded variable
+p. One slide at a time runs on plain floats; many run in blocks that stay in the cache, with every
+result written into scratch arrays of the block. The inverse looks p up in a table of its own and
+then takes Newton steps on the forward table, so that ``launch`` undoes ``rest`` to rounding.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.mechanics.errors import InvalidParameter
+from tapping_cell.mechanics.slide_solution import (
+    PIECES,
+    Friction,
+    SlideSolution,
+    grade_inverse,
+)
+from tapping_cell.mechanics.support_friction import disk_friction, ring_friction
+
+Array = NDArray[np.float64]
+
+_CHUNK = 4096
+_NEWTON_STEPS = 2
+_TINY = 1e-300
+
+_FRICTION: dict[str, Friction] = {"disk": disk_friction, "ring": ring_friction}
+
+
+class SlideTable:
+    """Sliding of one support (``"disk"`` or ``"ring"``) at one Lambda, forward and inverse.
+
+    All arguments and results are reduced: ``speed`` v, ``rim_speed`` R omega, ``travel`` mu g times
+    the distance, ``rim_travel`` mu g R times the rotation, ``time`` mu g times the duration.
+    Get one from :func:`slide_table`, which keeps them.
+    """
+
+    def __init__(self, support: str, torque_ratio: float) -> None:
+        self.support = support
+        self.torque_ratio = torque_ratio
+        solution = SlideSolution(_FRICTION[support], torque_ratio)
+        self.terminal_ratio = solution.terminal_ratio
+        x, theta, duration = (_hermite(v, s) for v, s in zip(solution.values, solution.slopes))
+        self._forward = np.ascontiguousarray(np.concatenate([x, theta, duration], axis=1).T)
+        # Inverse: rim travel over travel (translating) or its inverse (spinning) grows with p.
+        translating = np.arange(2 * PIECES)[:, None] < PIECES
+        self._minor = np.ascontiguousarray(np.where(translating, theta, x).T)
+        self._major = np.ascontiguousarray(np.where(translating, x, theta).T)
+        self._divide = float(solution.values[1][0, -1] / solution.values[0][0, -1])
+        self._guess = np.ascontiguousarray(self._inverse_guess().T)
+        rates = solution.ratio_rates
+        self._rates = _hermite(rates, np.gradient(rates, 1 / PIECES, axis=1, edge_order=2)).T.copy()
+        self._forward_rows = [tuple(row) for row in self._forward.T.tolist()]
+        self._minor_rows = [tuple(row) for row in self._minor.T.tolist()]
+        self._major_rows = [tuple(row) for row in self._major.T.tolist()]
+        self._guess_rows = [tuple(row) for row in self._guess.T.tolist()]
+
+    # ---- one tap at a time: plain floats
+
+    def rest(self, speed: float, rim_speed: float) -> tuple[float, float, float]:
+        """Travel, rim travel and time of one slide, with the signs of the arguments."""
+        v, s = abs(speed), abs(rim_speed)
+        major, minor = (v, s) if v >= s else (s, v)
+        if major == 0.0:
+            return 0.0, 0.0, 0.0
+        root = math.sqrt(minor)
+        t = PIECES * root / (root + math.sqrt(major - minor))
+        row = int(t) if t < PIECES else PIECES - 1
+        t -= row
+        x0, x1, x2, x3, r0, r1, r2, r3, d0, d1, d2, d3 = self._forward_rows[
+            row if v >= s else row + PIECES
+        ]
+        return (
+            speed * major * (x0 + t * (x1 + t * (x2 + t * x3))),
+            rim_speed * major * (r0 + t * (r1 + t * (r2 + t * r3))),
+            major * (d0 + t * (d1 + t * (d2 + t * d3))),
+        )
+
+    def launch(self, travel: float, rim_travel: float) -> tuple[float, float]:
+        """Speed and rim speed that come to rest after the travels, with their signs."""
+        x, r = abs(travel), abs(rim_travel)
+        if x == 0.0 and r == 0.0:
+            return 0.0, 0.0
+        translating = r <= self._divide * x
+        if translating:
+            ratio, longer, z = r / x, x, r / (self._divide * x)
+        else:
+            ratio, longer, z = x / r, r, self._divide * x / r
+        root = math.sqrt(z)
+        t = PIECES * root / (root + math.sqrt(max(1.0 - z, 0.0)))
+        row = int(t) if t < PIECES else PIECES - 1
+        t -= row
+        offset = 0 if translating else PIECES
+        c0, c1, c2, c3 = self._guess_rows[row + offset]
+        p = c0 + t * (c1 + t * (c2 + t * c3))
+        for step in range(_NEWTON_STEPS + 1):
+            p = min(max(p, 0.0), 1.0)
+            t = p * PIECES
+            row = int(t) if t < PIECES else PIECES - 1
+            t -= row
+            b0, b1, b2, b3 = self._major_rows[row + offset]
+            large = b0 + t * (b1 + t * (b2 + t * b3))
+            q = 1.0 - p
+            square = p * p + q * q
+            tau = p * p / square
+            if step == _NEWTON_STEPS:
+                break
+            a0, a1, a2, a3 = self._minor_rows[row + offset]
+            small = a0 + t * (a1 + t * (a2 + t * a3))
+            slope_small = PIECES * (a1 + t * (2 * a2 + t * 3 * a3))
+            slope_large = PIECES * (b1 + t * (2 * b2 + t * 3 * b3))
+            slope = 2 * p * q / (square * square) * small + tau * slope_small - ratio * slope_large
+            if slope != 0.0:
+                p -= (tau * small - ratio * large) / slope
+        major = math.sqrt(longer / large)
+        minor = tau * major
+        v, s = (major, minor) if translating else (minor, major)
+        return math.copysign(v, travel), math.copysign(s, rim_travel)
+
+    # ---- many taps at a time: blocks that stay in the cache
+
+    def rest_many(self, speed: Array, rim_speed: Array) -> tuple[Array, Array, Array]:
+        """:meth:`rest` of two flat arrays of one length. Raises if a value is not finite."""
+        count = speed.size
+        travel, rim_travel, time = np.empty(count), np.empty(count), np.empty(count)
+        work = _Workspace(min(count, _CHUNK), floats=6)
+        x, r, d = self._forward[0:4], self._forward[4:8], self._forward[8:12]
+        for start in range(0, count, _CHUNK):
+            part = slice(start, min(start + _CHUNK, count))
+            v, s = speed[part], rim_speed[part]
+            size = v.size
+            major, minor, t, value, gathered, spare = (f[:size] for f in work.floats)
+            index, mask = work.index[:size], work.mask[:size]
+            np.abs(v, out=value)
+            np.abs(s, out=gathered)
+            np.greater(gathered, value, out=mask)
+            np.maximum(value, gathered, out=major)
+            np.minimum(value, gathered, out=minor)
+            if not math.isfinite(float(major.sum())):
+                raise InvalidParameter("speed or spin is not finite or too large to square.")
+            _grade(major, minor, t, spare)
+            _piece(t, mask, index, spare)
+            _cubic(x, index, t, value, gathered)
+            value *= major
+            np.multiply(value, v, out=travel[part])
+            _cubic(r, index, t, value, gathered)
+            value *= major
+            np.multiply(value, s, out=rim_travel[part])
+            _cubic(d, index, t, value, gathered)
+            np.multiply(value, major, out=time[part])
+        return travel, rim_travel, time
+
+    def launch_many(self, travel: Array, rim_travel: Array) -> tuple[Array, Array]:
+        """:meth:`launch` of two flat arrays of one length. Raises if a value is not finite."""
+        count = travel.size
+        speed, rim_speed = np.empty(count), np.empty(count)
+        work = _Workspace(min(count, _CHUNK), floats=13)
+        for start in range(0, count, _CHUNK):
+            part = slice(start, min(start + _CHUNK, count))
+            size = part.stop - part.start
+            block = _Block([f[:size] for f in work.floats], work.index[:size], work.mask[:size])
+            self._launch_block(
+                travel[part], rim_travel[part], speed[part], rim_speed[part], block
+            )
+        return speed, rim_speed
+
+    def _launch_block(
+        self, travel: Array, rim_travel: Array, speed: Array, rim_speed: Array, work: _Block
+    ) -> None:
+        x, r, longer, ratio, t, p, small, large, slope, tau, gathered, spare, total = work.floats
+        index, mask = work.index, work.mask
+        np.abs(travel, out=x)
+        np.abs(rim_travel, out=r)
+        np.maximum(x, r, out=longer)
+        if not math.isfinite(float(longer.sum())):
+            raise InvalidParameter("distance or rotation is not finite or too large.")
+        np.multiply(x, self._divide, out=spare)
+        np.greater(r, spare, out=mask)
+        # The measures of both regimes meet at the divide, so min over max serves either.
+        np.maximum(spare, r, out=large)
+        np.minimum(spare, r, out=small)
+        _grade(large, small, t, gathered)
+        _piece(t, mask, index, gathered)
+        _cubic(self._guess, index, t, p, gathered)
+        np.copyto(longer, x)
+        np.copyto(longer, r, where=mask)
+        np.copyto(ratio, r)
+        np.copyto(ratio, x, where=mask)
+        np.add(longer, _TINY, out=spare)
+        ratio /= spare
+        for step in range(_NEWTON_STEPS + 1):
+            np.minimum(p, 1.0, out=p)
+            np.maximum(p, 0.0, out=p)
+            np.multiply(p, PIECES, out=t)
+            _piece(t, mask, index, gathered)
+            np.subtract(1.0, p, out=spare)
+            np.multiply(p, p, out=tau)
+            np.multiply(spare, spare, out=total)
+            total += tau
+            tau /= total
+            if step == _NEWTON_STEPS:
+                _cubic(self._major, index, t, large, gathered)
+                break
+            _cubic_and_slope(self._major, index, t, large, slope, gathered)
+            slope *= ratio
+            large *= ratio
+            spare *= p
+            spare *= 2.0
+            total *= total
+            spare /= total
+            # x and r are free from here: they hold the slope of the smaller measure.
+            _cubic_and_slope(self._minor, index, t, small, x, gathered)
+            spare *= small
+            x *= tau
+            spare += x
+            spare -= slope
+            small *= tau
+            small -= large
+            spare += _TINY
+            small /= spare
+            p -= small
+        np.divide(longer, large, out=large)
+        np.sqrt(large, out=large)
+        tau *= large
+        np.copyto(spare, large)
+        np.copyto(spare, tau, where=mask)
+        np.copysign(spare, travel, out=speed)
+        np.copyto(tau, large, where=mask)
+        np.copysign(tau, rim_travel, out=rim_speed)
+
+    def travel_ratio(self, spin_ratio: float) -> float:
+        """Rim travel over travel of a launch with R omega / v = ``spin_ratio``."""
+        travel, rim_travel, _ = self.rest(1.0, spin_ratio)
+        return rim_travel / travel
+
+    def ratio_rate(self, log_ratio: Array) -> Array:
+        """d ln(R omega / v) / d ln(time left) at values of ln(R omega / v), a flat array."""
+        root = np.exp(-0.5 * np.abs(log_ratio))
+        t = PIECES * root / (root + np.sqrt(1.0 - root * root))
+        index = np.empty(t.size, dtype=np.intp)
+        value, gathered = np.empty(t.size), np.empty(t.size)
+        _piece(t, log_ratio > 0, index, gathered)
+        _cubic(self._rates, index, t, value, gathered)
+        return value
+
+    def _inverse_guess(self) -> Array:
+        """Hermite pieces of p over the graded measure of the displacement, one regime a half."""
+        p = np.linspace(0.0, 1.0, PIECES + 1)
+        halves = []
+        for half in range(2):
+            rows = slice(half * PIECES, (half + 1) * PIECES)
+            small = np.append(self._minor[0, rows], self._minor[:, rows.stop - 1].sum())
+            large = np.append(self._major[0, rows], self._major[:, rows.stop - 1].sum())
+            divide = self._divide if half == 0 else 1 / self._divide
+            fraction = np.minimum(grade_inverse(p) * small / (large * divide), 1.0)
+            if not np.all(np.diff(fraction) > 0):
+                raise InvalidParameter(
+                    f"torque factor times m R^2 / I is {self.torque_ratio:g}; sliding has no "
+                    "single-valued inverse that far from 1."
+                )
+            root = np.sqrt(fraction)
+            graded = root / (root + np.sqrt(1.0 - fraction))
+            graded[-1] = 1.0
+            values = np.interp(p, graded, p)
+            # Refine the knots by Newton's method on the same pieces that rest() evaluates.
+            values = self._solve_knots(values, grade_inverse(p), half, divide)
+            slopes = np.gradient(values, p, edge_order=2)
+            halves.append(_hermite(values[None, :], slopes[None, :]))
+        return np.concatenate(halves)
+
+    def _solve_knots(self, p: Array, fraction: Array, half: int, divide: float) -> Array:
+        index = np.empty(p.size, dtype=np.intp)
+        mask = np.full(p.size, half == 1)
+        small, large, slope, slope_small, gathered = (np.empty(p.size) for _ in range(5))
+        ratio = fraction * divide
+        for _ in range(4):
+            t = p * PIECES
+            _piece(t, mask, index, gathered)
+            _cubic_and_slope(self._major, index, t, large, slope, gathered)
+            _cubic_and_slope(self._minor, index, t, small, slope_small, gathered)
+            square = p * p + (1 - p) ** 2
+            tau_slope = 2 * p * (1 - p) / square**2
+            derivative = tau_slope * small + grade_inverse(p) * slope_small - ratio * slope
+            error = grade_inverse(p) * small - ratio * large
+            flat = np.abs(derivative) < 1e-12
+            p = np.clip(p - np.where(flat, 0.0, error / np.where(flat, 1.0, derivative)), 0.0, 1.0)
+        p[0], p[-1] = 0.0, 1.0
+        return p
+
+
+class _Workspace:
+    """Scratch arrays of one block, made once a call so that calls may run in threads."""
+
+    def __init__(self, size: int, floats: int) -> None:
+        self.floats = [np.empty(size) for _ in range(floats)]
+        self.index = np.empty(size, dtype=np.intp)
+        self.mask = np.empty(size, dtype=bool)
+
+
+class _Block:
+    """The part of a workspace that one block uses."""
+
+    def __init__(self, floats: list[Array], index: NDArray[np.intp], mask: NDArray[np.bool_]):
+        self.floats = floats
+        self.index = index
+        self.mask = mask
+
+
+def _grade(major: Array, minor: Array, t: Array, spare: Array) -> None:
+    """t = PIECES * p of tau = minor / major; 0 where both are 0."""
+    np.subtract(major, minor, out=spare)
+    np.sqrt(spare, out=spare)
+    np.sqrt(minor, out=t)
+    spare += t
+    spare += _TINY
+    t /= spare
+    t *= PIECES
+
+
+def _piece(t: Array, mask: NDArray[np.bool_], index: NDArray[np.intp], spare: Array) -> None:
+    """Split t into the row of its piece (second half where mask) and the place in the piece."""
+    np.copyto(index, t, casting="unsafe")
+    np.minimum(index, PIECES - 1, out=index)
+    t -= index
+    np.multiply(mask, PIECES, out=spare)
+    np.add(index, spare, out=index, casting="unsafe")
+
+
+def _cubic(
+    rows: Array, index: NDArray[np.intp], t: Array, value: Array, gathered: Array
+) -> None:
+    np.take(rows[3], index, out=value, mode="clip")
+    for k in (2, 1, 0):
+        value *= t
+        np.take(rows[k], index, out=gathered, mode="clip")
+        value += gathered
+
+
+def _cubic_and_slope(
+    rows: Array, index: NDArray[np.intp], t: Array, value: Array, slope: Array, gathered: Array
+) -> None:
+    """Value and derivative by p of one cubic piece."""
+    np.take(rows[3], index, out=value, mode="clip")
+    np.copyto(slope, value)
+    for k in (2, 1, 0):
+        value *= t
+        np.take(rows[k], index, out=gathered, mode="clip")
+        value += gathered
+        if k:
+            slope *= t
+            slope += value
+    slope *= PIECES
+
+
+def _hermite(values: Array, slopes: Array) -> Array:
+    """Cubic coefficients, rows of pieces, from values and p-slopes at (halves, PIECES + 1) knots."""
+    y0, y1 = values[:, :-1], values[:, 1:]
+    s0, s1 = slopes[:, :-1] / PIECES, slopes[:, 1:] / PIECES
+    rows = np.stack([y0, s0, 3 * (y1 - y0) - 2 * s0 - s1, 2 * (y0 - y1) + s0 + s1], axis=-1)
+    return rows.reshape(-1, 4)
+
+
+@lru_cache(maxsize=32)
+def slide_table(support: str, torque_ratio: float) -> SlideTable:
+    """The table of a support and Lambda = torque factor * m R^2 / I, built once a process."""
+    return SlideTable(support, torque_ratio)

@@ -1,0 +1,362 @@
+"""A whole tap: impact and slide joined, forward (``Tap.outcome``) and inverse (``Tap.plan``).
+
+A launch is along the impulse, so the impulse's line of action is known from the launch that is
+wanted: its direction is that of the velocity and it passes the centre of mass at the distance
+(I omega) / (m v). Where that line enters the body is the contact point, and its angle from the
+contact normal must lie within the contact's friction. The striker's axis is the one whose impact,
+by Routh's method, has just that impulse angle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tapping_cell import se2
+from tapping_cell.mechanics.bodies import Body, Polygon
+from tapping_cell.mechanics.contact import first_contact
+from tapping_cell.mechanics.errors import (
+    InvalidParameter,
+    UnreachableDisplacement,
+    finite,
+    not_negative,
+)
+from tapping_cell.mechanics.impact import Impact
+from tapping_cell.mechanics.sliding import Sliding
+
+Array = NDArray[np.float64]
+
+# A displacement on the very edge of the cone, computed in another order of operations, is inside.
+_EDGE = 1e-9
+# Steps of the differences that make the Jacobian, in m and rad.
+_LENGTH_STEP = 1e-6
+_ANGLE_STEP = 1e-5
+_ORIGIN = (0.0, 0.0, 0.0)
+
+
+class TapPlan(NamedTuple):
+    """How to make a displacement; every field has the shape of the displacements.
+
+    ``contact_angle`` is the direction of the contact point from the centre of mass in the object's
+    frame, rad; ``strike_pose`` (..., 3) is the ball's centre in the table frame at the moment of
+    contact, x along its travel; ``striker_speed`` in m/s; ``incidence`` from the contact normal to
+    the striker's axis in rad; ``twist`` (..., 3) is the launch (vx, vy, omega) in table axes.
+    """
+
+    contact_angle: Array
+    strike_pose: Array
+    striker_speed: Array
+    incidence: Array
+    twist: Array
+
+
+class TapResult(NamedTuple):
+    """What a tap does; every field has the shape of the poses.
+
+    ``missed`` where the striker does not touch the object (then nothing moves); ``travel`` of the
+    ball until the contact in m, negative where the pose overlaps the object; ``point`` (..., 2) of
+    the contact and ``normal`` (..., 2) into the object, in table axes; ``incidence`` in rad;
+    ``normal_impulse`` and ``tangential_impulse`` in N s; ``twist`` (..., 3) just after the impact,
+    (vx, vy, omega) in table axes; ``displacement`` (..., 3), (dx, dy, dtheta) in table axes.
+    """
+
+    missed: NDArray[np.bool_]
+    travel: Array
+    point: Array
+    normal: Array
+    incidence: Array
+    normal_impulse: Array
+    tangential_impulse: Array
+    twist: Array
+    displacement: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Tap:
+    """Taps on one body by one striker on one table.
+
+    ``smallest_distance`` (m) is the shortest displacement that the tapper makes reliably, 1.7 mm
+    in the paper (section 4). Raises :class:`InvalidParameter` if ``sliding`` and ``impact`` are of
+    different bodies.
+    """
+
+    sliding: Sliding
+    impact: Impact
+    smallest_distance: float = 0.0017
+    _cone_slope: float = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.sliding.body != self.impact.body:
+            raise InvalidParameter(
+                f"the sliding is of {self.sliding.body} and the impact of {self.impact.body}; "
+                "both must be of the same body."
+            )
+        smallest = not_negative("smallest distance", self.smallest_distance, "m")
+        object.__setattr__(self, "smallest_distance", smallest)
+        body = self.body
+        lever = self._largest_lever()
+        ratio = body.support_radius * lever / body.radius_of_gyration**2
+        slope = self.sliding.table.travel_ratio(ratio) / body.support_radius
+        object.__setattr__(self, "_cone_slope", slope)
+
+    @property
+    def body(self) -> Body:
+        """The body that is tapped."""
+        return self.sliding.body
+
+    @property
+    def cone_slope(self) -> float:
+        """The most rotation per distance of one tap, in rad/m.
+
+        Sliding scales, so a launch with the largest R omega / v = gamma sin(phi_max) travels and
+        turns in one ratio at any speed: the cone's edge is a straight line for a round body. For a
+        polygon it is the bound over all its contacts, by the sliding of its equivalent disk, and
+        :meth:`reachable` says what a displacement's own direction allows.
+        """
+        return self._cone_slope
+
+    def outcome(
+        self, object_pose: ArrayLike, strike_pose: ArrayLike, striker_speed: ArrayLike
+    ) -> Array:
+        """Displacements (..., 3) in table axes, m and rad; 0 where the striker misses.
+
+        Arguments as for :meth:`strike`.
+        """
+        return self.strike(object_pose, strike_pose, striker_speed).displacement
+
+    def launch_velocity(
+        self, object_pose: ArrayLike, strike_pose: ArrayLike, striker_speed: ArrayLike
+    ) -> Array:
+        """Twist (..., 3) of the object just after the impact, in table axes, m/s and rad/s."""
+        return self._impact(object_pose, strike_pose, striker_speed).twist
+
+    def strike(
+        self, object_pose: ArrayLike, strike_pose: ArrayLike, striker_speed: ArrayLike
+    ) -> TapResult:
+        """Fly, hit and slide: poses (..., 3) in the table frame, ``striker_speed`` in m/s.
+
+        ``strike_pose`` is any pose of the ball's centre on its line of travel before the contact,
+        x along the travel. One that overlaps the object counts from where its line comes in.
+        Raises :class:`InvalidParameter` for values that are not finite or a negative speed.
+        """
+        result = self._impact(object_pose, strike_pose, striker_speed)
+        angle = np.broadcast_to(np.asarray(object_pose, dtype=float)[..., 2], result.missed.shape)
+        moved = self.sliding.displace(_turn(result.twist, -angle))
+        return result._replace(displacement=_turn(moved, angle))
+
+    def _impact(
+        self, object_pose: ArrayLike, strike_pose: ArrayLike, striker_speed: ArrayLike
+    ) -> TapResult:
+        """Fly and hit; the displacement is left at 0."""
+        held = _poses("object pose", object_pose)
+        aimed = _poses("strike pose", strike_pose)
+        speed = finite("striker speed", striker_speed, "m/s")
+        shape = np.broadcast_shapes(held.shape[:-1], aimed.shape[:-1], speed.shape)
+        held = np.broadcast_to(held, (*shape, 3))
+        in_body = se2.compose(se2.inverse(held), np.broadcast_to(aimed, (*shape, 3)))
+        axis = _unit(in_body[..., 2])
+        contact = first_contact(
+            self.body, self.impact.striker.tip_radius, in_body[..., :2], axis
+        )
+        closing = (contact.normal * axis).sum(axis=-1)
+        missed = contact.missed | (closing <= 0)
+        incidence = np.where(missed, 0.0, np.arctan2(_cross(contact.normal, axis), closing))
+        impact = self.impact.strike(speed, incidence, _in_frame(contact.normal, contact.point))
+        velocity = _from_frame(contact.normal, impact.velocity)
+        hit = np.where(missed, 0.0, 1.0)
+        twist = np.concatenate([velocity, impact.spin[..., None]], axis=-1) * hit[..., None]
+        return TapResult(
+            missed=missed,
+            travel=contact.travel,
+            point=se2.transform_points(held, contact.point),
+            normal=_rotate(contact.normal, held[..., 2]),
+            incidence=incidence,
+            normal_impulse=impact.normal_impulse * hit,
+            tangential_impulse=impact.tangential_impulse * hit,
+            twist=_turn(twist, held[..., 2]),
+            displacement=np.zeros((*shape, 3)),
+        )
+
+    def plan(self, displacement: ArrayLike, object_pose: ArrayLike = _ORIGIN) -> TapPlan:
+        """The tap that makes ``displacement`` (..., 3), (dx, dy, dtheta) in table axes, m and rad.
+
+        ``object_pose`` (..., 3) is the object's pose in the table frame; both broadcast.
+        :meth:`outcome` of the plan is the displacement to rounding. Raises
+        :class:`UnreachableDisplacement` for a displacement outside the cone or shorter than the
+        smallest distance, and :class:`InvalidParameter` for values that are not finite.
+        """
+        wanted = _poses("displacement", displacement)
+        self._refuse(wanted)
+        held = _poses("object pose", object_pose)
+        shape = np.broadcast_shapes(wanted.shape[:-1], held.shape[:-1])
+        wanted, held = np.broadcast_to(wanted, (*shape, 3)), np.broadcast_to(held, (*shape, 3))
+        plan = self._plan_in_body(_turn(wanted, -held[..., 2]))
+        if np.isnan(plan.incidence).any():
+            self._refuse_contact(wanted, np.isnan(plan.incidence))
+        return plan._replace(
+            strike_pose=se2.compose(held, plan.strike_pose), twist=_turn(plan.twist, held[..., 2])
+        )
+
+    def reachable(
+        self, displacement: ArrayLike, object_pose: ArrayLike = _ORIGIN
+    ) -> NDArray[np.bool_]:
+        """Where one tap can make ``displacement`` (..., 3), in table axes, m and rad."""
+        wanted = _poses("displacement", displacement)
+        inside = np.asarray(self._inside(wanted))
+        if not isinstance(self.body, Polygon):
+            return inside
+        held = _poses("object pose", object_pose)
+        turned = _turn(wanted, -held[..., 2])
+        sample = np.where(inside[..., None], turned, [1.0, 0.0, 0.0])
+        return inside & ~np.isnan(self._plan_in_body(sample).incidence)
+
+    def jacobian(self, displacement: ArrayLike) -> Array:
+        """Derivative (..., 3, 3) of the tap's result by the striker's pose, in m and rad.
+
+        Rows: the displacement x along the planned travel, y to its left, and the rotation.
+        Columns, as in section 5.1 of the paper: the ball's centre at the contact moved by i along
+        the contact normal and by j along the tangent, and the striker's axis turned by beta about
+        it. Central differences of :meth:`outcome`. Raises as :meth:`plan` does.
+        """
+        wanted = _poses("displacement", displacement)
+        plan = self.plan(wanted)
+        pose = plan.strike_pose
+        normal = pose[..., 2] - plan.incidence
+        travel = np.arctan2(wanted[..., 1], wanted[..., 0])
+        still = np.zeros_like(normal)[..., None]
+        shifts = (
+            np.concatenate([_LENGTH_STEP * _unit(normal), still], axis=-1),
+            np.concatenate([_LENGTH_STEP * _unit(normal + math.pi / 2), still], axis=-1),
+            np.array([0.0, 0.0, _ANGLE_STEP]),
+        )
+        columns = [
+            _turn(
+                self.outcome(_ORIGIN, pose + shift, plan.striker_speed)
+                - self.outcome(_ORIGIN, pose - shift, plan.striker_speed),
+                -travel,
+            )
+            for shift in shifts
+        ]
+        scale = 2 * np.array([_LENGTH_STEP, _LENGTH_STEP, _ANGLE_STEP])
+        return np.stack(columns, axis=-1) / scale
+
+    def _largest_lever(self) -> float:
+        """The largest distance of an impulse's line of action from the centre of mass, in m."""
+        body = self.body
+        if not isinstance(body, Polygon):
+            angle = self.impact.largest_impulse_angle((-body.bounding_radius, 0.0))
+            return body.bounding_radius * math.sin(float(angle))
+        inward = -body.edge_normals
+        ends = np.stack([body.points, np.roll(body.points, -1, axis=0)])
+        local = _in_frame(np.broadcast_to(inward, ends.shape), ends)
+        angle = self.impact.largest_impulse_angle(local)
+        lines = np.stack([_unit(angle), _unit(-angle)])
+        return float(np.abs(_cross(local, lines)).max())
+
+    def _plan_in_body(self, wanted: Array) -> TapPlan:
+        """Plans in the object's frame; the incidence is NaN where no contact can do it."""
+        twist = self.sliding.twist_for(wanted)
+        velocity, spin = twist[..., :2], twist[..., 2]
+        speed = np.hypot(velocity[..., 0], velocity[..., 1])
+        along = velocity / np.where(speed > 0, speed, 1.0)[..., None]
+        body = self.body
+        lever = body.radius_of_gyration**2 * spin / np.where(speed > 0, speed, 1.0)
+        # The line of action as the flight of a point: its first contact is the place to hit.
+        right = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+        far = 2 * body.bounding_radius
+        line = first_contact(body, 0.0, lever[..., None] * right - far * along, along)
+        normal = line.normal
+        slope = _cross(normal, along) / (normal * along).sum(axis=-1)
+        local = _in_frame(normal, line.point)
+        incidence = self.impact.incidence_for(slope, local)
+        incidence = np.where(line.missed, np.nan, incidence)
+        known = np.where(np.isnan(incidence), 0.0, incidence)
+        unit = self.impact.strike(1.0, known, local)
+        impulse = np.hypot(unit.normal_impulse, unit.tangential_impulse)
+        axis = _rotate(normal, known)
+        ball = line.point - self.impact.striker.tip_radius * normal
+        pose = np.concatenate([ball, np.arctan2(axis[..., 1], axis[..., 0])[..., None]], axis=-1)
+        return TapPlan(
+            contact_angle=np.arctan2(line.point[..., 1], line.point[..., 0]),
+            strike_pose=pose,
+            striker_speed=body.mass * speed / impulse,
+            incidence=incidence,
+            twist=twist,
+        )
+
+    def _inside(self, wanted: Array) -> NDArray[np.bool_]:
+        distance = np.hypot(wanted[..., 0], wanted[..., 1])
+        limit = self.cone_slope * distance
+        return np.asarray(
+            (distance >= self.smallest_distance * (1 - _EDGE))
+            & (distance > 0)
+            & (np.abs(wanted[..., 2]) <= limit * (1 + _EDGE))
+        )
+
+    def _refuse(self, wanted: Array) -> None:
+        outside = ~self._inside(wanted)
+        if not outside.any():
+            return
+        dx, dy, rotation = wanted[outside][0].tolist()
+        distance = math.hypot(dx, dy)
+        if distance < self.smallest_distance * (1 - _EDGE) or distance == 0.0:
+            raise UnreachableDisplacement(
+                f"the displacement is {1e3 * distance:.4g} mm long; the shortest tap is "
+                f"{1e3 * self.smallest_distance:.4g} mm. Move farther away first."
+            )
+        limit = math.degrees(self.cone_slope * distance)
+        raise UnreachableDisplacement(
+            f"the displacement turns by {math.degrees(rotation):.4g} degrees over "
+            f"{1e3 * distance:.4g} mm; one tap turns by at most {limit:.4g} degrees over that "
+            f"distance ({math.degrees(self.cone_slope) / 1e3:.4g} degrees/mm). Use two taps."
+        )
+
+    def _refuse_contact(self, wanted: Array, where: NDArray[np.bool_]) -> None:
+        dx, dy, rotation = wanted[where][0].tolist()
+        limit = math.degrees(math.atan(self.impact.friction))
+        raise UnreachableDisplacement(
+            f"no contact of the body gives ({1e3 * dx:.4g} mm, {1e3 * dy:.4g} mm, "
+            f"{math.degrees(rotation):.4g} degrees): the impulse would lie more than {limit:.4g} "
+            "degrees from the normal of the edge that it meets. Choose another direction."
+        )
+
+
+def _poses(name: str, values: ArrayLike) -> Array:
+    array = finite(name, values)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise InvalidParameter(f"{name} has shape {array.shape}; the last axis must be 3.")
+    return array
+
+
+def _unit(angle: Array) -> Array:
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def _rotate(vector: Array, angle: Array) -> Array:
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y = vector[..., 0], vector[..., 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+
+
+def _turn(planar: Array, angle: Array) -> Array:
+    """A twist or displacement (..., 3) seen in axes that are turned by -angle."""
+    return np.concatenate([_rotate(planar[..., :2], angle), planar[..., 2:]], axis=-1)
+
+
+def _in_frame(normal: Array, vector: Array) -> Array:
+    """Components along n and along t, which is n turned by +90 degrees."""
+    return np.stack([(normal * vector).sum(axis=-1), _cross(normal, vector)], axis=-1)
+
+
+def _from_frame(normal: Array, vector: Array) -> Array:
+    n, t = vector[..., :1], vector[..., 1:]
+    tangent = np.stack([-normal[..., 1], normal[..., 0]], axis=-1)
+    return n * normal + t * tangent
