@@ -12,7 +12,7 @@ from tapping_cell.planning.gains import Gains
 from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.se2 import wrap_angle
 
-HEADINGS = 36
+HEADINGS = 24
 SHARES_OF_FIRST = (1.0, 0.7, 0.5, 0.3)
 SHARES_OF_LARGEST = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
 TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -31,7 +32,7 @@ WIDEST_GAP = math.radians(150.0) + 1e-9
 STEPS = [(1, 0), (1, 1), (0, 1), (-1, 1), (2, 1), (1, 2), (-1, 2), (-2, 1)]
 """Neighbours of a cell, each also the other way round."""
 
-SIGHT_POINTS = 24
+SIGHT_POINTS = 16
 
 
 class FreeSpace:
@@ -52,6 +53,8 @@ class FreeSpace:
         self.workable: BoolArray = self._tappable & fits
         self.centres: Array = centres
         self._graph = _neighbour_graph(self.workable)
+        nearest = distance_transform_edt(~self.workable, return_distances=False, return_indices=True)
+        self._nearest = np.ravel_multi_index(tuple(nearest), self._shape).reshape(-1)
 
     def contains(self, points: ArrayLike) -> BoolArray:
         """Whether the object can be worked on at the points (..., 2)."""
@@ -67,15 +70,28 @@ class FreeSpace:
         return np.asarray(found & (room >= self._space.object_radius - 1e-9))
 
     def nearest_cells(self, points: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-        """The nearest workable cell of each point (flat index) and its distance; inf if none."""
+        """The nearest workable cell of each point (flat index) and its distance; inf if none.
+
+        Exact to the size of a cell: the nearest is that of the cell in which the point lies.
+        """
         p = np.asarray(points, dtype=float)
-        cells = np.flatnonzero(self.workable)
-        if cells.size == 0:
+        if not np.any(self.workable):
             return np.zeros(p.shape[:-1], dtype=np.intp), np.full(p.shape[:-1], np.inf)
-        centres = self.centres.reshape(-1, 2)[cells]
-        offset = np.hypot(p[..., None, 0] - centres[:, 0], p[..., None, 1] - centres[:, 1])
-        nearest = np.argmin(offset, axis=-1)
-        return cells[nearest], np.take_along_axis(offset, nearest[..., None], axis=-1)[..., 0]
+        cell = self._nearest[self._cell_of(p)]
+        centre = self.centres.reshape(-1, 2)[cell]
+        return cell, np.hypot(p[..., 0] - centre[..., 0], p[..., 1] - centre[..., 1])
+
+    def in_sight(self, points: ArrayLike, goal: Array) -> BoolArray:
+        """Whether the straight lines from the points (..., 2) to the goal (2,) stay workable."""
+        share = np.linspace(0.0, 1.0, SIGHT_POINTS)[:, None]
+        line = np.asarray(points, dtype=float)[..., None, :] * (1.0 - share) + goal * share
+        return np.asarray(np.all(self.workable.reshape(-1)[self._cell_of(line)], axis=-1))
+
+    def _cell_of(self, points: Array) -> NDArray[np.intp]:
+        place = np.rint((points - self._origin) / CELL).astype(np.intp)
+        i = np.clip(place[..., 0], 0, self._shape[0] - 1)
+        j = np.clip(place[..., 1], 0, self._shape[1] - 1)
+        return np.asarray(i * self._shape[1] + j)
 
     def to_goal(self, goal: ArrayLike) -> PathLengths:
         """Lengths of paths to the goal's place (2,)."""
@@ -109,9 +125,7 @@ class PathLengths:
         straight = np.hypot(p[..., 0] - self._goal[0], p[..., 1] - self._goal[1])
         if self._open:
             return straight
-        share = np.linspace(0.0, 1.0, SIGHT_POINTS)[:, None]
-        line = p[..., None, :] * (1.0 - share) + self._goal * share
-        seen = np.all(self._free.contains(line), axis=-1)
+        seen = self._free.in_sight(p, self._goal)
         cell, offset = self._free.nearest_cells(p)
         around = np.maximum(self._lengths[cell] + offset, straight)
         return np.asarray(np.where(seen | (straight < CELL), straight, around))

@@ -16,6 +16,8 @@ from tapping_cell.planning.conservative import ConservativePlanner
 from tapping_cell.planning.errors import PlanningError, UnknownPlannerError
 from tapping_cell.planning.exact import ExactPlanner
 from tapping_cell.planning.interface import Planner
+from tapping_cell.planning.multi import multi_planner
+from tapping_cell.planning.optimal import OptimalPlanner
 from tapping_cell.planning.settings import PlannerSettings
 
 ENTRY_POINT_GROUP = "tapping_cell.planners"
@@ -23,6 +25,8 @@ ENTRY_POINT_GROUP = "tapping_cell.planners"
 BUILT_IN: dict[str, Callable[[PlannerSettings], Planner]] = {
     "exact": ExactPlanner,
     "conservative": ConservativePlanner,
+    "multi": multi_planner,
+    "optimal": OptimalPlanner,
 }
 
 
@@ -51,6 +55,8 @@ def make_planner(
         PlanningError: a registered method that cannot be loaded or is not a ``Planner``.
     """
     settings = PlannerSettings() if settings is None else settings
+    if name == "optimal":
+        return OptimalPlanner(settings, background=background)
     if name in BUILT_IN:
         return BUILT_IN[name](settings)
     registered = _registered()

@@ -1,0 +1,158 @@
+"""Multi-tap plans: cones chained back from the stopping box (Huang and Mason, section 4.3).
+
+Cone 0 is the box. A state belongs to cone i when some tap takes its whole error line, the rotation
+times 1 +- ``error_line``, into the cones below i. At a distance r the cones are intervals
+|theta| <= h_i(r), since with rotations from 0 to the largest the error lines cover everything below:
+
+    h_i(r) = largest over taps d of  H + (1 - s) min(k |d|, H / s),   H = h_(i-1)(|r - d|)
+
+(the far end of the line must stay below H, its near end above -H). With error lines of 60 % the
+paper's task takes five taps that are guaranteed as far as the lines hold the errors, with 30 % two.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tapping_cell.planning.errors import PlanningError
+from tapping_cell.planning.interface import Array, Taps
+from tapping_cell.planning.settings import PlannerSettings
+
+ERROR_LINE = 0.6
+"""Four standard deviations of the rotation's scatter, 15 %; five taps for the paper's task."""
+
+AIM = 0.3
+"""The last tap must aim within this share of the box's distance from the goal."""
+
+FARTHEST = 0.35
+"""Distance in m up to which cones are chained."""
+
+MOST_CONES = 200
+TAP_RATIO = 1.05
+ROWS = 2048
+"""States looked at in one go, which bounds the memory."""
+
+
+class MultiPlanner:
+    """Follows the cones: each tap leads into a lower cone, whatever its error within the line.
+
+    Of the taps that keep this guarantee the one is taken whose expected end lies in the lowest
+    cone, and of those the shortest.
+    """
+
+    name = "multi"
+
+    def __init__(self, settings: PlannerSettings) -> None:
+        self.settings = settings
+        self.error_line = ERROR_LINE if settings.error_line is None else settings.error_line
+        if self.error_line <= 0.0:
+            raise PlanningError("the method multi needs an error_line above 0, such as 0.6")
+        least, most = settings.smallest_distance, settings.largest_distance
+        steps = math.floor(math.log(most / least) / math.log(TAP_RATIO))
+        sizes = np.append(least * TAP_RATIO ** np.arange(steps + 1), most)
+        self._taps = np.concatenate([sizes, -sizes])
+        near = np.arange(0.0, 4.0 * least, least / 20.0)
+        far = np.geomspace(4.0 * least, max(FARTHEST, 2.0 * most), 220)
+        self.distances: Array = np.concatenate([near, far])
+        self.cones: Array = self._chain()
+        """Half openings h_i (rad) at ``distances``, one row a cone from cone 1; -1 where empty."""
+
+    def planned_taps(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
+        """The cone of a state: how many taps the plan has, 0 inside the box."""
+        r, theta = np.broadcast_arrays(
+            np.asarray(distance, dtype=float), np.abs(np.asarray(rotation, dtype=float))
+        )
+        box = self.settings.stopping
+        level = np.ones(r.shape, dtype=int)
+        for opening in self.cones[:-1]:
+            outside = np.interp(r, self.distances, opening) < theta
+            if not np.any(outside):
+                break
+            level += outside
+        return np.where((r <= box.distance) & (theta <= box.rotation), 0, level)
+
+    def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
+        """Taps of the plan; a share of the path's length tells states of one cone apart."""
+        settings = self.settings
+        path = np.maximum(np.asarray(distance), np.abs(rotation) / settings.cone_slope)
+        return self.planned_taps(distance, rotation) + 0.2 * path / settings.largest_distance
+
+    def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
+        """The next tap down the cones; outside all of them, the one that comes nearest."""
+        r, signed = np.broadcast_arrays(
+            np.asarray(distance, dtype=float), np.asarray(rotation, dtype=float)
+        )
+        flat_r, flat_theta = r.ravel(), np.abs(signed).ravel()
+        tap, turn = np.empty(flat_r.size), np.empty(flat_r.size)
+        for start in range(0, flat_r.size, ROWS):
+            rows = slice(start, start + ROWS)
+            tap[rows], turn[rows] = self._choose_rows(flat_r[rows], flat_theta[rows])
+        sense = np.where(signed < 0.0, -1.0, 1.0)
+        return Taps(tap.reshape(r.shape), sense * turn.reshape(r.shape))
+
+    def _choose_rows(self, r: Array, theta: Array) -> tuple[Array, Array]:
+        settings, line = self.settings, self.error_line
+        own = np.clip(r, settings.smallest_distance, settings.largest_distance)
+        taps = np.concatenate(
+            [own[:, None], np.broadcast_to(self._taps, (r.size, self._taps.size))], axis=1
+        )
+        level = np.maximum(self.planned_taps(r, theta), 1)
+        end = np.abs(r[:, None] - taps)
+        below = np.empty_like(taps)
+        for cone in np.unique(level):
+            rows = level == cone
+            below[rows] = self._opening(int(cone) - 1, end[rows])
+        angle = theta[:, None]
+        least = np.maximum((angle - below) / (1.0 - line), 0.0)
+        most = np.minimum(settings.cone_slope * np.abs(taps), (angle + below) / (1.0 + line))
+        keeps = (below > 0.0) & (least <= most * (1.0 + 1e-9))
+        turn = np.minimum(np.clip(angle, least, np.maximum(least, most)), np.maximum(most, 0.0))
+        left = np.abs(angle - turn)
+        cost = self.planned_taps(end, left) + np.abs(taps) / settings.largest_distance
+        cost[:, 0] -= np.where(level == 1, 10.0, 0.0)  # the last tap aims at the goal itself
+        lost = 1e6 + np.maximum(end, left / settings.cone_slope)
+        best = np.argmin(np.where(keeps, cost, lost), axis=1)
+        index = np.arange(r.size)
+        return taps[index, best], turn[index, best]
+
+    def _chain(self) -> Array:
+        """Openings of the cones, until the outermost holds every rotation at every distance."""
+        settings, line = self.settings, self.error_line
+        own = np.clip(self.distances, settings.smallest_distance, settings.largest_distance)
+        taps = np.concatenate(
+            [own[:, None], np.broadcast_to(self._taps, (own.size, self._taps.size))], axis=1
+        )
+        end = np.abs(self.distances[:, None] - taps)
+        cones: list[Array] = []
+        before = np.full(self.distances.size, -1.0)
+        while len(cones) < MOST_CONES:
+            below = self._box_opening(end) if not cones else np.interp(
+                end, self.distances, before
+            )
+            widest = np.minimum(settings.cone_slope * np.abs(taps), below / line)
+            opening = np.where(below > 0.0, below + (1.0 - line) * widest, -1.0)
+            grown = np.maximum(before, opening.max(axis=1))
+            cones.append(grown)
+            if float(grown.min()) >= math.pi or np.array_equal(grown, before):
+                break
+            before = grown
+        return np.array(cones)
+
+    def _opening(self, cone: int, distance: Array) -> Array:
+        if cone == 0:
+            return self._box_opening(distance)
+        return np.interp(distance, self.distances, self.cones[cone - 1])
+
+    def _box_opening(self, distance: Array) -> Array:
+        box = self.settings.stopping
+        return np.where(distance <= AIM * box.distance, box.rotation, -1.0)
+
+
+@functools.lru_cache(maxsize=8)
+def multi_planner(settings: PlannerSettings) -> MultiPlanner:
+    """The method with its cones, kept for settings used before."""
+    return MultiPlanner(settings)

@@ -1,0 +1,147 @@
+"""The optimal method: the plan with the fewest expected taps, solved once and looked up."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tapping_cell.planning.exact import ExactPlanner
+from tapping_cell.planning.interface import Array, Planner, Taps
+from tapping_cell.planning.policy_cache import keep_policy, load_policy
+from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.value_iteration import Solution, solve
+
+ALIKE = 0.35
+"""Neighbouring taps are interpolated when they differ by less than this share of the larger one."""
+
+
+class OptimalPolicy:
+    """A solved plan as a planning method: bilinear interpolation of the taps on its grid.
+
+    Where the four taps around a state are of different kinds (retreat beside overshoot) the nearest
+    one is taken, since their mean would be neither.
+    """
+
+    name = "optimal"
+
+    def __init__(self, settings: PlannerSettings, solution: Solution) -> None:
+        self.settings = settings
+        self._solution = solution
+
+    def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
+        """The tap with the fewest expected taps in all."""
+        i, u, j, v, sense = self._cell(distance, rotation)
+        tap = _blend(self._solution.tap, i, u, j, v)
+        turn = _blend(self._solution.turn, i, u, j, v)
+        taps = np.stack([self._solution.tap[i + a, j + b] for a in (0, 1) for b in (0, 1)])
+        turns = np.stack([self._solution.turn[i + a, j + b] for a in (0, 1) for b in (0, 1)])
+        size = np.max(np.abs(taps), axis=0)
+        unlike = (np.ptp(taps, axis=0) > ALIKE * size) | (
+            np.ptp(turns, axis=0) > ALIKE * self.settings.cone_slope * size
+        )
+        near = (i + (u > 0.5), j + (v > 0.5))
+        tap = np.where(unlike, self._solution.tap[near], tap)
+        turn = np.where(unlike, self._solution.turn[near], turn)
+        most = self.settings.cone_slope * np.abs(tap)
+        return Taps(tap, sense * np.minimum(turn, most))
+
+    def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
+        """Expected taps from there, 0 inside the stopping box."""
+        i, u, j, v, _ = self._cell(distance, rotation)
+        box = self.settings.stopping
+        inside = (np.asarray(distance) <= box.distance) & (np.abs(rotation) <= box.rotation)
+        return np.asarray(np.where(inside, 0.0, _blend(self._solution.value, i, u, j, v)))
+
+    def _cell(
+        self, distance: ArrayLike, rotation: ArrayLike
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        r, signed = np.broadcast_arrays(
+            np.asarray(distance, dtype=float), np.asarray(rotation, dtype=float)
+        )
+        i, u = _bracket(self._solution.distances, r)
+        j, v = _bracket(self._solution.rotations, np.abs(signed))
+        return i, u, j, v, np.where(signed < 0.0, -1.0, 1.0)
+
+
+class OptimalPlanner:
+    """The optimal method for given settings: from the cache, or solved now, or in the background.
+
+    While a plan is solved in the background, ``fallback`` (exact two-tap plans unless given)
+    answers, and ``name`` says so.
+    """
+
+    def __init__(
+        self,
+        settings: PlannerSettings,
+        *,
+        background: bool = False,
+        fallback: Planner | None = None,
+    ) -> None:
+        self.settings = settings
+        self._fallback: Planner = ExactPlanner(settings) if fallback is None else fallback
+        self._ready = threading.Event()
+        self._policy: OptimalPolicy | None = None
+        self._failure: BaseException | None = None
+        kept = load_policy(settings)
+        if kept is not None:
+            self._policy = OptimalPolicy(settings, kept)
+            self._ready.set()
+        elif background:
+            threading.Thread(target=self._solve, name="optimal-plan", daemon=True).start()
+        else:
+            self._solve()
+            if self._failure is not None:
+                raise self._failure
+
+    @property
+    def ready(self) -> bool:
+        """Whether the optimal plan answers."""
+        return self._policy is not None
+
+    @property
+    def failure(self) -> BaseException | None:
+        """Why solving in the background failed, if it did; the fallback keeps answering."""
+        return self._failure
+
+    @property
+    def name(self) -> str:
+        """"optimal", or the fallback's name while the plan is being solved."""
+        return "optimal" if self.ready else f"{self._fallback.name} (optimal is being solved)"
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until the plan is solved, at most ``timeout`` s; returns ``ready``."""
+        self._ready.wait(timeout)
+        return self.ready
+
+    def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
+        """The optimal tap, or the fallback's while the plan is being solved."""
+        return (self._policy or self._fallback).choose(distance, rotation)
+
+    def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
+        """Expected taps, or the fallback's count while the plan is being solved."""
+        return (self._policy or self._fallback).taps_to_go(distance, rotation)
+
+    def _solve(self) -> None:
+        try:
+            solution = solve(self.settings)
+            keep_policy(self.settings, solution)
+            self._policy = OptimalPolicy(self.settings, solution)
+        except Exception as error:  # kept for whoever asks: a thread has no caller to raise to
+            self._failure = error
+        finally:
+            self._ready.set()
+
+
+def _bracket(grid: Array, values: Array) -> tuple[Array, Array]:
+    """Index of the grid's cell of each value and the share of the way through it, in [0, 1]."""
+    index = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, grid.size - 2)
+    share = (values - grid[index]) / (grid[index + 1] - grid[index])
+    return index, np.clip(share, 0.0, 1.0)
+
+
+def _blend(table: Array, i: Array, u: Array, j: Array, v: Array) -> Array:
+    low = (1.0 - v) * table[i, j] + v * table[i, j + 1]
+    high = (1.0 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
+    return np.asarray((1.0 - u) * low + u * high)

@@ -1,0 +1,76 @@
+"""Solved plans on disk, named by what they were solved for.
+
+One file a plan in ``$XDG_CACHE_HOME/tapping_cell/policies`` (``~/.cache`` where that is not set). A
+file is written beside its place and renamed, so that a reader never sees half of one; a file that
+cannot be read is solved again. A disk that cannot be written costs the time of solving, no more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import os
+import tempfile
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.value_iteration import Solution
+
+FORMAT = 1
+"""To be raised whenever the solver would give other plans for the same settings."""
+
+MOST_FILES = 64
+
+_log = logging.getLogger(__name__)
+
+
+def cache_folder() -> Path:
+    """Where solved plans are kept (XDG base directory specification)."""
+    root = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
+    return Path(root) / "tapping_cell" / "policies"
+
+
+def policy_file(settings: PlannerSettings) -> Path:
+    """The file of the plan for these settings."""
+    digest = hashlib.sha256(f"format={FORMAT};{settings.key()}".encode()).hexdigest()
+    return cache_folder() / f"{digest[:32]}.npz"
+
+
+def load_policy(settings: PlannerSettings) -> Solution | None:
+    """The kept plan for these settings, or None where there is none that can be read."""
+    path = policy_file(settings)
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            solution = Solution(*(np.asarray(kept[name], dtype=float) for name in Solution._fields))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        _log.warning("the kept plan %s cannot be read (%s); solving it again", path, error)
+        return None
+    shape = (solution.distances.size, solution.rotations.size)
+    tables = (solution.value, solution.tap, solution.turn)
+    if any(table.shape != shape or not np.all(np.isfinite(table)) for table in tables):
+        _log.warning("the kept plan %s is damaged; solving it again", path)
+        return None
+    return solution
+
+
+def keep_policy(settings: PlannerSettings, solution: Solution) -> None:
+    """Write a solved plan; the oldest files beyond ``MOST_FILES`` are removed."""
+    path = policy_file(settings)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+            np.savez(part, **solution._asdict())
+        os.replace(part.name, path)
+        kept = sorted(path.parent.glob("*.npz"), key=lambda item: item.stat().st_mtime)
+        for old in kept[:-MOST_FILES]:
+            old.unlink(missing_ok=True)
+    except OSError as error:
+        _log.warning("the solved plan cannot be kept in %s: %s", path.parent, error)
+        with contextlib.suppress(OSError, UnboundLocalError):
+            os.unlink(part.name)

@@ -1,0 +1,250 @@
+"""Fewest expected taps: the stochastic shortest path over what remains (Bertsekas 2012, vol. 2, ch. 3).
+
+State: distance r >= 0 and rotation theta >= 0 to the goal (the other sense is its mirror image). A
+tap (d, turn) moves the state to
+
+    r'     = hypot(r - d (1 + a), |d| c)     a, c scatter of distance and direction, plus the camera
+    theta' = |theta - turn (1 + b)|          b scatter of rotation, plus the camera
+
+and the run ends inside the stopping box. The value W(r, theta) is the least expected number of taps
+when one more tap must be made; the value of a state is 0 inside the box and W outside. W is smooth
+(each tap blurs it), so it is kept on a product grid and interpolated linearly. Given the tap, r' and
+theta' are independent: the expectation over all taps from a state is two matrix products,
+
+    E = P_r W P_t^T - (the same over the part inside the box),
+
+where a row of P_r or P_t holds the expected weights of linear interpolation, exact integrals over
+the distribution. Policy iteration: all taps of the action grid are compared in each improvement, and
+the policy is evaluated by repeated sweeps between improvements.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from tapping_cell.planning.interface import Array
+from tapping_cell.planning.nominal import nominal_taps
+from tapping_cell.planning.settings import PlannerSettings
+
+RATIO = 1.08
+"""Ratio of neighbouring grid values far from the box, for states and for taps."""
+
+FINE_STEPS = 6
+"""Grid steps from the goal to the edge of the box."""
+
+FARTHEST = 0.35
+"""Distance in m beyond which the plan does not change."""
+
+SMALL_TURNS = 14
+"""Rotations on the action grid below the largest one of the smallest tap."""
+
+LATERAL_NODES = 8
+"""Nodes of the quadrature over the error of direction (half of it, by symmetry)."""
+
+IMPROVEMENTS = 12
+EVALUATIONS = 25
+SETTLED = 1e-3
+"""Stop when an improvement changes no state within ten taps by more than this many taps."""
+
+LEAST_DEVIATION = 0.01
+"""Floor of the deviations, as a share of the box: keeps the integrals finite without scatter."""
+
+
+class Solution(NamedTuple):
+    """A solved plan on the product grid of distances (m) and rotations (rad).
+
+    value: expected taps when one more must be made; tap, turn: that tap's distance and rotation.
+    """
+
+    distances: Array
+    rotations: Array
+    value: Array
+    tap: Array
+    turn: Array
+
+
+def solve(settings: PlannerSettings) -> Solution:
+    """Solve the shortest path for these settings; a few seconds."""
+    problem = _Problem(settings)
+    value = np.asarray(
+        nominal_taps(problem.r[:, None], problem.theta[None, :], settings) + 1.0, dtype=np.float32
+    )
+    best = problem.improve(value)
+    for _ in range(IMPROVEMENTS):
+        value = problem.evaluate(value, best)
+        improved = problem.improve(value)
+        change = float(np.max(np.abs(improved.value - value)))
+        best, value = improved, improved.value
+        if change < SETTLED:
+            break
+    return Solution(
+        problem.r,
+        problem.theta,
+        value.astype(float),
+        problem.taps[np.arange(problem.r.size)[:, None], best.tap],
+        problem.turns[np.arange(problem.theta.size)[None, :], best.turn],
+    )
+
+
+class _Improvement(NamedTuple):
+    value: Array
+    tap: Array  # index into the taps of the state's distance
+    turn: Array  # index into the turns of the state's rotation
+
+
+class _Problem:
+    """Grids and transition weights."""
+
+    def __init__(self, settings: PlannerSettings) -> None:
+        box = settings.stopping
+        least, most, k = settings.smallest_distance, settings.largest_distance, settings.cone_slope
+        scatter, camera = settings.scatter, settings.camera
+        self.slope = k
+        self.r, self.box_r = state_grid(box.distance, least, max(FARTHEST, 2.0 * most))
+        self.theta, self.box_t = state_grid(box.rotation, k * least, math.pi)
+
+        sizes = least * RATIO ** np.arange(math.ceil(math.log(most / least) / math.log(RATIO)) + 1)
+        sizes[-1] = most
+        signed = np.concatenate([sizes, -sizes])
+        own = np.clip(self.r, least, most)[:, None]
+        self.taps = np.concatenate([np.broadcast_to(signed, (self.r.size, signed.size)), own], 1)
+        small = k * least * RATIO ** np.arange(-SMALL_TURNS, 0.0)
+        turns = np.concatenate([[0.0], small, k * sizes])
+        self.turns = np.concatenate(
+            [np.broadcast_to(turns, (self.theta.size, turns.size)), self.theta[:, None]], axis=1
+        )
+
+        floor_r, floor_t = LEAST_DEVIATION * box.distance, LEAST_DEVIATION * box.rotation
+        look_r, look_t = 2.0 * camera.position**2, 2.0 * camera.angle**2
+        along = np.sqrt((scatter.distance * self.taps) ** 2 + look_r + floor_r**2)
+        aside = np.sqrt((scatter.direction * self.taps) ** 2 + look_r)
+        self.p_r = _radial_weights(self.r, self.r[:, None] - self.taps, along, aside)
+        spread = np.sqrt((scatter.rotation * self.turns) ** 2 + look_t + floor_t**2)
+        self.p_t = _folded_weights(self.theta, self.theta[:, None] - self.turns, spread)
+
+    def improve(self, value: Array) -> _Improvement:
+        """The best tap of every state against a value function."""
+        rows, columns = self.r.size, self.theta.size
+        after_turn, after_turn_in = self.p_t
+        flat = after_turn.reshape(-1, columns).T.copy()
+        inside = value[: self.box_r + 1, : self.box_t + 1]
+        flat_in = after_turn_in.reshape(-1, self.box_t + 1).T.copy()
+        shape = (self.taps.shape[1], columns, self.turns.shape[1])
+        best = _Improvement(
+            np.empty((rows, columns), dtype=np.float32),
+            np.empty((rows, columns), dtype=np.intp),
+            np.empty((rows, columns), dtype=np.intp),
+        )
+        for row in range(rows):
+            cost = (self.p_r[0][row] @ value) @ flat
+            cost -= (self.p_r[1][row] @ inside) @ flat_in
+            cost = cost.reshape(shape)
+            limit = self.slope * np.abs(self.taps[row]) * (1.0 + 1e-9)
+            cost[self.turns[None, :, :] > limit[:, None, None]] = np.inf
+            flattened = cost.transpose(1, 0, 2).reshape(columns, -1)
+            choice = np.argmin(flattened, axis=1)
+            best.value[row] = 1.0 + flattened[np.arange(columns), choice]
+            best.tap[row], best.turn[row] = np.divmod(choice, shape[2])
+        return best
+
+    def evaluate(self, value: Array, policy: _Improvement) -> Array:
+        """The value of always following a policy, from a first guess."""
+        rows, columns = np.indices(policy.tap.shape)
+        to_r, in_r = (weights[rows, policy.tap] for weights in self.p_r)
+        to_t, in_t = (weights[columns, policy.turn] for weights in self.p_t)
+        for _ in range(EVALUATIONS):
+            inside = value[: self.box_r + 1, : self.box_t + 1]
+            outer = np.einsum("ijk,ijk->ij", to_r @ value, to_t)
+            value = 1.0 + outer - np.einsum("ijk,ijk->ij", in_r @ inside, in_t)
+        return value
+
+
+def state_grid(box: float, smallest: float, farthest: float) -> tuple[Array, int]:
+    """Grid from 0 through the edge of the box to ``farthest``; also the index of the box's edge.
+
+    Even steps to a little beyond the box and the smallest tap, then steps that grow by RATIO.
+    """
+    step = box / FINE_STEPS
+    even = np.arange(0.0, max(2.0 * box, 2.0 * smallest) + step, step)
+    if even.size > 10 * FINE_STEPS:  # a box far smaller than the smallest tap
+        even = np.arange(0.0, 2.0 * box + step, step)
+    values = [*even.tolist()]
+    while values[-1] < farthest:
+        step = max(step, min(step * RATIO**2, values[-1] * (RATIO - 1.0)))
+        values.append(values[-1] + step)
+    values[-1] = farthest
+    if values[-1] - values[-2] < 0.5 * step:
+        del values[-2]
+    return np.array(values), FINE_STEPS
+
+
+def _weights(grid: Array, cumulative: Array, box: int, at_box: Array) -> tuple[Array, Array]:
+    """Expected weights of linear interpolation, from the integral of the distribution function.
+
+    ``cumulative`` holds I(z) = integral of F from 0 to z at the grid (last axis), ``at_box`` F at
+    the box's edge. Integration by parts of the hat function of node k against dF leaves the
+    difference of the slopes of I on both sides. The second result is the part inside the box.
+    """
+    slope = np.diff(cumulative, axis=-1) / np.diff(grid)
+    ends = np.ones((*slope.shape[:-1], 1))
+    upper = np.concatenate([slope, ends], axis=-1)
+    lower = np.concatenate([np.zeros_like(ends), slope], axis=-1)
+    whole = upper - lower
+    inside = whole[..., : box + 1].copy()
+    inside[..., box] = at_box - slope[..., box - 1]
+    return whole.astype(np.float32), inside.astype(np.float32)
+
+
+def _folded_weights(grid: Array, mean: Array, deviation: Array) -> tuple[Array, Array]:
+    """Weights for |N(mean, deviation)|: I(z) = H(z) + H(-z) - 2 H(0), H the integral of Phi."""
+    box = FINE_STEPS
+
+    def integral(z: Array) -> Array:
+        u = (z - mean[..., None]) / deviation[..., None]
+        density = np.exp(-0.5 * u * u) / math.sqrt(2.0 * math.pi)
+        return np.asarray(deviation[..., None] * (u * ndtr(u) + density))
+
+    cumulative = integral(grid) + integral(-grid) - 2.0 * integral(np.zeros(1))
+    edge = grid[box]
+    at_box = ndtr((edge - mean) / deviation) - ndtr((-edge - mean) / deviation)
+    return _weights(grid, cumulative, box, at_box)
+
+
+def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tuple[Array, Array]:
+    """Weights for hypot(N(mean, along), N(0, aside)).
+
+    The lateral part by nodes of equal probability, the integral over each cell of the grid by
+    Gauss's rule with three points.
+    """
+    box = FINE_STEPS
+    lateral = _normal_quantiles(LATERAL_NODES)
+
+    def distribution(z: Array) -> Array:
+        total = np.zeros((*mean.shape, z.size))
+        for node in lateral:
+            offset = (node * aside)[..., None]
+            chord = np.sqrt(np.maximum(z * z - offset * offset, 0.0))
+            upper = ndtr((chord - mean[..., None]) / along[..., None])
+            total += upper - ndtr((-chord - mean[..., None]) / along[..., None])
+        return total / lateral.size
+
+    points, shares = np.polynomial.legendre.leggauss(3)
+    width = np.diff(grid)
+    abscissae = (grid[:-1, None] + width[:, None] * (points + 1.0) / 2.0).reshape(-1)
+    values = distribution(abscissae).reshape(*mean.shape, width.size, 3)
+    cells = values @ (shares / 2.0) * width
+    cumulative = np.concatenate(
+        [np.zeros((*mean.shape, 1)), np.cumsum(cells, axis=-1)], axis=-1
+    )
+    return _weights(grid, cumulative, box, distribution(grid[box : box + 1])[..., 0])
+
+
+def _normal_quantiles(count: int) -> Array:
+    """Conditional means of |N(0, 1)| over ``count`` intervals of equal probability."""
+    edges = ndtri(0.5 + 0.5 * np.arange(count) / count)
+    density = np.append(np.exp(-0.5 * edges**2), 0.0) / math.sqrt(2.0 * math.pi)
+    return np.asarray(2.0 * count * -np.diff(density))
