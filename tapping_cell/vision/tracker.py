@@ -8,15 +8,22 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.se2 import Pose
+from tapping_cell.se2 import Pose, wrap_angle
 from tapping_cell.vision.camera import Array, CameraModel, Image, View
 from tapping_cell.vision.edges import MarkerEdges, refine
 from tapping_cell.vision.markers import UNIT_CORNERS, ObjectMarker, ReferenceMap, marker_pattern
-from tapping_cell.vision.object import fit_marker, marker_pose, object_pose
+from tapping_cell.vision.object import PoseFit, fit_marker, marker_pose, object_pose
 from tapping_cell.vision.observation import Observation, Problem
+from tapping_cell.vision.photometric import Template, align, make_template
 from tapping_cell.vision.rest import Motion, RestSettings, Track
 from tapping_cell.vision.search import Census, census, near, patterns_agree
 from tapping_cell.vision.table import TableSettings, TableState, TableTracker, pose_jacobian
+
+_SLOW = 0.0001
+_SLOW_TURN = 0.002
+"""Motion between frames (m, rad) below which the photometric alignment is worth its time."""
+_USUAL_BLUR = 0.65
+"""Sigma in pixels of a well focused lens with the pixel's own area; the first alignment corrects it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +85,7 @@ class PoseTracker:
         self._references_seen = -math.inf
         self._object: tuple[float, Array, Array] | None = None
         self._jacobian: tuple[Array, Array] | None = None
+        self._template: Template | None = None
         self._reference_quads: Array | None = None
         self._warning: tuple[float, str] = (-math.inf, "")
 
@@ -108,7 +116,7 @@ class PoseTracker:
             return problem
         if trouble is not None:
             return self._nothing(stamp, *trouble)
-        return self._observe(found, stamp)
+        return self._observe(image, found, stamp)
 
     # -- what may be wrong with a frame before anything is looked for
 
@@ -312,12 +320,12 @@ class PoseTracker:
 
     # -- the object
 
-    def _observe(self, found: _Found, stamp: float) -> Observation:
+    def _observe(self, image: Image, found: _Found, stamp: float) -> Observation:
         view = self.view
         fit = None
         if found.object_row is not None and view is not None:
             fit = fit_marker(view, found.edges, found.object_row, self.marker)
-        if fit is None:
+        if fit is None or view is None:
             if self._object is not None and stamp - self._object[0] > 0.1:
                 self._object = (self._object[0], self._object[1], np.zeros(3))
             return self._nothing(
@@ -325,7 +333,6 @@ class PoseTracker:
                 Problem.OBJECT_HIDDEN,
                 f"the object's marker {self.marker.id} is not seen, or not the whole of it",
             )
-        pose, covariance = object_pose(fit.pose, fit.covariance, self.marker)
         stretch = fit.size / self.marker.size - 1.0
         if abs(stretch) > self.settings.size_tolerance:
             return self._nothing(
@@ -335,9 +342,29 @@ class PoseTracker:
                 f"{self.marker.size * 1e3:.1f} mm (limit {self.settings.size_tolerance * 100:.0f} %): "
                 "lifted, tilted or not the size and height of the object file",
             )
+        pose, covariance = self._measured(image, view, fit)
         motion = self._track.add(stamp, pose, covariance)
         self._object = (stamp, pose, motion.velocity)
         return self._good(motion, stamp)
+
+    def _measured(self, image: Image, view: View, fit: PoseFit) -> tuple[Array, Array]:
+        """Pose and covariance of the object: by edges, and by all pixels when it hardly moves."""
+        pose, covariance = object_pose(fit.pose, fit.covariance, self.marker)
+        if self._object is None:
+            return pose, covariance
+        step = pose - self._object[1]
+        slow = math.hypot(step[0], step[1]) < _SLOW and abs(wrap_angle(step[2])) < _SLOW_TURN
+        if not slow:
+            return pose, covariance
+        pixel = float(view.pose.translation[2]) / view.camera.fx
+        if self._template is None:
+            self._template = make_template(self.marker, pixel, _USUAL_BLUR * pixel)
+        aligned = align(image, view, self._template, self.marker, fit.pose)
+        if aligned is None:
+            return pose, covariance
+        if abs(aligned.blur / self._template.blur - 1.0) > 0.15:
+            self._template = make_template(self.marker, pixel, aligned.blur)
+        return object_pose(aligned.pose, aligned.covariance, self.marker)
 
     def _good(self, motion: Motion, stamp: float) -> Observation:
         since, sentence = self._warning

@@ -1,0 +1,191 @@
+"""Photometric alignment of a marker at rest: every pixel of the pattern says where it is.
+
+The grey values are explained by the printed pattern, blurred, seen through the known camera from the
+known height: three unknowns of the pose; light and ink enter linearly (a gain and an offset, each with
+a gradient across the marker), and so does, to first order, what the blur differs from the assumed one.
+Gauss-Newton from the pose that the edges gave (Lucas and Kanade 1981; Baker and Matthews 2004 for the
+family). A symmetric blur moves no edge, so the answer has no bias from it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.vision.camera import Array, CameraModel, Image, View
+from tapping_cell.vision.markers import ObjectMarker, marker_pattern
+
+_MARGIN = 0.4
+"""Modules of the white border that take part: beyond, a neighbour may begin."""
+_LARGEST_STEP = 0.5
+"""Pixels that the answer may lie from the start; the edges are never so wrong."""
+_SMALLEST_STEP = 0.002
+"""Pixels; Gauss-Newton has converged (a tenth of what the noise of one frame allows)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Template:
+    """The pattern around its middle, blurred: value (0 black, 1 white), its derivatives along u and v
+    and its Laplacian (per m, per m^2), texture (n, n, 4); ``blur`` is the Gaussian's sigma in m.
+    """
+
+    texture: NDArray[np.float32]
+    texel: float
+    blur: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """Pose (3,) of the marker in table, its covariance (3, 3) from pixel noise; ``noise`` the grey
+    levels that remain, ``blur`` the sigma in m that would have fitted best.
+    """
+
+    pose: Array
+    covariance: Array
+    noise: float
+    blur: float
+
+
+def make_template(marker: ObjectMarker, pixel: float, blur: float) -> Template:
+    """The template of a marker for a camera whose pixel is ``pixel`` m wide there."""
+    pattern = marker_pattern(marker.dictionary, marker.id)
+    module = marker.size / pattern.shape[0]
+    each = int(np.clip(math.ceil(3.5 * module / pixel), 3, 48))
+    texel = module / each
+    sheet = np.kron(np.pad(pattern, 2, constant_values=True), np.ones((each, each)))
+    sigma = blur / texel
+    soft = cv2.GaussianBlur(sheet, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+    down, right = np.gradient(soft, texel)
+    laplacian = np.gradient(right, texel, axis=1) + np.gradient(down, texel, axis=0)
+    # Rows go down, v goes up.
+    return Template(np.stack([soft, right, -down, laplacian], -1).astype(np.float32), texel, blur)
+
+
+def align(
+    image: Image, view: View, template: Template, marker: ObjectMarker, start: Array
+) -> Alignment | None:
+    """Marker pose near ``start`` (3,), which must be right to a fraction of a pixel.
+
+    None if it does not converge there, or if the pattern does not explain the image.
+    """
+    pixels = _pixels(image, view, marker, start)
+    if pixels is None:
+        return None
+    x, y, grey = pixels
+    pixel = float(view.pose.translation[2]) / view.camera.fx
+    pose = start.copy()
+    weight: Array | None = None
+    gain = np.full(x.shape, float(np.ptp(grey)))
+    for iteration in range(6):
+        columns, fixed = _columns(template, marker, x, y, pose, gain)
+        weighted = columns if weight is None else columns * weight[:, None]
+        information = weighted.T @ columns
+        try:
+            answer = np.linalg.solve(information, weighted.T @ grey)
+        except np.linalg.LinAlgError:
+            return None
+        step = answer[7:]
+        pose = pose + step
+        gain = fixed @ answer[:3]
+        size = max(math.hypot(step[0], step[1]), abs(step[2]) * 0.5 * marker.size) / pixel
+        if not math.isfinite(size) or size > _LARGEST_STEP:
+            return None
+        residual = grey - columns @ answer
+        spread = 1.4826 * float(np.median(np.abs(residual)))
+        if weight is not None and size < _SMALLEST_STEP:
+            break
+        if iteration > 0 or size < 0.05:
+            weight = np.minimum(1.0, 3.0 * max(spread, 0.3) / np.maximum(np.abs(residual), 1e-6))
+    else:
+        return None
+    moved = pose - start
+    if math.hypot(moved[0], moved[1]) > _LARGEST_STEP * pixel:
+        return None
+    contrast = float(gain.mean())
+    noise = max(math.sqrt(float((weight * residual**2).sum() / weight.sum())), spread, 0.3)
+    if contrast < 12.0 or noise > 0.12 * contrast:
+        return None
+    covariance = np.linalg.inv(information)[7:, 7:] * noise**2
+    softening = template.blur**2 + 2.0 * float(answer[6])
+    blur = math.sqrt(max(softening, (0.3 * pixel) ** 2))
+    return Alignment(pose, covariance, noise, blur)
+
+
+def _pixels(
+    image: Image, view: View, marker: ObjectMarker, start: Array
+) -> tuple[Array, Array, Array] | None:
+    """Where the pixels on the marker see its plane (m, table) and their grey values."""
+    modules = marker_pattern(marker.dictionary, marker.id).shape[0]
+    reach = marker.size * (0.5 + _MARGIN / modules)
+    cos, sin = math.cos(start[2]), math.sin(start[2])
+    square = reach * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    corners = square @ np.array([[cos, sin], [-sin, cos]]) + start[:2]
+    seen = view.project(corners, marker.height)
+    x0, y0 = np.floor(seen.min(axis=0)).astype(int)
+    x1, y1 = np.ceil(seen.max(axis=0)).astype(int) + 1
+    camera = view.camera
+    if x0 < 0 or y0 < 0 or x1 > camera.width or y1 > camera.height:
+        return None
+    points = view.rays_on_plane(window_rays(camera, x0, y0, x1, y1), marker.height)
+    x, y = points[..., 0], points[..., 1]
+    dx, dy = x - start[0], y - start[1]
+    inside = np.maximum(np.abs(cos * dx + sin * dy), np.abs(cos * dy - sin * dx)) < reach
+    chosen = np.flatnonzero(inside)
+    # The textures are sampled in rows of 64: a few pixels less.
+    chosen = chosen[: len(chosen) // 64 * 64]
+    if len(chosen) < 256:
+        return None
+    grey = image[y0:y1, x0:x1].ravel()[chosen].astype(float)
+    return x.ravel()[chosen], y.ravel()[chosen], grey
+
+
+def _columns(
+    template: Template, marker: ObjectMarker, x: Array, y: Array, pose: Array, gain: Array
+) -> tuple[Array, Array]:
+    """Design matrix (N, 10): gain and gradients, offset and gradients, blur, x, y, theta; and the
+    columns (N, 3) that a gain's values multiply.
+    """
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    dx, dy = x - pose[0], y - pose[1]
+    u, v = cos * dx + sin * dy, cos * dy - sin * dx
+    middle = 0.5 * template.texture.shape[0] - 0.5
+    found = cv2.remap(
+        template.texture,
+        (u / template.texel + middle).astype(np.float32).reshape(-1, 64),
+        (middle - v / template.texel).astype(np.float32).reshape(-1, 64),
+        cv2.INTER_LINEAR,
+    ).reshape(-1, 4)
+    value = found[:, 0]
+    by_u, by_v = gain * found[:, 1], gain * found[:, 2]
+    across, up = u / marker.size, v / marker.size
+    fixed = np.stack([np.ones_like(u), across, up], axis=-1)
+    columns = np.empty((len(u), 10))
+    columns[:, :3] = fixed * value[:, None]
+    columns[:, 3:6] = fixed
+    columns[:, 6] = gain * found[:, 3]
+    columns[:, 7] = -cos * by_u + sin * by_v
+    columns[:, 8] = -sin * by_u - cos * by_v
+    columns[:, 9] = v * by_u - u * by_v
+    return columns, fixed
+
+
+def window_rays(camera: CameraModel, x0: int, y0: int, x1: int, y1: int) -> Array:
+    """Directions (y1 - y0, x1 - x0, 2) of the pixels of a window of the image.
+
+    A lens is smooth: exact at 8 x 8 Chebyshev nodes, polynomial between (error below 1e-6 pixel for
+    windows of a few hundred pixels).
+    """
+    degree = 7
+    nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+    half_x, half_y = 0.5 * (x1 - 1 - x0) + 0.5, 0.5 * (y1 - 1 - y0) + 0.5
+    mid_x, mid_y = 0.5 * (x0 + x1 - 1), 0.5 * (y0 + y1 - 1)
+    grid = np.stack(np.meshgrid(mid_x + half_x * nodes, mid_y + half_y * nodes), axis=-1)
+    known = camera.rays(grid)
+    inverse = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
+    at_x = np.polynomial.chebyshev.chebvander((np.arange(x0, x1) - mid_x) / half_x, degree) @ inverse
+    at_y = np.polynomial.chebyshev.chebvander((np.arange(y0, y1) - mid_y) / half_y, degree) @ inverse
+    return np.stack([at_y @ known[..., i] @ at_x.T for i in (0, 1)], axis=-1)
