@@ -1,0 +1,461 @@
+"""The arm's driver: safe moves of a SCARA through a controller's dialect.
+
+Success of a move is: idle, and a position read back within tolerance. No motion before homing; after
+a stop, a reset or an alarm everything is forgotten and homing is demanded again.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+
+from tapping_cell.hardware.dialect import ArmDialect, AxisValues, Firmware
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.motion import Waypoint, check_limits, move_duration
+from tapping_cell.hardware.scara import Joints, ScaraGeometry
+from tapping_cell.hardware.transport import Transport
+
+MOVE_ATTEMPTS = 3
+"""A line that was lost or garbled is sent again this often while the arm stands where it stood."""
+
+UNHOMING = frozenset(
+    {
+        FaultReason.STOPPED,
+        FaultReason.ALARM,
+        FaultReason.BOARD_RESET,
+        FaultReason.POSITION_LOST,
+        FaultReason.HOMING_FAILED,
+    }
+)
+"""Faults after which the arm's position is not trusted."""
+
+
+class HomingStrategy(Enum):
+    """How the arm learns where it is."""
+
+    FIRMWARE = "firmware"
+    """The controller's own cycle with home switches (``$H``, ``G28``)."""
+    MANUAL_POSE = "manual_pose"
+    """A person has moved the arm to the marked pose; it is declared to be there."""
+    NONE = "none"
+    """The controller knows its position by itself (absolute encoders)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmSettings:
+    """The arm's wiring, homing and tolerances; SI."""
+
+    axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
+    """Direction of each controller axis against the joint: 1 or -1."""
+    home_joints: tuple[float, float, float, float] | None = (0.0, 1.5708, 0.0, 0.0)
+    """Joints where homing ends or the marked pose stands; None trusts the firmware's own zero."""
+    homing_timeout: float = 60.0
+    """s."""
+    reply_timeout: float = 2.0
+    """Longest time without any answer to a question, s."""
+    move_factor: float = 1.5
+    """A move may take this times its computed duration ..."""
+    move_margin: float = 2.0
+    """... and this much more, s."""
+    tolerance_angle: float = 1e-3
+    """Largest difference between a target and the position read back, rad."""
+    tolerance_quill: float = 1e-4
+    """The same for the quill, m."""
+    settle_time: float = 0.15
+    """Rest after the last waypoint of a path before it counts as reached, s."""
+
+    def __post_init__(self) -> None:
+        if any(sign not in (1, -1) for sign in self.axis_sign):
+            raise ValueError(f"axis_sign {self.axis_sign}: each must be 1 or -1")
+
+
+@dataclass(frozen=True, slots=True)
+class ArmReading:
+    """Where the arm is, read from the controller."""
+
+    joints: Joints
+    moving: bool
+    alarm: str
+    """Empty, or why the controller refuses to move."""
+    measured: bool
+    """False where the controller can only repeat what it was commanded."""
+    stamp: float
+    """Time of the transport's steady clock just before the question was sent, s."""
+
+
+@dataclass(slots=True)
+class ArmCounters:
+    """Figures for diagnostics."""
+
+    moves: int = 0
+    retries: int = 0
+    reconnects: int = 0
+    stops: int = 0
+    last_error: str = ""
+
+
+class ArmDriver:
+    """One arm on one line. All calls block and belong to one thread; ``stop`` to any."""
+
+    def __init__(
+        self,
+        transport: Transport,
+        dialect: ArmDialect,
+        geometry: ScaraGeometry,
+        settings: ArmSettings | None = None,
+    ) -> None:
+        self.geometry = geometry
+        self.settings = settings or ArmSettings()
+        self.counters = ArmCounters()
+        self._transport = transport
+        self._dialect = dialect
+        self._firmware: Firmware | None = None
+        self._connected = False
+        self._homed = False
+        self._confirmed: Joints | None = None
+        self._fault: HardwareFault | None = None
+        self._stopped = threading.Event()
+
+    @property
+    def firmware(self) -> Firmware | None:
+        """Who answered at the last connect."""
+        return self._firmware
+
+    @property
+    def connected(self) -> bool:
+        """Whether the line is open and the controller was understood."""
+        return self._connected and self._transport.is_open
+
+    @property
+    def homed(self) -> bool:
+        """Whether the joint values can be trusted."""
+        return self._homed and not self._stopped.is_set()
+
+    @property
+    def fault(self) -> HardwareFault | None:
+        """The latched fault that ``clear_fault`` ends; None when the arm may move."""
+        return self._fault
+
+    @property
+    def line_counters(self) -> object:
+        """Retries, resends, timeouts and unreadable lines of the dialect."""
+        return self._dialect.counters
+
+    def connect(self, timeout: float = 5.0) -> Firmware:
+        """Open the line (waiting for the port), identify the controller, read where it is.
+
+        Homing survives a reconnect only when the controller proves that it was not reset and stands
+        where it stood; else it must be homed again. Raises HardwareFault: PORT_MISSING, PORT_BUSY,
+        UNKNOWN_FIRMWARE, SETTINGS_MISMATCH, TIMEOUT.
+        """
+        self._connected = False
+        deadline = self._transport.now() + timeout
+        try:
+            self._transport.open(timeout)
+            if self._firmware is not None:
+                self.counters.reconnects += 1
+            firmware = self._dialect.connect(deadline)
+            self._firmware = firmware
+            self._connected = True
+            reading = self._read()
+        except HardwareFault as fault:
+            self._note(fault)
+            raise
+        held = self._confirmed is not None and self._agrees(self._confirmed, reading.joints)
+        if not (firmware.continued and held and not reading.alarm):
+            self._homed = False
+            self._confirmed = None
+        return firmware
+
+    def close(self) -> None:
+        """Close the line; homing is kept only if the next connect proves it."""
+        self._connected = False
+        self._transport.close()
+
+    def home(self, strategy: HomingStrategy) -> Joints:
+        """Find out or declare where the arm is, read it back, and allow motion.
+
+        Raises HardwareFault: HOMING_FAILED, POSITION_MISMATCH, OUT_OF_RANGE, ALARM, STOPPED.
+        """
+        self._require_ready(homed=False)
+        self._homed = False
+        self._confirmed = None
+        try:
+            if strategy is HomingStrategy.FIRMWARE:
+                self._dialect.home(self._transport.now() + self.settings.homing_timeout)
+            joints = self._declare(strategy)
+        except HardwareFault as fault:
+            self._note(fault)
+            raise
+        self._confirmed = joints
+        self._homed = True
+        return joints
+
+    def read(self) -> ArmReading:
+        """Ask the controller where the arm is; before homing the joints mean nothing."""
+        self._require_line()
+        try:
+            return self._read()
+        except HardwareFault as fault:
+            self._note(fault)
+            raise
+
+    def read_joints(self) -> Joints:
+        """The joints, by question to the controller; raises NOT_HOMED before homing."""
+        self._require_ready(homed=True)
+        return self.read().joints
+
+    def move_to(
+        self, joints: Iterable[float], speed: float = 0.5, deadline: float | None = None
+    ) -> ArmReading:
+        """Move straight in joint space; returns when idle and read back within tolerance.
+
+        ``speed``: fraction of the joint speeds, in (0, 1]. ``deadline``: time of the transport's
+        clock, computed from the move when None. Raises HardwareFault: OUT_OF_RANGE, NOT_HOMED,
+        POSITION_LOST, POSITION_MISMATCH, TIMEOUT (the arm is then stopped), ALARM, STOPPED,
+        BOARD_RESET, REJECTED, DISCONNECTED.
+        """
+        goal = Joints(*joints)
+        if not 0 < speed <= 1:
+            raise HardwareFault(
+                FaultReason.OUT_OF_RANGE, f"speed {speed:g} must be a fraction in (0, 1]"
+            )
+        check_limits(self.geometry, goal)
+        self._require_ready(homed=True)
+        try:
+            reading = self._move(goal, speed, deadline)
+        except HardwareFault as fault:
+            self._note(fault)
+            raise
+        self.counters.moves += 1
+        return reading
+
+    def follow(self, path: Iterable[Waypoint]) -> ArmReading:
+        """Take the waypoints one by one, settle, and read back once more; raises as ``move_to``."""
+        last: Joints | None = None
+        for waypoint in path:
+            self.move_to(waypoint.joints, waypoint.speed)
+            last = waypoint.joints
+        self._require_ready(homed=True)
+        try:
+            self._wait(self.settings.settle_time)
+            reading = self._read()
+            if last is not None and (reading.moving or not self._agrees(last, reading.joints)):
+                raise self._mismatch(last, reading.joints)
+        except HardwareFault as fault:
+            self._note(fault)
+            raise
+        return reading
+
+    def stop(self) -> bool:
+        """From any thread: stop at once; latches until ``clear_fault``.
+
+        Returns whether the stop bytes went out on the line. Best effort: the emergency stop is a
+        wire.
+        """
+        self._stopped.set()
+        self.counters.stops += 1
+        return self._transport.stop(self._dialect.stop_bytes)
+
+    def clear_fault(self, timeout: float = 5.0) -> None:
+        """End a latched fault or stop, opening the line again where it was lost.
+
+        After a stop, an alarm or a reset the arm must be homed again.
+        """
+        must_unlock = self._stopped.is_set() or self._fault is not None
+        self._transport.release()
+        self._stopped.clear()
+        try:
+            if not self.connected:
+                self.connect(timeout)
+            if must_unlock or self._read().alarm:
+                self._homed = False
+                self._confirmed = None
+                self._dialect.clear(self._transport.now() + timeout)
+        except HardwareFault as fault:
+            self._note(fault)
+            raise
+        self._fault = None
+
+    def _move(self, goal: Joints, speed: float, deadline: float | None) -> ArmReading:
+        start = self._read()
+        if start.alarm:
+            raise HardwareFault(
+                FaultReason.ALARM,
+                f"the arm's controller is {start.alarm}: clear the fault and home again",
+            )
+        if self._confirmed is None or not self._agrees(self._confirmed, start.joints):
+            raise HardwareFault(
+                FaultReason.POSITION_LOST,
+                f"the arm stands at {_in_words(start.joints)}, last confirmed at"
+                f" {_in_words(self._confirmed)}: it was moved or its controller restarted; clear the"
+                " fault and home again",
+            )
+        duration = move_duration(self.geometry, start.joints, goal, speed)
+        if deadline is None:
+            deadline = (
+                self._transport.now()
+                + self.settings.move_factor * duration
+                + self.settings.move_margin
+            )
+        reading = start
+        try:
+            for attempt in range(MOVE_ATTEMPTS):
+                self.counters.retries += attempt > 0
+                # From here on the arm may be anywhere between start and goal.
+                self._confirmed = None
+                reading = self._try_move(start.joints, goal, speed, deadline)
+                if self._agrees(goal, reading.joints):
+                    self._confirmed = reading.joints
+                    return reading
+                if not self._agrees(start.joints, reading.joints):
+                    break
+        except HardwareFault as fault:
+            if fault.reason is FaultReason.TIMEOUT:
+                self.stop()
+                raise HardwareFault(
+                    FaultReason.TIMEOUT,
+                    f"a move of {duration:.2f} s was not finished in time ({fault}); the arm was"
+                    " stopped: clear the fault and home again",
+                ) from fault
+            if fault.reason in (FaultReason.DISCONNECTED, FaultReason.REJECTED):
+                self._confirmed = None
+            raise
+        self._confirmed = reading.joints
+        raise self._mismatch(goal, reading.joints)
+
+    def _try_move(
+        self, start: Joints, goal: Joints, speed: float, deadline: float
+    ) -> ArmReading:
+        target = self._to_axes(goal)
+        length = math.dist(self._to_axes(start), target)
+        time = max(
+            abs(b - a) / (v * speed)
+            for a, b, v in zip(start, goal, self.geometry.max_speed, strict=True)
+        )
+        if time > 0 and length > 0:
+            try:
+                self._dialect.start_move(target, max(60 * length / time, 0.001), deadline)
+            except HardwareFault as fault:
+                if fault.reason is not FaultReason.REJECTED:
+                    raise
+                reading = self._read()
+                # A garbled line is refused; the caller sends it again while the arm stands still.
+                if reading.moving or not self._agrees(start, reading.joints):
+                    raise
+                self.counters.last_error = fault.sentence
+                return reading
+            self._dialect.finish_move(deadline)
+        reading = self._read()
+        while reading.moving:
+            if self._transport.now() > deadline:
+                raise HardwareFault(FaultReason.TIMEOUT, "the arm is still moving")
+            reading = self._read()
+        return reading
+
+    def _declare(self, strategy: HomingStrategy) -> Joints:
+        reading = self._read()
+        if reading.alarm:
+            raise HardwareFault(
+                FaultReason.ALARM,
+                f"the arm's controller is {reading.alarm}: clear the fault before homing"
+                f" by {strategy.value}",
+            )
+        home = self.settings.home_joints
+        if strategy is HomingStrategy.NONE or home is None:
+            check_limits(self.geometry, reading.joints)
+            return reading.joints
+        target = Joints(*home)
+        self._dialect.set_position(self._to_axes(target), self._reply_deadline())
+        reading = self._read()
+        if not self._agrees(target, reading.joints):
+            raise self._mismatch(target, reading.joints)
+        return reading.joints
+
+    def _read(self) -> ArmReading:
+        stamp = self._transport.now()
+        reading = self._dialect.read(self._reply_deadline())
+        return ArmReading(
+            self._to_joints(reading.axes), reading.moving, reading.alarm, reading.measured, stamp
+        )
+
+    def _reply_deadline(self) -> float:
+        return self._transport.now() + self.settings.reply_timeout
+
+    def _wait(self, duration: float) -> None:
+        """Rest without missing a stop; what comes on the line meanwhile belongs to the dialect."""
+        end = self._transport.now() + duration
+        while (left := end - self._transport.now()) > 0:
+            self._dialect.idle(left)
+
+    def _to_axes(self, joints: Joints) -> AxisValues:
+        a, b, c, d = self.settings.axis_sign
+        return AxisValues(
+            a * math.degrees(joints.shoulder),
+            b * math.degrees(joints.elbow),
+            c * joints.quill * 1e3,
+            d * math.degrees(joints.tool),
+        )
+
+    def _to_joints(self, axes: AxisValues) -> Joints:
+        a, b, c, d = self.settings.axis_sign
+        return Joints(
+            a * math.radians(axes.shoulder),
+            b * math.radians(axes.elbow),
+            c * axes.quill * 1e-3,
+            d * math.radians(axes.tool),
+        )
+
+    def _agrees(self, first: Joints, second: Joints) -> bool:
+        angle, quill = self.settings.tolerance_angle, self.settings.tolerance_quill
+        tolerances = (angle, angle, quill, angle)
+        return all(abs(a - b) <= t for a, b, t in zip(first, second, tolerances, strict=True))
+
+    def _mismatch(self, goal: Joints, found: Joints) -> HardwareFault:
+        return HardwareFault(
+            FaultReason.POSITION_MISMATCH,
+            f"the arm stands at {_in_words(found)}, was sent to {_in_words(goal)}; more than"
+            f" {math.degrees(self.settings.tolerance_angle):.3f} deg or"
+            f" {self.settings.tolerance_quill * 1e3:.2f} mm apart: look for an obstacle or a noisy"
+            " line, then move again",
+        )
+
+    def _require_line(self) -> None:
+        if self._stopped.is_set():
+            raise HardwareFault(
+                FaultReason.STOPPED, "the arm is stopped: make the cell safe, then clear the fault"
+            )
+        if not self.connected:
+            raise HardwareFault(
+                FaultReason.DISCONNECTED,
+                f"the arm on {self._transport.name} is not connected: connect first",
+            )
+
+    def _require_ready(self, homed: bool) -> None:
+        self._require_line()
+        if self._fault is not None:
+            raise self._fault
+        if homed and not self._homed:
+            raise HardwareFault(FaultReason.NOT_HOMED, "the arm is not homed: home it first")
+
+    def _note(self, fault: HardwareFault) -> None:
+        self.counters.last_error = fault.sentence
+        if fault.reason is FaultReason.DISCONNECTED:
+            self._connected = False
+        if fault.reason in UNHOMING:
+            self._homed = False
+            self._confirmed = None
+            if fault.reason is not FaultReason.HOMING_FAILED:
+                self._fault = fault
+
+
+def _in_words(joints: Joints | None) -> str:
+    if joints is None:
+        return "nowhere"
+    return (
+        f"({math.degrees(joints.shoulder):.3f} deg, {math.degrees(joints.elbow):.3f} deg,"
+        f" {joints.quill * 1e3:.3f} mm, {math.degrees(joints.tool):.3f} deg)"
+    )

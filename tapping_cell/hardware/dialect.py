@@ -1,0 +1,86 @@
+"""What the arm's driver needs of a controller's language."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+AXIS_COUNT = 4
+
+
+class AxisValues(NamedTuple):
+    """Axis values in the controller's units: degrees, degrees, mm, degrees."""
+
+    shoulder: float
+    elbow: float
+    quill: float
+    tool: float
+
+
+@dataclass(frozen=True, slots=True)
+class Firmware:
+    """Who answered on connect."""
+
+    name: str
+    version: str
+    continued: bool
+    """True when the controller proved that it was not reset since this driver last set it up."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisReading:
+    """One reading of the controller."""
+
+    axes: AxisValues
+    moving: bool
+    alarm: str
+    """Empty, or why the controller refuses to move."""
+    measured: bool
+    """False where the controller can only say what it was commanded (Marlin's ``M114``)."""
+
+
+@dataclass(slots=True)
+class LineCounters:
+    """What happened on the line since the driver was made."""
+
+    retries: int = 0
+    resends: int = 0
+    timeouts: int = 0
+    bad_lines: int = 0
+
+
+class ArmDialect(Protocol):
+    """A controller's language over one transport. Deadlines are times of the transport's clock.
+
+    Every call raises HardwareFault: TIMEOUT, DISCONNECTED, STOPPED, ALARM, BOARD_RESET, REJECTED.
+    """
+
+    counters: LineCounters
+
+    @property
+    def stop_bytes(self) -> bytes:
+        """What stops the motion at once, sent outside the queue."""
+
+    def connect(self, deadline: float) -> Firmware:
+        """Talk to the controller on a line just opened; raises UNKNOWN_FIRMWARE as well."""
+
+    def read(self, deadline: float) -> AxisReading:
+        """Ask where the axes are."""
+
+    def start_move(self, target: AxisValues, feed: float, deadline: float) -> None:
+        """Send one straight absolute move at ``feed`` units/min; returns once it is taken."""
+
+    def finish_move(self, deadline: float) -> None:
+        """Wait until the controller says that nothing moves any more."""
+
+    def idle(self, duration: float) -> None:
+        """Listen for up to ``duration`` s without asking anything."""
+
+    def home(self, deadline: float) -> None:
+        """Run the firmware's own homing cycle."""
+
+    def set_position(self, axes: AxisValues, deadline: float) -> None:
+        """Declare where the axes stand."""
+
+    def clear(self, deadline: float) -> None:
+        """After a stop or an alarm: bring the controller back to where it takes moves."""

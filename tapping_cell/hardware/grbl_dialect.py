@@ -1,0 +1,361 @@
+"""The Grbl 1.1 family spoken to an arm in joint space."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from tapping_cell.hardware import grbl
+from tapping_cell.hardware.dialect import (
+    AXIS_COUNT,
+    AxisReading,
+    AxisValues,
+    Firmware,
+    LineCounters,
+)
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.transport import Transport
+
+REPLY_TIMEOUT = 0.5
+"""Longest wait for an answer to a question, s: a report comes within 10 ms, a `$$` within 100 ms."""
+POLL_PERIOD = 0.02
+"""Between status questions while waiting, s; Grbl's documentation asks for at most 5 to 20 Hz in
+streaming and allows this rate when nothing is streamed."""
+MARK_LINE = b"G18\n"
+"""A modal state that changes nothing for straight moves and that every reset forgets: if it is still
+there after a reconnect, the controller was not reset."""
+
+
+@dataclass(frozen=True, slots=True)
+class GrblSettings:
+    """How the controller is wired, and what its ``$$`` must say."""
+
+    letters: str = "XYZA"
+    """Axis letters of shoulder, elbow, quill, tool."""
+    expected: Mapping[int, float] = field(default_factory=lambda: {13: 0.0})
+    """Settings that must hold, number to value; 13 = 0 means reports in mm and degrees."""
+    tolerance: float = 1e-3
+    """Relative difference forgiven in a setting."""
+
+    def __post_init__(self) -> None:
+        if len(set(self.letters)) != AXIS_COUNT or not set(self.letters) <= set("XYZABCUVW"):
+            raise ValueError(
+                f"axis letters {self.letters!r}: four different letters of XYZABCUVW are needed"
+            )
+
+
+class GrblDialect:
+    """One Grbl-family controller; see :class:`~tapping_cell.hardware.dialect.ArmDialect`."""
+
+    def __init__(self, transport: Transport, settings: GrblSettings | None = None) -> None:
+        self._transport = transport
+        self._settings = settings or GrblSettings()
+        self.counters = LineCounters()
+        self._buffer = b""
+        self._frames: deque[grbl.Frame] = deque()
+        self._offset: tuple[float, ...] | None = None
+        self._known = False
+        self._marked = False
+
+    @property
+    def stop_bytes(self) -> bytes:
+        """Feed hold and soft reset."""
+        return grbl.STOP
+
+    def connect(self, deadline: float) -> Firmware:
+        """Find out who is there: status, version, settings; refuses what it does not understand."""
+        self._forget()
+        self._known = False
+        banner = self._await_first_status(deadline)
+        version = self._version(deadline, banner)
+        self._check_settings(deadline)
+        continued = self._marked and banner is None and self._mark_is_there(deadline)
+        self._marked = continued
+        self._known = True
+        return Firmware("Grbl", version, continued)
+
+    def read(self, deadline: float) -> AxisReading:
+        """Ask for status until two reports in a row agree on the state and the position.
+
+        The line has no checksum; two equal reports make a garbled digit harmless. The work offset
+        comes with every 30th report at the latest, so the first reading may take that many.
+        """
+        last: grbl.Status | None = None
+        while True:
+            status = self._ask_status(deadline)
+            if last is not None and _moving(status) and _moving(last):
+                return self._reading(status)
+            if last is not None and self._same(last, status):
+                return self._reading(status)
+            last = status
+
+    def start_move(self, target: AxisValues, feed: float, deadline: float) -> None:
+        """Send one move; a lost answer is not repeated: the position read back decides."""
+        line = grbl.move_line(self._settings.letters, target, feed)
+        try:
+            self._command(line, min(deadline, self._transport.now() + REPLY_TIMEOUT))
+        except HardwareFault as fault:
+            if fault.reason is not FaultReason.TIMEOUT:
+                raise
+            self.counters.retries += 1
+
+    def finish_move(self, deadline: float) -> None:
+        """Poll the status until it says Idle twice."""
+        idle = 0
+        while idle < 2:
+            status = self._ask_status(deadline)
+            if status.state == "Alarm":
+                raise self._alarm_fault("the controller is in alarm")
+            if status.state in ("Hold", "Door", "Sleep", "Check"):
+                raise HardwareFault(
+                    FaultReason.REJECTED,
+                    f"the controller went into {status.state} during a move: look for the cause at"
+                    " the cell, then clear the fault",
+                )
+            idle = 0 if _moving(status) else idle + 1
+            if idle < 2:
+                self._pump(POLL_PERIOD)
+
+    def idle(self, duration: float) -> None:
+        """Listen; a banner or an alarm that comes is raised."""
+        self._pump(duration)
+        self._frames.clear()
+
+    def home(self, deadline: float) -> None:
+        """Run ``$H``."""
+        try:
+            self._command(b"$H\n", deadline)
+        except HardwareFault as fault:
+            if fault.reason in (FaultReason.ALARM, FaultReason.REJECTED):
+                raise HardwareFault(
+                    FaultReason.HOMING_FAILED,
+                    f"homing failed: {fault}: check the home switches and $22 to $27",
+                ) from fault
+            raise
+        self._offset = None
+
+    def set_position(self, axes: AxisValues, deadline: float) -> None:
+        """``G92``, which a reset forgets; then the mark that proves no reset happened."""
+        self._offset = None
+        self._command(grbl.set_position_line(self._settings.letters, axes), deadline)
+        self._command(MARK_LINE, deadline)
+        self._marked = True
+
+    def clear(self, deadline: float) -> None:
+        """Soft reset and unlock; the position must be confirmed by homing afterwards."""
+        self._forget()
+        self._known = False
+        self._marked = False
+        self._transport.write(grbl.SOFT_RESET)
+        self._await_first_status(deadline)
+        self._command(b"$X\n", deadline)
+        self._offset = None
+        self._known = True
+
+    def _forget(self) -> None:
+        self._buffer = b""
+        self._frames.clear()
+        self._offset = None
+
+    def _pump(self, wait: float) -> None:
+        """Read for up to ``wait`` s and decode what came."""
+        self._buffer += self._transport.read(wait)
+        while True:
+            decoded = grbl.decode(self._buffer)
+            self._buffer = decoded.rest
+            if decoded.frame is None:
+                return
+            self._sort(decoded.frame)
+
+    def _sort(self, frame: grbl.Frame) -> None:
+        if isinstance(frame, grbl.Bad):
+            self.counters.bad_lines += 1
+            return
+        if isinstance(frame, grbl.Status) and frame.offset is not None:
+            self._offset = frame.offset
+        if self._known and isinstance(frame, grbl.Banner):
+            self._known = False
+            self._marked = False
+            raise HardwareFault(
+                FaultReason.BOARD_RESET,
+                f"the arm's controller on {self._transport.name} restarted: its position is lost;"
+                " clear the fault and home again",
+            )
+        if self._known and isinstance(frame, grbl.Alarm):
+            raise self._alarm_fault(grbl.ALARMS.get(frame.code, "unknown to this driver"), frame.code)
+        self._frames.append(frame)
+
+    def _next(self, deadline: float, waiting_for: str) -> grbl.Frame:
+        while not self._frames:
+            left = deadline - self._transport.now()
+            if left <= 0:
+                self.counters.timeouts += 1
+                raise HardwareFault(
+                    FaultReason.TIMEOUT,
+                    f"no {waiting_for} from the arm's controller on {self._transport.name} in time:"
+                    " check power, cable and baud rate",
+                )
+            self._pump(left)
+        return self._frames.popleft()
+
+    def _ask_status(self, deadline: float) -> grbl.Status:
+        """One report, asked for as often as reports get lost; older answers are dropped first."""
+        self._pump(0.0)
+        self._frames.clear()
+        while True:
+            self._transport.write(grbl.STATUS_QUERY)
+            until = min(deadline, self._transport.now() + REPLY_TIMEOUT)
+            try:
+                while True:
+                    frame = self._next(until, "status report")
+                    if isinstance(frame, grbl.Status):
+                        return frame
+            except HardwareFault as fault:
+                if fault.reason is not FaultReason.TIMEOUT or until >= deadline:
+                    raise
+                self.counters.retries += 1
+
+    def _command(self, line: bytes, deadline: float) -> list[grbl.Frame]:
+        """Send one line, wait for its ``ok``, return what came before it."""
+        self._pump(0.0)
+        self._frames.clear()
+        self._transport.write(line)
+        heard: list[grbl.Frame] = []
+        while True:
+            frame = self._next(deadline, f"answer to {line.decode().strip()!r}")
+            if isinstance(frame, grbl.Ok):
+                return heard
+            if isinstance(frame, grbl.Error):
+                meaning = grbl.ERRORS.get(frame.code, "see the controller's documentation")
+                reason = FaultReason.ALARM if frame.code == 9 else FaultReason.REJECTED
+                raise HardwareFault(
+                    reason,
+                    f"the controller refused {line.decode().strip()!r} with error {frame.code}:"
+                    f" {meaning}",
+                )
+            heard.append(frame)
+
+    def _await_first_status(self, deadline: float) -> grbl.Banner | None:
+        """Ask until a report comes; a banner on the way is kept: it says the board was reset."""
+        banner: grbl.Banner | None = None
+        while True:
+            self._transport.write(grbl.STATUS_QUERY)
+            until = min(deadline, self._transport.now() + 0.2)
+            try:
+                while True:
+                    frame = self._next(until, "status report")
+                    if isinstance(frame, grbl.Banner):
+                        banner = frame
+                    elif isinstance(frame, grbl.Status):
+                        return banner
+            except HardwareFault as fault:
+                if fault.reason is not FaultReason.TIMEOUT:
+                    raise
+                if until >= deadline:
+                    raise HardwareFault(
+                        FaultReason.UNKNOWN_FIRMWARE,
+                        f"nothing on {self._transport.name} answers like a Grbl controller"
+                        f" ({self.counters.bad_lines} unreadable lines): check the port, the baud"
+                        " rate and the dialect parameter",
+                    ) from fault
+                self.counters.retries += 1
+
+    def _retried(self, line: bytes, deadline: float) -> list[grbl.Frame]:
+        """A question that may be asked again: three tries, each as long as a reply takes."""
+        for attempt in range(3):
+            try:
+                return self._command(line, min(deadline, self._transport.now() + REPLY_TIMEOUT))
+            except HardwareFault as fault:
+                last = attempt == 2 or self._transport.now() >= deadline
+                if fault.reason not in (FaultReason.TIMEOUT, FaultReason.REJECTED) or last:
+                    raise
+                self.counters.retries += 1
+        raise AssertionError("unreachable")
+
+    def _version(self, deadline: float, banner: grbl.Banner | None) -> str:
+        heard = self._retried(b"$I\n", deadline)
+        for frame in heard:
+            if isinstance(frame, grbl.Message) and frame.kind == "VER":
+                version = frame.text.split(":")[0]
+                if not version.startswith("1.1") and not version.startswith("3."):
+                    raise HardwareFault(
+                        FaultReason.UNKNOWN_FIRMWARE,
+                        f"Grbl version {version!r} is not understood: this driver speaks 1.1 (and"
+                        " FluidNC 3)",
+                    )
+                return version
+        if banner is not None:
+            return banner.version
+        raise HardwareFault(
+            FaultReason.UNKNOWN_FIRMWARE,
+            f"the controller on {self._transport.name} answers but names no Grbl version: check the"
+            " dialect parameter",
+        )
+
+    def _check_settings(self, deadline: float) -> None:
+        heard = self._retried(b"$$\n", deadline)
+        found = {frame.number: frame.value for frame in heard if isinstance(frame, grbl.Setting)}
+        wrong = [
+            f"${number} is {found.get(number, 'missing')}, must be {value:g}"
+            for number, value in self._settings.expected.items()
+            if number not in found
+            or abs(found[number] - value) > self._settings.tolerance * max(abs(value), 1.0)
+        ]
+        if wrong:
+            raise HardwareFault(
+                FaultReason.SETTINGS_MISMATCH,
+                "the controller's settings differ from the configuration: "
+                + "; ".join(wrong)
+                + ": set them on the controller or correct the configuration",
+            )
+
+    def _mark_is_there(self, deadline: float) -> bool:
+        heard = self._retried(b"$G\n", deadline)
+        return any(
+            isinstance(frame, grbl.Message) and frame.kind == "GC" and "G18" in frame.text.split()
+            for frame in heard
+        )
+
+    def _reading(self, status: grbl.Status) -> AxisReading:
+        position = self._work_position(status)
+        if position is None or len(position) < AXIS_COUNT:
+            count = len(status.machine or status.work or ())
+            raise HardwareFault(
+                FaultReason.UNKNOWN_FIRMWARE,
+                f"the controller reports {count} axes, {AXIS_COUNT} are needed: build its firmware"
+                f" with {AXIS_COUNT} axes",
+            )
+        alarm = "locked by an alarm" if status.state == "Alarm" else ""
+        return AxisReading(AxisValues(*position[:AXIS_COUNT]), _moving(status), alarm, True)
+
+    def _same(self, first: grbl.Status, second: grbl.Status) -> bool:
+        if self._work_position(second) is None:
+            return False
+        return (
+            first.state == second.state
+            and first.machine == second.machine
+            and (first.work == second.work or first.machine is not None)
+        )
+
+    def _work_position(self, status: grbl.Status) -> tuple[float, ...] | None:
+        """The position in our own zero; None while the offset has not been heard."""
+        if status.work is not None:
+            return status.work
+        if status.machine is None or self._offset is None:
+            return None
+        return tuple(m - o for m, o in zip(status.machine, self._offset, strict=False))
+
+    def _alarm_fault(self, meaning: str, code: int | None = None) -> HardwareFault:
+        number = "" if code is None else f" {code}"
+        return HardwareFault(
+            FaultReason.ALARM,
+            f"alarm{number} of the arm's controller: {meaning}: make the cell safe, clear the fault"
+            " and home again",
+        )
+
+
+def _moving(status: grbl.Status) -> bool:
+    return status.state in ("Run", "Jog", "Home") or (
+        status.state == "Hold" and status.substate != 0
+    )

@@ -1,0 +1,330 @@
+"""Kinematics of a four-axis SCARA arm: shoulder, elbow, quill, tool rotation.
+
+Frame ``arm_base``: origin on the shoulder's axis in the plane of the table, x along the upper arm at
+shoulder angle zero, z up. Joint order everywhere: shoulder in rad, elbow in rad, quill in m
+(positive up), tool in rad. The wrist (the quill's axis) stands at
+
+    w = L1 (cos q1, sin q1) + L2 (cos(q1 + q2), sin(q1 + q2)),
+
+the tool's heading is h = q1 + q2 + q4, the tip stands at w + R(h) (tip_forward, tip_side) and looks
+(its line of travel) along h + tip_yaw. The inverse is the two-circle construction of the planar
+two-link arm (Craig, *Introduction to Robotics*, section 4.4, algebraic solution).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+LIMIT_SLACK = 1e-9
+"""Rounding that a joint limit forgives, in rad or m."""
+
+
+class Joints(NamedTuple):
+    """Joint values: shoulder rad, elbow rad, quill m (positive up), tool rad."""
+
+    shoulder: float
+    elbow: float
+    quill: float
+    tool: float
+
+
+class TipPose(NamedTuple):
+    """Pose of the striker's tip in ``arm_base``: x, y, z in m; yaw of the line of travel in rad."""
+
+    x: float
+    y: float
+    z: float
+    yaw: float
+
+
+class Branch(Enum):
+    """Which way the elbow bends: the sign of the elbow's angle."""
+
+    POSITIVE = 1
+    NEGATIVE = -1
+
+
+class ReachCode(IntEnum):
+    """Why a tip pose cannot be taken; 0 when it can."""
+
+    REACHED = 0
+    NOT_FINITE = 1
+    TOO_FAR = 2
+    TOO_NEAR = 3
+    SINGULAR = 4
+    SHOULDER_LIMIT = 5
+    ELBOW_LIMIT = 6
+    QUILL_LIMIT = 7
+    TOOL_LIMIT = 8
+
+
+@dataclass(frozen=True, slots=True)
+class IKSolution:
+    """Answer of :meth:`ScaraGeometry.inverse`.
+
+    ``residual``: with success the distance in m between the asked tip and ``forward(joints)``; else
+    by how much the limit named in ``code`` is passed, in the unit of that limit (m or rad).
+    ``reason`` is empty with success, else a sentence with the value, the limit and what to do.
+    """
+
+    success: bool
+    joints: Joints | None
+    branch: Branch
+    residual: float
+    code: ReachCode
+    reason: str
+
+
+class ManySolutions(NamedTuple):
+    """Answer of :meth:`ScaraGeometry.inverse_many`: arrays over the asked poses."""
+
+    joints: Array
+    """Shape (..., 4); NaN where the arm cannot reach."""
+    code: NDArray[np.int64]
+    """Shape (...): :class:`ReachCode`."""
+    excess: Array
+    """Shape (...): by how much the limit is passed, in m or rad; 0 where reached."""
+
+
+def _wrap(angle: Array) -> Array:
+    return np.asarray((angle + math.pi) % (2 * math.pi) - math.pi)
+
+
+def _into_range(angle: Array, low: float, high: float, near: float) -> tuple[Array, Array]:
+    """The turn of ``angle`` inside [low, high] nearest to ``near``, and how far out it is if none is."""
+    turns = _wrap(angle)[..., None] + 2 * math.pi * np.arange(-2, 3)
+    excess = np.maximum(np.maximum(low - turns, turns - high), 0.0)
+    excess = np.where(excess <= LIMIT_SLACK, 0.0, excess)
+    # Excess decides first, the distance to `near` only between turns inside.
+    order = np.where(excess > 0, 1e3 + excess, np.abs(turns - near) * 1e-3)
+    best = np.argmin(order, axis=-1)[..., None]
+    return (
+        np.take_along_axis(turns, best, axis=-1)[..., 0],
+        np.take_along_axis(excess, best, axis=-1)[..., 0],
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ScaraGeometry:
+    """Dimensions and limits of the arm; SI. The defaults are those of the simulated cell.
+
+    Raises ValueError for lengths, limits or speeds that make no arm.
+    """
+
+    upper_arm: float = 0.425
+    """Shoulder axis to elbow axis, m."""
+    forearm: float = 0.375
+    """Elbow axis to quill axis, m."""
+    tip_forward: float = 0.060
+    """Tip from the quill axis along the tool's heading, m."""
+    tip_side: float = 0.0
+    """Tip from the quill axis to the left of the tool's heading, m."""
+    tip_yaw: float = 0.0
+    """Line of travel from the tool's heading, rad."""
+    tip_height: float = 0.150
+    """Tip above the table with the quill at zero, m."""
+    lower: tuple[float, float, float, float] = (-2.3, -2.6, -0.148, -3.5)
+    """Lower joint limits: rad, rad, m, rad."""
+    upper: tuple[float, float, float, float] = (2.3, 2.6, 0.0, 3.5)
+    """Upper joint limits: rad, rad, m, rad."""
+    max_speed: tuple[float, float, float, float] = (2.0, 2.5, 0.25, 6.0)
+    """Joint speeds: rad/s, rad/s, m/s, rad/s."""
+    max_acceleration: tuple[float, float, float, float] = (8.0, 10.0, 2.0, 30.0)
+    """Joint accelerations: rad/s2, rad/s2, m/s2, rad/s2."""
+    singularity_margin: float = 0.05
+    """Least angle of the elbow from straight and from folded, rad."""
+
+    def __post_init__(self) -> None:
+        if not (self.upper_arm > 0 and self.forearm > 0):
+            raise ValueError(
+                f"links of {self.upper_arm:g} m and {self.forearm:g} m make no arm: both must be"
+                " longer than 0"
+            )
+        for name, low, high in zip(Joints._fields, self.lower, self.upper, strict=True):
+            if not low < high:
+                raise ValueError(
+                    f"limits of joint {name}: lower {low:g} is not below upper {high:g}"
+                )
+        for label, values in (("speed", self.max_speed), ("acceleration", self.max_acceleration)):
+            if not all(value > 0 for value in values):
+                raise ValueError(f"every joint {label} must be above 0, got {values}")
+        if not 0 <= self.singularity_margin < math.pi / 2:
+            raise ValueError(
+                f"singularity_margin {self.singularity_margin:g} rad must be in [0, pi/2)"
+            )
+
+    def forward(self, joints: ArrayLike) -> TipPose:
+        """Tip pose in ``arm_base`` of one set of joints; the yaw is wrapped into [-pi, pi)."""
+        return TipPose(*self.forward_many(joints).tolist())
+
+    def forward_many(self, joints: ArrayLike) -> Array:
+        """Tip poses (..., 4) = x, y, z in m, yaw in rad of joints (..., 4); limits unchecked."""
+        q = np.asarray(joints, dtype=float)
+        reach = q[..., 0] + q[..., 1]
+        heading = reach + q[..., 3]
+        cos, sin = np.cos(heading), np.sin(heading)
+        x = self.upper_arm * np.cos(q[..., 0]) + self.forearm * np.cos(reach)
+        y = self.upper_arm * np.sin(q[..., 0]) + self.forearm * np.sin(reach)
+        return np.stack(
+            [
+                x + cos * self.tip_forward - sin * self.tip_side,
+                y + sin * self.tip_forward + cos * self.tip_side,
+                q[..., 2] + self.tip_height,
+                _wrap(heading + self.tip_yaw),
+            ],
+            axis=-1,
+        )
+
+    def branch_of(self, joints: ArrayLike) -> Branch:
+        """Which way the elbow of these joints bends; straight counts as positive."""
+        return Branch.NEGATIVE if float(np.asarray(joints)[1]) < 0 else Branch.POSITIVE
+
+    def limit_excess(self, joints: ArrayLike) -> tuple[ReachCode, float]:
+        """The first joint outside its limits and by how much (rad or m); (REACHED, 0) if none."""
+        q = np.asarray(joints, dtype=float)
+        if q.shape != (4,) or not np.all(np.isfinite(q)):
+            return ReachCode.NOT_FINITE, math.inf
+        codes = (
+            ReachCode.SHOULDER_LIMIT,
+            ReachCode.ELBOW_LIMIT,
+            ReachCode.QUILL_LIMIT,
+            ReachCode.TOOL_LIMIT,
+        )
+        for code, value, low, high in zip(codes, q.tolist(), self.lower, self.upper, strict=True):
+            excess = max(low - value, value - high)
+            if excess > LIMIT_SLACK:
+                return code, excess
+        return ReachCode.REACHED, 0.0
+
+    def inverse_many(
+        self, poses: ArrayLike, branch: Branch, near: ArrayLike | None = None
+    ) -> ManySolutions:
+        """Joints for tip poses (..., 4) = x, y, z, yaw in ``arm_base`` with the elbow on one side.
+
+        ``near``: joints (4,) whose turns of shoulder and tool are preferred; zero when None.
+        """
+        p = np.asarray(poses, dtype=float)
+        close = np.zeros(4) if near is None else np.asarray(near, dtype=float)
+        finite = np.all(np.isfinite(p), axis=-1)
+        safe = np.where(finite[..., None], p, 0.0)
+        heading = safe[..., 3] - self.tip_yaw
+        cos, sin = np.cos(heading), np.sin(heading)
+        wx = safe[..., 0] - cos * self.tip_forward + sin * self.tip_side
+        wy = safe[..., 1] - sin * self.tip_forward - cos * self.tip_side
+        distance = np.hypot(wx, wy)
+        product = self.upper_arm * self.forearm
+        cosine = (distance**2 - self.upper_arm**2 - self.forearm**2) / (2 * product)
+        elbow = branch.value * np.arccos(np.clip(cosine, -1.0, 1.0))
+        shoulder = np.arctan2(wy, wx) - np.arctan2(
+            self.forearm * np.sin(elbow), self.upper_arm + self.forearm * np.cos(elbow)
+        )
+        shoulder, shoulder_excess = _into_range(shoulder, self.lower[0], self.upper[0], close[0])
+        tool, tool_excess = _into_range(
+            heading - shoulder - elbow, self.lower[3], self.upper[3], close[3]
+        )
+        quill = safe[..., 2] - self.tip_height
+        bend = np.abs(elbow)
+        margin = self.singularity_margin
+        excesses = (
+            (ReachCode.NOT_FINITE, np.where(finite, 0.0, math.inf)),
+            (ReachCode.TOO_FAR, distance - (self.upper_arm + self.forearm)),
+            (ReachCode.TOO_NEAR, abs(self.upper_arm - self.forearm) - distance),
+            (ReachCode.SINGULAR, np.maximum(margin - bend, bend - (math.pi - margin))),
+            (ReachCode.SHOULDER_LIMIT, shoulder_excess),
+            (ReachCode.ELBOW_LIMIT, np.maximum(self.lower[1] - elbow, elbow - self.upper[1])),
+            (ReachCode.QUILL_LIMIT, np.maximum(self.lower[2] - quill, quill - self.upper[2])),
+            (ReachCode.TOOL_LIMIT, tool_excess),
+        )
+        code = np.zeros(distance.shape, dtype=np.int64)
+        excess = np.zeros(distance.shape)
+        for name, value in excesses:
+            new = (code == 0) & (value > LIMIT_SLACK)
+            code = np.where(new, int(name), code)
+            excess = np.where(new, value, excess)
+        joints = np.stack([shoulder, elbow, quill, tool], axis=-1)
+        return ManySolutions(np.where((code == 0)[..., None], joints, math.nan), code, excess)
+
+    def reachable(self, poses: ArrayLike, branch: Branch | None = None) -> NDArray[np.bool_]:
+        """Mask of shape (...): which tip poses (..., 4) can be taken (by either elbow if None)."""
+        branches = tuple(Branch) if branch is None else (branch,)
+        return np.any([self.inverse_many(poses, side).code == 0 for side in branches], axis=0)
+
+    def inverse(
+        self, tip: ArrayLike, branch: Branch | None = None, near: ArrayLike | None = None
+    ) -> IKSolution:
+        """Joints for one tip pose (x, y, z, yaw) in ``arm_base``.
+
+        ``branch`` None tries both sides and takes the one that ``near`` already bends to, then the
+        one with less travel. Limits, reach and singularity margin are always checked.
+        """
+        if branch is not None:
+            return self._inverse_on(tip, branch, near)
+        solutions = [self._inverse_on(tip, side, near) for side in Branch]
+        good = [solution for solution in solutions if solution.success]
+        if not good:
+            # The refusal nearest to success tells the person most.
+            return min(solutions, key=lambda solution: solution.residual)
+        if near is not None:
+            side = self.branch_of(near)
+            good.sort(key=lambda solution: solution.branch is not side)
+            return good[0]
+        return min(good, key=lambda solution: abs(solution.joints.shoulder) if solution.joints else 0)
+
+    def _inverse_on(self, tip: ArrayLike, branch: Branch, near: ArrayLike | None) -> IKSolution:
+        pose = np.asarray(tip, dtype=float)
+        if pose.shape != (4,):
+            raise ValueError(f"a tip pose is (x, y, z, yaw), got shape {pose.shape}")
+        many = self.inverse_many(pose, branch, near)
+        code = ReachCode(int(many.code))
+        if code is not ReachCode.REACHED:
+            excess = float(many.excess)
+            return IKSolution(False, None, branch, excess, code, self._sentence(pose, code, excess))
+        joints = Joints(*many.joints.tolist())
+        residual = float(np.linalg.norm(np.asarray(self.forward(joints))[:3] - pose[:3]))
+        return IKSolution(True, joints, branch, residual, code, "")
+
+    def _sentence(self, pose: Array, code: ReachCode, excess: float) -> str:
+        where = (
+            f"tip pose x {pose[0] * 1e3:.1f} mm, y {pose[1] * 1e3:.1f} mm, z {pose[2] * 1e3:.1f} mm,"
+            f" yaw {math.degrees(pose[3]) if math.isfinite(pose[3]) else pose[3]:.1f} deg"
+        )
+        if code is ReachCode.NOT_FINITE:
+            return f"{where} is not a number: give four finite values"
+        if code is ReachCode.TOO_FAR:
+            limit = (self.upper_arm + self.forearm) * 1e3
+            return (
+                f"{where}: the wrist would be {excess * 1e3:.1f} mm beyond the reach of"
+                f" {limit:.1f} mm; choose a pose nearer to the arm"
+            )
+        if code is ReachCode.TOO_NEAR:
+            limit = abs(self.upper_arm - self.forearm) * 1e3
+            return (
+                f"{where}: the wrist would be {excess * 1e3:.1f} mm inside the least reach of"
+                f" {limit:.1f} mm; choose a pose farther from the shoulder"
+            )
+        if code is ReachCode.SINGULAR:
+            return (
+                f"{where}: the elbow would be {math.degrees(excess):.2f} deg inside the margin of"
+                f" {math.degrees(self.singularity_margin):.1f} deg from straight or folded; choose a"
+                " pose away from the edge of the reach"
+            )
+        joint = {
+            ReachCode.SHOULDER_LIMIT: 0,
+            ReachCode.ELBOW_LIMIT: 1,
+            ReachCode.QUILL_LIMIT: 2,
+            ReachCode.TOOL_LIMIT: 3,
+        }[code]
+        scale, unit = (1e3, "mm") if joint == 2 else (180 / math.pi, "deg")
+        return (
+            f"{where}: joint {Joints._fields[joint]} would be {excess * scale:.2f} {unit} outside"
+            f" {self.lower[joint] * scale:.1f} to {self.upper[joint] * scale:.1f} {unit}; choose"
+            " another pose or the other elbow side"
+        )

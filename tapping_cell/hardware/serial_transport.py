@@ -1,0 +1,204 @@
+"""A serial port as a :class:`~tapping_cell.hardware.transport.Transport`, over pyserial."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import select
+import threading
+import time
+
+import serial
+
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+
+POLL_SLICE = 0.02
+"""Longest wait in s between looks at the stop latch."""
+REOPEN_PERIOD = 0.05
+"""Time in s between attempts to open a port that is missing or busy."""
+
+
+class SerialTransport:
+    """One serial port, opened exclusively by path (a symlink such as ``/dev/serial/by-id/...`` too).
+
+    Opening resolves the path anew each time, so a device that comes back under another number is
+    found again. Deadlines are on the steady clock.
+    """
+
+    def __init__(self, path: str, baud: int = 115200) -> None:
+        self._path = path
+        self._baud = baud
+        self._port: serial.Serial | None = None
+        # Guards every byte out, so that a stop goes between two chunks and nothing follows it.
+        self._lock = threading.Lock()
+        self._stopped = False
+
+    @property
+    def name(self) -> str:
+        """The path as given."""
+        return self._path
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open as far as known."""
+        return self._port is not None
+
+    def now(self) -> float:
+        """The steady clock, s."""
+        return time.monotonic()
+
+    def sleep(self, duration: float) -> None:
+        """Let ``duration`` s pass, stop or not."""
+        time.sleep(duration)
+
+    def open(self, timeout: float) -> None:
+        """Open the port exclusively and raw, waiting up to ``timeout`` s for it; stale input is dropped.
+
+        Raises HardwareFault: PORT_MISSING, PORT_BUSY, STOPPED.
+        """
+        self.close()
+        deadline = self.now() + timeout
+        while True:
+            try:
+                port = serial.Serial(
+                    self._path, self._baud, timeout=0, write_timeout=0, exclusive=True
+                )
+                port.reset_input_buffer()
+            except (OSError, ValueError) as error:  # SerialException is an OSError
+                if self.now() + REOPEN_PERIOD > deadline:
+                    raise self._open_fault(error) from error
+                time.sleep(REOPEN_PERIOD)
+                continue
+            with self._lock:
+                self._port = port
+            return
+
+    def close(self) -> None:
+        """Close the port; never raises."""
+        with self._lock:
+            port, self._port = self._port, None
+        if port is not None:
+            # A device that is gone leaves nothing to close.
+            with contextlib.suppress(OSError):
+                port.close()
+
+    def read(self, timeout: float) -> bytes:
+        """The bytes at hand, waiting up to ``timeout`` s for the first; empty when none came."""
+        deadline = self.now() + timeout
+        while True:
+            if self._stopped:
+                raise _stopped_fault(self._path)
+            port = self._require_port()
+            wait = min(max(deadline - self.now(), 0.0), POLL_SLICE)
+            try:
+                readable, _, _ = select.select([port], [], [], wait)
+                if readable:
+                    # After an unplug `in_waiting` raises a bare OSError, `read` a SerialException;
+                    # an end of file reads as readable with nothing waiting.
+                    return bytes(port.read(max(port.in_waiting, 1)))
+            except (OSError, ValueError, TypeError) as error:
+                raise self._lost(error) from error
+            if self.now() >= deadline:
+                return b""
+
+    def write(self, data: bytes, timeout: float = 1.0) -> None:
+        """Write all of ``data`` in as many pieces as the port takes.
+
+        Raises HardwareFault: TIMEOUT when nothing could be written for ``timeout`` s, DISCONNECTED,
+        STOPPED.
+        """
+        rest = memoryview(data)
+        deadline = self.now() + timeout
+        while rest:
+            with self._lock:
+                if self._stopped:
+                    raise _stopped_fault(self._path)
+                port = self._require_port()
+                count = self._write_some(port, rest)
+            if count:
+                rest = rest[count:]
+                deadline = self.now() + timeout
+            elif self.now() > deadline:
+                raise HardwareFault(
+                    FaultReason.TIMEOUT,
+                    f"{self._path} took no byte for {timeout:g} s with {len(rest)} bytes left:"
+                    " check the cable and the flow control, then clear the fault",
+                )
+            else:
+                self._wait_writable(port)
+
+    def stop(self, data: bytes) -> bool:
+        """From any thread: latch the stop and write ``data`` ahead of everything else."""
+        with self._lock:
+            self._stopped = True
+            port = self._port
+            if port is None:
+                return False
+            try:
+                return self._write_some(port, memoryview(data)) == len(data)
+            except HardwareFault:
+                return False
+
+    def release(self) -> None:
+        """End the latch of ``stop``."""
+        with self._lock:
+            self._stopped = False
+
+    def _require_port(self) -> serial.Serial:
+        port = self._port
+        if port is None:
+            raise HardwareFault(
+                FaultReason.DISCONNECTED, f"{self._path} is not open: connect first"
+            )
+        return port
+
+    def _write_some(self, port: serial.Serial, data: memoryview) -> int:
+        """Bytes written without blocking; 0 when the port is full."""
+        try:
+            # pyserial spins on a full port, so it is asked only when there is room.
+            _, writable, _ = select.select([], [port], [], 0)
+            return int(port.write(data) or 0) if writable else 0
+        except (OSError, ValueError, TypeError) as error:
+            raise self._lost(error) from error
+
+    def _wait_writable(self, port: serial.Serial) -> None:
+        try:
+            select.select([], [port], [], POLL_SLICE)
+        except (OSError, ValueError, TypeError) as error:
+            raise self._lost(error) from error
+
+    def _lost(self, error: Exception) -> HardwareFault:
+        port, self._port = self._port, None
+        if port is not None:
+            with contextlib.suppress(OSError):
+                port.close()
+        return HardwareFault(
+            FaultReason.DISCONNECTED,
+            f"{self._path} went away ({error}): check the cable and power; the driver opens it again"
+            " when it returns",
+        )
+
+    def _open_fault(self, error: Exception) -> HardwareFault:
+        code = getattr(error, "errno", None)
+        if code in (errno.EAGAIN, errno.EBUSY) or "lock" in str(error):
+            return HardwareFault(
+                FaultReason.PORT_BUSY,
+                f"{self._path} is held by another program: end that program, then connect again",
+            )
+        if code == errno.EACCES:
+            return HardwareFault(
+                FaultReason.PORT_MISSING,
+                f"{self._path} may not be opened by this user: add the user to the group that owns"
+                " it (often dialout) and log in again",
+            )
+        return HardwareFault(
+            FaultReason.PORT_MISSING,
+            f"{self._path} cannot be opened ({error}): check the cable, power and the path in the"
+            " configuration",
+        )
+
+
+def _stopped_fault(path: str) -> HardwareFault:
+    return HardwareFault(
+        FaultReason.STOPPED, f"{path}: a stop is latched: make the cell safe, then clear the fault"
+    )

@@ -1,0 +1,638 @@
+"""A Grbl 1.1 controller with an arm behind it, as a state machine in told time.
+
+Written from Grbl's documentation and independent of the driver's codec: lines are read with a parser
+of its own. Real-time bytes act at once; lines wait for room in the planner; each move is a trapezoid
+within the axes' rates and accelerations; every block ends at rest, as Grbl does when its queue holds
+one block. What is not emulated is refused with Grbl's error number, never silently taken.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tapping_cell.simulation.device_emulator import OutputQueue
+from tapping_cell.simulation.joint_motion import Array, AxisErrors, AxisTrack
+
+RECEIVE_BUFFER = 128
+"""Bytes that the controller can hold; more are lost (Grbl's RX_BUFFER_SIZE)."""
+PLANNER_BLOCKS = 15
+LINE_LENGTH = 80
+"""Longest line (Grbl's LINE_BUFFER_SIZE)."""
+LINE_TIME = 0.001
+"""What reading a line costs the processor, s."""
+SLIP = 0.3
+"""Standard deviation of the steps lost by a reset in motion, in axis units."""
+AXES = 4
+
+BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
+TO_UNITS = np.array([180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi])
+"""Joint values (rad, rad, m, rad) to axis units (deg, deg, mm, deg)."""
+
+
+def default_settings() -> dict[int, float]:
+    """``$$`` of the simulated arm; rates in units/min, accelerations in units/s2, travels in units."""
+    return {
+        0: 10,
+        1: 255,
+        10: 1,
+        11: 0.01,
+        12: 0.002,
+        13: 0,
+        20: 0,
+        21: 1,
+        22: 1,
+        23: 0,
+        24: 600,
+        25: 3600,
+        27: 1,
+        **{100 + axis: value for axis, value in enumerate((200.0, 200.0, 400.0, 100.0))},
+        **{110 + axis: value for axis, value in enumerate((6900.0, 8600.0, 15000.0, 20700.0))},
+        **{120 + axis: value for axis, value in enumerate((458.0, 573.0, 2000.0, 1720.0))},
+        **{130 + axis: value for axis, value in enumerate((265.0, 300.0, 150.0, 410.0))},
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class GrblMachine:
+    """The arm behind the controller; joints in rad, rad, m, rad."""
+
+    letters: str = "XYZA"
+    axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
+    start_joints: tuple[float, float, float, float] = (0.6, 0.9, -0.030, 0.2)
+    """Where the arm stands when power comes."""
+    home_joints: tuple[float, float, float, float] = (0.0, 1.5708, 0.0, 0.0)
+    """Where homing ends, by the drawing; the errors say where it truly ends."""
+    errors: AxisErrors = field(default_factory=AxisErrors)
+    settings: dict[int, float] = field(default_factory=default_settings)
+    reply_latency: float = 0.002
+    """USB adapter and processor, s."""
+    baud: int = 115200
+
+
+@dataclass(slots=True)
+class _Modal:
+    """The parser's state; a reset brings it back to this."""
+
+    motion: int = 0
+    plane: int = 17
+    inches: bool = False
+    incremental: bool = False
+    inverse_time: bool = False
+    system: int = 54
+    feed: float = 0.0
+    tool: int = 0
+
+
+@dataclass(slots=True)
+class _Block:
+    """A planned move: target in machine units, speed in units/s, acceleration in units/s2."""
+
+    target: Array
+    speed: float
+    acceleration: float
+    jog: bool
+
+
+_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
+
+
+class _Refused(Exception):
+    """A line refused with Grbl's error number."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+class GrblEmulator:
+    """See the module; one instance is one board with its arm."""
+
+    def __init__(
+        self, machine: GrblMachine | None = None, seed: int = 0, now: float = 0.0
+    ) -> None:
+        self.machine = machine or GrblMachine()
+        self._rng = np.random.default_rng(seed)
+        self._settings = dict(self.machine.settings)
+        self._sign = np.array(self.machine.axis_sign, dtype=float)
+        self._output = OutputQueue(self.machine.reply_latency, 10 / self.machine.baud)
+        errors = self.machine.errors
+        start = self._units(self.machine.start_joints)
+        self._track = AxisTrack(
+            start,
+            np.abs(self._units(errors.backlash)),
+            np.abs(self._units(errors.repeatability)),
+            self._rng,
+        )
+        self._reference = start
+        self._systems = {number: np.zeros(AXES) for number in range(54, 60)}
+        self._restart(now, hard=True)
+
+    # What the world asks.
+
+    def joints(self, time: float) -> tuple[float, float, float, float]:
+        """True joints at ``time``: rad, rad, m, rad; the controller's report may differ."""
+        units = self._track.joints(time) * self._sign / TO_UNITS
+        a, b, c, d = (units + np.asarray(self.machine.errors.offset)).tolist()
+        return a, b, c, d
+
+    def moving(self, time: float) -> bool:
+        """Whether the axes move at ``time``."""
+        return self._track.moving(time)
+
+    def push(self, joints: tuple[float, float, float, float], now: float) -> None:
+        """A person moves the resting, unpowered arm to ``joints``; the controller does not notice."""
+        self.advance(now)
+        before = self._track.motors(now)
+        after = self._units(joints) - self._units(self.machine.errors.offset)
+        self._track.shift(after, now)
+        self._reference = self._reference + (after - before)
+
+    def hit_limit(self, now: float) -> None:
+        """A limit switch closes: alarm 1."""
+        self.advance(now)
+        self._alarm(1, now)
+
+    # DeviceEmulator.
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Bytes arrive; real-time bytes are picked out of the stream at once."""
+        self.advance(now)
+        for byte in data:
+            if byte == 0x18:
+                self._soft_reset(now)
+            elif byte == ord("?"):
+                self._report(now)
+            elif byte == ord("!"):
+                self._hold(now)
+            elif byte == ord("~"):
+                self._resume(now)
+            elif byte == 0x85:
+                self._cancel_jog(now)
+            elif byte < 0x80 and len(self._received) < RECEIVE_BUFFER:
+                self._received.append(byte)
+        self._work(now)
+
+    def advance(self, now: float) -> None:
+        """Finish what ends by ``now`` and begin what follows."""
+        while self._due is not None and self._due <= now:
+            due, self._due = self._due, None
+            after, self._after = self._after, None
+            if after is not None:
+                after(due)
+            self._work(due)
+
+    def take_output(self, now: float) -> bytes:
+        """Bytes out by ``now``."""
+        self.advance(now)
+        return self._output.take(now)
+
+    def next_event(self) -> float | None:
+        """Next end of a motion or of a byte going out."""
+        times = [t for t in (self._due, self._output.next_time()) if t is not None]
+        return min(times) if times else None
+
+    def power_cycle(self, now: float) -> None:
+        """Power off and on: the arm stays where it is, everything volatile is gone."""
+        self.advance(now)
+        self._track.freeze(now)
+        self._reference = self._track.motors(now)
+        self._output.clear()
+        self._restart(now, hard=True)
+
+    # Reset and alarms.
+
+    def _restart(self, now: float, hard: bool) -> None:
+        self._received = bytearray()
+        self._blocks: deque[_Block] = deque()
+        self._parser_position = self._machine_position(now)
+        self._modal = _Modal()
+        self._shift = np.zeros(AXES)
+        self._held = False
+        self._busy = ""
+        self._due: float | None = None
+        self._after: Callable[[float], None] | None = None
+        self._wants_room: Callable[[float], None] | None = None
+        self._wants_rest: Callable[[float], None] | None = None
+        self._present_acceleration = 1.0
+        self._reports = 0
+        if hard:
+            self._state = "Alarm" if self._settings[22] else "Idle"
+        self._output.put(BANNER, now)
+        if self._state == "Alarm":
+            self._output.put(b"[MSG:'$H'|'$X' to unlock]\r\n", now)
+
+    def _soft_reset(self, now: float) -> None:
+        homing = self._busy == "Home"
+        if self._track.moving(now):
+            self._track.freeze(now)
+            # Steps are lost: the motors run on a little, the counter does not know.
+            here = self._track.motors(now)
+            slip = self._rng.normal(0.0, SLIP, AXES)
+            self._track.shift(here + slip, now)
+            self._reference = self._reference + slip
+            self._state = "Alarm"
+            self._output.put(b"ALARM:6\r\n" if homing else b"ALARM:3\r\n", now)
+        elif self._state != "Alarm":
+            self._state = "Idle"
+        self._restart(now, hard=False)
+
+    def _alarm(self, code: int, now: float) -> None:
+        self._track.freeze(now)
+        self._blocks.clear()
+        self._busy = ""
+        self._due = self._after = self._wants_room = self._wants_rest = None
+        self._state = "Alarm"
+        self._output.put(b"ALARM:%d\r\n" % code, now)
+
+    # Real-time commands.
+
+    def _shown_state(self, now: float) -> str:
+        if self._state in ("Alarm", "Check", "Sleep"):
+            return self._state
+        if self._held:
+            return "Hold:1" if self._track.moving(now) else "Hold:0"
+        if self._busy:
+            return self._busy
+        return "Run" if self._blocks or self._due is not None else "Idle"
+
+    def _report(self, now: float) -> None:
+        place = ",".join(f"{v:.3f}" for v in self._machine_position(now) + 0.0)
+        fields = [self._shown_state(now), f"MPos:{place}", "FS:0,0"]
+        if self._reports == 0:
+            offset = self._work_offset()
+            fields.append("WCO:" + ",".join(f"{v:.3f}" for v in offset + 0.0))
+            self._reports = 30 if fields[0] == "Idle" else 10
+        else:
+            self._reports -= 1
+            if self._reports == 1:
+                fields.append("Ov:100,100,100")
+        self._output.put(f"<{'|'.join(fields)}>\r\n".encode(), now)
+
+    def _hold(self, now: float) -> None:
+        if self._busy not in ("Run", "Jog") or self._held or self._state != "Idle":
+            return
+        self._held = True
+        self._due = self._track.brake(now, self._present_acceleration)
+        self._after = None
+        if self._busy == "Jog":
+            self._blocks.clear()
+
+    def _resume(self, now: float) -> None:
+        if not self._held or self._track.moving(now):
+            return
+        self._held = False
+        if self._blocks:
+            self._begin(now)
+        else:
+            self._finish_block(now)
+
+    def _cancel_jog(self, now: float) -> None:
+        if self._busy == "Jog":
+            self._blocks.clear()
+            self._due = self._track.brake(now, self._present_acceleration)
+            self._after = self._finish_block
+
+    # Lines.
+
+    def _work(self, now: float) -> None:
+        """Take lines as long as nothing makes them wait."""
+        while self._wants_room is None and self._wants_rest is None:
+            end = next((i for i, b in enumerate(self._received) if b in b"\r\n"), None)
+            if end is None:
+                return
+            line = bytes(self._received[:end])
+            del self._received[: end + 1]
+            try:
+                if len(line) > LINE_LENGTH:
+                    raise _Refused(14)
+                self._take(line.decode("ascii", "replace"), now)
+            except _Refused as refused:
+                self._output.put(b"error:%d\r\n" % refused.code, now + LINE_TIME)
+
+    def _ok(self, now: float) -> None:
+        self._output.put(b"ok\r\n", now + LINE_TIME)
+
+    def _take(self, text: str, now: float) -> None:
+        text = re.sub(r"\([^)]*\)|;.*", "", text).replace(" ", "").upper()
+        if not text:
+            self._ok(now)
+        elif text.startswith("$"):
+            self._system(text, now)
+        elif self._state == "Alarm":
+            raise _Refused(9)
+        elif self._state == "Sleep":
+            raise _Refused(9)
+        else:
+            self._gcode(text, now, jog=False)
+
+    def _system(self, text: str, now: float) -> None:
+        idle = self._shown_state(now) in ("Idle", "Alarm", "Check")
+        say = self._output.put
+        if text == "$$":
+            for number, value in sorted(self._settings.items()):
+                shown = f"{value:.3f}" if number >= 100 or number in (11, 12, 24, 25, 27) else f"{value:g}"
+                say(f"${number}={shown}\r\n".encode(), now)
+        elif text == "$I":
+            say(b"[VER:1.1h.20190825:]\r\n[OPT:V,15,128]\r\n", now)
+        elif text == "$G":
+            m = self._modal
+            words = (
+                f"G{m.motion} G{m.system} G{m.plane} G{20 if m.inches else 21}"
+                f" G{91 if m.incremental else 90} G{93 if m.inverse_time else 94}"
+                f" M5 M9 T{m.tool} F{m.feed:g} S0"
+            )
+            say(f"[GC:{words}]\r\n".encode(), now)
+        elif text == "$#":
+            for number, value in self._systems.items():
+                say(f"[G{number}:{','.join(f'{v:.3f}' for v in value)}]\r\n".encode(), now)
+            say(f"[G92:{','.join(f'{v:.3f}' for v in self._shift)}]\r\n".encode(), now)
+        elif text == "$X":
+            if self._state == "Alarm":
+                self._state = "Idle"
+                say(b"[MSG:Caution: Unlocked]\r\n", now)
+        elif text == "$H":
+            if not self._settings[22]:
+                raise _Refused(5)
+            if not idle:
+                raise _Refused(8)
+            self._home(now)
+            return
+        elif text == "$SLP":
+            self._state = "Sleep"
+        elif text.startswith("$J="):
+            if self._shown_state(now) not in ("Idle", "Jog"):
+                raise _Refused(9)
+            self._gcode(text[3:], now, jog=True)
+            return
+        elif found := re.fullmatch(r"\$(\d{1,3})=(-?[\d.]+)", text):
+            if not idle:
+                raise _Refused(8)
+            if int(found[1]) not in self._settings:
+                raise _Refused(3)
+            try:
+                self._settings[int(found[1])] = float(found[2])
+            except ValueError:
+                raise _Refused(2) from None
+        else:
+            raise _Refused(3)
+        self._ok(now)
+
+    def _words(self, text: str) -> list[tuple[str, float]]:
+        words: list[tuple[str, float]] = []
+        place = 0
+        while place < len(text):
+            found = _WORD.match(text, place)
+            if found is None:
+                raise _Refused(2 if text[place].isalpha() else 1)
+            words.append((found[1], float(found[2])))
+            place = found.end()
+        return words
+
+    def _gcode(self, text: str, now: float, jog: bool) -> None:
+        modal = _Modal(
+            **{name: getattr(self._modal, name) for name in _Modal.__slots__}
+        )
+        action: float | None = None
+        axes: dict[int, float] = {}
+        pause = 0.0
+        feed: float | None = None
+        for letter, value in self._words(text):
+            if letter == "G":
+                if value in (0, 1):
+                    modal.motion = int(value)
+                elif value in (17, 18, 19):
+                    modal.plane = int(value)
+                elif value in (20, 21):
+                    modal.inches = value == 20
+                elif value in (90, 91):
+                    modal.incremental = value == 91
+                elif value in (93, 94):
+                    modal.inverse_time = value == 93
+                elif value in (54, 55, 56, 57, 58, 59):
+                    modal.system = int(value)
+                elif value in (4, 53, 92, 92.1):
+                    action = value
+                elif value not in (40, 49, 80, 91.1):
+                    raise _Refused(20)
+            elif letter == "M":
+                if value not in (0, 2, 3, 4, 5, 7, 8, 9, 30):
+                    raise _Refused(20)
+            elif letter in self.machine.letters:
+                axis = self.machine.letters.index(letter)
+                if axis in axes:
+                    raise _Refused(25)
+                axes[axis] = value * (25.4 if modal.inches else 1.0)
+            elif letter == "F":
+                if value < 0:
+                    raise _Refused(4)
+                feed = value * (25.4 if modal.inches and not modal.inverse_time else 1.0)
+            elif letter == "P":
+                pause = value
+            elif letter == "T":
+                modal.tool = int(value)
+            elif letter not in "NS":
+                raise _Refused(20)
+        if feed is not None:
+            modal.feed = feed
+        if jog and (action is not None or not axes or feed is None):
+            raise _Refused(16)
+        if action == 4:
+            self._modal = modal
+            self._when_still(now, lambda at: self._dwell(pause, at))
+            return
+        if action == 92:
+            if not axes:
+                raise _Refused(26)
+            for axis, value in axes.items():
+                self._shift[axis] = (
+                    self._parser_position[axis] - self._systems[modal.system][axis] - value
+                )
+            self._modal = modal
+            self._reports = 0
+            self._ok(now)
+            return
+        if action == 92.1:
+            self._shift = np.zeros(AXES)
+            self._reports = 0
+        if axes:
+            machine_frame = action == 53
+            self._plan(modal, axes, machine_frame, jog, feed, now)
+            return
+        if modal.system != self._modal.system:
+            self._reports = 0
+        self._modal = modal
+        self._ok(now)
+
+    def _plan(
+        self,
+        modal: _Modal,
+        axes: dict[int, float],
+        machine_frame: bool,
+        jog: bool,
+        feed: float | None,
+        now: float,
+    ) -> None:
+        """A straight move; waits for room in the planner."""
+        target = self._parser_position.copy()
+        offset = np.zeros(AXES) if machine_frame else self._systems[modal.system] + self._shift
+        for axis, value in axes.items():
+            target[axis] = target[axis] + value if modal.incremental else value + offset[axis]
+        rapid = modal.motion == 0 and not jog
+        if not rapid and (modal.feed <= 0 or (modal.inverse_time and feed is None)):
+            raise _Refused(22)
+        if self._settings[20]:
+            travels = np.array([self._settings[130 + axis] for axis in range(AXES)])
+            if np.any(target > 1e-9) or np.any(target < -travels - 1e-9):
+                if jog:
+                    raise _Refused(15)
+                self._alarm(2, now)
+                raise _Refused(9)
+        block = self._block(modal, target, rapid, jog)
+        if not jog:
+            self._modal = modal
+        self._parser_position = target
+        if block is None:
+            self._ok(now)
+            return
+
+        def enqueue(at: float) -> None:
+            self._blocks.append(block)
+            self._ok(at)
+            if self._due is None and not self._held:
+                self._begin(at)
+
+        if len(self._blocks) >= PLANNER_BLOCKS:
+            self._wants_room = enqueue
+        else:
+            enqueue(now)
+
+    def _block(self, modal: _Modal, target: Array, rapid: bool, jog: bool) -> _Block | None:
+        """Speeds of a block: the programmed feed within every axis's rate and acceleration."""
+        start = self._parser_position
+        delta = target - start
+        length = float(np.linalg.norm(delta))
+        if length == 0:
+            return None
+        unit = np.abs(delta) / length
+        rates = np.array([self._settings[110 + axis] for axis in range(AXES)]) / 60
+        pulls = np.array([self._settings[120 + axis] for axis in range(AXES)])
+        used = unit > 1e-12
+        speed = float(np.min(rates[used] / unit[used]))
+        if not rapid:
+            asked = modal.feed * length if modal.inverse_time else modal.feed
+            speed = min(speed, asked / 60)
+        return _Block(target, speed, float(np.min(pulls[used] / unit[used])), jog)
+
+    # Motion.
+
+    def _begin(self, now: float) -> None:
+        block = self._blocks[0]
+        self._busy = "Jog" if block.jog else "Run"
+        self._present_acceleration = block.acceleration
+        steps = np.array([self._settings[100 + axis] for axis in range(AXES)])
+        target = np.round(block.target * steps) / steps
+        self._due = self._track.move(
+            target + self._reference, now, block.speed, block.acceleration
+        )
+        self._after = self._finish_block
+
+    def _finish_block(self, now: float) -> None:
+        if self._blocks:
+            self._blocks.popleft()
+        else:
+            # A cancelled move: the parser goes on from where the axes are.
+            self._parser_position = self._machine_position(now)
+        self._busy = ""
+        waiting = self._wants_room or (None if self._blocks else self._wants_rest)
+        if self._blocks:
+            self._begin(now)
+        if waiting is not None:
+            self._wants_room = self._wants_rest = None
+            waiting(now)
+
+    def _when_still(self, now: float, act: Callable[[float], None]) -> None:
+        """Run ``act`` once every block is done."""
+        if self._due is None and not self._blocks:
+            act(now)
+        else:
+            self._wants_rest = act
+
+    def _dwell(self, seconds: float, now: float) -> None:
+        self._wants_rest = _nothing
+        self._busy = "Run"
+
+        def done(at: float) -> None:
+            self._busy = ""
+            self._wants_rest = None
+            self._ok(at)
+
+        self._due, self._after = now + seconds, done
+
+    def _home(self, now: float) -> None:
+        """Seek the switches axis by axis (quill first), pull off, take the homed position."""
+        self._state, self._busy = "Idle", "Home"
+        self._wants_rest = _nothing
+        errors = self.machine.errors
+        noise = self._rng.normal(0.0, 1.0, AXES) * self._units(errors.homing)
+        place = self._units(self.machine.home_joints) + noise
+        pull_off = self._settings[27]
+        seek, slow = self._settings[25] / 60, self._settings[24] / 60
+        order = [2, 0, 1, 3]
+        steps: list[tuple[Array, float]] = []
+        here = self._track.motors(now).copy()
+        for axis in order:
+            for value, speed in (
+                (place[axis] + pull_off, seek),
+                (place[axis], slow),
+            ):
+                here = here.copy()
+                here[axis] = value
+                steps.append((here, speed))
+
+        def following(at: float) -> None:
+            while steps:
+                target, speed = steps.pop(0)
+                acceleration = min(self._settings[120 + axis] for axis in range(AXES))
+                end = self._track.move(target, at, speed, acceleration)
+                if end > at:
+                    self._present_acceleration = acceleration
+                    self._due, self._after = end, following
+                    return
+            mask = int(self._settings[23])
+            homed = np.array(
+                [
+                    pull_off - self._settings[130 + axis] if mask >> axis & 1 else -pull_off
+                    for axis in range(AXES)
+                ],
+                dtype=float,
+            )
+            self._reference = self._track.motors(at) - homed
+            self._parser_position = homed
+            self._busy = ""
+            self._wants_rest = None
+            self._ok(at)
+
+        following(now)
+
+    # Small things.
+
+    def _units(self, joints: tuple[float, float, float, float]) -> Array:
+        """Joint values in the axes' units and senses."""
+        return np.asarray(joints, dtype=float) * TO_UNITS * self._sign
+
+    def _machine_position(self, now: float) -> Array:
+        steps = np.array([self._settings[100 + axis] for axis in range(AXES)])
+        return np.asarray(np.round((self._track.motors(now) - self._reference) * steps) / steps)
+
+    def _work_offset(self) -> Array:
+        return np.asarray(self._systems[self._modal.system] + self._shift)
+
+
+def _nothing(now: float) -> None:
+    """A line that waits for an end which takes it off by itself."""

@@ -1,0 +1,236 @@
+"""Where the emulated arm's axes are at any time: trapezoids, holds, backlash and repeatability."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+HISTORY = 3.0
+"""How far back positions stay known, s: longer than a camera's latency."""
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """A stretch of constant acceleration along the line of a move."""
+
+    start: float
+    duration: float
+    place: float
+    speed: float
+    acceleration: float
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Distance along a line over time."""
+
+    phases: tuple[Phase, ...]
+
+    @property
+    def end(self) -> float:
+        """When the motion ends, s."""
+        last = self.phases[-1]
+        return last.start + last.duration
+
+    def at(self, time: float) -> tuple[float, float]:
+        """Distance and speed along the line at ``time``."""
+        chosen = self.phases[0]
+        for phase in self.phases:
+            if phase.start <= time:
+                chosen = phase
+        t = min(max(time - chosen.start, 0.0), chosen.duration)
+        return (
+            chosen.place + chosen.speed * t + chosen.acceleration * t * t / 2,
+            chosen.speed + chosen.acceleration * t,
+        )
+
+    def brake(self, time: float, deceleration: float) -> Profile:
+        """The same motion, slowing down to rest from ``time`` on."""
+        place, speed = self.at(time)
+        kept = tuple(
+            replace(phase, duration=min(phase.duration, time - phase.start))
+            for phase in self.phases
+            if phase.start < time
+        )
+        return Profile((*kept, Phase(time, speed / deceleration, place, speed, -deceleration)))
+
+
+def trapezoid(start: float, length: float, speed: float, acceleration: float) -> Profile:
+    """From rest to rest over ``length``, starting at time ``start``."""
+    ramp = min(speed / acceleration, math.sqrt(length / acceleration))
+    peak = acceleration * ramp
+    cruise = max(length - peak * ramp, 0.0) / peak if peak > 0 else 0.0
+    climbed = peak * ramp / 2
+    return Profile(
+        (
+            Phase(start, ramp, 0.0, 0.0, acceleration),
+            Phase(start + ramp, cruise, climbed, peak, 0.0),
+            Phase(start + ramp + cruise, ramp, length - climbed, peak, -acceleration),
+        )
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class AxisErrors:
+    """What the true arm does that its controller does not know; joint order, rad or m.
+
+    ``offset``: true joint minus reported joint after homing. ``backlash``: full play of the drive.
+    ``repeatability``: standard deviation of where one and the same target ends, drawn anew per move.
+    ``homing``: standard deviation of the home switches, drawn anew per homing.
+    """
+
+    offset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    backlash: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    repeatability: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    homing: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """One straight move of the motors, with what the joints make of it."""
+
+    start: float
+    origin: Array
+    direction: Array
+    """Unit vector; zeros for rest."""
+    profile: Profile
+    play: Array
+    """Joint value at the start, behind the backlash."""
+    noise_before: Array
+    noise_after: Array
+    length: float
+
+    def motors(self, time: float) -> Array:
+        """Motor values at ``time``."""
+        distance, _ = self.profile.at(time)
+        return self.origin + self.direction * distance
+
+    def joints(self, time: float, backlash: Array) -> Array:
+        """Joint values behind backlash and repeatability at ``time``."""
+        motors = self.motors(time)
+        distance, _ = self.profile.at(time)
+        part = distance / self.length if self.length > 0 else 1.0
+        noise = self.noise_before + part * (self.noise_after - self.noise_before)
+        return self.drive(motors, backlash) + noise
+
+    def drive(self, motors: Array, backlash: Array) -> Array:
+        """The play operator, exact because each axis moves one way within a piece."""
+        return np.asarray(np.clip(self.play, motors - backlash / 2, motors + backlash / 2))
+
+
+class AxisTrack:
+    """The motion of all axes over time, in one unit system of the caller's choice."""
+
+    def __init__(
+        self, position: Array, backlash: Array, repeatability: Array, rng: np.random.Generator
+    ) -> None:
+        self._backlash = np.asarray(backlash, dtype=float)
+        self._repeatability = np.asarray(repeatability, dtype=float)
+        self._rng = rng
+        zero = np.zeros(len(position))
+        rest = Profile((Phase(-math.inf, 0.0, 0.0, 0.0, 0.0),))
+        self._pieces: deque[Piece] = deque(
+            [
+                Piece(
+                    -math.inf,
+                    np.array(position, dtype=float),
+                    zero,
+                    rest,
+                    np.array(position, dtype=float),
+                    zero,
+                    zero,
+                    0.0,
+                )
+            ]
+        )
+
+    @property
+    def last(self) -> Piece:
+        """The newest piece."""
+        return self._pieces[-1]
+
+    def moving(self, time: float) -> bool:
+        """Whether the motors move at ``time``."""
+        return self.last.start <= time < self.last.profile.end
+
+    def motors(self, time: float) -> Array:
+        """Motor values at ``time``."""
+        return self._piece(time).motors(time)
+
+    def joints(self, time: float) -> Array:
+        """True joint values at ``time``, up to :data:`HISTORY` s back."""
+        return self._piece(time).joints(time, self._backlash)
+
+    def move(self, target: Array, start: float, speed: float, acceleration: float) -> float:
+        """Begin a move from rest; returns when it ends."""
+        before = self.last
+        origin = before.motors(start)
+        delta = np.asarray(target, dtype=float) - origin
+        length = float(np.linalg.norm(delta))
+        if length == 0:
+            return start
+        piece = Piece(
+            start,
+            origin,
+            delta / length,
+            trapezoid(start, length, speed, acceleration),
+            before.drive(origin, self._backlash),
+            before.joints(start, self._backlash) - before.drive(origin, self._backlash),
+            self._rng.normal(0.0, 1.0, len(origin)) * self._repeatability,
+            length,
+        )
+        self._append(piece)
+        return piece.profile.end
+
+    def brake(self, time: float, deceleration: float) -> float:
+        """Slow the present move down to rest; returns when it rests."""
+        if not self.moving(time):
+            return time
+        self._pieces[-1] = replace(
+            self.last, profile=self.last.profile.brake(time, deceleration)
+        )
+        return self.last.profile.end
+
+    def freeze(self, time: float) -> None:
+        """End the present move at once where it is."""
+        if not self.moving(time):
+            return
+        piece = self.last
+        motors = piece.motors(time)
+        noise = piece.joints(time, self._backlash) - piece.drive(motors, self._backlash)
+        self._pieces[-1] = replace(piece, profile=piece.profile.brake(time, 1e9))
+        self._rest(motors, piece.drive(motors, self._backlash), noise, time)
+
+    def shift(self, motors: Array, time: float) -> None:
+        """At rest: the motor values are renamed to ``motors`` while the joints' places are kept apart.
+
+        Used when the arm slips or is moved by hand: the joints jump by the same amount.
+        """
+        piece = self.last
+        old = piece.motors(time)
+        noise = piece.joints(time, self._backlash) - piece.drive(old, self._backlash)
+        play = piece.drive(old, self._backlash) + (np.asarray(motors) - old)
+        self._rest(np.asarray(motors, dtype=float), play, noise, time)
+
+    def _rest(self, motors: Array, play: Array, noise: Array, time: float) -> None:
+        still = Profile((Phase(time, 0.0, 0.0, 0.0, 0.0),))
+        self._append(
+            Piece(time, motors, np.zeros(len(motors)), still, play, noise, noise, 0.0)
+        )
+
+    def _append(self, piece: Piece) -> None:
+        self._pieces.append(piece)
+        while len(self._pieces) > 1 and self._pieces[1].start < piece.start - HISTORY:
+            self._pieces.popleft()
+
+    def _piece(self, time: float) -> Piece:
+        for piece in reversed(self._pieces):
+            if piece.start <= time:
+                return piece
+        return self._pieces[0]
