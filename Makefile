@@ -1,0 +1,29 @@
+# make demo [ARGS="--seed 3"]   position a disk in the simulated world
+# make test [ARGS="-k name"]    every ring of the tests
+# make lint                     style and types
+# make clean                    remove everything that was made here
+# make lock                     choose the versions in requirements.lock again (needs Python 3.10 to 3.13)
+#
+# Each sets up what it needs first (see env.sh); there is nothing else to install or to call before.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -e -u -o pipefail -c
+ARGS ?=
+
+.PHONY: demo test lint clean lock
+
+demo:
+	@. ./env.sh; python -m tapping_cell demo $(ARGS)
+
+test:
+	@. ./env.sh; python environment/run_tests.py $(ARGS)
+
+lint:
+	@. ./env.sh; ruff check .; ruff format --check .; mypy
+
+clean:
+	@rm -rf .venv build install log runs .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	@find . -name .git -prune -o \( -name __pycache__ -o -name '*.egg-info' \) -type d -prune -exec rm -rf {} +
+
+lock:
+	@python3 environment/lock.py python3.10 python3.11 python3.12 python3.13
