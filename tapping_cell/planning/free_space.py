@@ -17,6 +17,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
+from tapping_cell.mechanics import Polygon
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.strike import BoolArray, StrikeSpace
 
@@ -28,6 +29,12 @@ DIRECTIONS = 24
 
 WIDEST_GAP = math.radians(150.0) + 1e-9
 """Most that two neighbouring directions of possible taps may be apart, below a half plane."""
+
+TURNS = (-0.7, 0.0, 0.7)
+"""Rotations of the taps tried, as shares of the cone."""
+
+TYPICAL_TAP = 0.010
+"""Their distance in m; the pose of a strike depends on the ratio of rotation to distance only."""
 
 STEPS = [(1, 0), (1, 1), (0, 1), (-1, 1), (2, 1), (1, 2), (-1, 2), (-2, 1)]
 """Neighbours of a cell, each also the other way round."""
@@ -134,27 +141,48 @@ class PathLengths:
 def widest_gap(space: StrikeSpace, centres: ArrayLike) -> Array:
     """Largest angle without a possible tap for an object at the centres (..., 2), rad.
 
-    Taps through the centre stand for all: the others stand within the contact's friction angle.
-    Only the arm and the room for the tool count here, not where the object would go.
+    The worst of taps that turn the object left, right and not at all. Only the arm and the room for
+    the tool count here, not where the object would go.
     """
     p = np.asarray(centres, dtype=float)
+    gap = np.zeros(p.shape[:-1])
+    for tips in _tips_around(space):
+        poses = np.empty((*p.shape[:-1], DIRECTIONS, 3))
+        poses[..., :2] = p[..., None, :] + tips[:, :2]
+        poses[..., 2] = tips[:, 2]
+        possible = np.any(space.elbows(poses), axis=-1) & space.tool_has_room(poses)
+        gap = np.maximum(gap, _largest_run(~possible))
+    return gap
+
+
+def _tips_around(space: StrikeSpace) -> list[Array]:
+    """Resting tip poses around an object at the origin, (directions, 3), one array a turn.
+
+    Round bodies: by their mechanics. Others can be tapped in few directions at a given angle; for
+    them a tap through the centre of the bounding circle stands for all.
+    """
     heading = np.arange(DIRECTIONS) * (2.0 * math.pi / DIRECTIONS)
-    back = space.object_radius + space.tip_radius + space.settings.standoff
-    poses = np.stack(
-        [
-            p[..., 0, None] - back * np.cos(heading),
-            p[..., 1, None] - back * np.sin(heading),
-            np.broadcast_to(heading, (*p.shape[:-1], DIRECTIONS)),
-        ],
-        axis=-1,
-    )
-    possible = np.any(space.elbows(poses), axis=-1) & space.tool_has_room(poses)
-    missing = np.zeros(p.shape[:-1], dtype=int)
-    run = np.zeros(p.shape[:-1], dtype=int)
+    along = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    if isinstance(space.tap.body, Polygon):
+        back = space.object_radius + space.tip_radius + space.settings.standoff
+        return [np.concatenate([-back * along, heading[:, None]], axis=-1)]
+    size = max(space.tap.smallest_distance, TYPICAL_TAP)
+    tips = []
+    for share in TURNS:
+        turn = np.full((DIRECTIONS, 1), share * space.tap.cone_slope * size)
+        contact = space.tap.plan(np.concatenate([size * along, turn], axis=-1)).strike_pose
+        tips.append(space.rest_pose(contact))
+    return tips
+
+
+def _largest_run(missing: BoolArray) -> Array:
+    """Angle between the directions on both sides of the longest run of missing ones (..., n)."""
+    longest = np.zeros(missing.shape[:-1], dtype=int)
+    run = np.zeros(missing.shape[:-1], dtype=int)
     for index in range(2 * DIRECTIONS):
-        run = np.where(possible[..., index % DIRECTIONS], 0, run + 1)
-        missing = np.maximum(missing, run)
-    return (np.minimum(missing, DIRECTIONS - 1) + 1) * (2.0 * math.pi / DIRECTIONS)
+        run = np.where(missing[..., index % DIRECTIONS], run + 1, 0)
+        longest = np.maximum(longest, run)
+    return (np.minimum(longest, DIRECTIONS - 1) + 1) * (2.0 * math.pi / DIRECTIONS)
 
 
 def _neighbour_graph(workable: BoolArray) -> coo_array:

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
+from typing import Any
 
+from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.stopping import StoppingBox, stopping_box
 
@@ -107,6 +109,18 @@ class PlannerSettings:
             self.camera.position,
             self.camera.angle,
             self.box,
+        )
+
+    @classmethod
+    def for_tap(cls, tap: Tap, **others: Any) -> PlannerSettings:
+        """Settings with the cone and the smallest distance of an object's mechanics.
+
+        The cone is taken a hair narrower, so that a tap on its edge is not refused for rounding.
+        """
+        return cls(
+            cone_slope=tap.cone_slope * (1.0 - 1e-6),
+            smallest_distance=tap.smallest_distance * (1.0 + 1e-6),
+            **others,
         )
 
     def key(self) -> str:

@@ -9,13 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    from tapping_cell.mechanics import Tap
+from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.settings import Scatter
@@ -125,11 +123,10 @@ class StrikeSpace:
         self.settings = StrikeSettings() if settings is None else settings
         self.scatter = Scatter() if scatter is None else scatter
         self._arm_reach = arm_reach
-        body = tap.sliding.body
         angles = np.linspace(-math.pi, math.pi, OUTLINE_POINTS, endpoint=False)
-        self.outline: Array = np.asarray(body.boundary(angles), dtype=float)
+        self.outline: Array = np.asarray(tap.body.boundary(angles), dtype=float)
         """Points of the object's outline in its own frame, (points, 2), m."""
-        self.object_radius = float(np.max(np.hypot(self.outline[:, 0], self.outline[:, 1])))
+        self.object_radius = tap.body.bounding_radius
         self.tip_radius = float(tap.impact.striker.tip_radius)
 
     def elbows(self, tip_poses: ArrayLike) -> BoolArray:
@@ -217,7 +214,10 @@ class StrikeSpace:
 
         The slide itself is not looked at here (``slide_is_safe``).
         """
-        plan = self.tap.plan(displacements, object_pose)
+        known = np.flatnonzero(self.tap.reachable(displacements, object_pose))
+        if known.size == 0:
+            return None
+        plan = self.tap.plan(displacements[known], object_pose)
         contact = np.asarray(plan.strike_pose, dtype=float)
         speed = np.asarray(plan.striker_speed, dtype=float)
         rest = self.rest_pose(contact)
@@ -234,7 +234,7 @@ class StrikeSpace:
         index = int(np.argmax(usable))
         pose = Pose(*rest[index].tolist())
         above = Waypoint(pose, self.settings.travel_height)
-        return index, StrikePlan(
+        return int(known[index]), StrikePlan(
             contact_angle=float(np.asarray(plan.contact_angle)[index]),
             contact_pose=Pose(*contact[index].tolist()),
             strike_pose=pose,
