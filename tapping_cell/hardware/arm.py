@@ -1,7 +1,7 @@
 """The arm's driver: safe moves of a SCARA through a controller's dialect.
 
-Success of a move is: idle, and a position read back within tolerance. No motion before homing; after
-a stop, a reset or an alarm everything is forgotten and homing is demanded again.
+Success of a move is: idle, and a position read back within tolerance. No motion before homing;
+after a stop, a reset or an alarm everything is forgotten and homing is demanded again.
 """
 
 from __future__ import annotations
@@ -12,7 +12,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
-from tapping_cell.hardware.dialect import ArmDialect, AxisValues, Firmware
+from tapping_cell.hardware.dialect import (
+    ArmDialect,
+    AxisReading,
+    AxisValues,
+    Firmware,
+    LineCounters,
+)
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.motion import Waypoint, check_limits, move_duration
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
@@ -20,6 +26,11 @@ from tapping_cell.hardware.transport import Transport
 
 MOVE_ATTEMPTS = 3
 """A line that was lost or garbled is sent again this often while the arm stands where it stood."""
+
+FRESHNESS = 0.05
+"""A reading younger than this is not asked for again before a move, s."""
+LEAST_FEED = 0.001
+"""The slowest feed that a line can carry, units/min."""
 
 UNHOMING = frozenset(
     {
@@ -116,6 +127,7 @@ class ArmDriver:
         self._connected = False
         self._homed = False
         self._confirmed: Joints | None = None
+        self._fresh: ArmReading | None = None
         self._fault: HardwareFault | None = None
         self._stopped = threading.Event()
 
@@ -140,7 +152,7 @@ class ArmDriver:
         return self._fault
 
     @property
-    def line_counters(self) -> object:
+    def line_counters(self) -> LineCounters:
         """Retries, resends, timeouts and unreadable lines of the dialect."""
         return self._dialect.counters
 
@@ -281,7 +293,10 @@ class ArmDriver:
         self._fault = None
 
     def _move(self, goal: Joints, speed: float, deadline: float | None) -> ArmReading:
-        start = self._read()
+        start = self._fresh
+        if start is None or self._transport.now() - start.stamp > FRESHNESS:
+            start = self._read()
+        self._fresh = None
         if start.alarm:
             raise HardwareFault(
                 FaultReason.ALARM,
@@ -291,7 +306,8 @@ class ArmDriver:
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
                 f"the arm stands at {_in_words(start.joints)}, last confirmed at"
-                f" {_in_words(self._confirmed)}: it was moved or its controller restarted; clear the"
+                f" {_in_words(self._confirmed)}: it was moved or its controller restarted; clear"
+                " the"
                 " fault and home again",
             )
         duration = move_duration(self.geometry, start.joints, goal, speed)
@@ -307,12 +323,22 @@ class ArmDriver:
                 self.counters.retries += attempt > 0
                 # From here on the arm may be anywhere between start and goal.
                 self._confirmed = None
-                reading = self._try_move(start.joints, goal, speed, deadline)
-                if self._agrees(goal, reading.joints):
+                refusal = self._send(start.joints, goal, speed, deadline)
+                if refusal is None:
+                    reading = self._arrive(self._transport.now() + duration, deadline)
+                if refusal is not None or not self._agrees(goal, reading.joints):
+                    # One garbled report must not count: this asks until two agree.
+                    reading = self._read()
+                if not reading.moving and self._agrees(goal, reading.joints):
                     self._confirmed = reading.joints
+                    self._fresh = reading
                     return reading
-                if not self._agrees(start.joints, reading.joints):
+                # A garbled line was refused or lost: while the arm stands it may be sent again.
+                if reading.moving or not self._agrees(start.joints, reading.joints):
                     break
+            if refusal is not None:
+                self._confirmed = None if reading.moving else reading.joints
+                raise refusal
         except HardwareFault as fault:
             if fault.reason is FaultReason.TIMEOUT:
                 self.stop()
@@ -321,40 +347,34 @@ class ArmDriver:
                     f"a move of {duration:.2f} s was not finished in time ({fault}); the arm was"
                     " stopped: clear the fault and home again",
                 ) from fault
-            if fault.reason in (FaultReason.DISCONNECTED, FaultReason.REJECTED):
-                self._confirmed = None
             raise
         self._confirmed = reading.joints
         raise self._mismatch(goal, reading.joints)
 
-    def _try_move(
+    def _send(
         self, start: Joints, goal: Joints, speed: float, deadline: float
-    ) -> ArmReading:
+    ) -> HardwareFault | None:
+        """Send the line of one move; returns the controller's refusal if it refused it."""
         target = self._to_axes(goal)
         length = math.dist(self._to_axes(start), target)
         time = max(
             abs(b - a) / (v * speed)
             for a, b, v in zip(start, goal, self.geometry.max_speed, strict=True)
         )
-        if time > 0 and length > 0:
-            try:
-                self._dialect.start_move(target, max(60 * length / time, 0.001), deadline)
-            except HardwareFault as fault:
-                if fault.reason is not FaultReason.REJECTED:
-                    raise
-                reading = self._read()
-                # A garbled line is refused; the caller sends it again while the arm stands still.
-                if reading.moving or not self._agrees(start, reading.joints):
-                    raise
-                self.counters.last_error = fault.sentence
-                return reading
-            self._dialect.finish_move(deadline)
-        reading = self._read()
-        while reading.moving:
-            if self._transport.now() > deadline:
-                raise HardwareFault(FaultReason.TIMEOUT, "the arm is still moving")
-            reading = self._read()
-        return reading
+        if time == 0:
+            return None
+        try:
+            self._dialect.start_move(target, max(60 * length / time, LEAST_FEED), deadline)
+        except HardwareFault as fault:
+            if fault.reason is not FaultReason.REJECTED:
+                raise
+            return fault
+        return None
+
+    def _arrive(self, expected_end: float, deadline: float) -> ArmReading:
+        """Wait for rest; the time of asking is the time of the reading."""
+        reading = self._dialect.finish_move(expected_end, deadline)
+        return self._in_joints(reading, self._transport.now())
 
     def _declare(self, strategy: HomingStrategy) -> Joints:
         reading = self._read()
@@ -377,7 +397,9 @@ class ArmDriver:
 
     def _read(self) -> ArmReading:
         stamp = self._transport.now()
-        reading = self._dialect.read(self._reply_deadline())
+        return self._in_joints(self._dialect.read(self._reply_deadline()), stamp)
+
+    def _in_joints(self, reading: AxisReading, stamp: float) -> ArmReading:
         return ArmReading(
             self._to_joints(reading.axes), reading.moving, reading.alarm, reading.measured, stamp
         )

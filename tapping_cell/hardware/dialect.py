@@ -70,8 +70,11 @@ class ArmDialect(Protocol):
     def start_move(self, target: AxisValues, feed: float, deadline: float) -> None:
         """Send one straight absolute move at ``feed`` units/min; returns once it is taken."""
 
-    def finish_move(self, deadline: float) -> None:
-        """Wait until the controller says that nothing moves any more."""
+    def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
+        """Wait until nothing moves any more; asks little before ``expected_end``.
+
+        The reading is one report: what differs from the target must be read again to be believed.
+        """
 
     def idle(self, duration: float) -> None:
         """Listen for up to ``duration`` s without asking anything."""

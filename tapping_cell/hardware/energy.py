@@ -1,8 +1,8 @@
 """Striker speed against the energy that the tapper stores, from measured pairs.
 
-An ideal spring or coil gives v = sqrt(2 E / m): speed is proportional to the root of the energy. So the
-curve is interpolated linearly in sqrt(E), which is exact for the ideal drive, and it is monotone
-because the pairs must be.
+An ideal spring or coil gives v = sqrt(2 E / m): speed is proportional to the root of the energy. So
+the curve is interpolated linearly in sqrt(E), which is exact for the ideal drive, and it is
+monotone because the pairs must be.
 """
 
 from __future__ import annotations
@@ -34,8 +34,10 @@ class EnergyCurve:
                 raise ValueError(f"row {row} of the energy table is not finite")
             if energy <= before[0] or speed <= before[1]:
                 raise ValueError(
-                    f"row {row} of the energy table ({energy:g} J, {speed:g} m/s) does not rise above"
-                    f" ({before[0]:g} J, {before[1]:g} m/s): sort it and measure again where it falls"
+                    f"row {row} of the energy table ({energy:g} J, {speed:g} m/s) does not rise"
+                    " above"
+                    f" ({before[0]:g} J, {before[1]:g} m/s): sort it and measure again where it"
+                    " falls"
                 )
             before = (energy, speed)
 

@@ -1,4 +1,5 @@
-"""What can go wrong with a device: one exception with a reason to branch on and a sentence to read."""
+"""What can go wrong with a device: one exception with a reason to branch on and a sentence to
+read."""
 
 from __future__ import annotations
 

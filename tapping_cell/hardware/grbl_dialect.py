@@ -18,13 +18,13 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.transport import Transport
 
 REPLY_TIMEOUT = 0.5
-"""Longest wait for an answer to a question, s: a report comes within 10 ms, a `$$` within 100 ms."""
-POLL_PERIOD = 0.02
-"""Between status questions while waiting, s; Grbl's documentation asks for at most 5 to 20 Hz in
-streaming and allows this rate when nothing is streamed."""
+"""Longest wait for an answer to a question, s: a report comes within 10 ms, a `$$` within 100
+ms."""
+POLL_PERIOD = 0.01
+"""Between status questions when a move is due to end, s; during it the controller is left alone."""
 MARK_LINE = b"G18\n"
-"""A modal state that changes nothing for straight moves and that every reset forgets: if it is still
-there after a reconnect, the controller was not reset."""
+"""A modal state that changes nothing for straight moves and that every reset forgets: if it is
+still there after a reconnect, the controller was not reset."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +100,11 @@ class GrblDialect:
                 raise
             self.counters.retries += 1
 
-    def finish_move(self, deadline: float) -> None:
-        """Poll the status until it says Idle twice."""
-        idle = 0
-        while idle < 2:
+    def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
+        """Listen until ``expected_end``, then poll until a report says that the axes rest."""
+        while (left := expected_end - self._transport.now()) > 0:
+            self._pump(left)
+        while True:
             status = self._ask_status(deadline)
             if status.state == "Alarm":
                 raise self._alarm_fault("the controller is in alarm")
@@ -113,9 +114,9 @@ class GrblDialect:
                     f"the controller went into {status.state} during a move: look for the cause at"
                     " the cell, then clear the fault",
                 )
-            idle = 0 if _moving(status) else idle + 1
-            if idle < 2:
-                self._pump(POLL_PERIOD)
+            if not _moving(status) and self._work_position(status) is not None:
+                return self._reading(status)
+            self._pump(POLL_PERIOD)
 
     def idle(self, duration: float) -> None:
         """Listen; a banner or an alarm that comes is raised."""
@@ -183,7 +184,9 @@ class GrblDialect:
                 " clear the fault and home again",
             )
         if self._known and isinstance(frame, grbl.Alarm):
-            raise self._alarm_fault(grbl.ALARMS.get(frame.code, "unknown to this driver"), frame.code)
+            raise self._alarm_fault(
+                grbl.ALARMS.get(frame.code, "unknown to this driver"), frame.code
+            )
         self._frames.append(frame)
 
     def _next(self, deadline: float, waiting_for: str) -> grbl.Frame:

@@ -41,7 +41,8 @@ class MotionSettings:
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """One straight move in joint space: where to, at which fraction of the joint speeds, and why."""
+    """One straight move in joint space: where to, at which fraction of the joint speeds, and
+    why."""
 
     joints: Joints
     speed: float

@@ -1,7 +1,7 @@
 """Kinematics of a four-axis SCARA arm: shoulder, elbow, quill, tool rotation.
 
-Frame ``arm_base``: origin on the shoulder's axis in the plane of the table, x along the upper arm at
-shoulder angle zero, z up. Joint order everywhere: shoulder in rad, elbow in rad, quill in m
+Frame ``arm_base``: origin on the shoulder's axis in the plane of the table, x along the upper arm
+at shoulder angle zero, z up. Joint order everywhere: shoulder in rad, elbow in rad, quill in m
 (positive up), tool in rad. The wrist (the quill's axis) stands at
 
     w = L1 (cos q1, sin q1) + L2 (cos(q1 + q2), sin(q1 + q2)),
@@ -99,7 +99,8 @@ def _wrap(angle: Array) -> Array:
 
 
 def _into_range(angle: Array, low: float, high: float, near: float) -> tuple[Array, Array]:
-    """The turn of ``angle`` inside [low, high] nearest to ``near``, and how far out it is if none is."""
+    """The turn of ``angle`` inside [low, high] nearest to ``near``, and how far out it is if none
+    is."""
     turns = _wrap(angle)[..., None] + 2 * math.pi * np.arange(-2, 3)
     excess = np.maximum(np.maximum(low - turns, turns - high), 0.0)
     excess = np.where(excess <= LIMIT_SLACK, 0.0, excess)
@@ -255,7 +256,8 @@ class ScaraGeometry:
     def reachable(self, poses: ArrayLike, branch: Branch | None = None) -> NDArray[np.bool_]:
         """Mask of shape (...): which tip poses (..., 4) can be taken (by either elbow if None)."""
         branches = tuple(Branch) if branch is None else (branch,)
-        return np.any([self.inverse_many(poses, side).code == 0 for side in branches], axis=0)
+        masks = [self.inverse_many(poses, side).code == 0 for side in branches]
+        return np.asarray(np.any(masks, axis=0), dtype=np.bool_)
 
     def inverse(
         self, tip: ArrayLike, branch: Branch | None = None, near: ArrayLike | None = None
@@ -276,7 +278,9 @@ class ScaraGeometry:
             side = self.branch_of(near)
             good.sort(key=lambda solution: solution.branch is not side)
             return good[0]
-        return min(good, key=lambda solution: abs(solution.joints.shoulder) if solution.joints else 0)
+        return min(
+            good, key=lambda solution: abs(solution.joints.shoulder) if solution.joints else 0
+        )
 
     def _inverse_on(self, tip: ArrayLike, branch: Branch, near: ArrayLike | None) -> IKSolution:
         pose = np.asarray(tip, dtype=float)
@@ -293,7 +297,8 @@ class ScaraGeometry:
 
     def _sentence(self, pose: Array, code: ReachCode, excess: float) -> str:
         where = (
-            f"tip pose x {pose[0] * 1e3:.1f} mm, y {pose[1] * 1e3:.1f} mm, z {pose[2] * 1e3:.1f} mm,"
+            f"tip pose x {pose[0] * 1e3:.1f} mm, y {pose[1] * 1e3:.1f} mm,"
+            f" z {pose[2] * 1e3:.1f} mm,"
             f" yaw {math.degrees(pose[3]) if math.isfinite(pose[3]) else pose[3]:.1f} deg"
         )
         if code is ReachCode.NOT_FINITE:
@@ -313,8 +318,8 @@ class ScaraGeometry:
         if code is ReachCode.SINGULAR:
             return (
                 f"{where}: the elbow would be {math.degrees(excess):.2f} deg inside the margin of"
-                f" {math.degrees(self.singularity_margin):.1f} deg from straight or folded; choose a"
-                " pose away from the edge of the reach"
+                f" {math.degrees(self.singularity_margin):.1f} deg from straight or folded;"
+                " choose a pose away from the edge of the reach"
             )
         joint = {
             ReachCode.SHOULDER_LIMIT: 0,

@@ -19,7 +19,8 @@ REOPEN_PERIOD = 0.05
 
 
 class SerialTransport:
-    """One serial port, opened exclusively by path (a symlink such as ``/dev/serial/by-id/...`` too).
+    """One serial port, opened exclusively by path (a symlink such as ``/dev/serial/by-id/...``
+    too).
 
     Opening resolves the path anew each time, so a device that comes back under another number is
     found again. Deadlines are on the steady clock.
@@ -52,7 +53,8 @@ class SerialTransport:
         time.sleep(duration)
 
     def open(self, timeout: float) -> None:
-        """Open the port exclusively and raw, waiting up to ``timeout`` s for it; stale input is dropped.
+        """Open the port exclusively and raw, waiting up to ``timeout`` s for it; stale input is
+        dropped.
 
         Raises HardwareFault: PORT_MISSING, PORT_BUSY, STOPPED.
         """
@@ -174,7 +176,8 @@ class SerialTransport:
                 port.close()
         return HardwareFault(
             FaultReason.DISCONNECTED,
-            f"{self._path} went away ({error}): check the cable and power; the driver opens it again"
+            f"{self._path} went away ({error}): check the cable and power; the driver opens"
+            " it again"
             " when it returns",
         )
 

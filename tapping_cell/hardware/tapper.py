@@ -1,10 +1,10 @@
 """The tapper's driver: draw, fire once, say truly what happened.
 
 A shot is never fired twice: a repeated request carries the same sequence number, which the tapper
-answers from memory; a shot whose ``FIRE`` may have gone out is never tried again by this driver. When
-the answer stays away, a later request settles it: the tapper takes no older sequence number after a
-newer one, and each reply names the last shot fired. When that stays away too, or the boot number has
-changed, the outcome is UNKNOWN: look with the camera, never fire again.
+answers from memory; a shot whose ``FIRE`` may have gone out is never tried again by this driver.
+When the answer stays away, a later request settles it: the tapper takes no older sequence number
+after a newer one, and each reply names the last shot fired. When that stays away too, or the boot
+number has changed, the outcome is UNKNOWN: look with the camera, never fire again.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from tapping_cell.hardware.transport import Transport
 PROTOCOL_VERSION = "1"
 """First part of the firmware's version that this driver speaks."""
 LATEST_FIRE = protocol.SILENCE_LIMIT + 0.15
-"""A FIRE frame that is stuck on the line can act no later than this after it was sent, s: by then the
-tapper has heard nothing valid for 500 ms and has disarmed itself."""
+"""A FIRE frame that is stuck on the line can act no later than this after it was sent, s: by then
+the tapper has heard nothing valid for 500 ms and has disarmed itself."""
 
 
 class FireOutcome(Enum):
@@ -150,12 +150,13 @@ class TapperDriver:
         self._transport.close()
 
     def status(self) -> Reply:
-        """Ask for the state; also what keeps a drawn tapper alive: call it more often than 500 ms."""
+        """Ask for the state; also what keeps a drawn tapper alive: call it more often than 500
+        ms."""
         return self._request(Command.STATUS)
 
     def arm(self, shot: int, energy: float, timeout: float = 3.0) -> Reply:
-        """Draw for ``energy`` in J; returns when drawn. The tapper disarms by itself ``timeout`` s after
-        the request, or 500 ms after the last frame.
+        """Draw for ``energy`` in J; returns when drawn. The tapper disarms by itself ``timeout`` s
+        after the request, or 500 ms after the last frame.
 
         ``shot`` must be above every shot tried before. Raises HardwareFault: SHOT_SPENT, INTERLOCK,
         STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET, REJECTED, DISCONNECTED.
@@ -170,7 +171,8 @@ class TapperDriver:
         if shot <= self._attempted:
             raise self._noted(
                 FaultReason.SHOT_SPENT,
-                f"shot {shot} may have been fired already (last tried: {self._attempted}): take a new"
+                f"shot {shot} may have been fired already (last tried: {self._attempted}): take a"
+                " new"
                 " number",
             )
         reply = self._request(Command.ARM, shot, energy_uj, round(timeout * 1e3))
@@ -208,7 +210,8 @@ class TapperDriver:
         if shot <= self._attempted:
             raise self._noted(
                 FaultReason.SHOT_SPENT,
-                f"shot {shot} may have been fired already (last tried: {self._attempted}): take a new"
+                f"shot {shot} may have been fired already (last tried: {self._attempted}): take a"
+                " new"
                 " number",
             )
         self._attempted = shot
@@ -316,7 +319,8 @@ class TapperDriver:
         return reply
 
     def _exchange(self, frame: bytes, sequence: int, attempts: int) -> Reply | None:
-        """Send the same bytes until the reply to this sequence number comes; None if it never does."""
+        """Send the same bytes until the reply to this sequence number comes; None if it never
+        does."""
         for attempt in range(attempts):
             self.counters.retries += attempt > 0
             self._transport.write(frame)
@@ -345,7 +349,8 @@ class TapperDriver:
     def _require_session(self) -> None:
         if self._stopped.is_set():
             raise self._noted(
-                FaultReason.STOPPED, "the tapper is stopped: make the cell safe, then clear the fault"
+                FaultReason.STOPPED,
+                "the tapper is stopped: make the cell safe, then clear the fault",
             )
         if not self.connected:
             raise self._noted(
@@ -359,8 +364,8 @@ class TapperDriver:
         if reply.result is Result.NEEDS_PERSON:
             reason, text = (
                 FaultReason.NEEDS_PERSON,
-                "the tapper's stop is latched: a person must press the clear button at the cell, then"
-                " clear the fault within 10 s",
+                "the tapper's stop is latched: a person must press the clear button at the cell,"
+                " then clear the fault within 10 s",
             )
         elif reply.stop_latched or reply.result is Result.STOPPED:
             reason, text = (
@@ -368,7 +373,10 @@ class TapperDriver:
                 "the tapper's stop is latched: make the cell safe, then clear the fault",
             )
         elif not reply.interlock_closed or reply.result is Result.INTERLOCK:
-            reason, text = (FaultReason.INTERLOCK, "the tapper's interlock is open: close the guard")
+            reason, text = (
+                FaultReason.INTERLOCK,
+                "the tapper's interlock is open: close the guard",
+            )
         elif reply.result is Result.SPENT:
             reason, text = (
                 FaultReason.SHOT_SPENT,
@@ -384,7 +392,8 @@ class TapperDriver:
         else:
             reason, text = (
                 FaultReason.REJECTED,
-                f"the tapper answered {reply.result.value} in state {reply.state.value} ({shot}): it"
+                f"the tapper answered {reply.result.value} in state {reply.state.value} ({shot}):"
+                " it"
                 " disarmed itself or was never drawn; draw again",
             )
         return self._noted(reason, text)

@@ -1,9 +1,9 @@
 """Codec of the tapper's line protocol, version 1: bytes <-> frames.
 
 ``@<session>,<seq>,<WORD>[,args]*<CRC>\\n``. The CRC is CRC-16/CCITT-FALSE (polynomial 0x1021, start
-0xFFFF, no reflection) over everything between ``@`` and ``*``, as four upper-case hex digits. Requests
-carry a command word, replies a result word; no word is both, so an echoing line is not taken for
-the device. An ``@`` begins a frame wherever it stands, a newline ends it.
+0xFFFF, no reflection) over everything between ``@`` and ``*``, as four upper-case hex digits.
+Requests carry a command word, replies a result word; no word is both, so an echoing line is not
+taken for the device. An ``@`` begins a frame wherever it stands, a newline ends it.
 
 A reply's arguments: state, shot, energy in uJ, interlock closed (0/1), stop latched (0/1), the last
 shot fired in this boot (0: none), its measured speed in um/s (0: not measured), boot number;
@@ -112,9 +112,7 @@ def crc16(data: bytes) -> int:
 def encode(session: int, sequence: int, command: Command, *arguments: int) -> bytes:
     """One request frame. Raises ValueError for numbers that the frame cannot carry."""
     if not (1 <= session <= 0xFFFF and 0 <= sequence <= 0xFFFF):
-        raise ValueError(
-            f"session {session} must be 1 to 65535 and sequence {sequence} 0 to 65535"
-        )
+        raise ValueError(f"session {session} must be 1 to 65535 and sequence {sequence} 0 to 65535")
     if any(argument < 0 for argument in arguments):
         raise ValueError(f"arguments {arguments} must not be negative")
     body = ",".join(str(part) for part in (session, sequence, command.value, *arguments)).encode()

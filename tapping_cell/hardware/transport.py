@@ -8,8 +8,9 @@ from typing import Protocol
 class Transport(Protocol):
     """A byte line to one device.
 
-    All calls but ``stop`` belong to one thread. Every call but ``now``, ``sleep``, ``close`` and ``stop`` raises
-    HardwareFault: DISCONNECTED when the line is gone, STOPPED while a stop is latched.
+    All calls but ``stop`` belong to one thread. Every call but ``now``, ``sleep``, ``close`` and
+    ``stop`` raises HardwareFault: DISCONNECTED when the line is gone, STOPPED while a stop is
+    latched.
     """
 
     @property
@@ -39,7 +40,8 @@ class Transport(Protocol):
         """The bytes at hand, waiting up to ``timeout`` s for the first; empty when none came."""
 
     def write(self, data: bytes, timeout: float = 1.0) -> None:
-        """Write all of ``data``; raises HardwareFault TIMEOUT if the port takes no more for that long."""
+        """Write all of ``data``; raises HardwareFault TIMEOUT if the port takes no more for that
+        long."""
 
     def stop(self, data: bytes) -> bool:
         """From any thread: latch the stop and write ``data`` at once, before anything else waiting.

@@ -1,7 +1,7 @@
 """What every emulated serial device offers: bytes in, bytes out, time told from outside.
 
-An emulator is a state machine without a thread and without a clock of its own. A pseudo-terminal runs
-it in real time, a test in any time it likes.
+An emulator is a state machine without a thread and without a clock of its own. A pseudo-terminal
+runs it in real time, a test in any time it likes.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """A Grbl 1.1 controller with an arm behind it, as a state machine in told time.
 
-Written from Grbl's documentation and independent of the driver's codec: lines are read with a parser
-of its own. Real-time bytes act at once; lines wait for room in the planner; each move is a trapezoid
-within the axes' rates and accelerations; every block ends at rest, as Grbl does when its queue holds
-one block. What is not emulated is refused with Grbl's error number, never silently taken.
+Written from Grbl's documentation and independent of the driver's codec: lines are read with a
+parser of its own. Real-time bytes act at once; lines wait for room in the planner; each move is a
+trapezoid within the axes' rates and accelerations; every block ends at rest, as Grbl does when its
+queue holds one block. What is not emulated is refused with Grbl's error number, never silently
+taken.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ TO_UNITS = np.array([180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi])
 
 
 def default_settings() -> dict[int, float]:
-    """``$$`` of the simulated arm; rates in units/min, accelerations in units/s2, travels in units."""
+    """``$$`` of the simulated arm; rates in units/min, accelerations in units/s2, travels in
+    units."""
     return {
         0: 10,
         1: 255,
@@ -113,9 +115,7 @@ class _Refused(Exception):
 class GrblEmulator:
     """See the module; one instance is one board with its arm."""
 
-    def __init__(
-        self, machine: GrblMachine | None = None, seed: int = 0, now: float = 0.0
-    ) -> None:
+    def __init__(self, machine: GrblMachine | None = None, seed: int = 0, now: float = 0.0) -> None:
         self.machine = machine or GrblMachine()
         self._rng = np.random.default_rng(seed)
         self._settings = dict(self.machine.settings)
@@ -130,6 +130,10 @@ class GrblEmulator:
             self._rng,
         )
         self._reference = start
+        self._due: float | None = None
+        self._after: Callable[[float], None] | None = None
+        self._wants_room: Callable[[float], None] | None = None
+        self._wants_rest: Callable[[float], None] | None = None
         self._systems = {number: np.zeros(AXES) for number in range(54, 60)}
         self._restart(now, hard=True)
 
@@ -146,7 +150,8 @@ class GrblEmulator:
         return self._track.moving(time)
 
     def push(self, joints: tuple[float, float, float, float], now: float) -> None:
-        """A person moves the resting, unpowered arm to ``joints``; the controller does not notice."""
+        """A person moves the resting, unpowered arm to ``joints``; the controller does not
+        notice."""
         self.advance(now)
         before = self._track.motors(now)
         after = self._units(joints) - self._units(self.machine.errors.offset)
@@ -215,10 +220,8 @@ class GrblEmulator:
         self._shift = np.zeros(AXES)
         self._held = False
         self._busy = ""
-        self._due: float | None = None
-        self._after: Callable[[float], None] | None = None
-        self._wants_room: Callable[[float], None] | None = None
-        self._wants_rest: Callable[[float], None] | None = None
+        self._due = self._after = None
+        self._wants_room = self._wants_rest = None
         self._present_acceleration = 1.0
         self._reports = 0
         if hard:
@@ -324,9 +327,7 @@ class GrblEmulator:
             self._ok(now)
         elif text.startswith("$"):
             self._system(text, now)
-        elif self._state == "Alarm":
-            raise _Refused(9)
-        elif self._state == "Sleep":
+        elif self._state in ("Alarm", "Sleep"):
             raise _Refused(9)
         else:
             self._gcode(text, now, jog=False)
@@ -336,7 +337,8 @@ class GrblEmulator:
         say = self._output.put
         if text == "$$":
             for number, value in sorted(self._settings.items()):
-                shown = f"{value:.3f}" if number >= 100 or number in (11, 12, 24, 25, 27) else f"{value:g}"
+                real = number >= 100 or number in (11, 12, 24, 25, 27)
+                shown = f"{value:.3f}" if real else f"{value:g}"
                 say(f"${number}={shown}\r\n".encode(), now)
         elif text == "$I":
             say(b"[VER:1.1h.20190825:]\r\n[OPT:V,15,128]\r\n", now)
@@ -349,8 +351,8 @@ class GrblEmulator:
             )
             say(f"[GC:{words}]\r\n".encode(), now)
         elif text == "$#":
-            for number, value in self._systems.items():
-                say(f"[G{number}:{','.join(f'{v:.3f}' for v in value)}]\r\n".encode(), now)
+            for system, place in self._systems.items():
+                say(f"[G{system}:{','.join(f'{v:.3f}' for v in place)}]\r\n".encode(), now)
             say(f"[G92:{','.join(f'{v:.3f}' for v in self._shift)}]\r\n".encode(), now)
         elif text == "$X":
             if self._state == "Alarm":
@@ -395,9 +397,7 @@ class GrblEmulator:
         return words
 
     def _gcode(self, text: str, now: float, jog: bool) -> None:
-        modal = _Modal(
-            **{name: getattr(self._modal, name) for name in _Modal.__slots__}
-        )
+        modal = _Modal(**{name: getattr(self._modal, name) for name in _Modal.__slots__})
         action: float | None = None
         axes: dict[int, float] = {}
         pause = 0.0
@@ -449,9 +449,9 @@ class GrblEmulator:
         if action == 92:
             if not axes:
                 raise _Refused(26)
-            for axis, value in axes.items():
+            for axis, place in axes.items():
                 self._shift[axis] = (
-                    self._parser_position[axis] - self._systems[modal.system][axis] - value
+                    self._parser_position[axis] - self._systems[modal.system][axis] - place
                 )
             self._modal = modal
             self._reports = 0
@@ -537,9 +537,7 @@ class GrblEmulator:
         self._present_acceleration = block.acceleration
         steps = np.array([self._settings[100 + axis] for axis in range(AXES)])
         target = np.round(block.target * steps) / steps
-        self._due = self._track.move(
-            target + self._reference, now, block.speed, block.acceleration
-        )
+        self._due = self._track.move(target + self._reference, now, block.speed, block.acceleration)
         self._after = self._finish_block
 
     def _finish_block(self, now: float) -> None:
@@ -628,7 +626,8 @@ class GrblEmulator:
 
     def _machine_position(self, now: float) -> Array:
         steps = np.array([self._settings[100 + axis] for axis in range(AXES)])
-        return np.asarray(np.round((self._track.motors(now) - self._reference) * steps) / steps)
+        counts = np.round((self._track.motors(now) - self._reference) * steps)
+        return np.asarray(counts / steps, dtype=float)
 
     def _work_offset(self) -> Array:
         return np.asarray(self._systems[self._modal.system] + self._shift)

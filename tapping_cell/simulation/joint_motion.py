@@ -81,8 +81,8 @@ class AxisErrors:
     """What the true arm does that its controller does not know; joint order, rad or m.
 
     ``offset``: true joint minus reported joint after homing. ``backlash``: full play of the drive.
-    ``repeatability``: standard deviation of where one and the same target ends, drawn anew per move.
-    ``homing``: standard deviation of the home switches, drawn anew per homing.
+    ``repeatability``: standard deviation of where one and the same target ends, drawn anew per
+    move. ``homing``: standard deviation of the home switches, drawn anew per homing.
     """
 
     offset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -192,9 +192,7 @@ class AxisTrack:
         """Slow the present move down to rest; returns when it rests."""
         if not self.moving(time):
             return time
-        self._pieces[-1] = replace(
-            self.last, profile=self.last.profile.brake(time, deceleration)
-        )
+        self._pieces[-1] = replace(self.last, profile=self.last.profile.brake(time, deceleration))
         return self.last.profile.end
 
     def freeze(self, time: float) -> None:
@@ -208,7 +206,8 @@ class AxisTrack:
         self._rest(motors, piece.drive(motors, self._backlash), noise, time)
 
     def shift(self, motors: Array, time: float) -> None:
-        """At rest: the motor values are renamed to ``motors`` while the joints' places are kept apart.
+        """At rest: the motor values are renamed to ``motors`` while the joints' places are kept
+        apart.
 
         Used when the arm slips or is moved by hand: the joints jump by the same amount.
         """
@@ -220,9 +219,7 @@ class AxisTrack:
 
     def _rest(self, motors: Array, play: Array, noise: Array, time: float) -> None:
         still = Profile((Phase(time, 0.0, 0.0, 0.0, 0.0),))
-        self._append(
-            Piece(time, motors, np.zeros(len(motors)), still, play, noise, noise, 0.0)
-        )
+        self._append(Piece(time, motors, np.zeros(len(motors)), still, play, noise, noise, 0.0))
 
     def _append(self, piece: Piece) -> None:
         self._pieces.append(piece)

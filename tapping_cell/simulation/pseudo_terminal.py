@@ -174,9 +174,7 @@ class PseudoTerminal:
             poller = select.poll()
             poller.register(self._wake_read, select.POLLIN)
             if master is not None and (self._opened or not self._reset_on_open):
-                poller.register(
-                    master, select.POLLIN | (select.POLLOUT if self._unsent else 0)
-                )
+                poller.register(master, select.POLLIN | (select.POLLOUT if self._unsent else 0))
             for descriptor, _ in poller.poll(max(wait, 0.0) * 1e3):
                 if descriptor == self._wake_read:
                     os.read(self._wake_read, 4096)

@@ -1,7 +1,7 @@
 """The tapper's board as a state machine in told time, with a parser and checksum of its own.
 
-The real firmware is ``firmware/tapper``; this stands in for it together with the spring, the interlock
-and the buttons at the cell.
+The real firmware is ``firmware/tapper``; this stands in for it together with the spring, the
+interlock and the buttons at the cell.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ CLEAR_WINDOW = 10.0
 VERSION = "1.0.0-sim"
 
 FireCallback = Callable[[int, float, float], float | None]
-"""Called at a release with shot, energy in J and time in s; returns the measured speed in m/s or None."""
+"""Called at a release with shot, energy in J and time in s; returns the measured speed in m/s or
+None."""
 
 
 @dataclass(frozen=True, slots=True)
