@@ -1,0 +1,187 @@
+"""The node graph as child processes: started together, watched, and always ended together."""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+SIMULATED = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
+HARDWARE = ("overhead_camera", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
+
+PATIENCE_S = 5.0
+"""Time that a node is given to end by itself before it is killed."""
+
+_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux' prctl(2)
+
+
+class NodeDied(RuntimeError):
+    """A node ended by itself; the sentence says which, with what status and its last words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Child:
+    """One node's process and its log."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+    stream: IO[bytes]
+
+
+class Graph:
+    """The nodes of one cell as processes.
+
+    Use as a context manager: however the block is left, every process has ended afterwards. Where
+    this process itself is killed, the kernel ends the children.
+    """
+
+    def __init__(
+        self,
+        nodes: Sequence[str],
+        parameters: Mapping[str, Mapping[str, object]],
+        log_folder: Path,
+        environment: Mapping[str, str] | None = None,
+        namespace: str = "",
+    ) -> None:
+        self._nodes = tuple(nodes)
+        self._parameters = parameters
+        self._log_folder = log_folder
+        self._environment = {**os.environ, **(environment or {})}
+        self._namespace = namespace
+        self._children: list[Child] = []
+
+    def __enter__(self) -> Graph:
+        self._log_folder.mkdir(parents=True, exist_ok=True)
+        try:
+            for name in self._nodes:
+                self._children.append(self._start(name))
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    def _start(self, name: str) -> Child:
+        command = [sys.executable, "-m", f"tapping_cell.nodes.{name}", "--ros-args"]
+        if self._namespace:
+            command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
+        for key, value in self._parameters.get(name, {}).items():
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            command += ["-p", f"{key}:={text}"]
+        log = self._log_folder / f"{name}.log"
+        stream = log.open("wb")
+        process = subprocess.Popen(
+            command,
+            env=self._environment,
+            stdin=subprocess.DEVNULL,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            # A Ctrl-C at the terminal reaches only this process, which then ends the nodes in order.
+            start_new_session=True,
+            preexec_fn=_die_with_parent,
+        )
+        return Child(name, process, log, stream)
+
+    def check(self) -> None:
+        """Raise where a node has ended.
+
+        Raises:
+            NodeDied: with the node's last words.
+        """
+        for child in self._children:
+            status = child.process.poll()
+            if status is not None:
+                words = last_words(child.log)
+                raise NodeDied(f"the node {child.name} ended with status {status}: {words}")
+
+    @property
+    def process_ids(self) -> dict[str, int]:
+        """Process id of each node."""
+        return {child.name: child.process.pid for child in self._children}
+
+    def stop(self) -> None:
+        """End every node: a polite signal, then, after PATIENCE_S, a kill."""
+        for child in self._children:
+            _signal_group(child, signal.SIGINT)
+        deadline = time.monotonic() + PATIENCE_S
+        for child in self._children:
+            try:
+                child.process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                _signal_group(child, signal.SIGKILL)
+                child.process.wait()
+            child.stream.close()
+        self._children.clear()
+
+
+def last_words(log: Path, lines: int = 3) -> str:
+    """The last lines of a node's log, in one line."""
+    text = log.read_text(encoding="utf-8", errors="replace")
+    kept = [line.strip() for line in text.splitlines() if line.strip()]
+    return " | ".join(kept[-lines:]) or "it said nothing"
+
+
+def _signal_group(child: Child, number: signal.Signals) -> None:
+    if child.process.poll() is None:
+        try:
+            os.killpg(child.process.pid, number)
+        except ProcessLookupError:
+            return
+
+
+def _die_with_parent() -> None:
+    ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+
+
+@dataclass(frozen=True, slots=True)
+class Domain:
+    """A ROS domain held for one run, so that two runs side by side do not meet."""
+
+    number: int
+    lock: IO[str] | None
+
+
+def own_domain() -> Domain:
+    """The domain of ROS_DOMAIN_ID where it is set, else one that no other run on this machine uses.
+
+    Domains 1 to 101 keep clear of the ephemeral ports of Linux. The lock is held until this process
+    ends.
+
+    Raises:
+        RuntimeError: every domain is in use.
+    """
+    chosen = os.environ.get("ROS_DOMAIN_ID", "")
+    if chosen:
+        return Domain(int(chosen), None)
+    folder = Path(tempfile.gettempdir()) / f"tapping_cell-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    for number in random.sample(range(1, 102), 101):
+        lock = (folder / f"domain-{number}.lock").open("w", encoding="utf-8")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            continue
+        return Domain(number, lock)
+    raise RuntimeError(
+        "all 101 ROS domains are held by other runs on this machine; end one of them"
+    )

@@ -1,0 +1,257 @@
+"""The cell file: where everything stands and how it moves; and the files that it names."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.objects import ObjectFile, load_object
+from tapping_cell.configuration.schema import (
+    ConfigurationError,
+    choice,
+    load,
+    quantity,
+    section,
+    text,
+)
+from tapping_cell.configuration.table import load_camera_model, load_reference_map
+from tapping_cell.hardware.energy import EnergyCurve
+from tapping_cell.hardware.motion import MotionSettings
+from tapping_cell.hardware.scara import ScaraGeometry
+from tapping_cell.mechanics import Striker
+from tapping_cell.se2 import Pose
+from tapping_cell.vision import CameraModel, ReferenceMap
+
+FourNumbers = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class TableSection:
+    """The part of the table on which objects may lie."""
+
+    length: float = quantity("size along x, centred on the table's origin", "m", 0.05, 10.0)
+    width: float = quantity("size along y, centred on the table's origin", "m", 0.05, 10.0)
+    edge_margin: float = quantity(
+        "least distance of the object from an edge", "m", 0.0, 0.5, default=0.005
+    )
+    keep_out_margin: float = quantity(
+        "least distance of object and striker from a keep-out", "m", 0.0, 0.5, default=0.005
+    )
+    overhang: float = quantity(
+        "how far beyond the edges the striker may stand", "m", 0.0, 2.0, default=0.15
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class KeepOutSection:
+    """Places that neither the object nor the striker may enter."""
+
+    circles: tuple[tuple[float, float, float], ...] = quantity(
+        "x, y and radius of circles in table", "m", -5.0, 5.0, default=()
+    )
+    polygons: tuple[tuple[tuple[float, float], ...], ...] = quantity(
+        "corners of convex polygons in table", "m", -5.0, 5.0, default=()
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ArmSection:
+    """The SCARA arm: where it stands, its dimensions, limits, moves and controller."""
+
+    base: tuple[float, float, float] = quantity(
+        "pose of arm_base in table: x and y in m, angle in rad", "", -7.0, 7.0
+    )
+    upper_arm: float = quantity("shoulder axis to elbow axis", "m", 0.02, 3.0)
+    forearm: float = quantity("elbow axis to quill axis", "m", 0.02, 3.0)
+    tip_forward: float = quantity("tip ahead of the quill axis", "m", -0.5, 0.5)
+    tip_side: float = quantity("tip to the left of the quill axis", "m", -0.5, 0.5)
+    tip_yaw: float = quantity("line of travel from the tool's heading", "rad", -7.0, 7.0)
+    tip_height: float = quantity("tip above the table with the quill at zero", "m", 0.0, 2.0)
+    lower: FourNumbers = quantity("lower joint limits: rad, rad, m, rad", "", -20.0, 20.0)
+    upper: FourNumbers = quantity("upper joint limits: rad, rad, m, rad", "", -20.0, 20.0)
+    max_speed: FourNumbers = quantity(
+        "joint speeds: rad/s, rad/s, m/s, rad/s", "", 0.001, 100.0
+    )
+    max_acceleration: FourNumbers = quantity(
+        "joint accelerations: rad/s^2, rad/s^2, m/s^2, rad/s^2", "", 0.001, 1000.0
+    )
+    singularity_margin: float = quantity("least bend of the elbow", "rad", 0.0, 0.5)
+    strike_height: float = quantity(
+        "height of the tip over the table while it strikes", "m", 0.001, 0.2
+    )
+    travel_height: float = quantity("height of the tip while it travels", "m", 0.01, 1.0)
+    travel_speed: float = quantity("fraction of the joint speeds while raised", "", 0.01, 1.0)
+    near_speed: float = quantity("fraction of the joint speeds near the object", "", 0.01, 1.0)
+    back_off: float = quantity("backwards along the travel before raising", "m", 0.0, 0.1)
+    park: FourNumbers = quantity(
+        "joints where the arm waits out of the camera's view: rad, rad, m, rad", "", -20.0, 20.0
+    )
+    dialect: str = choice("language of the arm's controller", "grbl", "marlin")
+    port: str = text("path of the controller's serial port; ~ is the home folder")
+    baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000)
+    homing: str = choice("how the arm is homed", "firmware", "manual_pose", "none")
+    home: FourNumbers = quantity(
+        "joints where homing ends: rad, rad, m, rad", "", -20.0, 20.0, default=(0.0,) * 4
+    )
+
+    def geometry(self) -> ScaraGeometry:
+        """Dimensions and limits for the kinematics."""
+        return ScaraGeometry(
+            upper_arm=self.upper_arm,
+            forearm=self.forearm,
+            tip_forward=self.tip_forward,
+            tip_side=self.tip_side,
+            tip_yaw=self.tip_yaw,
+            tip_height=self.tip_height,
+            lower=self.lower,
+            upper=self.upper,
+            max_speed=self.max_speed,
+            max_acceleration=self.max_acceleration,
+            singularity_margin=self.singularity_margin,
+        )
+
+    def motion(self) -> MotionSettings:
+        """Heights, speeds and park pose of the tap moves."""
+        return MotionSettings(
+            travel_height=self.travel_height,
+            travel_speed=self.travel_speed,
+            near_speed=self.near_speed,
+            back_off=self.back_off,
+            park=self.park,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TapperSection:
+    """The striker and the device that draws and releases it."""
+
+    port: str = text("path of the tapper's serial port; ~ is the home folder")
+    baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000)
+    mass: float = quantity("mass of the striker", "kg", 0.001, 10.0)
+    tip_radius: float = quantity("radius of the ball at the tip", "m", 0.0005, 0.1)
+    constraint: str = choice("how the striker is held", "linear_bearings", "free")
+    standoff: float = quantity(
+        "free flight of the tip from its rest to the object", "m", 0.001, 0.2
+    )
+    stroke: float = quantity("how far the tip travels at most", "m", 0.001, 0.3)
+    tool_radius: float = quantity("half width of the bar behind the tip", "m", 0.0005, 0.1)
+    tool_start: float = quantity("beginning of the bar behind the tip's centre", "m", 0.0, 0.2)
+    tool_length: float = quantity("end of the bar behind the tip's centre", "m", 0.0, 1.0)
+    energies: tuple[float, ...] = quantity(
+        "energies of the calibration curve, rising", "J", 0.0, 1000.0
+    )
+    speeds: tuple[float, ...] = quantity(
+        "striker speeds at those energies, rising", "m/s", 0.0, 100.0
+    )
+
+    def curve(self) -> EnergyCurve:
+        """Striker speed against energy.
+
+        Raises:
+            ValueError: the two lists differ in length or do not rise.
+        """
+        return EnergyCurve(tuple(zip(self.energies, self.speeds, strict=True)))
+
+    def striker(self) -> Striker:
+        """The striker of the impact model."""
+        return Striker(mass=self.mass, tip_radius=self.tip_radius, constraint=self.constraint)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSection:
+    """What the planner expects of a look at the object at rest, one standard deviation."""
+
+    position_noise: float = quantity("of the position, each axis", "m", 0.0, 0.1)
+    angle_noise: float = quantity("of the angle", "rad", 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class GoalSection:
+    """When a goal is reached and when it is given up."""
+
+    position_tolerance: float = quantity("largest distance to the goal", "m", 0.0001, 0.1)
+    angle_tolerance: float = quantity("largest rotation to the goal", "rad", 0.001, 1.0)
+    planner: str = text("name of the planning method")
+    max_taps: int = quantity("taps after which a goal is given up", "", 1, 1000)
+
+
+@dataclass(frozen=True, slots=True)
+class CellFile:
+    """One cell."""
+
+    name: str = text("name of the cell, for people")
+    reference_markers: str = text("table file, relative to this file")
+    camera_info: str = text("camera_info file, relative to this file")
+    object: str = text("object file, relative to this file")
+    table: TableSection = section("usable area")
+    arm: ArmSection = section("the arm")
+    tapper: TapperSection = section("the tapper")
+    camera: CameraSection = section("the camera")
+    goal: GoalSection = section("goals")
+    keep_outs: KeepOutSection = section("forbidden places", default=KeepOutSection())
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A cell file with the files that it names, read and checked."""
+
+    path: Path
+    file: CellFile
+    object_path: Path
+    object: ObjectFile
+    references: ReferenceMap
+    camera: CameraModel
+
+    @property
+    def tolerance(self) -> tuple[float, float]:
+        """Tolerance of a goal: m, rad."""
+        return self.file.goal.position_tolerance, self.file.goal.angle_tolerance
+
+    @property
+    def arm_base(self) -> Pose:
+        """X of arm_base in table."""
+        return Pose(*self.file.arm.base)
+
+    def outline(self) -> tuple[tuple[float, float], ...]:
+        """The object's outline in its own frame: points (x, y) in m, counter-clockwise."""
+        shape = self.object.shape
+        if shape.vertices is not None:
+            return shape.vertices
+        angles = np.linspace(0.0, 2 * math.pi, 72, endpoint=False)
+        assert shape.radius is not None
+        return tuple(
+            (shape.radius * math.cos(angle), shape.radius * math.sin(angle)) for angle in angles
+        )
+
+
+def load_cell(path: Path | str | None = None, object_path: Path | str | None = None) -> Cell:
+    """The cell of a file (the package's own where None), with another object where one is given.
+
+    Raises:
+        ConfigurationError: names file, key, value and range.
+    """
+    cell_path = Path(path) if path else shared_folder() / "cell.yaml"
+    cell_path = cell_path.expanduser().resolve()
+    content = load(CellFile, cell_path)
+    folder = cell_path.parent
+    chosen = Path(object_path) if object_path else folder / content.object
+    chosen = chosen.expanduser().resolve()
+    try:
+        content.arm.geometry()
+        content.arm.motion()
+        content.tapper.striker()
+        content.tapper.curve()
+    except ValueError as error:
+        raise ConfigurationError(f"{cell_path}: {error}") from error
+    return Cell(
+        path=cell_path,
+        file=content,
+        object_path=chosen,
+        object=load_object(chosen),
+        references=load_reference_map(folder / content.reference_markers),
+        camera=load_camera_model(folder / content.camera_info),
+    )

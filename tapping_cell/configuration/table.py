@@ -1,0 +1,81 @@
+"""The table file (reference markers) and the camera file (ROS ``camera_info`` YAML)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tapping_cell.configuration.schema import (
+    ConfigurationError,
+    load,
+    quantity,
+    read_yaml,
+    section,
+    text,
+)
+from tapping_cell.vision import CameraModel, ReferenceMap, ReferenceMarker
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceSection:
+    """One reference marker, printed on the table."""
+
+    id: int = quantity("number of the marker in its dictionary", "", 0, 1_000_000)
+    size: float = quantity("side of the black square", "m", 0.005, 1.0)
+    x: float = quantity("middle of the marker in table", "m", -10.0, 10.0)
+    y: float = quantity("middle of the marker in table", "m", -10.0, 10.0)
+    theta: float = quantity("angle of the marker in table", "rad", -7.0, 7.0, default=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class TableFile:
+    """The reference markers that define the frame ``table``."""
+
+    dictionary: str = text("OpenCV name of the marker dictionary, such as APRILTAG_36h11")
+    markers: tuple[ReferenceSection, ...] = section("the reference markers")
+
+
+def load_reference_map(path: Path | str) -> ReferenceMap:
+    """The reference markers of a table file.
+
+    Raises:
+        ConfigurationError: names file, key, value and range.
+    """
+    content = load(TableFile, path)
+    markers = tuple(
+        ReferenceMarker(id=entry.id, size=entry.size, x=entry.x, y=entry.y, theta=entry.theta)
+        for entry in content.markers
+    )
+    try:
+        return ReferenceMap(content.dictionary, markers)
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: key 'markers': {error}") from error
+
+
+def load_camera_model(path: Path | str) -> CameraModel:
+    """A camera from ROS' ``camera_info`` YAML (as camera_calibration writes it).
+
+    Keys that the pose does not need (projection and rectification matrices, the camera's name) are
+    not read.
+
+    Raises:
+        ConfigurationError: names file, key and what is wrong with it.
+    """
+    document = read_yaml(Path(path))
+    try:
+        return CameraModel.from_camera_info(
+            width=int(document["image_width"]),
+            height=int(document["image_height"]),
+            distortion_model=str(document["distortion_model"]),
+            d=_numbers(document["distortion_coefficients"]),
+            k=_numbers(document["camera_matrix"]),
+        )
+    except KeyError as error:
+        raise ConfigurationError(f"{path}: key {error} of a camera_info file is missing") from error
+    except (TypeError, ValueError) as error:
+        raise ConfigurationError(f"{path}: is not a camera_info file: {error}") from error
+
+
+def _numbers(matrix: dict[str, Any]) -> list[float]:
+    return [float(value) for value in matrix["data"]]

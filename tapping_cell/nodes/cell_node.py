@@ -1,0 +1,225 @@
+"""What every node of the cell shares: life cycle with autostart, stop, diagnostics, shut-down.
+
+Meanings of the life cycle: unconfigured = nothing is open; inactive = files read, port open, state
+readable, nothing moves; active = may move.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import rclpy
+from ament_index_python.packages import get_package_share_directory
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from lifecycle_msgs.msg import State as LifecycleState
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState as Previous, TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Bool
+
+from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.nodes import parameters
+
+Parameters = TypeVar("Parameters")
+
+LATCHED = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+"""For state that somebody who joins late must know."""
+COMMAND = QoSProfile(
+    depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
+)
+"""For commands: all arrive, and none is delivered to somebody who was not there."""
+
+
+class NotReady(RuntimeError):
+    """The node cannot be configured or activated yet; the sentence says why. Tried again."""
+
+
+def shared_file(name: str) -> str:
+    """Path of a file in the package's installed ``config`` folder."""
+    return str(Path(get_package_share_directory("tapping_cell")) / "config" / name)
+
+
+class CellNode(LifecycleNode, Generic[Parameters]):
+    """A life-cycle node with parameters from one dataclass.
+
+    A subclass creates its publishers and subscriptions in its constructor, so that the graph shows
+    them at once, and overrides :meth:`configure`, :meth:`activate`, :meth:`deactivate`,
+    :meth:`cleanup`, :meth:`stop_now` and :meth:`health`.
+    """
+
+    def __init__(self, name: str, parameter_class: type[Parameters]) -> None:
+        super().__init__(name)
+        parameters.declare(self, parameter_class)
+        self._parameter_class = parameter_class
+        self.settings = parameters.read(self, parameter_class)
+        self.stopped = False
+        self.fatal = ""
+        self._last_complaint = ""
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # Two subscriptions, because one with transient local durability misses volatile publishers
+        # and a volatile one misses a stop that was published before this node came up.
+        for profile in (LATCHED, COMMAND):
+            self.create_subscription(Bool, "emergency_stop", self._on_emergency_stop, profile)
+        self.create_timer(1.0, self._publish_diagnostics)
+        self._autostart = self.create_timer(0.05, self._start) if self._wants_autostart() else None
+
+    # What a subclass overrides
+
+    def configure(self) -> None:
+        """Read files, open ports. Raises NotReady or ConfigurationError."""
+
+    def activate(self) -> None:
+        """Begin to act. Raises NotReady."""
+
+    def deactivate(self) -> None:
+        """Cease to act."""
+
+    def cleanup(self) -> None:
+        """Close what configure opened; called at every end, also after a failure."""
+
+    def stop_now(self) -> None:
+        """Stop everything that moves, at once; called from the executor's thread."""
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """Level, sentence and values for /diagnostics."""
+        return DiagnosticStatus.OK, "ok", {}
+
+    # Life cycle
+
+    @property
+    def active(self) -> bool:
+        """True while the node may act."""
+        return bool(self._state_machine.current_state[0] == LifecycleState.PRIMARY_STATE_ACTIVE)
+
+    @property
+    def configured(self) -> bool:
+        """True from configured on (inactive or active)."""
+        return self._state_machine.current_state[0] in (
+            LifecycleState.PRIMARY_STATE_INACTIVE,
+            LifecycleState.PRIMARY_STATE_ACTIVE,
+        )
+
+    def on_configure(self, state: Previous) -> TransitionCallbackReturn:
+        """Life cycle: configure."""
+        try:
+            self.settings = parameters.read(self, self._parameter_class)
+            self.configure()
+        except ConfigurationError as error:
+            self.fatal = str(error)
+            self.get_logger().error(str(error))
+            self.cleanup()
+            return TransitionCallbackReturn.FAILURE
+        except NotReady as error:
+            self._complain(str(error))
+            self.cleanup()
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: Previous) -> TransitionCallbackReturn:
+        """Life cycle: activate."""
+        try:
+            self.activate()
+        except NotReady as error:
+            self._complain(str(error))
+            return TransitionCallbackReturn.FAILURE
+        self._last_complaint = ""
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: Previous) -> TransitionCallbackReturn:
+        """Life cycle: deactivate."""
+        self.deactivate()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: Previous) -> TransitionCallbackReturn:
+        """Life cycle: clean up."""
+        self.cleanup()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: Previous) -> TransitionCallbackReturn:
+        """Life cycle: shut down."""
+        self.cleanup()
+        return TransitionCallbackReturn.SUCCESS
+
+    def _wants_autostart(self) -> bool:
+        return bool(getattr(self.settings, "autostart", True))
+
+    def _start(self) -> None:
+        """Bring the node up by itself; a node that is not ready is tried again every second."""
+        timer = self._autostart
+        assert timer is not None
+        timer.timer_period_ns = 1_000_000_000
+        if not self.configured:
+            self.trigger_configure()
+        if self.fatal:
+            raise ConfigurationError(self.fatal)
+        if self.configured and not self.active:
+            self.trigger_activate()
+        if self.active:
+            self.get_logger().info("active")
+            timer.cancel()
+
+    def _complain(self, sentence: str) -> None:
+        """Say why the node is not ready, once for each reason."""
+        if sentence != self._last_complaint:
+            self.get_logger().warning(sentence)
+            self._last_complaint = sentence
+
+    # Emergency stop
+
+    def _on_emergency_stop(self, message: Bool) -> None:
+        if message.data and not self.stopped:
+            self.stopped = True
+            self.stop_now()
+            self.get_logger().error("emergency stop: latched until the service clear_fault")
+
+    # Diagnostics
+
+    def _publish_diagnostics(self) -> None:
+        level, sentence, values = self.health()
+        if not self.configured:
+            level, sentence = DiagnosticStatus.WARN, self._last_complaint or "not configured"
+        elif self.stopped:
+            level, sentence = DiagnosticStatus.ERROR, "emergency stop latched"
+        status = DiagnosticStatus(
+            level=level,
+            name=self.get_fully_qualified_name(),
+            message=sentence,
+            hardware_id=str(values.pop("hardware_id", "")),
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None = None) -> int:
+    """Run one node until Ctrl-C, a termination signal or a fatal error; returns the exit status."""
+    # Without a shared-memory segment of several frames the transport drops nearly every image;
+    # the middleware reads the variable when the first node is made.
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", shared_file("fastdds_profile.xml"))
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.ALL)
+    node: CellNode[Any] | None = None
+    executor = SingleThreadedExecutor()
+    try:
+        node = make_node()
+        executor.add_node(node)
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return 0
+    except ConfigurationError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    finally:
+        if node is not None:
+            node.cleanup()
+            executor.remove_node(node)
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

@@ -1,0 +1,68 @@
+"""Between ROS messages and the library's types; no mathematics beyond a quaternion about z."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from builtin_interfaces.msg import Time as TimeMessage
+from geometry_msgs.msg import Pose as PoseMessage
+from numpy.typing import NDArray
+
+from tapping_cell.se2 import Pose
+
+# Rows and columns of x, y and the rotation about z in a ROS 6 x 6 covariance.
+_PLANAR = (0, 1, 5)
+
+
+def to_message(pose: Pose, height: float = 0.0) -> PoseMessage:
+    """A planar pose at a height in m as a ROS pose."""
+    message = PoseMessage()
+    message.position.x, message.position.y, message.position.z = pose.x, pose.y, height
+    message.orientation.z = math.sin(pose.theta / 2)
+    message.orientation.w = math.cos(pose.theta / 2)
+    return message
+
+
+def from_message(message: PoseMessage) -> Pose:
+    """The planar part of a ROS pose."""
+    q = message.orientation
+    theta = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
+    return Pose(message.position.x, message.position.y, theta)
+
+
+def is_finite(message: PoseMessage) -> bool:
+    """True where every number of a ROS pose is finite."""
+    p, q = message.position, message.orientation
+    return all(math.isfinite(value) for value in (p.x, p.y, p.z, q.x, q.y, q.z, q.w))
+
+
+def quaternion_norm(message: PoseMessage) -> float:
+    """Length of the orientation quaternion; 1 for a rotation."""
+    q = message.orientation
+    return math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
+
+
+def tilt(message: PoseMessage) -> float:
+    """Angle between the pose's z axis and the table's, in rad, of a unit quaternion."""
+    q = message.orientation
+    return math.acos(max(-1.0, min(1.0, 1 - 2 * (q.x**2 + q.y**2))))
+
+
+def covariance_to_message(covariance: NDArray[np.float64]) -> list[float]:
+    """A 3 x 3 covariance of (x, y, theta) as the 36 numbers of a ROS pose covariance."""
+    full = np.zeros((6, 6))
+    full[np.ix_(_PLANAR, _PLANAR)] = covariance
+    values: list[float] = full.reshape(-1).tolist()
+    return values
+
+
+def covariance_from_message(values: object) -> NDArray[np.float64]:
+    """The 3 x 3 covariance of (x, y, theta) out of a ROS pose covariance."""
+    full = np.asarray(values, dtype=float).reshape(6, 6)
+    return full[np.ix_(_PLANAR, _PLANAR)]
+
+
+def seconds(stamp: TimeMessage) -> float:
+    """A ROS stamp in seconds."""
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)

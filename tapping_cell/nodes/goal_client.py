@@ -1,0 +1,239 @@
+"""The client of a running cell: is it ready, send a goal, hear every tap, learn the result.
+
+Not an executable of its own: the command line's verbs `demo` and `goal` use it.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import TracebackType
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from rclpy.action import ActionClient
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from tapping_cell_msgs.action import PositionObject
+from tapping_cell_msgs.msg import ArmState, ObjectState, PlanState, TapperState, TapRecord
+
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.se2 import Pose
+
+PHASES = {
+    PlanState.IDLE: "idle",
+    PlanState.WAITING_FOR_CELL: "waiting for the cell",
+    PlanState.LOOKING: "looking",
+    PlanState.PLANNING: "planning",
+    PlanState.PLACING: "placing the striker",
+    PlanState.FIRING: "firing",
+    PlanState.SETTLING: "waiting for rest",
+    PlanState.REACHED: "reached",
+    PlanState.FAILED: "failed",
+    PlanState.CANCELED: "canceled",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseChanged:
+    """The planner went on to another phase of a tap."""
+
+    phase: str
+    taps: int
+
+
+@dataclass(frozen=True, slots=True)
+class TapDone:
+    """A tap was measured; ``true_pose`` is None where no ground truth is published."""
+
+    record: TapRecord
+    residual_distance: float
+    residual_rotation: float
+    true_pose: Pose | None
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """The goal has ended; error_code 0 is success."""
+
+    error_code: int
+    error_msg: str
+    final_pose: Pose | None
+    residual_distance: float
+    residual_rotation: float
+    taps: int
+
+
+Event = PhaseChanged | TapDone | Finished
+
+
+class GoalClient:
+    """A node of its own in a context and a thread of its own; use as a context manager."""
+
+    def __init__(self, name: str = "goal_client", namespace: str = "") -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node(name, namespace=namespace, context=self._context)
+        self.object_state: ObjectState | None = None
+        self.arm_state: ArmState | None = None
+        self.tapper_state: TapperState | None = None
+        self.true_pose: Pose | None = None
+        self._true_pose_heard = 0.0
+        self._events: queue.Queue[Event] = queue.Queue()
+        self._taps_heard = 0
+        self._phase = ""
+        self._action = ActionClient(self.node, PositionObject, "position_object")
+        subscribe = self.node.create_subscription
+        subscribe(ObjectState, "object_state", self._on_object_state, 10)
+        subscribe(ArmState, "arm_state", self._on_arm_state, LATCHED)
+        subscribe(TapperState, "tapper_state", self._on_tapper_state, LATCHED)
+        subscribe(PoseStamped, "ground_truth", self._on_ground_truth, 10)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, name="goal client", daemon=True)
+
+    def __enter__(self) -> GoalClient:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._executor.shutdown()
+        self._thread.join(2.0)
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            return
+
+    def missing(self) -> list[str]:
+        """What still keeps the cell from taking a goal, in words; empty when it is ready."""
+        reasons = []
+        if not self._action.server_is_ready():
+            reasons.append("the planner is not up")
+        if self.arm_state is None:
+            reasons.append("the arm's driver is not up")
+        elif self.arm_state.state != ArmState.IDLE:
+            reasons.append(f"the arm is not idle ({self.arm_state.error_msg or 'busy'})")
+        if self.tapper_state is None:
+            reasons.append("the tapper's driver is not up")
+        elif self.tapper_state.state != TapperState.SAFE:
+            reasons.append(f"the tapper is not safe ({self.tapper_state.error_msg or 'busy'})")
+        if self.object_state is None:
+            reasons.append("the camera has not looked yet")
+        elif not (self.object_state.visible and self.object_state.at_rest):
+            reasons.append(
+                f"the object is not seen at rest ({self.object_state.error_msg or 'moving'})"
+            )
+        return reasons
+
+    def object_pose(self) -> Pose:
+        """The object's measured pose in ``table``."""
+        assert self.object_state is not None
+        return from_message(self.object_state.pose.pose)
+
+    def send(self, goal: Pose, tolerance: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Send a goal in ``table``; a tolerance (m, rad) of 0 is the cell's own."""
+        message = PositionObject.Goal()
+        message.goal_pose.header.frame_id = "table"
+        message.goal_pose.header.stamp = self.node.get_clock().now().to_msg()
+        message.goal_pose.pose = to_message(goal)
+        message.position_tolerance, message.angle_tolerance = tolerance
+        self._taps_heard, self._phase = 0, ""
+        future = self._action.send_goal_async(message, feedback_callback=self._on_feedback)
+        future.add_done_callback(self._on_response)
+
+    def cancel(self, patience: float = 5.0) -> None:
+        """Cancel the goal and wait until the cell has taken that in."""
+        handle = getattr(self, "_handle", None)
+        if handle is None:
+            return
+        done = threading.Event()
+        handle.cancel_goal_async().add_done_callback(lambda _: done.set())
+        done.wait(patience)
+
+    def events(self, poll: float = 0.2) -> Iterator[Event | None]:
+        """Events as they come, and None in between so that the caller can look at other things."""
+        while True:
+            try:
+                event = self._events.get(timeout=poll)
+            except queue.Empty:
+                yield None
+                continue
+            yield event
+            if isinstance(event, Finished):
+                return
+
+    def settled_truth(self, patience: float = 1.0) -> Pose | None:
+        """The object's true pose from a message newer than this call; None where there is none."""
+        asked = time.monotonic()
+        while time.monotonic() < asked + patience:
+            if self._true_pose_heard > asked:
+                return self.true_pose
+            time.sleep(0.01)
+        return None
+
+    def _on_object_state(self, message: ObjectState) -> None:
+        self.object_state = message
+
+    def _on_arm_state(self, message: ArmState) -> None:
+        self.arm_state = message
+
+    def _on_tapper_state(self, message: TapperState) -> None:
+        self.tapper_state = message
+
+    def _on_ground_truth(self, message: PoseStamped) -> None:
+        self.true_pose = from_message(message.pose)
+        self._true_pose_heard = time.monotonic()
+
+    def _on_response(self, future: object) -> None:
+        handle = future.result()  # type: ignore[attr-defined]
+        self._handle = handle
+        handle.get_result_async().add_done_callback(self._on_result)
+
+    def _on_feedback(self, message: object) -> None:
+        state: PlanState = message.feedback.plan_state  # type: ignore[attr-defined]
+        self._hear(state.last_tap, state.taps, state.residual_distance, state.residual_rotation)
+        phase = PHASES[state.state]
+        if phase != self._phase:
+            self._phase = phase
+            self._events.put(PhaseChanged(phase, state.taps))
+
+    def _hear(self, record: TapRecord, taps: int, distance: float, rotation: float) -> None:
+        if record.number > self._taps_heard:
+            self._taps_heard = record.number
+            self._events.put(TapDone(record, distance, rotation, self.true_pose))
+
+    def _on_result(self, future: object) -> None:
+        result: PositionObject.Result = future.result().result  # type: ignore[attr-defined]
+        if result.records:
+            self._hear(
+                result.records[-1],
+                result.taps,
+                result.residual_distance,
+                result.residual_rotation,
+            )
+        final = from_message(result.final_pose.pose.pose) if result.final_pose.header.frame_id else None
+        self._events.put(
+            Finished(
+                result.error_code,
+                result.error_msg,
+                final,
+                result.residual_distance,
+                result.residual_rotation,
+                result.taps,
+            )
+        )

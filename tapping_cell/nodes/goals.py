@@ -1,0 +1,106 @@
+"""Goals as they arrive: what is refused before anything moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from geometry_msgs.msg import PoseStamped
+from tapping_cell_msgs.msg import ErrorCode
+
+from tapping_cell.nodes.conversions import (
+    from_message,
+    is_finite,
+    quaternion_norm,
+    tilt,
+)
+from tapping_cell.planning import RefusalReason
+from tapping_cell.se2 import Pose
+
+LARGEST_TILT = math.radians(0.5)
+LARGEST_HEIGHT = 0.001
+NORM_SLACK = 0.01
+OLDEST_S = 60.0
+FARTHEST_AHEAD_S = 5.0
+
+REFUSALS = {
+    RefusalReason.GOAL_NOT_FINITE: ErrorCode.GOAL_NOT_FINITE,
+    RefusalReason.GOAL_OFF_TABLE: ErrorCode.GOAL_OFF_TABLE,
+    RefusalReason.GOAL_IN_KEEP_OUT: ErrorCode.GOAL_IN_KEEP_OUT,
+    RefusalReason.GOAL_OUT_OF_REACH: ErrorCode.GOAL_OUT_OF_REACH,
+    RefusalReason.NO_PATH_TO_GOAL: ErrorCode.NO_TAP_FOUND,
+    RefusalReason.OBJECT_POSE_NOT_FINITE: ErrorCode.OBJECT_NOT_SEEN,
+    RefusalReason.OBJECT_OFF_TABLE: ErrorCode.OBJECT_OFF_TABLE,
+    RefusalReason.NO_STRIKE: ErrorCode.NO_TAP_FOUND,
+    RefusalReason.CAMERA_TOO_COARSE: ErrorCode.OBJECT_NOT_SEEN,
+    RefusalReason.TOO_MANY_TAPS: ErrorCode.TAP_LIMIT_REACHED,
+}
+"""The code of each of planning's reasons."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A goal that is not taken: its code and a sentence."""
+
+    code: int
+    sentence: str
+
+
+def read_goal(message: PoseStamped, now: float) -> Pose | Refused:
+    """The planar goal of a message, or why it is not taken. ``now`` is ROS time in s."""
+    frame = message.header.frame_id
+    if frame != "table":
+        return Refused(
+            ErrorCode.GOAL_WRONG_FRAME,
+            f"the goal's frame_id is '{frame}', but goals are poses in 'table'; set "
+            "header.frame_id to table",
+        )
+    if not is_finite(message.pose):
+        return Refused(
+            ErrorCode.GOAL_NOT_FINITE,
+            f"the goal {_numbers(message)} holds a number that is not finite; send a valid pose",
+        )
+    norm = quaternion_norm(message.pose)
+    if abs(norm - 1) > NORM_SLACK:
+        return Refused(
+            ErrorCode.GOAL_BAD_ORIENTATION,
+            f"the goal's quaternion has length {norm:.3f}, but must have 1 within {NORM_SLACK:g}; "
+            "for an angle a about z send z = sin(a/2), w = cos(a/2)",
+        )
+    leaning = tilt(message.pose)
+    height = message.pose.position.z
+    if leaning > LARGEST_TILT or abs(height) > LARGEST_HEIGHT:
+        return Refused(
+            ErrorCode.GOAL_NOT_PLANAR,
+            f"the goal is tilted by {math.degrees(leaning):.2f} deg and lifted by "
+            f"{1000 * height:.2f} mm; taps keep the object flat on the table: at most "
+            f"{math.degrees(LARGEST_TILT):.1f} deg and {1000 * LARGEST_HEIGHT:.0f} mm",
+        )
+    stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+    age = now - stamp
+    if stamp > 0 and not -FARTHEST_AHEAD_S <= age <= OLDEST_S:
+        return Refused(
+            ErrorCode.GOAL_STALE,
+            f"the goal's stamp is {age:.1f} s old; at most {OLDEST_S:.0f} s are taken (and "
+            f"{FARTHEST_AHEAD_S:.0f} s ahead); send it again with a fresh stamp or none",
+        )
+    return from_message(message.pose)
+
+
+def read_tolerance(
+    position: float, angle: float, default: tuple[float, float]
+) -> tuple[float, float] | Refused:
+    """The tolerance of an action goal in m and rad, 0 meaning the cell's own."""
+    for name, value, unit in (("position", position, "m"), ("angle", angle, "rad")):
+        if not math.isfinite(value) or value < 0 or 0 < value < 1e-4:
+            return Refused(
+                ErrorCode.GOAL_BAD_TOLERANCE,
+                f"the {name} tolerance is {value:g} {unit}; it must be 0 (the cell's own) or at "
+                f"least 0.0001 {unit}",
+            )
+    return position or default[0], angle or default[1]
+
+
+def _numbers(message: PoseStamped) -> str:
+    p, q = message.pose.position, message.pose.orientation
+    return f"({p.x}, {p.y}, {p.z}; {q.x}, {q.y}, {q.z}, {q.w})"

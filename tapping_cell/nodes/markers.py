@@ -1,0 +1,95 @@
+"""The cell as markers for RViz and Foxglove: outlines, goal, tap and keep-outs, in ``table``."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from geometry_msgs.msg import Point
+from std_msgs.msg import ColorRGBA
+from tapping_cell_msgs.msg import PlanState
+from visualization_msgs.msg import Marker, MarkerArray
+
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.nodes.conversions import to_message
+from tapping_cell.planning import Strike
+from tapping_cell.se2 import Pose
+
+WHITE = ColorRGBA(r=0.9, g=0.9, b=0.9, a=0.8)
+BLUE = ColorRGBA(r=0.2, g=0.5, b=1.0, a=1.0)
+GREEN = ColorRGBA(r=0.2, g=0.8, b=0.3, a=1.0)
+AMBER = ColorRGBA(r=1.0, g=0.7, b=0.2, a=1.0)
+RED = ColorRGBA(r=0.9, g=0.2, b=0.2, a=1.0)
+LINE_WIDTH = 0.002
+
+
+def cell_markers(
+    cell: Cell, state: PlanState, pose: Pose | None, goal: Pose | None, strike: Strike | None
+) -> MarkerArray:
+    """The table, the object, the goal and the tap under way; what is not there is taken away."""
+    table, keep_outs = cell.file.table, cell.file.keep_outs
+    half = np.array([table.length, table.width]) / 2
+    corners = half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    outline = np.asarray(cell.outline())
+    reach = float(np.max(np.hypot(*outline.T)))
+    heading = np.array([(0.0, 0.0), (reach, 0.0)])
+    markers = [_line("table", 0, corners, Pose(0.0, 0.0, 0.0), WHITE)]
+    for number, (x, y, radius) in enumerate(keep_outs.circles):
+        markers.append(_line("keep_out", number, _circle(radius), Pose(x, y, 0.0), RED))
+    for number, polygon in enumerate(keep_outs.polygons, start=len(keep_outs.circles)):
+        markers.append(
+            _line("keep_out", number, np.asarray(polygon), Pose(0.0, 0.0, 0.0), RED)
+        )
+    predicted = strike.predicted if strike is not None else None
+    for name, place, colour in (
+        ("object", pose, BLUE),
+        ("goal", goal, GREEN),
+        ("predicted", predicted, AMBER),
+    ):
+        if place is None:
+            markers += [_gone(name, 0), _gone(name, 1)]
+            continue
+        markers.append(_line(name, 0, outline, place, colour))
+        markers.append(_line(name, 1, heading, place, colour))
+    if goal is not None:
+        markers.append(_line("goal", 2, _circle(state.position_tolerance), goal, GREEN))
+    else:
+        markers.append(_gone("goal", 2))
+    markers.append(_strike_arrow(strike) if strike is not None else _gone("strike", 0))
+    for marker in markers:
+        marker.header = state.header
+    return MarkerArray(markers=markers)
+
+
+def _circle(radius: float) -> np.ndarray:
+    angles = np.linspace(0, 2 * math.pi, 48, endpoint=False)
+    return radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+def _line(
+    name: str, number: int, points: np.ndarray, pose: Pose, colour: ColorRGBA
+) -> Marker:
+    marker = Marker(ns=name, id=number, type=Marker.LINE_STRIP, action=Marker.ADD, color=colour)
+    marker.pose = to_message(pose)
+    marker.scale.x = LINE_WIDTH
+    marker.points = [Point(x=float(x), y=float(y)) for x, y in points]
+    if len(points) > 2:
+        marker.points.append(marker.points[0])
+    return marker
+
+
+def _strike_arrow(strike: Strike) -> Marker:
+    rest, contact = strike.plan.strike_pose, strike.plan.contact_pose
+    marker = Marker(ns="strike", id=0, type=Marker.ARROW, action=Marker.ADD, color=RED)
+    marker.pose.orientation.w = 1.0
+    back = 0.04
+    tail = Point(
+        x=rest.x - back * math.cos(rest.theta), y=rest.y - back * math.sin(rest.theta), z=0.01
+    )
+    marker.points = [tail, Point(x=contact.x, y=contact.y, z=0.01)]
+    marker.scale.x, marker.scale.y, marker.scale.z = 0.004, 0.010, 0.012
+    return marker
+
+
+def _gone(name: str, number: int) -> Marker:
+    return Marker(ns=name, id=number, action=Marker.DELETE)

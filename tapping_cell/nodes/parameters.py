@@ -1,0 +1,91 @@
+"""Node parameters declared once: a frozen dataclass of fields with unit and range.
+
+The same field declarations serve the YAML files (``configuration.schema``), so a range is written
+in one place and checked in words, at start and at ``ros2 param set``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import typing
+from dataclasses import MISSING
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+
+from tapping_cell.configuration.schema import ConfigurationError, Limits, build
+
+Parameters = TypeVar("Parameters")
+
+FOREIGN_PREFIXES = ("use_sim_time", "qos_overrides.", "start_type_description_service")
+"""Parameters that belong to rclpy itself."""
+
+
+def declare(node: Node, kind: type[Parameters]) -> None:
+    """Declare every field of a parameter class on the node, with description, unit and range.
+
+    Raises:
+        ConfigurationError: an override names no parameter of this node, or has the wrong type.
+    """
+    fields = dataclasses.fields(kind)  # type: ignore[arg-type]
+    hints = typing.get_type_hints(kind)
+    names = {entry.name for entry in fields}
+    for name in node._parameter_overrides:
+        if name not in names and not name.startswith(FOREIGN_PREFIXES):
+            raise ConfigurationError(
+                f"{node.get_name()}: unknown parameter '{name}'; the parameters here are "
+                + ", ".join(sorted(names))
+            )
+    for entry in fields:
+        if entry.default is MISSING:
+            raise TypeError(f"{kind.__name__}.{entry.name} needs a default")
+        descriptor = _descriptor(entry.metadata["limits"], hints[entry.name])
+        try:
+            node.declare_parameter(entry.name, entry.default, descriptor)
+        except Exception as error:
+            override = node._parameter_overrides.get(entry.name)
+            given = override.value if override is not None else entry.default
+            limits: Limits = entry.metadata["limits"]
+            raise ConfigurationError(
+                f"{node.get_name()}: parameter '{entry.name}' is {given!r}, but must be "
+                f"{limits.range_text()} ({_type_name(hints[entry.name])}): {limits.description}"
+            ) from error
+
+
+def read(node: Node, kind: type[Parameters]) -> Parameters:
+    """The node's present parameters, checked.
+
+    Raises:
+        ConfigurationError: names node, parameter, value and range.
+    """
+    fields = dataclasses.fields(kind)  # type: ignore[arg-type]
+    document: dict[str, Any] = {}
+    for entry in fields:
+        value = node.get_parameter(entry.name).value
+        document[entry.name] = value
+    return build(kind, document, source=f"parameters of {node.get_name()}")
+
+
+def _type_name(hint: Any) -> str:
+    return {float: "a double", int: "an integer", bool: "a truth value", str: "a text"}[hint]
+
+
+def _descriptor(limits: Limits, hint: Any) -> ParameterDescriptor:
+    unit = f" [{limits.unit}]" if limits.unit else ""
+    descriptor = ParameterDescriptor(
+        description=limits.description + unit,
+        additional_constraints=limits.range_text() if limits.choices else "",
+        read_only=True,
+    )
+    bounded = math.isfinite(limits.minimum) and math.isfinite(limits.maximum)
+    if hint is float and bounded:
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=limits.minimum, to_value=limits.maximum)
+        ]
+    if hint is int and bounded:
+        descriptor.integer_range = [
+            IntegerRange(from_value=int(limits.minimum), to_value=int(limits.maximum), step=1)
+        ]
+    return descriptor

@@ -1,0 +1,445 @@
+"""The arm's node: tap commands and trajectories in, ``arm_state`` and ``joint_states`` out."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.time import Time
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand
+from trajectory_msgs.msg import JointTrajectory
+
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.hardware.arm import ArmDriver, ArmSettings, HomingStrategy
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.grbl_dialect import GrblDialect
+from tapping_cell.hardware.motion import Waypoint, move_duration, strike_path, withdraw_path
+from tapping_cell.hardware.scara import Joints, TipPose
+from tapping_cell.hardware.serial_transport import SerialTransport
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, NotReady, run
+from tapping_cell.nodes.conversions import from_message, is_finite, to_message
+from tapping_cell.nodes.error_codes import of_arm
+from tapping_cell.nodes.worker import Worker
+from tapping_cell.se2 import Pose
+
+RELEASE_GUARD_S = 0.1
+"""From saying that it withdraws to moving: longer than arm_state takes to the tapper and a release."""
+READ_PERIOD_S = 0.05
+"""Between read-backs while the arm stands: a strike pose is confirmed twenty times a second."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Parameters of scara_arm."""
+
+    autostart: bool = text("configure and activate without being asked", default=True)
+    cell_file: str = text("path of the cell file; empty for the package's own", default="")
+    port: str = text("path of the arm's serial port; empty for the cell file's", default="")
+    home_on_activate: bool = text(
+        "home when activated, where homing needs no person", default=True
+    )
+    state_rate: float = quantity("rate of arm_state", "Hz", 1.0, 200.0, default=20.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """What the worker knows and the executor publishes."""
+
+    state: int = ArmState.DISCONNECTED
+    tap_id: int = 0
+    joints: Joints | None = None
+    read_at: Time | None = None
+    clear_of_camera: bool = False
+    expiry: Time | None = None
+    error_code: int = ErrorCode.ARM_NOT_CONNECTED
+    error_msg: str = "the arm is not connected yet"
+
+
+class ScaraArm(CellNode[Parameters]):
+    """See the module's docstring."""
+
+    def __init__(self) -> None:
+        super().__init__("scara_arm", Parameters)
+        self._cell: Cell | None = None
+        self._driver: ArmDriver | None = None
+        self._worker: Worker | None = None
+        self._lock = threading.Lock()
+        self._snapshot = Snapshot()
+        self._published = Snapshot()
+        self._last_tap_id = 0
+        self._abandoned = threading.Event()
+        self._state_publisher = self.create_publisher(ArmState, "arm_state", LATCHED)
+        self._joint_publisher = self.create_publisher(JointState, "joint_states", 10)
+        self.create_subscription(TapCommand, "tap_command", self._on_tap_command, COMMAND)
+        self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, COMMAND)
+        self.create_service(Trigger, "~/home", self._on_home)
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.create_service(Trigger, "~/clear_fault", self._on_clear_fault)
+        self.create_timer(1.0 / self.settings.state_rate, self._publish)
+
+    # Life cycle
+
+    def configure(self) -> None:
+        """Read the cell file, open the port, identify the controller."""
+        cell = load_cell(self.settings.cell_file or None)
+        arm = cell.file.arm
+        port = str(Path(self.settings.port or arm.port).expanduser())
+        transport = SerialTransport(port, arm.baud)
+        driver = ArmDriver(
+            transport, GrblDialect(transport), arm.geometry(), ArmSettings(home_joints=arm.home)
+        )
+        try:
+            driver.connect(timeout=1.0)
+        except HardwareFault as fault:
+            self._set(error_code=of_arm(fault), error_msg=fault.sentence)
+            raise NotReady(fault.sentence) from fault
+        self._cell, self._driver = cell, driver
+        self._set_standing()
+        self._worker = Worker("arm", self._idle, READ_PERIOD_S)
+        self._worker.start()
+
+    def activate(self) -> None:
+        """Home where that needs no person."""
+        assert self._cell is not None
+        strategy = HomingStrategy(self._cell.file.arm.homing)
+        if self.settings.home_on_activate and strategy is not HomingStrategy.MANUAL_POSE:
+            self._submit(self._home)
+
+    def deactivate(self) -> None:
+        """Abandon what is under way; the arm stays where it comes to a stand."""
+        self._abandoned.set()
+
+    def cleanup(self) -> None:
+        """Close the port."""
+        self._abandoned.set()
+        if self._worker is not None:
+            self._worker.close()
+        if self._driver is not None:
+            self._driver.close()
+        self._worker = self._driver = None
+        with self._lock:
+            self._snapshot = Snapshot()
+
+    def stop_now(self) -> None:
+        """Stop on the wire, at once."""
+        self._abandoned.set()
+        if self._driver is not None:
+            self._driver.stop()
+        self._set(
+            state=ArmState.STOPPED,
+            error_code=ErrorCode.ARM_STOPPED,
+            error_msg="the arm was stopped; make the cell safe, call clear_fault, then home",
+        )
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """Port, firmware, homing and counters."""
+        driver = self._driver
+        if driver is None:
+            return DiagnosticStatus.WARN, self._snapshot.error_msg, {}
+        values: dict[str, object] = {
+            "hardware_id": driver.firmware.name if driver.firmware else "",
+            "firmware": f"{driver.firmware.name} {driver.firmware.version}"
+            if driver.firmware
+            else "",
+            "homed": driver.homed,
+            "moves": driver.counters.moves,
+            "retries": driver.counters.retries,
+            "reconnects": driver.counters.reconnects,
+            "stops": driver.counters.stops,
+            "last error": driver.counters.last_error,
+        }
+        if self._worker is not None and self._worker.error is not None:
+            return DiagnosticStatus.ERROR, f"defect: {self._worker.error!r}", values
+        if self._snapshot.error_code:
+            return DiagnosticStatus.ERROR, self._snapshot.error_msg, values
+        return DiagnosticStatus.OK, "ok", values
+
+    # Commands
+
+    def _on_tap_command(self, command: TapCommand) -> None:
+        if command.request == TapCommand.WITHDRAW:
+            if command.tap_id == self._snapshot.tap_id and self._driver is not None:
+                self._abandoned.set()
+                self._submit(self._withdraw)
+            return
+        refusal = self._refusal(command)
+        if refusal:
+            self.get_logger().error(f"tap {command.tap_id} refused: {refusal}")
+            return
+        self._last_tap_id = command.tap_id
+        self._abandoned.clear()
+        self._set(state=ArmState.MOVING, tap_id=command.tap_id, error_code=0, error_msg="")
+        pose = from_message(command.strike_pose)
+        expiry = Time.from_msg(command.expiry)
+        self._submit(lambda: self._place(pose, command.tap_id, expiry))
+
+    def _refusal(self, command: TapCommand) -> str:
+        """Why a tap command is not taken; empty when it is."""
+        if not self.active:
+            return "the node is not active; activate it first"
+        if self.stopped or self._snapshot.state != ArmState.IDLE:
+            return f"the arm is not idle ({self._snapshot.error_msg or 'it is busy'})"
+        if command.tap_id <= self._last_tap_id:
+            return (
+                f"tap ids rise, and {self._last_tap_id} was served already; a tap is never served "
+                "twice"
+            )
+        if command.header.frame_id != "table":
+            return f"its frame is '{command.header.frame_id}', but must be 'table'"
+        if not is_finite(command.strike_pose):
+            return "its strike pose holds a number that is not finite"
+        if self.get_clock().now() > Time.from_msg(command.expiry):
+            return "its expiry has passed"
+        return ""
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        names = list(Joints._fields)
+        if not self.active or self._snapshot.state != ArmState.IDLE:
+            self.get_logger().error(
+                f"trajectory refused: the arm is not idle ({self._snapshot.error_msg or 'busy'})"
+            )
+            return
+        if sorted(message.joint_names) != sorted(names) or not message.points:
+            self.get_logger().error(
+                f"trajectory refused: its joints are {list(message.joint_names)} with "
+                f"{len(message.points)} points; it needs points for {names}"
+            )
+            return
+        order = [list(message.joint_names).index(name) for name in names]
+        targets: list[tuple[Joints, float]] = []
+        for point in message.points:
+            if len(point.positions) != len(names) or not all(map(math.isfinite, point.positions)):
+                self.get_logger().error(
+                    f"trajectory refused: a point has the positions {list(point.positions)}; it "
+                    "needs four finite numbers (rad, rad, m, rad)"
+                )
+                return
+            seconds = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+            targets.append((Joints(*(point.positions[index] for index in order)), seconds))
+        self._abandoned.clear()
+        self._set(state=ArmState.MOVING, clear_of_camera=False)
+        self._submit(lambda: self._follow_trajectory(targets))
+
+    def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if not self.active or self._driver is None:
+            return _answer(response, False, "the node is not active; activate it first")
+        if self._snapshot.state not in (ArmState.NOT_HOMED, ArmState.IDLE):
+            return _answer(
+                response, False, f"the arm cannot home now: {self._snapshot.error_msg or 'busy'}"
+            )
+        self._submit(self._home)
+        return _answer(response, True, "homing has begun; arm_state tells when it is done")
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.stopped = True
+        self.stop_now()
+        return _answer(response, True, "stopped; clear_fault ends the stop")
+
+    def _on_clear_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._driver is None:
+            return _answer(response, False, self._snapshot.error_msg)
+        self.stopped = False
+        self._submit(self._clear)
+        return _answer(response, True, "clearing; home the arm when arm_state says NOT_HOMED")
+
+    # Jobs of the worker's thread
+
+    def _submit(self, job: object) -> None:
+        if self._worker is not None:
+            self._worker.submit(job)  # type: ignore[arg-type]
+
+    def _home(self) -> None:
+        driver, cell = self._require()
+        self._abandoned.clear()
+        self._set(state=ArmState.HOMING, error_code=0, error_msg="")
+        try:
+            driver.home(HomingStrategy(cell.file.arm.homing))
+            self._park()
+        except HardwareFault as fault:
+            self._fail(fault)
+
+    def _place(self, strike: Pose, tap_id: int, expiry: Time) -> None:
+        driver, cell = self._require()
+        arm = cell.file.arm
+        tip = cell.arm_base.inverse() @ strike
+        try:
+            path = strike_path(
+                arm.geometry(),
+                driver.read_joints(),
+                TipPose(tip.x, tip.y, arm.strike_height, tip.theta),
+                arm.motion(),
+            )
+            self._set(clear_of_camera=False)
+            if self._move_along(path, expiry):
+                self._read()
+                self._set(state=ArmState.IN_POSITION, expiry=expiry)
+            elif not self._abandoned.is_set():
+                self._withdraw()
+        except HardwareFault as fault:
+            self._fail(fault)
+
+    def _withdraw(self) -> None:
+        self._abandoned.clear()
+        self._set(state=ArmState.WITHDRAWING, expiry=None)
+        # A release that was commanded just before is over when the arm begins to move.
+        time.sleep(RELEASE_GUARD_S)
+        try:
+            self._park()
+        except HardwareFault as fault:
+            self._fail(fault)
+
+    def _park(self) -> None:
+        driver, cell = self._require()
+        path = withdraw_path(cell.file.arm.geometry(), driver.read_joints(), cell.file.arm.motion())
+        if self._move_along(path):
+            self._read()
+            self._set(state=ArmState.IDLE, tap_id=0, clear_of_camera=True, expiry=None)
+
+    def _follow_trajectory(self, targets: Sequence[tuple[Joints, float]]) -> None:
+        driver, cell = self._require()
+        geometry = cell.file.arm.geometry()
+        try:
+            here, before = driver.read_joints(), 0.0
+            for target, at in targets:
+                fastest = move_duration(geometry, here, target, 1.0)
+                speed = min(1.0, fastest / (at - before)) if at > before else 1.0
+                if speed > 0 and not self._move_along((Waypoint(target, speed, "trajectory"),)):
+                    break
+                here, before = target, at
+            self._read()
+            self._set(state=ArmState.IDLE)
+        except HardwareFault as fault:
+            self._fail(fault)
+
+    def _move_along(self, path: Sequence[Waypoint], expiry: Time | None = None) -> bool:
+        """Take the waypoints; False where the move was abandoned between two of them."""
+        driver, _ = self._require()
+        for waypoint in path:
+            if self._abandoned.is_set() or (expiry and self.get_clock().now() > expiry):
+                return False
+            driver.move_to(waypoint.joints, waypoint.speed)
+            self._read()
+        driver.follow(())
+        return not self._abandoned.is_set()
+
+    def _clear(self) -> None:
+        driver, _ = self._require()
+        try:
+            driver.clear_fault()
+        except HardwareFault as fault:
+            self._fail(fault)
+            return
+        self._set_standing()
+
+    def _idle(self) -> None:
+        """Between jobs: read back, notice a lost line, open it again."""
+        driver, _ = self._require()
+        if self._snapshot.state == ArmState.STOPPED:
+            return
+        try:
+            if not driver.connected:
+                driver.connect(timeout=1.0)
+                self._set_standing()
+            self._read()
+            expiry = self._snapshot.expiry
+            if expiry is not None and self.get_clock().now() > expiry:
+                # Nobody came back for this tap: the planner may be gone.
+                self._withdraw()
+        except HardwareFault as fault:
+            self._fail(fault)
+
+    def _read(self) -> None:
+        driver, _ = self._require()
+        before = self.get_clock().now()
+        reading = driver.read()
+        if driver.homed:
+            self._set(joints=reading.joints, read_at=before)
+
+    def _set_standing(self) -> None:
+        """The state of an arm that was just connected or cleared."""
+        assert self._driver is not None
+        if self._driver.homed:
+            self._set(state=ArmState.IDLE, tap_id=0, error_code=0, error_msg="")
+        else:
+            self._set(
+                state=ArmState.NOT_HOMED,
+                tap_id=0,
+                joints=None,
+                error_code=ErrorCode.ARM_NOT_HOMED,
+                error_msg="the arm is not homed; call the service home",
+            )
+
+    def _fail(self, fault: HardwareFault) -> None:
+        if fault.reason is FaultReason.STOPPED:
+            return
+        states = {
+            FaultReason.DISCONNECTED: ArmState.DISCONNECTED,
+            FaultReason.PORT_MISSING: ArmState.DISCONNECTED,
+            FaultReason.PORT_BUSY: ArmState.DISCONNECTED,
+            FaultReason.NOT_HOMED: ArmState.NOT_HOMED,
+            FaultReason.HOMING_FAILED: ArmState.NOT_HOMED,
+        }
+        state = states.get(fault.reason, ArmState.FAULT)
+        if self._snapshot.error_msg != fault.sentence:
+            self.get_logger().error(fault.sentence)
+        self._set(state=state, error_code=of_arm(fault), error_msg=fault.sentence)
+
+    def _require(self) -> tuple[ArmDriver, Cell]:
+        assert self._driver is not None and self._cell is not None
+        return self._driver, self._cell
+
+    # State
+
+    def _set(self, **changes: object) -> None:
+        with self._lock:
+            values = {name: getattr(self._snapshot, name) for name in Snapshot.__slots__}
+            if values["state"] == ArmState.STOPPED and self.stopped:
+                return
+            self._snapshot = Snapshot(**{**values, **changes})  # type: ignore[arg-type]
+
+    def _publish(self) -> None:
+        with self._lock:
+            now = self._snapshot
+        message = ArmState(
+            state=now.state,
+            tap_id=now.tap_id,
+            homed=now.joints is not None,
+            clear_of_camera=now.clear_of_camera,
+            error_code=now.error_code,
+            error_msg=now.error_msg,
+        )
+        message.header.frame_id = "table"
+        message.header.stamp = (now.read_at or self.get_clock().now()).to_msg()
+        if now.joints is not None and self._cell is not None:
+            tip = self._cell.file.arm.geometry().forward(now.joints)
+            planar = self._cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
+            message.tip_pose = to_message(planar, tip.z)
+        self._state_publisher.publish(message)
+        if now.joints is not None and now.read_at != self._published.read_at:
+            joints = JointState(name=list(Joints._fields), position=list(now.joints))
+            joints.header.stamp = message.header.stamp
+            self._joint_publisher.publish(joints)
+        self._published = now
+
+
+def _answer(response: Trigger.Response, success: bool, sentence: str) -> Trigger.Response:
+    response.success, response.message = success, sentence
+    return response
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run(ScaraArm, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

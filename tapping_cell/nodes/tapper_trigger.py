@@ -1,0 +1,426 @@
+"""The tapper's node: draws and fires once for a tap, and only while the arm is in position for it."""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.time import Time
+from std_srvs.srv import Trigger
+from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand, TapperState
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.hardware.energy import EnergyCurve
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.serial_transport import SerialTransport
+from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
+from tapping_cell.hardware.tapper_protocol import Reply
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, NotReady, run
+from tapping_cell.nodes.error_codes import of_tapper
+from tapping_cell.nodes.worker import Worker
+
+READ_PERIOD_S = 0.1
+OUTCOMES = {
+    FireOutcome.FIRED: TapperState.FIRED,
+    FireOutcome.NOT_FIRED: TapperState.NOT_FIRED,
+    FireOutcome.UNKNOWN: TapperState.UNKNOWN,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Parameters of tapper_trigger."""
+
+    autostart: bool = text("configure and activate without being asked", default=True)
+    cell_file: str = text("path of the cell file; empty for the package's own", default="")
+    port: str = text("path of the tapper's serial port; empty for the cell file's", default="")
+    state_rate: float = quantity("rate of tapper_state", "Hz", 1.0, 200.0, default=20.0)
+    arm_freshness: float = quantity(
+        "greatest age of the arm's read-back at the moment of firing", "s", 0.02, 2.0, default=0.3
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """What the worker knows and the executor publishes."""
+
+    state: int = TapperState.DISCONNECTED
+    tap_id: int = 0
+    outcome: int = TapperState.NONE
+    measured_speed: float = math.nan
+    shots_fired: int = 0
+    boot_number: int = 0
+    interlock_closed: bool = False
+    error_code: int = ErrorCode.TAPPER_NOT_CONNECTED
+    error_msg: str = "the tapper is not connected yet"
+
+
+@dataclass(frozen=True, slots=True)
+class Pending:
+    """A tap that waits for the arm."""
+
+    tap_id: int
+    energy: float
+    expiry: Time
+
+
+class TapperTrigger(CellNode[Parameters]):
+    """See the module's docstring."""
+
+    def __init__(self) -> None:
+        super().__init__("tapper_trigger", Parameters)
+        self._driver: TapperDriver | None = None
+        self._curve: EnergyCurve | None = None
+        self._worker: Worker | None = None
+        self._lock = threading.Lock()
+        self._snapshot = Snapshot()
+        self._pending: Pending | None = None
+        self._arm: ArmState | None = None
+        self._arm_heard = 0.0
+        self._last_tap_id = 0
+        self._abandoned = threading.Event()
+        self._publisher = self.create_publisher(TapperState, "tapper_state", LATCHED)
+        self.create_subscription(TapCommand, "tap_command", self._on_tap_command, COMMAND)
+        self.create_subscription(ArmState, "arm_state", self._on_arm_state, LATCHED)
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.create_service(Trigger, "~/clear_fault", self._on_clear_fault)
+        self.create_timer(1.0 / self.settings.state_rate, self._tick)
+
+    # Life cycle
+
+    def configure(self) -> None:
+        """Read the cell file, open the port, open a session, which disarms the tapper."""
+        cell = load_cell(self.settings.cell_file or None)
+        tapper = cell.file.tapper
+        port = str(Path(self.settings.port or tapper.port).expanduser())
+        driver = TapperDriver(SerialTransport(port, tapper.baud))
+        try:
+            reply = driver.connect(timeout=1.0)
+        except HardwareFault as fault:
+            driver.close()
+            self._set(error_code=of_tapper(fault), error_msg=fault.sentence)
+            raise NotReady(fault.sentence) from fault
+        self._driver, self._curve = driver, tapper.curve()
+        self._set_safe(reply)
+        self._worker = Worker("tapper", self._idle, READ_PERIOD_S)
+        self._worker.start()
+
+    def deactivate(self) -> None:
+        """Give up the tap under way, unless it was fired."""
+        self._abandon("the node was deactivated", ErrorCode.NOT_ACTIVE)
+
+    def cleanup(self) -> None:
+        """Close the port; the tapper disarms itself by the silence."""
+        self._abandoned.set()
+        if self._worker is not None:
+            self._worker.close()
+        if self._driver is not None:
+            self._driver.close()
+        self._worker = self._driver = None
+        with self._lock:
+            self._snapshot = Snapshot()
+
+    def stop_now(self) -> None:
+        """Stop on the wire, at once."""
+        self._abandoned.set()
+        if self._driver is not None:
+            self._driver.stop()
+        pending, self._pending = self._pending, None
+        self._set(
+            state=TapperState.STOPPED,
+            error_code=ErrorCode.TAPPER_STOPPED,
+            error_msg="the tapper was stopped; make the cell safe, then call clear_fault",
+        )
+        if pending is not None:
+            self._set(outcome=TapperState.NOT_FIRED)
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """Port, firmware and counters."""
+        driver = self._driver
+        if driver is None:
+            return DiagnosticStatus.WARN, self._snapshot.error_msg, {}
+        counters = driver.counters
+        values: dict[str, object] = {
+            "hardware_id": "tapper",
+            "firmware": driver.version,
+            "shots fired": counters.fired,
+            "outcome unknown": counters.unknown,
+            "retries": counters.retries,
+            "timeouts": counters.timeouts,
+            "bad frames": counters.bad_frames,
+            "reconnects": counters.reconnects,
+            "stops": counters.stops,
+            "last error": counters.last_error,
+        }
+        if self._worker is not None and self._worker.error is not None:
+            return DiagnosticStatus.ERROR, f"defect: {self._worker.error!r}", values
+        if self._snapshot.error_code:
+            return DiagnosticStatus.ERROR, self._snapshot.error_msg, values
+        return DiagnosticStatus.OK, "ok", values
+
+    # Commands
+
+    def _on_tap_command(self, command: TapCommand) -> None:
+        if command.request == TapCommand.WITHDRAW:
+            if command.tap_id == self._snapshot.tap_id:
+                self._abandon("the tap was abandoned", ErrorCode.NONE)
+            return
+        refusal = self._refusal(command)
+        if refusal is not None:
+            code, sentence = refusal
+            self.get_logger().error(f"tap {command.tap_id} refused: {sentence}")
+            if command.tap_id > self._last_tap_id:
+                self._last_tap_id = command.tap_id
+                self._set(
+                    tap_id=command.tap_id,
+                    outcome=TapperState.NOT_FIRED,
+                    error_code=code,
+                    error_msg=sentence,
+                )
+            return
+        assert self._curve is not None
+        self._last_tap_id = command.tap_id
+        self._abandoned.clear()
+        self._pending = Pending(
+            command.tap_id,
+            self._curve.energy_for(command.striker_speed),
+            Time.from_msg(command.expiry),
+        )
+        self._set(
+            tap_id=command.tap_id,
+            outcome=TapperState.NONE,
+            measured_speed=math.nan,
+            error_code=0,
+            error_msg="",
+        )
+
+    def _refusal(self, command: TapCommand) -> tuple[int, str] | None:
+        """Why a tap command is not taken; None when it is."""
+        if not self.active or self._curve is None:
+            return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
+        if self.stopped or self._snapshot.state != TapperState.SAFE or self._pending is not None:
+            reason = self._snapshot.error_msg or "it serves another tap"
+            return ErrorCode.TAPPER_BUSY, f"the tapper is not at rest: {reason}"
+        if command.tap_id <= self._last_tap_id:
+            return (
+                ErrorCode.COMMAND_REPEATED,
+                f"tap ids rise, and {self._last_tap_id} was served already; a tap is never fired "
+                "twice",
+            )
+        if self.get_clock().now() > Time.from_msg(command.expiry):
+            return ErrorCode.TAPPER_COMMAND_EXPIRED, "its expiry has passed"
+        speed = command.striker_speed
+        if not self._curve.slowest <= speed <= self._curve.fastest:
+            return (
+                ErrorCode.TAPPER_SPEED_OUT_OF_RANGE,
+                f"a striker speed of {1000 * speed:.1f} mm/s is outside the tapper's "
+                f"{1000 * self._curve.slowest:.1f} to {1000 * self._curve.fastest:.1f} mm/s",
+            )
+        return None
+
+    def _on_arm_state(self, message: ArmState) -> None:
+        with self._lock:
+            self._arm, self._arm_heard = message, time.monotonic()
+        pending = self._pending
+        if pending is not None and self._arm_refusal(pending.tap_id) is None:
+            self._pending = None
+            if self._worker is not None:
+                self._worker.submit(lambda: self._shoot(pending))
+
+    def _abandon(self, why: str, code: int) -> None:
+        """Give up the tap that waits; a tap under way in the worker sees the flag before it fires."""
+        self._abandoned.set()
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            self._set(outcome=TapperState.NOT_FIRED, error_code=code, error_msg=why if code else "")
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.stopped = True
+        self.stop_now()
+        response.success, response.message = True, "stopped; clear_fault ends the stop"
+        return response
+
+    def _on_clear_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._worker is None:
+            response.success, response.message = False, self._snapshot.error_msg
+            return response
+        self.stopped = False
+        self._worker.submit(self._clear)
+        response.success, response.message = True, "clearing; tapper_state tells the result"
+        return response
+
+    # The interlock with the arm
+
+    def _arm_refusal(self, tap_id: int) -> str | None:
+        """Why the arm does not allow to fire this tap now; None when it does."""
+        with self._lock:
+            arm, heard = self._arm, self._arm_heard
+        limit = self.settings.arm_freshness
+        if arm is None:
+            return "the arm has not reported yet"
+        if arm.state != ArmState.IN_POSITION or arm.tap_id != tap_id:
+            return f"the arm is not in position for tap {tap_id} (state {arm.state}, tap {arm.tap_id})"
+        age = (self.get_clock().now() - Time.from_msg(arm.header.stamp)).nanoseconds * 1e-9
+        if not 0 <= age <= limit or time.monotonic() - heard > limit:
+            return f"the arm's read-back is {age:.2f} s old, more than {limit:.2f} s"
+        return None
+
+    # Jobs of the worker's thread
+
+    def _shoot(self, tap: Pending) -> None:
+        driver = self._require()
+        try:
+            self._set(state=TapperState.DRAWING)
+            driver.arm(tap.tap_id, tap.energy)
+            self._set(state=TapperState.READY)
+            refusal = self._last_check(tap)
+            if refusal is not None:
+                driver.disarm()
+                code, sentence = refusal
+                self._set(
+                    state=TapperState.SAFE,
+                    outcome=TapperState.NOT_FIRED,
+                    error_code=code,
+                    error_msg=sentence,
+                )
+                return
+            self._set(state=TapperState.FIRING)
+            result = driver.fire(tap.tap_id)
+        except HardwareFault as fault:
+            # Every fault that is raised was met before FIRE went out.
+            self._set(outcome=TapperState.NOT_FIRED)
+            self._fail(fault)
+            return
+        code = ErrorCode.NONE
+        if result.outcome is FireOutcome.NOT_FIRED:
+            code = ErrorCode.TAPPER_FAULT
+        elif result.outcome is FireOutcome.UNKNOWN:
+            code = ErrorCode.TAPPER_OUTCOME_UNKNOWN
+        self._read()
+        self._set(outcome=OUTCOMES[result.outcome], error_code=code, error_msg=result.sentence)
+
+    def _last_check(self, tap: Pending) -> tuple[int, str] | None:
+        """What forbids to fire, looked at in the last moment; None when nothing does."""
+        if self._abandoned.is_set() or self.stopped or not self.active:
+            return ErrorCode.NONE, ""
+        if self.get_clock().now() > tap.expiry:
+            return ErrorCode.TAPPER_COMMAND_EXPIRED, "the tap's expiry passed while it was drawn"
+        sentence = self._arm_refusal(tap.tap_id)
+        if sentence is not None:
+            return ErrorCode.TAPPER_ARM_NOT_IN_POSITION, sentence
+        return None
+
+    def _clear(self) -> None:
+        driver = self._require()
+        try:
+            self._set_safe(driver.clear())
+        except HardwareFault as fault:
+            self._fail(fault)
+
+    def _idle(self) -> None:
+        """Between taps: read the state, notice a lost line, open it again."""
+        driver = self._require()
+        if self._snapshot.state == TapperState.STOPPED:
+            return
+        try:
+            if not driver.connected:
+                self._set_safe(driver.connect(timeout=1.0))
+            else:
+                self._read()
+        except HardwareFault as fault:
+            self._fail(fault)
+
+    def _read(self) -> None:
+        driver = self._require()
+        reply = driver.status()
+        if reply.stop_latched:
+            self._set(
+                state=TapperState.STOPPED,
+                error_code=ErrorCode.TAPPER_STOPPED,
+                error_msg="the tapper's stop is latched; make the cell safe, then call clear_fault",
+            )
+            return
+        self._report(reply)
+        self._set(state=TapperState.SAFE)
+
+    def _report(self, reply: Reply) -> None:
+        ours = reply.last_fired == self._snapshot.tap_id and reply.speed is not None
+        self._set(
+            measured_speed=reply.speed if ours else math.nan,
+            shots_fired=self._require().counters.fired,
+            boot_number=reply.boot,
+            interlock_closed=reply.interlock_closed,
+        )
+
+    def _set_safe(self, reply: Reply) -> None:
+        self._report(reply)
+        self._set(state=TapperState.SAFE, error_code=0, error_msg="")
+
+    def _fail(self, fault: HardwareFault) -> None:
+        if fault.reason is FaultReason.STOPPED and self.stopped:
+            return
+        states = {
+            FaultReason.DISCONNECTED: TapperState.DISCONNECTED,
+            FaultReason.PORT_MISSING: TapperState.DISCONNECTED,
+            FaultReason.PORT_BUSY: TapperState.DISCONNECTED,
+            FaultReason.TIMEOUT: TapperState.DISCONNECTED,
+            FaultReason.BOARD_RESET: TapperState.DISCONNECTED,
+            FaultReason.STOPPED: TapperState.STOPPED,
+            FaultReason.NEEDS_PERSON: TapperState.STOPPED,
+        }
+        state = states.get(fault.reason, TapperState.FAULT)
+        if self._snapshot.error_msg != fault.sentence:
+            self.get_logger().error(fault.sentence)
+        self._set(state=state, error_code=of_tapper(fault), error_msg=fault.sentence)
+
+    def _require(self) -> TapperDriver:
+        assert self._driver is not None
+        return self._driver
+
+    # State
+
+    def _set(self, **changes: object) -> None:
+        with self._lock:
+            values = {name: getattr(self._snapshot, name) for name in Snapshot.__slots__}
+            if values["state"] == TapperState.STOPPED and self.stopped:
+                changes = {key: value for key, value in changes.items() if key == "outcome"}
+            self._snapshot = Snapshot(**{**values, **changes})  # type: ignore[arg-type]
+
+    def _tick(self) -> None:
+        pending = self._pending
+        if pending is not None and self.get_clock().now() > pending.expiry:
+            self._abandon(
+                "the tap's expiry passed before the arm was in position",
+                ErrorCode.TAPPER_COMMAND_EXPIRED,
+            )
+        with self._lock:
+            now = self._snapshot
+        message = TapperState(
+            state=now.state,
+            tap_id=now.tap_id,
+            outcome=now.outcome,
+            measured_speed=now.measured_speed,
+            shots_fired=now.shots_fired,
+            boot_number=now.boot_number,
+            interlock_closed=now.interlock_closed,
+            error_code=now.error_code,
+            error_msg=now.error_msg,
+        )
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._publisher.publish(message)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run(TapperTrigger, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

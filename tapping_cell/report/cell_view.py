@@ -1,0 +1,154 @@
+"""``cell.png``: a run seen from above, to scale, and how the residual shrank tap by tap."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon, Rectangle
+
+from tapping_cell.report.run import Run
+from tapping_cell.se2 import Pose, transform_points
+
+START, REST, GOAL, STRIKE = "#555555", "#1f77b4", "#2ca02c", "#d62728"
+
+
+def draw_cell(run: Run, path: Path) -> None:
+    """Write the picture of a run (PNG)."""
+    figure = Figure(figsize=(13.0, 6.2), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, 3, width_ratios=(1.5, 1.0, 0.9))
+    _draw_table(figure.add_subplot(grid[:, 0]), run)
+    _draw_close_up(figure.add_subplot(grid[:, 1]), run)
+    _draw_residuals(figure.add_subplot(grid[0, 2]), figure.add_subplot(grid[1, 2]), run)
+    figure.suptitle(_headline(run), fontsize=13, fontweight="bold")
+    figure.savefig(path)
+
+
+def _headline(run: Run) -> str:
+    taps = "1 tap" if len(run.taps) == 1 else f"{len(run.taps)} taps"
+    dx, dy = 1000 * (run.goal.x - run.start.x), 1000 * (run.goal.y - run.start.y)
+    turn = math.degrees(run.start.rotation_to(run.goal))
+    task = f"{math.hypot(dx, dy):.1f} mm and {turn:+.1f} deg to go"
+    result = f"goal reached in {taps}" if run.reached else f"goal not reached after {taps}"
+    return f"{task}: {result}"
+
+
+def _mm(pose: Pose) -> tuple[float, float]:
+    return 1000 * pose.x, 1000 * pose.y
+
+
+def _outline_at(run: Run, pose: Pose) -> np.ndarray:
+    return 1000 * transform_points(pose, np.asarray(run.outline))
+
+
+def _heading(run: Run, pose: Pose) -> np.ndarray:
+    """A line from the centre to the rim along the object's x axis, so that a turn of a disk shows."""
+    reach = float(np.max(np.hypot(*np.asarray(run.outline).T)))
+    return 1000 * transform_points(pose, [[0.0, 0.0], [reach, 0.0]])
+
+
+def _draw_table(axes: Axes, run: Run) -> None:
+    length, width = run.table_size
+    x, y = np.array([-500, 500]) * length, np.array([-500, 500]) * width
+    axes.add_patch(
+        Rectangle((x[0], y[0]), x[1] - x[0], y[1] - y[0], facecolor="#faf7f0", edgecolor="#998")
+    )
+    poses = [(run.start, START, "start", 1.0)]
+    poses += [(tap.measured, REST, "", 0.35 + 0.5 * tap.number / len(run.taps)) for tap in run.taps]
+    for pose, colour, _, alpha in poses:
+        axes.add_patch(
+            Polygon(_outline_at(run, pose), fill=False, edgecolor=colour, alpha=alpha, lw=1.2)
+        )
+        axes.plot(*_heading(run, pose).T, color=colour, alpha=alpha, lw=1.0)
+    axes.add_patch(
+        Polygon(
+            _outline_at(run, run.goal), facecolor=GOAL, alpha=0.15, edgecolor=GOAL, lw=2.0, ls="--"
+        )
+    )
+    axes.plot(*_heading(run, run.goal).T, color=GOAL, lw=2.0, ls="--")
+    for tap in run.taps:
+        _draw_strike(axes, run, tap.before, tap.strike, tap.number)
+    # Legend handles that stand for the drawn outlines.
+    axes.plot([], [], color=START, label="start")
+    axes.plot([], [], color=REST, label="at rest after a tap")
+    axes.plot([], [], color=GOAL, ls="--", label="goal")
+    axes.plot([], [], color=STRIKE, marker=">", label="strike, with the tap's number")
+    axes.legend(loc="lower left", fontsize=8)
+    axes.set(title="the table from above", xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
+    axes.set_xlim(x[0] - 15, x[1] + 15)
+    axes.set_ylim(y[0] - 15, y[1] + 15)
+
+
+def _draw_strike(axes: Axes, run: Run, before: Pose, strike: Pose, number: int) -> None:
+    """An arrow along the striker's travel, its head at the object."""
+    cos, sin = math.cos(strike.theta), math.sin(strike.theta)
+    tip = 1000 * np.array([strike.x, strike.y])
+    tail = tip - 45 * np.array([cos, sin])
+    axes.annotate(
+        "",
+        xy=(tip[0], tip[1]),
+        xytext=(tail[0], tail[1]),
+        arrowprops={"arrowstyle": "-|>", "color": STRIKE, "lw": 1.6},
+    )
+    label = tail - 9 * np.array([cos, sin])
+    axes.text(label[0], label[1], str(number), color=STRIKE, ha="center", va="center", fontsize=10)
+
+
+def _draw_close_up(axes: Axes, run: Run) -> None:
+    tolerance = 1000 * run.tolerance[0]
+    axes.add_patch(Circle(_mm(run.goal), tolerance, facecolor=GOAL, alpha=0.2, edgecolor=GOAL))
+    axes.plot(*_mm(run.goal), marker="+", color=GOAL, ms=14, mew=2)
+    axes.plot(*_mm(run.start), marker="o", color=START, ms=6)
+    axes.annotate("start", _mm(run.start), (6, 6), textcoords="offset points", color=START)
+    axes.annotate("goal", _mm(run.goal), (8, -14), textcoords="offset points", color=GOAL)
+    for tap in run.taps:
+        axes.annotate(
+            "",
+            xy=_mm(tap.measured),
+            xytext=_mm(tap.before),
+            arrowprops={"arrowstyle": "-|>", "color": REST, "lw": 1.5, "shrinkA": 0, "shrinkB": 0},
+        )
+        axes.plot(*_mm(tap.predicted), marker="x", color="#888888", ms=6)
+        axes.annotate(
+            str(tap.number), _mm(tap.measured), (5, 5), textcoords="offset points", color=REST
+        )
+    axes.plot([], [], marker="x", ls="", color="#888888", label="predicted end of a tap")
+    axes.plot([], [], color=REST, label="measured move of a tap")
+    axes.legend(loc="best", fontsize=8)
+    points = np.array([_mm(run.start), _mm(run.goal), *(_mm(tap.measured) for tap in run.taps)])
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    half = max(float(np.max(np.ptp(points, axis=0))) / 2 * 1.25, 4 * tolerance)
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+    axes.set(
+        title=f"path of the centre, tolerance {tolerance:g} mm",
+        xlabel="x (mm)",
+        ylabel="y (mm)",
+        aspect="equal",
+    )
+
+
+def _draw_residuals(upper: Axes, lower: Axes, run: Run) -> None:
+    poses = [run.start, *(tap.measured for tap in run.taps)]
+    numbers = range(len(poses))
+    distance = [1000 * pose.distance_to(run.goal) for pose in poses]
+    rotation = [abs(math.degrees(pose.rotation_to(run.goal))) for pose in poses]
+    series = (
+        (upper, distance, 1000 * run.tolerance[0], "distance to go (mm)"),
+        (lower, rotation, math.degrees(run.tolerance[1]), "rotation to go (deg)"),
+    )
+    for axes, values, limit, label in series:
+        axes.axhspan(0, limit, color=GOAL, alpha=0.15)
+        axes.plot(numbers, values, marker="o", color=REST)
+        for number, value in zip(numbers, values, strict=True):
+            axes.annotate(
+                f"{value:.2f}", (number, value), (6, 4), textcoords="offset points", fontsize=8
+            )
+        axes.set(ylabel=label, xlabel="taps", xlim=(-0.3, len(poses) - 0.4))
+        axes.set_ylim(0, 1.15 * max(*values, 2 * limit) if len(values) > 1 else 2 * limit)
+        axes.xaxis.get_major_locator().set_params(integer=True)

@@ -1,0 +1,99 @@
+"""The simulated arm and tapper on their pseudo-terminals, joined to the world by a strike."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from tapping_cell.configuration.cell import ArmSection, Cell
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.grbl_emulator import (
+    TO_UNITS,
+    GrblEmulator,
+    GrblMachine,
+    default_settings,
+)
+from tapping_cell.simulation.joint_motion import AxisErrors
+from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
+from tapping_cell.simulation.truth import ArmTruth
+
+OnStrike = Callable[[Pose, float, float, float], None]
+"""Called at a release: true tip pose in ``table``, its height in m, speed in m/s, time in s."""
+
+LARGEST_BOOT = 1_000_000
+
+
+class SimulatedDevices:
+    """Two emulated boards, each behind a port that a driver opens like any other.
+
+    Raises:
+        PortTakenError: a port's path belongs to a running process.
+    """
+
+    def __init__(
+        self,
+        cell: Cell,
+        truth: ArmTruth,
+        arm_port: Path,
+        tapper_port: Path,
+        on_strike: OnStrike,
+        seed: int,
+    ) -> None:
+        self._geometry = cell.file.arm.geometry()
+        self._base = cell.arm_base @ Pose(*truth.base_offset)
+        self._curve = cell.file.tapper.curve()
+        self._on_strike = on_strike
+        now = time.monotonic()
+        self._arm = GrblEmulator(_machine(cell.file.arm, truth), seed, now)
+        # A world that is started anew is a board that was switched on anew: another boot number.
+        boot = int(time.time()) % LARGEST_BOOT + 1
+        self._tapper = TapperEmulator(on_fire=self._fire, boot=boot, now=now)
+        self._arm_port = PseudoTerminal(self._arm, arm_port)
+        self._tapper_port = PseudoTerminal(self._tapper, tapper_port)
+        self._arm_port.open()
+        try:
+            self._tapper_port.open()
+        except BaseException:
+            self._arm_port.close()
+            raise
+
+    def close(self) -> None:
+        """Unplug both devices."""
+        self._tapper_port.close()
+        self._arm_port.close()
+
+    def press_clear_button(self) -> None:
+        """What a person does at the cell before a latched stop can be cleared."""
+        with self._tapper_port.lock:
+            self._tapper.press_clear_button(time.monotonic())
+
+    def _fire(self, shot: int, energy: float, now: float) -> float | None:
+        """The tapper was released: the striker flies from where the arm truly holds it."""
+        with self._arm_port.lock:
+            joints = self._arm.joints(now)
+        tip = self._geometry.forward(joints)
+        speed = self._curve.speed_for(energy)
+        self._on_strike(self._base @ Pose(tip.x, tip.y, tip.yaw), tip.z, speed, now)
+        return speed
+
+
+def _machine(arm: ArmSection, truth: ArmTruth) -> GrblMachine:
+    """The emulated controller set up for this arm: rates in units/min, accelerations in units/s^2."""
+    settings = default_settings()
+    for axis in range(len(TO_UNITS)):
+        scale = float(TO_UNITS[axis])
+        settings[110 + axis] = 60 * scale * arm.max_speed[axis]
+        settings[120 + axis] = scale * arm.max_acceleration[axis]
+        settings[130 + axis] = scale * (arm.upper[axis] - arm.lower[axis])
+    return GrblMachine(
+        start_joints=arm.park,
+        home_joints=arm.home,
+        errors=AxisErrors(
+            offset=truth.joint_offset,
+            backlash=truth.backlash,
+            repeatability=truth.repeatability,
+        ),
+        settings=settings,
+    )

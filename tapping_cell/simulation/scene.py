@@ -1,0 +1,38 @@
+"""The rendered camera of one cell, by its truth file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from numpy.typing import ArrayLike
+
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
+from tapping_cell.simulation.truth import CameraTruth
+from tapping_cell.vision.camera import CameraModel, CameraPose
+
+
+def true_camera(calibrated: CameraModel, truth: CameraTruth) -> CameraModel:
+    """The lens as it really is."""
+    first, *others = (*calibrated.distortion, 0.0) if not calibrated.distortion else (
+        calibrated.distortion
+    )
+    return replace(
+        calibrated,
+        fx=calibrated.fx * truth.focal_factor,
+        fy=calibrated.fy * truth.focal_factor,
+        distortion=(first + truth.distortion_offset, *others),
+    )
+
+
+def make_renderer(cell: Cell, truth: CameraTruth, outline: ArrayLike, seed: int) -> SceneRenderer:
+    """A renderer of the cell's table and object as the truth has them."""
+    return SceneRenderer(
+        camera=true_camera(cell.camera, truth),
+        pose=CameraPose.above(truth.position, truth.aim, truth.turn),
+        references=cell.references,
+        outline=outline,
+        marker=cell.object.object_marker(),
+        settings=SceneSettings(noise=truth.noise, light_falloff=truth.light_falloff),
+        seed=seed,
+    )
