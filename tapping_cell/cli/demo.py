@@ -20,14 +20,16 @@ from datetime import datetime
 from pathlib import Path
 
 from rich.console import Console
+from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.cli import session
 from tapping_cell.cli.graph import SIMULATED, Graph, NodeDied, own_domain
+from tapping_cell.cli.up import node_parameters
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes.goal_client import GoalClient
-from tapping_cell.report.run import Run
-from tapping_cell.report.run_folder import inside, residual, write_run
+from tapping_cell.report.run import Failure, Run
+from tapping_cell.report.run_folder import inside, residual, write_failure, write_run
 from tapping_cell.se2 import Pose, wrap_angle
 
 READY_PATIENCE_S = 60.0
@@ -71,7 +73,7 @@ class _Heard:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb; 0 reached, 1 not reached, 2 wrong input, 130 interrupted."""
     console = Console()
-    signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGTERM, session.interrupt)
     began = time.monotonic()
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)
@@ -93,17 +95,32 @@ def run(arguments: argparse.Namespace) -> int:
             heard = _position(arguments, cell, graph, client, console)
     except (NodeDied, session.NotReadyInTime) as error:
         console.print(f"[red]failed:[/red] {error}", highlight=False)
+        code = ErrorCode.INTERNAL if isinstance(error, NodeDied) else ErrorCode.NOT_READY
+        _write_failure(arguments, folder, code, str(error), time.monotonic() - began)
         return 1
     except KeyboardInterrupt:
         console.print("interrupted; every node has ended")
+        elapsed = time.monotonic() - began
+        _write_failure(arguments, folder, ErrorCode.GOAL_CANCELED, "interrupted", elapsed)
         return 130
     record = _record(arguments, cell, heard, time.monotonic() - began)
     write_run(folder, record)
     return _verdict(record, folder, console)
 
 
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
+def _write_failure(
+    arguments: argparse.Namespace, folder: Path, code: int, sentence: str, wall_time: float
+) -> None:
+    write_failure(
+        folder,
+        Failure(
+            wall_time=wall_time,
+            seed=arguments.seed,
+            versions=session.versions(),
+            error_code=code,
+            error_msg=sentence,
+        ),
+    )
 
 
 def _run_folder(out: Path | None) -> Path:
@@ -115,25 +132,12 @@ def _run_folder(out: Path | None) -> Path:
 def _parameters(
     arguments: argparse.Namespace, cell: Cell, ports: Path
 ) -> dict[str, dict[str, object]]:
-    files: dict[str, object] = {"cell_file": cell.path, "object_file": cell.object_path}
-    world: dict[str, object] = {
-        **files,
-        "seed": arguments.seed,
-        "arm_port": ports / "arm",
-        "tapper_port": ports / "tapper",
-    }
-    if arguments.truth:
-        world["truth_file"] = arguments.truth.resolve()
-    planner: dict[str, object] = dict(files)
-    if arguments.planner:
-        planner["planner"] = arguments.planner
-    return {
-        "sim_world": world,
-        "camera_pose": files,
-        "tap_planner": planner,
-        "scara_arm": {"cell_file": cell.path, "port": ports / "arm"},
-        "tapper_trigger": {"cell_file": cell.path, "port": ports / "tapper"},
-    }
+    """The graph's parameters with ports of this run alone, so that two runs do not meet."""
+    parameters = node_parameters(arguments, cell)
+    parameters["sim_world"] |= {"arm_port": ports / "arm", "tapper_port": ports / "tapper"}
+    parameters["scara_arm"]["port"] = ports / "arm"
+    parameters["tapper_trigger"]["port"] = ports / "tapper"
+    return parameters
 
 
 def _position(

@@ -30,6 +30,11 @@ class Followed:
     finished: Finished | None = None
 
 
+def interrupt(*_: object) -> None:
+    """Signal handler: a termination request ends the verb like Ctrl-C."""
+    raise KeyboardInterrupt
+
+
 def versions() -> dict[str, str]:
     """Versions of the cell and of what its numbers depend on."""
     packages = ("numpy", "scipy", "rclpy")

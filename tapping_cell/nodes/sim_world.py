@@ -16,6 +16,7 @@ from rclpy.duration import Duration
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
+from std_srvs.srv import Trigger
 from tapping_cell_msgs.srv import ResetWorld
 
 from tapping_cell.configuration.cell import Cell, load_cell
@@ -71,6 +72,7 @@ class SimWorld(CellNode[Parameters]):
         )
         self._truth_publisher = self.create_publisher(PoseStamped, "ground_truth", 10)
         self.create_service(ResetWorld, "reset_world", self._on_reset)
+        self.create_service(Trigger, "~/press_clear_button", self._on_clear_button)
         self.create_timer(1.0 / self.settings.frame_rate, self._expose)
 
     def configure(self) -> None:
@@ -87,7 +89,10 @@ class SimWorld(CellNode[Parameters]):
             truth,
             settings.seed,
         )
-        self._renderer = make_renderer(cell, truth.camera, world.outline, settings.seed)
+        renderer = make_renderer(cell, truth.camera, world.outline, settings.seed)
+        # Drawn once before the devices are there: the first picture takes longest, and an emulated
+        # board must not be kept waiting.
+        renderer.render(world.pose)
         try:
             devices = SimulatedDevices(
                 cell,
@@ -100,6 +105,7 @@ class SimWorld(CellNode[Parameters]):
         except PortTakenError as error:
             raise NotReady(str(error)) from error
         self._cell, self._truth, self._world, self._devices = cell, truth, world, devices
+        self._renderer = renderer
         self._info = images.to_camera_info(cell.camera)
         self._info.header.frame_id = "camera_optical"
 
@@ -153,6 +159,16 @@ class SimWorld(CellNode[Parameters]):
         message.header.stamp = stamp.to_msg()
         message.pose = to_message(pose)
         self._truth_publisher.publish(message)
+
+    def _on_clear_button(
+        self, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        """Stand in for the person who presses the button at the tapper after a stop."""
+        if self._devices is not None:
+            self._devices.press_clear_button()
+        response.success = self._devices is not None
+        response.message = "pressed" if response.success else "the world is not active yet"
+        return response
 
     def _on_reset(
         self, request: ResetWorld.Request, response: ResetWorld.Response

@@ -48,3 +48,14 @@ class Run:
     error_msg: str
     outline: Outline
     table_size: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A run that ended before it had a result. ``wall_time`` in s."""
+
+    wall_time: float
+    seed: int
+    versions: dict[str, str]
+    error_code: int
+    error_msg: str

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import math
 from pathlib import Path
 from typing import Any
 
 from tapping_cell.report.cell_view import draw_cell
-from tapping_cell.report.run import Run, TapRow
+from tapping_cell.report.run import Failure, Run, TapRow
 from tapping_cell.se2 import Pose
 
 _POSE_KEYS = ("x_mm", "y_mm", "theta_deg")
@@ -95,10 +96,27 @@ def tap_columns(tap: TapRow) -> dict[str, object]:
     return row
 
 
+def write_failure(folder: Path, failure: Failure) -> None:
+    """Write the summary of a run that ended before it had a result into an existing folder."""
+    content = {
+        "goal": None,
+        "reached": False,
+        "taps": 0,
+        "measured_residual": None,
+        "true_residual": None,
+        **dataclasses.asdict(failure),
+    }
+    _write_summary(folder, content)
+
+
+def _write_summary(folder: Path, content: dict[str, Any]) -> None:
+    text = json.dumps(content, indent=2, allow_nan=False)
+    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+
+
 def write_run(folder: Path, run: Run) -> None:
     """Write the three files into an existing folder."""
-    text = json.dumps(summary(run), indent=2, allow_nan=False)
-    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+    _write_summary(folder, summary(run))
     with (folder / "taps.csv").open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, fieldnames=list(tap_columns(_BLANK_TAP)))
         writer.writeheader()

@@ -1,0 +1,69 @@
+"""Send a goal pose to a running graph and show every tap; Ctrl-C cancels the goal.
+
+    python -m tapping_cell goal 50 -20 90
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import signal
+
+from rich.console import Console
+
+from tapping_cell.cli import session
+from tapping_cell.nodes.goal_client import GoalClient
+from tapping_cell.se2 import Pose
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the verb."""
+    parser.add_argument("x", type=float, help="goal in table, mm")
+    parser.add_argument("y", type=float, help="goal in table, mm")
+    parser.add_argument("theta", type=float, help="goal in table, degrees")
+    parser.add_argument("--namespace", default="", help="namespace of the nodes")
+    parser.add_argument(
+        "--tolerance",
+        nargs=2,
+        type=float,
+        default=(0.0, 0.0),
+        metavar=("MM", "DEG"),
+        help="tolerance in mm and degrees (default: the cell's own)",
+    )
+    parser.add_argument(
+        "--wait", type=float, default=20.0, help="longest wait for the cell, in seconds"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb; 0 reached, 1 not reached, 130 canceled."""
+    console = Console()
+    signal.signal(signal.SIGTERM, session.interrupt)
+    goal = Pose(arguments.x / 1000, arguments.y / 1000, math.radians(arguments.theta))
+    distance, angle = arguments.tolerance
+    with GoalClient("goal", arguments.namespace) as client:
+        try:
+            session.wait_until_ready(client, arguments.wait, lambda: None, console)
+            client.send(goal, (distance / 1000, math.radians(angle)))
+            finished = session.follow(client, lambda: None, console).finished
+        except session.NotReadyInTime as error:
+            console.print(f"[red]failed:[/red] {error}; is the graph up?", highlight=False)
+            return 1
+        except KeyboardInterrupt:
+            client.cancel()
+            console.print("goal canceled")
+            return 130
+    assert finished is not None
+    if finished.error_code:
+        console.print(
+            f"[red]goal not reached[/red] (code {finished.error_code}): {finished.error_msg}",
+            highlight=False,
+        )
+        return 1
+    console.print(
+        f"[green]goal reached[/green] in {finished.taps} taps; measured residual "
+        f"{1000 * finished.residual_distance:.3f} mm and "
+        f"{math.degrees(abs(finished.residual_rotation)):.3f} deg",
+        highlight=False,
+    )
+    return 0

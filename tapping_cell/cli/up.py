@@ -1,0 +1,95 @@
+"""Start the node graph from a configuration, simulated or on hardware, and stay.
+
+Ends every node on Ctrl-C, and when one of them dies. Goals come from another terminal.
+
+    python -m tapping_cell up
+    python -m tapping_cell up --hardware --cell my_cell.yaml --camera /dev/video0
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import time
+from pathlib import Path
+
+from rich.console import Console
+
+from tapping_cell.cli.graph import HARDWARE, SIMULATED, Graph, NodeDied
+from tapping_cell.cli.session import interrupt
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.schema import ConfigurationError
+
+LOOK_PERIOD_S = 0.2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the verb."""
+    parser.add_argument(
+        "--hardware", action="store_true", help="real camera, arm and tapper (default: simulated)"
+    )
+    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
+    parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
+    parser.add_argument("--planner", help="planning method (default: the cell's)")
+    parser.add_argument("--namespace", default="", help="namespace of the nodes")
+    parser.add_argument(
+        "--camera", default="/dev/video0", help="with --hardware: device, video file or folder"
+    )
+    parser.add_argument("--truth", type=Path, help="simulated: truth file of the world")
+    parser.add_argument("--seed", type=int, default=1, help="simulated: of noise and scatter")
+    parser.add_argument(
+        "--logs", type=Path, default=Path("runs/up"), help="folder of the nodes' logs"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb; 0 ended by Ctrl-C, 1 a node died, 2 wrong input."""
+    console = Console()
+    signal.signal(signal.SIGTERM, interrupt)
+    try:
+        cell = load_cell(arguments.cell, object_path=arguments.object)
+    except ConfigurationError as error:
+        console.print(f"[red]error:[/red] {error}", highlight=False)
+        return 2
+    nodes = HARDWARE if arguments.hardware else SIMULATED
+    try:
+        with Graph(
+            nodes,
+            node_parameters(arguments, cell),
+            arguments.logs.resolve(),
+            namespace=arguments.namespace,
+        ) as graph:
+            console.print(
+                f"{', '.join(nodes)} are up; logs in {arguments.logs}; Ctrl-C ends them"
+            )
+            while True:
+                graph.check()
+                time.sleep(LOOK_PERIOD_S)
+    except NodeDied as error:
+        console.print(f"[red]failed:[/red] {error}; the other nodes were ended", highlight=False)
+        return 1
+    except KeyboardInterrupt:
+        console.print("every node has ended")
+        return 0
+
+
+def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict[str, object]]:
+    """The parameters of each node, from the command line."""
+    files: dict[str, object] = {"cell_file": cell.path, "object_file": cell.object_path}
+    world: dict[str, object] = {**files, "seed": arguments.seed}
+    if arguments.truth:
+        world["truth_file"] = arguments.truth.resolve()
+    planner: dict[str, object] = dict(files)
+    if arguments.planner:
+        planner["planner"] = arguments.planner
+    parameters: dict[str, dict[str, object]] = {
+        "sim_world": world,
+        "overhead_camera": {"cell_file": cell.path},
+        "camera_pose": files,
+        "tap_planner": planner,
+        "scara_arm": {"cell_file": cell.path},
+        "tapper_trigger": {"cell_file": cell.path},
+    }
+    if getattr(arguments, "camera", None):
+        parameters["overhead_camera"]["source"] = arguments.camera
+    return parameters

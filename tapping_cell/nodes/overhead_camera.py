@@ -1,0 +1,152 @@
+"""The camera's node: pictures from a device, a video file or a folder, with their calibration."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.duration import Duration
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.configuration.table import load_camera_model
+from tapping_cell.hardware.camera_source import (
+    CameraSettings,
+    CameraSourceError,
+    Device,
+    Playback,
+    open_source,
+    to_grey,
+)
+from tapping_cell.nodes import images
+from tapping_cell.nodes.cell_node import CellNode, NotReady, run
+from tapping_cell.nodes.worker import Worker
+
+REOPEN_PERIOD_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Parameters of overhead_camera."""
+
+    autostart: bool = text("configure and activate without being asked", default=True)
+    cell_file: str = text("path of the cell file; empty for the package's own", default="")
+    camera_info_file: str = text(
+        "path of the calibration; empty for the one that the cell file names", default=""
+    )
+    source: str = text(
+        "a device such as /dev/video0, a video file or a folder of pictures", default="/dev/video0"
+    )
+    frame_rate: float = quantity("pictures a second", "Hz", 0.1, 240.0, default=30.0)
+    exposure: float = quantity(
+        "time of exposure; 0 leaves it to the device", "s", 0.0, 1.0, default=0.0
+    )
+    loop: bool = text("begin a file or folder again at its end", default=False)
+
+
+class OverheadCamera(CellNode[Parameters]):
+    """See the module's docstring."""
+
+    def __init__(self) -> None:
+        super().__init__("overhead_camera", Parameters)
+        self._source: Device | Playback | None = None
+        self._worker: Worker | None = None
+        self._settings: CameraSettings | None = None
+        self._info = CameraInfo()
+        self._frames = 0
+        self._problem = ""
+        self._image_publisher = self.create_publisher(
+            Image, "camera/image_raw", qos_profile_sensor_data
+        )
+        self._info_publisher = self.create_publisher(
+            CameraInfo, "camera/camera_info", qos_profile_sensor_data
+        )
+
+    def configure(self) -> None:
+        """Read the calibration and open the source."""
+        given = self.settings.camera_info_file
+        if given:
+            camera = load_camera_model(Path(given).expanduser())
+        else:
+            camera = load_cell(self.settings.cell_file or None).camera
+        self._info = images.to_camera_info(camera)
+        self._info.header.frame_id = "camera_optical"
+        self._settings = CameraSettings(
+            width=camera.width,
+            height=camera.height,
+            rate=self.settings.frame_rate,
+            exposure=self.settings.exposure,
+            loop=self.settings.loop,
+        )
+        try:
+            self._source = self._open()
+        except CameraSourceError as error:
+            raise NotReady(str(error)) from error
+
+    def activate(self) -> None:
+        """Begin to send pictures."""
+        self._worker = Worker("camera", self._take, 0.0)
+        self._worker.start()
+
+    def deactivate(self) -> None:
+        """Cease to send pictures."""
+        if self._worker is not None:
+            self._worker.close()
+        self._worker = None
+
+    def cleanup(self) -> None:
+        """Give the source back."""
+        self.deactivate()
+        if self._source is not None:
+            self._source.close()
+        self._source = None
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """Pictures sent, and what keeps the source from delivering."""
+        values: dict[str, object] = {"hardware_id": self.settings.source, "pictures": self._frames}
+        if self._problem:
+            return DiagnosticStatus.ERROR, self._problem, values
+        return DiagnosticStatus.OK, "ok", values
+
+    def _open(self) -> Device | Playback:
+        assert self._settings is not None
+        return open_source(str(Path(self.settings.source).expanduser()), self._settings)
+
+    def _take(self) -> None:
+        """One picture, or another try to open the source; in the worker's thread."""
+        try:
+            if self._source is None:
+                self._source = self._open()
+                self.get_logger().info(f"{self.settings.source} delivers again")
+            picture = self._source.read()
+        except CameraSourceError as error:
+            if str(error) != self._problem:
+                self.get_logger().error(str(error))
+            self._problem = str(error)
+            if self._source is not None:
+                self._source.close()
+            self._source = None
+            self.get_clock().sleep_for(Duration(seconds=REOPEN_PERIOD_S))
+            return
+        stamp = self.get_clock().now() - Duration(seconds=self.settings.exposure / 2)
+        self._problem = ""
+        message = images.to_message(to_grey(picture), "mono8")
+        message.header.frame_id = "camera_optical"
+        message.header.stamp = self._info.header.stamp = stamp.to_msg()
+        self._info_publisher.publish(self._info)
+        self._image_publisher.publish(message)
+        self._frames += 1
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run(OverheadCamera, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
