@@ -69,7 +69,7 @@ class Track:
         s = self.settings
         if self._recent and stamp - self._recent[-1][0] > s.gap:
             self.clear()
-        if self._rest_since is not None and self._stays(pose, covariance):
+        if self.stays(pose, covariance):
             self._strayed = 0
             self._recent.append((stamp, pose, covariance))
             self._resting.append((pose, covariance))
@@ -97,7 +97,10 @@ class Track:
         poses, covariances = zip(*self._resting, strict=True)
         return fuse(np.stack(poses), np.stack(covariances))
 
-    def _stays(self, pose: Array, covariance: Array) -> bool:
+    def stays(self, pose: Array, covariance: Array) -> bool:
+        """Does this pose agree with the object still resting where it was?"""
+        if self._rest_since is None:
+            return False
         fused, spread = self._fused()
         if _distance(pose, covariance, fused, spread) > self.settings.leave:
             return False

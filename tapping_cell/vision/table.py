@@ -1,10 +1,10 @@
-"""Where the camera is over the table: from the reference markers, frame by frame, fused while steady.
+"""Where the camera is over the table: from the reference markers, averaged while it is steady.
 
-The pose is corrected by small steps (rotation vector and translation in camera axes, see
-``CameraPose.moved``); steps of frames are averaged with their information while they agree. When
-several frames in a row disagree with the average, the camera or the table was moved: the average
-starts anew and the move is reported. What the reference markers still disagree about after averaging
-is no noise but lens and printing, and says how wrong a pose on this table may be.
+While nothing moves, each marker's corners are averaged over the frames and the pose is fitted to the
+averages. Every frame is compared with the averages, marker by marker: when most of the markers of
+several frames in a row lie elsewhere, the camera or the table was moved; the averages start anew and
+the move is reported. What the markers still disagree about after averaging is no noise but lens and
+printing, and says how wrong a pose measured on this table may be.
 """
 
 from __future__ import annotations
@@ -21,14 +21,19 @@ from tapping_cell.vision.camera import Array, CameraModel, CameraPose, View
 from tapping_cell.vision.edges import MarkerEdges, straight_corners
 from tapping_cell.vision.markers import ReferenceMap
 
+_EDGE_BIAS = 0.0015
+"""Pixels that averaged edges may be off by where the edge lies in a pixel and by uneven light."""
+
 
 @dataclass(frozen=True, slots=True)
 class TableSettings:
     """``least_references`` markers must be seen; ``memory`` frames are averaged at most.
 
-    A frame is suspect when it moves a reference by more than ``suspect_shift`` pixels and the shift is
-    significant; after ``confirm_frames`` of them the camera counts as moved. ``largest_move`` (m, seen
-    at the references) is how far that may be, all moves together, before the table is refused.
+    A marker that lies more than ``suspect_shift`` pixels from its average was disturbed; when half of
+    a frame's are, the frame is suspect, and after ``confirm_frames`` of them the camera counts as
+    moved. ``largest_move`` (m, seen at the references, all moves together) is how far it may be before
+    the table is refused. A marker that disagrees with the rest of the map by more than ``displaced``
+    pixels is left out.
     """
 
     least_references: int = 2
@@ -37,7 +42,6 @@ class TableSettings:
     confirm_frames: int = 3
     largest_move: float = 0.05
     displaced: float = 1.5
-    """Pixels that one reference may differ from the others before it is left out."""
 
 
 class TableState(enum.Enum):
@@ -53,12 +57,12 @@ class TableState(enum.Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableFit:
-    """A pose of the camera from one frame: the step from the start, its information (6, 6) and ``used``
-    (M,) which references agree; ``residuals`` (M, 4, 2) of the corners as directions.
+    """A pose of the camera, its covariance (6, 6) for steps of ``CameraPose.moved``, which markers
+    agree (``used``, (M,)), and what is left of their corners, as directions (M, 4, 2).
     """
 
-    step: Array
-    information: Array
+    pose: CameraPose
+    covariance: Array
     used: NDArray[np.bool_]
     residuals: Array
 
@@ -95,37 +99,49 @@ def reference_rays(camera: CameraModel, edges: MarkerEdges) -> Array:
     return straight_corners(camera.rays(edges.points), edges.weights)
 
 
+def corner_noise(edges: MarkerEdges, focal: float) -> Array:
+    """Standard deviation (M,) of a corner's direction.
+
+    The end of a line through n points has 4 / n of the variance of one of them; the levels beside the
+    edge, estimated from the same rows, add about as much again (measured).
+    """
+    number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
+    return np.asarray(np.sqrt(8.0 / number) * np.maximum(edges.spread, 0.01) / focal)
+
+
 def fit_table(
     pose: CameraPose, points: Array, rays: Array, noise: Array, settings: TableSettings, focal: float
 ) -> TableFit | None:
-    """Step from ``pose`` that brings table points (M, 4, 2) onto the directions (M, 4, 2).
+    """The pose near ``pose`` that brings table points (M, 4, 2) onto the directions (M, 4, 2).
 
-    ``noise`` (M,) is the standard deviation of a corner as a direction. One reference after another
-    is left out while it disagrees with the rest by more than ``settings.displaced`` pixels. None if
-    fewer than ``settings.least_references`` remain.
+    ``noise`` (M,) is the standard deviation of a corner as a direction, ``focal`` pixels a unit of
+    direction. One marker after another is left out while it disagrees with the rest by more than
+    ``settings.displaced`` pixels. None if fewer than ``settings.least_references`` remain.
     """
     count = points.shape[0]
     flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1).reshape(-1, 3)
-    jacobian, residual = _linearised(pose, flat, rays.reshape(-1, 2))
-    jacobian, residual = jacobian.reshape(count, 8, 6), residual.reshape(count, 8)
-    weight = 1.0 / noise**2
     used = np.ones(count, dtype=bool)
+    covariance = np.zeros((6, 6))
     while used.sum() >= settings.least_references:
-        information = np.einsum("m,mri,mrj->ij", weight[used], jacobian[used], jacobian[used])
-        vector = np.einsum("m,mri,mr->i", weight[used], jacobian[used], residual[used])
-        step = np.linalg.solve(information, vector)
+        for _ in range(2):
+            jacobian, residual = _linearised(pose, flat, rays.reshape(-1, 2))
+            weight = np.where(used, 1.0 / noise**2, 0.0).repeat(8)
+            covariance = np.linalg.inv((jacobian * weight[:, None]).T @ jacobian)
+            step = covariance @ (jacobian.T @ (weight * residual))
+            pose = pose.moved(step)
+            if float(np.abs(step).max()) < 1e-7:
+                break
         left = (residual - jacobian @ step).reshape(count, 4, 2)
         error = np.sqrt((left**2).sum(axis=2).mean(axis=1)) * focal
         # Only with three or more can it be said which one is wrong.
         worst = int(np.argmax(np.where(used, error, -1.0)))
         others = used.copy()
         others[worst] = False
-        if used.sum() >= 3 and error[worst] > max(
-            settings.displaced, 3.0 * float(np.median(error[others]))
-        ):
+        limit = max(settings.displaced, 3.0 * float(np.median(error[others])) if count > 1 else 0.0)
+        if used.sum() >= 3 and error[worst] > limit:
             used = others
             continue
-        return TableFit(step, information, used, left)
+        return TableFit(pose, covariance, used, left)
     return None
 
 
@@ -149,7 +165,6 @@ class TableTracker:
         self, camera: CameraModel, references: ReferenceMap, settings: TableSettings | None = None
     ) -> None:
         self.camera = camera
-        self.references = references
         self.settings = settings or TableSettings()
         self.points = references.corners()
         self.ids = np.array([marker.id for marker in references.markers])
@@ -164,122 +179,111 @@ class TableTracker:
         self._restart()
 
     def _restart(self) -> None:
-        self.frames = 0
-        self._information = np.zeros((6, 6))
-        self._seen = np.zeros(len(self.ids))
-        self._residuals = np.zeros((len(self.ids), 4, 2))
+        """Forget where the markers were in the image."""
+        count = len(self.ids)
+        self._seen = np.zeros(count)
+        self._rays = np.zeros((count, 4, 2))
+        self._noise = np.zeros(count)
+        self._strayed = np.zeros(count, dtype=int)
 
     def update(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
         """Take one frame's references: ``rows`` (M,) of the map that ``edges`` (good ones) belong to."""
         s = self.settings
         if len(rows) < s.least_references:
-            return TableState.UNSEEN if self.pose is not None else TableState.UNKNOWN
+            return TableState.UNKNOWN if self.pose is None else TableState.UNSEEN
         rays = reference_rays(self.camera, edges)
-        if self.pose is None:
-            found = initial_pose(self.camera, self.points[rows], edges.corners)
-            if found is None:
-                return TableState.UNKNOWN
-            self.pose = found
-            for _ in range(2):
-                fit = self._fit(rays, edges, rows)
-                if fit is None:
-                    self.pose = None
-                    return TableState.UNKNOWN
-                self.pose = self.pose.moved(fit.step)
-            self._first = self._first or self.pose
-        fit = self._fit(rays, edges, rows)
-        if fit is None:
-            return TableState.SUSPECT
-        if self.frames and self._disagrees(fit):
+        disturbed = self._disturbed(rays, rows)
+        known = self._seen[rows] > 0
+        if self.pose is not None and known.any() and 2 * disturbed.sum() >= known.sum():
             self._suspects += 1
             if self._suspects < s.confirm_frames:
                 return TableState.SUSPECT
-            return self._moved(fit, rows)
+            self._restart()
+            disturbed = np.zeros(len(rows), dtype=bool)
+        moved = self._suspects >= s.confirm_frames
         self._suspects = 0
-        self._take(fit, rows)
-        if self._distance_from_first() > s.largest_move:
+        self._average(rays, corner_noise(edges, self.camera.fx), rows, disturbed)
+        before = self.pose
+        if not self._fit(edges, rows):
+            return TableState.UNKNOWN if self.pose is None else TableState.SUSPECT
+        assert self.pose is not None
+        if moved and before is not None:
+            self.move = self._shift(before, self.pose)
+        self._first = self._first or self.pose
+        if self._shift(self._first, self.pose) > s.largest_move:
             return TableState.TOO_FAR
-        return TableState.STEADY
+        return TableState.MOVED if moved else TableState.STEADY
 
-    def _fit(self, rays: Array, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableFit | None:
-        assert self.pose is not None
-        number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
-        # The end of a line through n points has 4 / n of the variance of one; the levels beside the
-        # edge, estimated from the same rows, add about as much again (measured).
-        noise = np.sqrt(8.0 / number) * np.maximum(edges.spread, 0.01) / self.camera.fx
-        return fit_table(
-            self.pose, self.points[rows], rays, noise, self.settings, self.camera.fx
-        )
+    def _disturbed(self, rays: Array, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which of these markers lie elsewhere than on average."""
+        shift = np.linalg.norm((rays - self._rays[rows]).mean(axis=1), axis=1) * self.camera.fx
+        return np.asarray((self._seen[rows] > 0) & (shift > self.settings.suspect_shift))
 
-    def _disagrees(self, fit: TableFit) -> bool:
-        """Is this frame's step from the average significant and large enough to matter?"""
-        assert self.pose is not None
-        shift = self._shift(self.pose, self.pose.moved(fit.step)) * self.camera.fx
-        if shift < self.settings.suspect_shift * self.pose.translation[2]:
+    def _average(
+        self, rays: Array, noise: Array, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]
+    ) -> None:
+        self._strayed[rows] = np.where(disturbed, self._strayed[rows] + 1, 0)
+        # One marker alone that stays elsewhere was itself moved: its average starts anew.
+        anew = self._strayed[rows] > self.settings.confirm_frames
+        self._seen[rows[anew]] = 0
+        take = ~disturbed | anew
+        kept = rows[take]
+        self._seen[kept] = np.minimum(self._seen[kept] + 1, self.settings.memory)
+        share = 1.0 / self._seen[kept]
+        self._rays[kept] += share[:, None, None] * (rays[take] - self._rays[kept])
+        self._noise[kept] += share * (noise[take] - self._noise[kept])
+
+    def _fit(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> bool:
+        """Pose, covariances and the lists of markers from the averages; False if there is none."""
+        have = np.flatnonzero(self._seen)
+        start = self.pose or initial_pose(self.camera, self.points[rows], edges.corners)
+        if start is None or len(have) < self.settings.least_references:
             return False
-        spread = np.linalg.inv(fit.information) + self.covariance
-        # 6 degrees of freedom: 50 is exceeded by chance once in 200 million frames.
-        return float(fit.step @ np.linalg.solve(spread, fit.step)) > 50.0
+        noise = self._noise[have] / np.sqrt(self._seen[have])
+        fit = fit_table(
+            start, self.points[have], self._rays[have], noise, self.settings, self.camera.fx
+        )
+        if fit is None:
+            return False
+        self.pose, self.covariance = fit.pose, fit.covariance
+        self.used = tuple(int(i) for i in self.ids[have[fit.used]])
+        self.displaced = tuple(int(i) for i in self.ids[have[~fit.used]])
+        self.systematic = self._systematic(fit, self.points[have], noise)
+        return True
 
     def _shift(self, before: CameraPose, after: CameraPose) -> float:
         """Largest distance, in m, that the references' corners move in the camera's frame."""
         flat = np.concatenate([self.points, np.zeros((*self.points.shape[:2], 1))], axis=-1)
         return float(np.linalg.norm(after.apply(flat) - before.apply(flat), axis=-1).max())
 
-    def _distance_from_first(self) -> float:
-        assert self.pose is not None and self._first is not None
-        return self._shift(self._first, self.pose)
-
-    def _moved(self, fit: TableFit, rows: NDArray[np.intp]) -> TableState:
-        assert self.pose is not None
-        before = self.pose
-        self._restart()
-        self._suspects = 0
-        self._take(fit, rows)
-        assert self.pose is not None
-        self.move = self._shift(before, self.pose)
-        if self._distance_from_first() > self.settings.largest_move:
-            return TableState.TOO_FAR
-        return TableState.MOVED
-
-    def _take(self, fit: TableFit, rows: NDArray[np.intp]) -> None:
-        assert self.pose is not None
-        self.frames = min(self.frames + 1, self.settings.memory)
-        if self.frames == self.settings.memory:
-            self._information *= 1.0 - 1.0 / self.settings.memory
-        self._information = self._information + fit.information
-        self.pose = self.pose.moved(np.linalg.solve(self._information, fit.information @ fit.step))
-        self.covariance = np.linalg.inv(self._information)
-        kept = rows[fit.used]
-        self.used = tuple(int(i) for i in self.ids[kept])
-        self.displaced = tuple(int(i) for i in self.ids[rows[~fit.used]])
-        self._seen[kept] = np.minimum(self._seen[kept] + 1, self.settings.memory)
-        share = (1.0 / self._seen[kept])[:, None, None]
-        self._residuals[kept] += share * (fit.residuals[fit.used] - self._residuals[kept])
-        self.systematic = self._systematic()
-
-    def _systematic(self) -> Array:
+    def _systematic(self, fit: TableFit, points: Array, noise: Array) -> Array:
         """Covariance (3, 3) of a pose on the table by what the references disagree about.
 
-        Each reference, measured as if it were the object, misses its place in the map; with eight of
-        them and 6 unknowns of the camera the spread is inflated as Student's distribution asks.
+        Each reference, measured as if it were the object, misses its place in the map; the share of
+        the noise is taken off, and as they are few and 6 unknowns of the camera are fitted to them,
+        the spread is inflated as Student's distribution asks.
         """
-        assert self.pose is not None
-        known = self._seen > 0
-        number = int(known.sum())
+        number = int(fit.used.sum())
         if number < 3:
             return np.zeros((3, 3))
-        scale = float(self.pose.translation[2])
-        left = self._residuals[known] * scale @ self.pose.rotation[:2, :2]
+        scale = float(fit.pose.translation[2])
+        left = fit.residuals[fit.used] * scale @ fit.pose.rotation[:2, :2]
+        arm = points[fit.used] - points[fit.used].mean(axis=1, keepdims=True)
+        inertia = (arm**2).sum(axis=(1, 2))
+        turn = (arm[..., 0] * left[..., 1] - arm[..., 1] * left[..., 0]).sum(axis=(1)) / inertia
         shift = left.mean(axis=1)
-        arm = self.points[known] - self.points[known].mean(axis=1, keepdims=True)
-        moment = (arm[..., 0] * left[..., 1] - arm[..., 1] * left[..., 0]).sum(axis=1)
-        turn = moment / (arm**2).sum(axis=(1, 2))
+        variance = (noise[fit.used] * scale) ** 2
         freedom = max(2.0 * number - 5.0, 1.0)
-        place = float((shift**2).sum()) / freedom
-        angle = float((turn**2).sum()) / max(number - 1.0, 1.0)
+        place = float((shift**2).sum()) / freedom - float(variance.mean()) / 4.0
+        angle = float((turn**2).sum()) / (number - 1.0) - float((variance / inertia).mean())
         heavy_tails = freedom / max(freedom - 2.0, 1.0)
-        return np.diag([place, place, angle]) * heavy_tails
+        floor = (_EDGE_BIAS * scale / self.camera.fx) ** 2
+        # A turn of the object comes from the lens alone, which bends over the distance between the
+        # references; that of a printed marker also from printing: the smaller of both is meant.
+        spacing = float(np.ptp(points[fit.used].mean(axis=1), axis=0).max()) / 3.0
+        place = max(place, 0.0) * heavy_tails + floor
+        angle = min(max(angle, 0.0) * heavy_tails, place / spacing**2)
+        return np.diag([place, place, angle])
 
 
 def pose_jacobian(view: View, object_pose: ArrayLike, height: float) -> Array:

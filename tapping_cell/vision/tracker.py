@@ -22,6 +22,8 @@ from tapping_cell.vision.table import TableSettings, TableState, TableTracker, p
 _SLOW = 0.0001
 _SLOW_TURN = 0.002
 """Motion between frames (m, rad) below which the photometric alignment is worth its time."""
+_ARM = 0.02
+"""Half of the line, in m, that carries a pose from one view to another."""
 _USUAL_BLUR = 0.65
 """Sigma in pixels of a well focused lens with the pixel's own area; the first alignment corrects it."""
 
@@ -86,6 +88,9 @@ class PoseTracker:
         self._object: tuple[float, Array, Array] | None = None
         self._jacobian: tuple[Array, Array] | None = None
         self._template: Template | None = None
+        # Objects are followed through one frozen view, so that the improving average of the table's
+        # pose does not look like motion; what is published is seen through the newest one.
+        self._working: View | None = None
         self._reference_quads: Array | None = None
         self._warning: tuple[float, str] = (-math.inf, "")
 
@@ -179,7 +184,7 @@ class PoseTracker:
 
     def _object_quad(self, stamp: float) -> Array | None:
         """Where the object's marker should be in the image, from its last pose and velocity."""
-        view = self.view
+        view = self._working
         if self._object is None or view is None:
             return None
         then, pose, velocity = self._object
@@ -275,8 +280,11 @@ class PoseTracker:
         view = self.view
         if view is not None and state is not TableState.UNSEEN:
             self._reference_quads = view.project(self.table.points)
+        if self._working is None:
+            self._working = view
         if state is TableState.MOVED:
             self._track.clear()
+            self._working = view
             self._jacobian = None
             self._warning = (
                 stamp,
@@ -321,7 +329,7 @@ class PoseTracker:
     # -- the object
 
     def _observe(self, image: Image, found: _Found, stamp: float) -> Observation:
-        view = self.view
+        view = self._working
         fit = None
         if found.object_row is not None and view is not None:
             fit = fit_marker(view, found.edges, found.object_row, self.marker)
@@ -343,6 +351,13 @@ class PoseTracker:
                 "lifted, tilted or not the size and height of the object file",
             )
         pose, covariance = self._measured(image, view, fit)
+        if self._references_seen < stamp and not self._track.stays(pose, covariance):
+            return self._nothing(
+                stamp,
+                Problem.REFERENCES_HIDDEN,
+                "no reference markers are seen in this frame and the object seems to have moved: it "
+                "may be the camera that did",
+            )
         motion = self._track.add(stamp, pose, covariance)
         self._object = (stamp, pose, motion.velocity)
         return self._good(motion, stamp)
@@ -367,6 +382,7 @@ class PoseTracker:
         return object_pose(aligned.pose, aligned.covariance, self.marker)
 
     def _good(self, motion: Motion, stamp: float) -> Observation:
+        pose = self._through_newest(motion.pose)
         since, sentence = self._warning
         if self.table.displaced:
             names = ", ".join(map(str, self.table.displaced))
@@ -376,8 +392,8 @@ class PoseTracker:
         return Observation(
             stamp=stamp,
             visible=True,
-            pose=Pose(*motion.pose.tolist()),
-            covariance=motion.covariance + self._calibration_covariance(motion.pose),
+            pose=Pose(*pose.tolist()),
+            covariance=motion.covariance + self._calibration_covariance(pose),
             at_rest=motion.rest_since is not None,
             at_rest_since=motion.rest_since,
             frames_fused=motion.frames,
@@ -385,6 +401,18 @@ class PoseTracker:
             references_used=self.table.used,
             sentence=sentence,
         )
+
+    def _through_newest(self, pose: Array) -> Array:
+        """A pose measured through the working view, as the newest view of the table has it."""
+        view, working = self.view, self._working
+        assert view is not None and working is not None
+        arm = _ARM * np.array([[math.cos(pose[2]), math.sin(pose[2])]])
+        points = np.concatenate([pose[None, :2] - arm, pose[None, :2] + arm])
+        height = np.full((2, 1), self.marker.height)
+        seen = working.pose.apply(np.hstack([points, height]))
+        ends = view.rays_on_plane(seen[:, :2] / seen[:, 2:], self.marker.height)
+        middle, along = ends.mean(axis=0), ends[1] - ends[0]
+        return np.array([middle[0], middle[1], math.atan2(along[1], along[0])])
 
     def _calibration_covariance(self, pose: Array) -> Array:
         """What all frames share: the table's pose, lens and printing as the references show them."""
