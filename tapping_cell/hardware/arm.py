@@ -174,8 +174,7 @@ class ArmDriver:
             self._connected = True
             reading = self._read()
         except HardwareFault as fault:
-            self._note(fault)
-            raise
+            raise self._noted(fault) from fault
         held = self._confirmed is not None and self._agrees(self._confirmed, reading.joints)
         if not (firmware.continued and held and not reading.alarm):
             self._homed = False
@@ -200,8 +199,7 @@ class ArmDriver:
                 self._dialect.home(self._transport.now() + self.settings.homing_timeout)
             joints = self._declare(strategy)
         except HardwareFault as fault:
-            self._note(fault)
-            raise
+            raise self._noted(fault) from fault
         self._confirmed = joints
         self._homed = True
         return joints
@@ -212,8 +210,7 @@ class ArmDriver:
         try:
             return self._read()
         except HardwareFault as fault:
-            self._note(fault)
-            raise
+            raise self._noted(fault) from fault
 
     def read_joints(self) -> Joints:
         """The joints, by question to the controller; raises NOT_HOMED before homing."""
@@ -240,8 +237,7 @@ class ArmDriver:
         try:
             reading = self._move(goal, speed, deadline)
         except HardwareFault as fault:
-            self._note(fault)
-            raise
+            raise self._noted(fault) from fault
         self.counters.moves += 1
         return reading
 
@@ -258,8 +254,7 @@ class ArmDriver:
             if last is not None and (reading.moving or not self._agrees(last, reading.joints)):
                 raise self._mismatch(last, reading.joints)
         except HardwareFault as fault:
-            self._note(fault)
-            raise
+            raise self._noted(fault) from fault
         return reading
 
     def stop(self) -> bool:
@@ -288,8 +283,7 @@ class ArmDriver:
                 self._confirmed = None
                 self._dialect.clear(self._transport.now() + timeout)
         except HardwareFault as fault:
-            self._note(fault)
-            raise
+            raise self._noted(fault) from fault
         self._fault = None
 
     def _move(self, goal: Joints, speed: float, deadline: float | None) -> ArmReading:
@@ -463,7 +457,14 @@ class ArmDriver:
         if homed and not self._homed:
             raise HardwareFault(FaultReason.NOT_HOMED, "the arm is not homed: home it first")
 
-    def _note(self, fault: HardwareFault) -> None:
+    def _noted(self, fault: HardwareFault) -> HardwareFault:
+        """Draw the consequences of a fault; returns the one to raise."""
+        if self._stopped.is_set() and fault.reason in (FaultReason.ALARM, FaultReason.BOARD_RESET):
+            # What a stop does to the controller is no fault of its own.
+            fault = HardwareFault(
+                FaultReason.STOPPED,
+                "the arm was stopped: make the cell safe, clear the fault and home again",
+            )
         self.counters.last_error = fault.sentence
         if fault.reason is FaultReason.DISCONNECTED:
             self._connected = False
@@ -472,6 +473,7 @@ class ArmDriver:
             self._confirmed = None
             if fault.reason is not FaultReason.HOMING_FAILED:
                 self._fault = fault
+        return fault
 
 
 def _in_words(joints: Joints | None) -> str:

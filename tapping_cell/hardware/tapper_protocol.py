@@ -165,11 +165,11 @@ def _reply(line: bytes) -> Reply | Bad:
         result=result,
         state=state,
         shot=int(found[5]),
-        energy=int(found[6]) * 1e-6,
+        energy=int(found[6]) / 1e6,
         interlock_closed=found[7] == "1",
         stop_latched=found[8] == "1",
         last_fired=int(found[9]),
-        speed=speed * 1e-6 if speed else None,
+        speed=speed / 1e6 if speed else None,
         boot=int(found[11]),
         version=found[12] or "",
     )

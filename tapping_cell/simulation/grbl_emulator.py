@@ -622,7 +622,8 @@ class GrblEmulator:
 
     def _units(self, joints: tuple[float, float, float, float]) -> Array:
         """Joint values in the axes' units and senses."""
-        return np.asarray(joints, dtype=float) * TO_UNITS * self._sign
+        units: Array = np.asarray(joints, dtype=float) * TO_UNITS * self._sign
+        return units
 
     def _machine_position(self, now: float) -> Array:
         steps = np.array([self._settings[100 + axis] for axis in range(AXES)])
@@ -630,7 +631,7 @@ class GrblEmulator:
         return np.asarray(counts / steps, dtype=float)
 
     def _work_offset(self) -> Array:
-        return np.asarray(self._systems[self._modal.system] + self._shift)
+        return np.asarray(self._systems[self._modal.system] + self._shift, dtype=float)
 
 
 def _nothing(now: float) -> None:

@@ -272,7 +272,7 @@ class TapperEmulator:
         self._state = "RELEASING"
         self._released_until = now + self.machine.release_time
         self._fired = shot
-        energy = self._energy_uj * 1e-6
+        energy = self._energy_uj / 1e6
         self.fires.append((shot, energy, now))
         measured = self.on_fire(shot, energy, now) if self.on_fire else None
         self._speed_um = 0 if measured is None else max(round(measured * 1e6), 0)

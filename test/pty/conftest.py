@@ -1,0 +1,27 @@
+"""Devices on real pseudo-terminals."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from tapping_cell.simulation.device_emulator import DeviceEmulator
+from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+
+Plug = Callable[..., PseudoTerminal]
+
+
+@pytest.fixture
+def plug(tmp_path: Path) -> Iterator[Plug]:
+    """Plugs an emulator in; its path is ``plug(...).path``."""
+    with ExitStack() as stack:
+
+        def put(emulator: DeviceEmulator, name: str = "device", **options: bool) -> PseudoTerminal:
+            port = PseudoTerminal(emulator, tmp_path / name, time.monotonic, **options)
+            return stack.enter_context(port)
+
+        yield put

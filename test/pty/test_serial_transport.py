@@ -1,0 +1,220 @@
+"""The serial port: exclusive, unplugged in every way, found again by its path, stopped at once."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.serial_transport import SerialTransport
+from tapping_cell.simulation.pseudo_terminal import PortTakenError, PseudoTerminal
+
+
+class RawTerminal:
+    """A bare pseudo-terminal, held by the test itself."""
+
+    def __init__(self, link: Path) -> None:
+        self.link = link
+        self.plug()
+
+    def plug(self) -> None:
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        self.link.symlink_to(os.ttyname(self.slave))
+
+    def unplug(self) -> None:
+        os.close(self.master)
+        os.close(self.slave)
+        self.link.unlink()
+
+
+@pytest.fixture
+def terminal(tmp_path: Path) -> Iterator[RawTerminal]:
+    port = RawTerminal(tmp_path / "by-id")
+    yield port
+    if port.link.is_symlink():
+        port.unplug()
+
+
+def test_bytes_go_both_ways(terminal: RawTerminal) -> None:
+    transport = SerialTransport(str(terminal.link))
+    transport.open(1)
+    transport.write(b"hello\x00\xff\n")
+    assert os.read(terminal.master, 100) == b"hello\x00\xff\n"
+    os.write(terminal.master, b"\r\nback\x11\x13")
+    assert transport.read(1) == b"\r\nback\x11\x13"
+    before = time.monotonic()
+    assert transport.read(0.1) == b""
+    assert 0.09 < time.monotonic() - before < 0.3
+
+
+def test_a_second_program_is_refused(terminal: RawTerminal) -> None:
+    first, second = (SerialTransport(str(terminal.link)) for _ in range(2))
+    first.open(1)
+    with pytest.raises(HardwareFault, match="held by another program") as caught:
+        second.open(0)
+    assert caught.value.reason is FaultReason.PORT_BUSY
+    first.close()
+    second.open(1)
+
+
+def test_a_missing_port_is_named(tmp_path: Path) -> None:
+    transport = SerialTransport(str(tmp_path / "nothing"))
+    with pytest.raises(HardwareFault, match="nothing cannot be opened") as caught:
+        transport.open(0.1)
+    assert caught.value.reason is FaultReason.PORT_MISSING
+    with pytest.raises(HardwareFault, match="connect first"):
+        transport.read(0)
+
+
+@pytest.mark.parametrize("call", ["read", "write"])
+def test_an_unplugged_port_is_noticed_and_found_again(terminal: RawTerminal, call: str) -> None:
+    transport = SerialTransport(str(terminal.link))
+    transport.open(1)
+    terminal.unplug()
+    with pytest.raises(HardwareFault) as caught:
+        for _ in range(3):
+            transport.read(0.1) if call == "read" else transport.write(b"x")
+    assert caught.value.reason is FaultReason.DISCONNECTED
+    assert not transport.is_open
+    back = threading.Timer(0.3, terminal.plug)
+    back.start()
+    before = time.monotonic()
+    transport.open(5)
+    assert time.monotonic() - before < 1.0
+    os.write(terminal.master, b"again")
+    assert transport.read(1) == b"again"
+    back.join()
+
+
+def test_unplugged_while_waiting(terminal: RawTerminal) -> None:
+    transport = SerialTransport(str(terminal.link))
+    transport.open(1)
+    timer = threading.Timer(0.2, terminal.unplug)
+    timer.start()
+    with pytest.raises(HardwareFault) as caught:
+        transport.read(5)
+    assert caught.value.reason is FaultReason.DISCONNECTED
+    timer.join()
+
+
+def test_a_full_line_is_written_in_pieces(terminal: RawTerminal) -> None:
+    transport = SerialTransport(str(terminal.link))
+    transport.open(1)
+    data = bytes(range(256)) * 400  # 100 kB, far beyond what a terminal holds
+    received = bytearray()
+
+    def drain() -> None:
+        while len(received) < len(data):
+            received.extend(os.read(terminal.master, 999))
+
+    reader = threading.Thread(target=drain)
+    reader.start()
+    transport.write(data, timeout=2)
+    reader.join()
+    assert bytes(received) == data
+
+
+def test_a_line_that_takes_nothing_ends_at_its_deadline(terminal: RawTerminal) -> None:
+    transport = SerialTransport(str(terminal.link))
+    transport.open(1)
+    before = time.monotonic()
+    with pytest.raises(HardwareFault, match="took no byte for 0.2 s") as caught:
+        transport.write(bytes(1_000_000), timeout=0.2)
+    assert caught.value.reason is FaultReason.TIMEOUT
+    assert time.monotonic() - before < 2
+
+
+def test_stop_goes_out_at_once_and_nothing_after_it(terminal: RawTerminal) -> None:
+    transport = SerialTransport(str(terminal.link))
+    transport.open(1)
+    failures: list[HardwareFault] = []
+
+    def wait() -> None:
+        try:
+            transport.read(10)
+        except HardwareFault as fault:
+            failures.append(fault)
+
+    worker = threading.Thread(target=wait)
+    worker.start()
+    time.sleep(0.05)
+    before = time.monotonic()
+    assert transport.stop(b"!\x18")
+    assert os.read(terminal.master, 10) == b"!\x18"
+    assert time.monotonic() - before < 0.02
+    worker.join(1)
+    assert [fault.reason for fault in failures] == [FaultReason.STOPPED]
+    for call in (lambda: transport.write(b"G1"), lambda: transport.read(0)):
+        with pytest.raises(HardwareFault) as caught:
+            call()
+        assert caught.value.reason is FaultReason.STOPPED
+    transport.release()
+    transport.write(b"next")
+    assert os.read(terminal.master, 10) == b"next"
+
+
+def test_stop_between_the_pieces_of_a_long_write(terminal: RawTerminal) -> None:
+    transport = SerialTransport(str(terminal.link))
+    transport.open(1)
+    failures: list[FaultReason] = []
+
+    def write() -> None:
+        try:
+            transport.write(b"a" * 1_000_000, timeout=5)
+        except HardwareFault as fault:
+            failures.append(fault.reason)
+
+    worker = threading.Thread(target=write)
+    worker.start()
+    received = bytearray()
+    while len(received) < 10_000:
+        received.extend(os.read(terminal.master, 4096))
+    stopped = threading.Thread(target=transport.stop, args=(b"!",))
+    stopped.start()
+    os.set_blocking(terminal.master, False)
+    end = time.monotonic() + 1
+    while time.monotonic() < end and (stopped.is_alive() or worker.is_alive()):
+        try:
+            received.extend(os.read(terminal.master, 4096))
+        except BlockingIOError:
+            time.sleep(0.001)
+    worker.join(1)
+    stopped.join(1)
+    assert failures == [FaultReason.STOPPED]
+
+
+class Silent:
+    """An emulator that never says anything."""
+
+    def receive(self, data: bytes, now: float) -> None: ...
+
+    def advance(self, now: float) -> None: ...
+
+    def take_output(self, now: float) -> bytes:
+        return b""
+
+    def next_event(self) -> float | None:
+        return None
+
+    def power_cycle(self, now: float) -> None: ...
+
+
+def test_a_path_in_use_or_foreign_is_refused_and_a_dead_link_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "arm"
+    path.symlink_to("/dev/pts/9999")
+    with PseudoTerminal(Silent(), path):
+        assert os.path.exists(path)
+        with pytest.raises(PortTakenError, match="belongs to a running process"):
+            PseudoTerminal(Silent(), path).open()
+    assert list(tmp_path.iterdir()) == []
+    path.write_text("a file of somebody's")
+    with pytest.raises(PortTakenError, match="no link to a terminal"):
+        PseudoTerminal(Silent(), path).open()
+    assert path.read_text() == "a file of somebody's"

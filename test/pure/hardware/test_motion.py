@@ -1,0 +1,141 @@
+"""The moves around a tap: order of raising, travelling and lowering; times; limits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.motion import (
+    MotionSettings,
+    check_limits,
+    move_duration,
+    path_duration,
+    strike_path,
+    withdraw_path,
+)
+from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
+from tapping_cell.simulation.joint_motion import trapezoid
+
+GEOMETRY = ScaraGeometry()
+SETTINGS = MotionSettings()
+
+joint_values = st.tuples(
+    *(st.floats(low, high) for low, high in zip(GEOMETRY.lower, GEOMETRY.upper, strict=True))
+).map(lambda values: Joints(*values))
+
+
+@given(joint_values, st.floats(0.2, 0.7), st.floats(-0.4, 0.4), st.floats(-3.1, 3.1))
+def test_no_waypoint_sweeps_low(start: Joints, x: float, y: float, yaw: float) -> None:
+    tip = TipPose(x, y, 0.01, yaw)
+    assume(GEOMETRY.inverse(tip, near=start).success)
+    path = strike_path(GEOMETRY, start, tip, SETTINGS)
+    here = start
+    for waypoint in path:
+        sideways = any(
+            abs(a - b) > 1e-12
+            for a, b in zip(
+                (here.shoulder, here.elbow, here.tool),
+                (waypoint.joints.shoulder, waypoint.joints.elbow, waypoint.joints.tool),
+                strict=True,
+            )
+        )
+        if sideways:
+            # Sideways only above travel height, with the quill at rest.
+            assert GEOMETRY.forward(here).z >= SETTINGS.travel_height - 1e-12
+            assert waypoint.joints.quill == here.quill
+        check_limits(GEOMETRY, waypoint.joints)
+        here = waypoint.joints
+    assert np.allclose(GEOMETRY.forward(here)[:3], tip[:3], atol=1e-9)
+
+
+@given(joint_values, st.floats(0.2, 0.7), st.floats(-0.4, 0.4), st.floats(-3.1, 3.1))
+def test_the_elbow_never_flips_where_its_side_reaches(
+    start: Joints, x: float, y: float, yaw: float
+) -> None:
+    tip = TipPose(x, y, 0.01, yaw)
+    side = GEOMETRY.branch_of(start)
+    assume(GEOMETRY.inverse(tip, side, near=start).success)
+    for waypoint in strike_path(GEOMETRY, start, tip, SETTINGS):
+        assert GEOMETRY.branch_of(waypoint.joints) is side
+
+
+def test_withdrawing_backs_off_along_the_travel_then_raises_then_parks() -> None:
+    tip = TipPose(0.45, 0.1, 0.01, 0.5)
+    at_strike = GEOMETRY.inverse(tip).joints
+    assert at_strike is not None
+    path = withdraw_path(GEOMETRY, at_strike, SETTINGS)
+    assert [w.phase for w in path] == ["back_off", "raise", "travel"]
+    behind = GEOMETRY.forward(path[0].joints)
+    along = (tip.x - behind.x) * math.cos(tip.yaw) + (tip.y - behind.y) * math.sin(tip.yaw)
+    across = (tip.y - behind.y) * math.cos(tip.yaw) - (tip.x - behind.x) * math.sin(tip.yaw)
+    assert along == pytest.approx(SETTINGS.back_off)
+    assert across == pytest.approx(0, abs=1e-12)
+    assert path[-1].joints == pytest.approx(SETTINGS.park)
+
+
+def test_from_park_there_is_nothing_to_withdraw() -> None:
+    assert withdraw_path(GEOMETRY, SETTINGS.park, SETTINGS) == ()
+
+
+def test_out_of_reach_is_a_worded_refusal() -> None:
+    with pytest.raises(HardwareFault, match="beyond the reach of 800.0 mm") as caught:
+        strike_path(GEOMETRY, SETTINGS.park, TipPose(1.2, 0, 0.01, 0), SETTINGS)
+    assert caught.value.reason is FaultReason.UNREACHABLE
+
+
+@given(joint_values, joint_values, st.floats(0.05, 1.0))
+def test_duration_is_that_of_the_slowest_joint_alone(
+    start: Joints, goal: Joints, speed: float
+) -> None:
+    """Against the emulator's trapezoid run on each joint by itself: none may need longer."""
+    duration = move_duration(GEOMETRY, start, goal, speed)
+    single = 0.0
+    for axis in range(4):
+        length = abs(goal[axis] - start[axis])
+        if length > 0:
+            profile = trapezoid(
+                0.0, length, GEOMETRY.max_speed[axis] * speed, GEOMETRY.max_acceleration[axis]
+            )
+            single = max(single, profile.end)
+    assert duration >= single - 1e-9
+    assert duration <= 2 * single + 1e-9
+
+
+def test_path_duration_adds_the_moves() -> None:
+    path = strike_path(GEOMETRY, SETTINGS.park, TipPose(0.45, 0.1, 0.01, 0.5), SETTINGS)
+    here, total = Joints(*SETTINGS.park), 0.0
+    for waypoint in path:
+        total += move_duration(GEOMETRY, here, waypoint.joints, waypoint.speed)
+        here = waypoint.joints
+    assert path_duration(GEOMETRY, SETTINGS.park, path) == pytest.approx(total)
+
+
+@pytest.mark.parametrize(
+    ("joints", "words"),
+    [
+        ((5.0, 0, 0, 0), "shoulder at 286.48 deg"),
+        ((0, 0, 0.1, 0), "quill at 100.00 mm"),
+        ((math.nan, 0, 0, 0), "not four finite"),
+    ],
+)
+def test_limits_are_worded(joints: tuple[float, ...], words: str) -> None:
+    with pytest.raises(HardwareFault, match=words) as caught:
+        check_limits(GEOMETRY, joints)
+    assert caught.value.reason is FaultReason.OUT_OF_RANGE
+
+
+def test_settings_are_checked() -> None:
+    with pytest.raises(ValueError, match="travel_speed"):
+        MotionSettings(travel_speed=0.0)
+    with pytest.raises(HardwareFault, match="lower travel_height"):
+        strike_path(
+            GEOMETRY,
+            SETTINGS.park,
+            TipPose(0.45, 0.1, 0.01, 0.5),
+            MotionSettings(travel_height=0.5),
+        )
