@@ -2,10 +2,10 @@
 
 from tapping_cell.mechanics.bodies import Body, Disk, Polygon, Ring
 from tapping_cell.mechanics.errors import (
-    InvalidBody,
-    InvalidParameter,
+    InvalidBodyError,
+    InvalidParameterError,
     MechanicsError,
-    UnreachableDisplacement,
+    UnreachableDisplacementError,
 )
 from tapping_cell.mechanics.impact import Impact, ImpactResult, Striker
 from tapping_cell.mechanics.sliding import Launch, Profile, Rest, Sliding
@@ -16,8 +16,8 @@ __all__ = [
     "Disk",
     "Impact",
     "ImpactResult",
-    "InvalidBody",
-    "InvalidParameter",
+    "InvalidBodyError",
+    "InvalidParameterError",
     "Launch",
     "MechanicsError",
     "Polygon",
@@ -29,5 +29,5 @@ __all__ = [
     "Tap",
     "TapPlan",
     "TapResult",
-    "UnreachableDisplacement",
+    "UnreachableDisplacementError",
 ]

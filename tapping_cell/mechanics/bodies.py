@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tapping_cell.mechanics.errors import InvalidBody, finite, positive
+from tapping_cell.mechanics.errors import InvalidBodyError, finite, positive
 
 Array = NDArray[np.float64]
 
@@ -67,10 +67,10 @@ class _Round(Body):
 
     def __post_init__(self) -> None:
         name = type(self).__name__.lower()
-        object.__setattr__(self, "radius", positive(f"{name} radius", self.radius, "m", InvalidBody))
-        object.__setattr__(self, "mass", positive(f"{name} mass", self.mass, "kg", InvalidBody))
+        object.__setattr__(self, "radius", positive(f"{name} radius", self.radius, "m", InvalidBodyError))
+        object.__setattr__(self, "mass", positive(f"{name} mass", self.mass, "kg", InvalidBodyError))
         object.__setattr__(
-            self, "height", positive(f"{name} height", self.height, "m", InvalidBody)
+            self, "height", positive(f"{name} height", self.height, "m", InvalidBodyError)
         )
 
     @property
@@ -93,7 +93,7 @@ class _Round(Body):
 class Disk(_Round):
     """A uniform disk: ``radius`` and ``height`` in m, ``mass`` in kg.
 
-    Raises :class:`InvalidBody` for a value that is not finite and positive.
+    Raises :class:`InvalidBodyError` for a value that is not finite and positive.
     """
 
     radius: float
@@ -111,7 +111,7 @@ class Disk(_Round):
 class Ring(_Round):
     """A thin ring that rests on its whole rim: ``radius`` and ``height`` in m, ``mass`` in kg.
 
-    Raises :class:`InvalidBody` for a value that is not finite and positive.
+    Raises :class:`InvalidBodyError` for a value that is not finite and positive.
     """
 
     radius: float
@@ -130,7 +130,7 @@ class Polygon(Body):
     """A uniform convex polygon that rests on its whole face.
 
     ``vertices`` (N, 2) in m, either way round; they are kept counter-clockwise and moved so that
-    the centre of mass is the origin. ``mass`` in kg, ``height`` in m. Raises :class:`InvalidBody`
+    the centre of mass is the origin. ``mass`` in kg, ``height`` in m. Raises :class:`InvalidBodyError`
     for fewer than three vertices, a repeated vertex, a polygon that crosses itself or is not
     convex, no area, and values that are not finite and positive.
     """
@@ -141,9 +141,9 @@ class Polygon(Body):
     support: ClassVar[str] = "disk"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mass", positive("polygon mass", self.mass, "kg", InvalidBody))
+        object.__setattr__(self, "mass", positive("polygon mass", self.mass, "kg", InvalidBodyError))
         object.__setattr__(
-            self, "height", positive("polygon height", self.height, "m", InvalidBody)
+            self, "height", positive("polygon height", self.height, "m", InvalidBodyError)
         )
         points = _convex(self.vertices)
         points = points - _area_moments(points)[1]
@@ -223,11 +223,11 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
     try:
         raw = np.array([tuple(v) for v in vertices], dtype=float)
     except (TypeError, ValueError) as problem:
-        raise InvalidBody(
+        raise InvalidBodyError(
             f"polygon vertices are {vertices!r}; they must be pairs of numbers, shape (N, 2)."
         ) from problem
     if raw.ndim != 2 or raw.shape[1] != 2 or raw.shape[0] < 3:
-        raise InvalidBody(
+        raise InvalidBodyError(
             f"polygon vertices have shape {raw.shape}; they must be (N, 2) with N at least 3."
         )
     points = _checked_finite(raw)
@@ -236,7 +236,7 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
     size = float(lengths.max())
     if lengths.min() <= 1e-9 * size:
         i = int(lengths.argmin())
-        raise InvalidBody(f"polygon vertex {i} at {points[i].tolist()} m stands there twice.")
+        raise InvalidBodyError(f"polygon vertex {i} at {points[i].tolist()} m stands there twice.")
     following = np.roll(edges, -1, axis=0)
     turn = np.arctan2(_cross(edges, following), np.einsum("ij,ij->i", edges, following))
     if turn.sum() < 0:
@@ -245,18 +245,18 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
     straight = 1e-9
     if turn.min() < -straight or turn.max() > math.pi - straight:
         i = int(turn.argmin() if turn.min() < -straight else turn.argmax())
-        raise InvalidBody(
+        raise InvalidBodyError(
             f"polygon turns by {math.degrees(turn[i]):.6g} degrees at one vertex; a convex one "
             "turns by 0 to 180 degrees, always the same way."
         )
     winding = turn.sum() / (2 * math.pi)
     if abs(winding - 1) > 1e-6:
-        raise InvalidBody(
+        raise InvalidBodyError(
             f"polygon winds {winding:.3g} times round itself; its edges must not cross (1 turn)."
         )
     area = _area_moments(points)[0]
     if area <= 1e-12 * size**2:
-        raise InvalidBody(f"polygon area is {area:.3g} m^2; it must be above 0.")
+        raise InvalidBodyError(f"polygon area is {area:.3g} m^2; it must be above 0.")
     return points
 
 
@@ -264,7 +264,7 @@ def _checked_finite(points: Array) -> Array:
     try:
         return finite("polygon vertices", points, "m")
     except ValueError as problem:
-        raise InvalidBody(str(problem)) from None
+        raise InvalidBodyError(str(problem)) from None
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -16,48 +16,48 @@ class MechanicsError(ValueError):
     """A body, a parameter or a displacement that the mechanics cannot work with."""
 
 
-class InvalidBody(MechanicsError):
+class InvalidBodyError(MechanicsError):
     """A body that cannot exist: a negative mass, a polygon that is not convex."""
 
 
-class InvalidParameter(MechanicsError):
+class InvalidParameterError(MechanicsError):
     """A number that is not finite or lies outside its range."""
 
 
-class UnreachableDisplacement(MechanicsError):
+class UnreachableDisplacementError(MechanicsError):
     """A displacement that no single tap makes: more rotation than its distance allows."""
 
 
 def positive(
-    name: str, value: float, unit: str = "", error: type[MechanicsError] = InvalidParameter
+    name: str, value: float, unit: str = "", error: type[MechanicsError] = InvalidParameterError
 ) -> float:
     """``value`` as a float if it is finite and above zero; raises ``error`` otherwise."""
     return _within(name, value, 0.0, math.inf, unit, error)
 
 
 def fraction(name: str, value: float) -> float:
-    """``value`` as a float if it lies in [0, 1]; raises :class:`InvalidParameter` otherwise."""
-    number = _number(name, value, InvalidParameter)
+    """``value`` as a float if it lies in [0, 1]; raises :class:`InvalidParameterError` otherwise."""
+    number = _number(name, value, InvalidParameterError)
     if not 0.0 <= number <= 1.0:
-        raise InvalidParameter(f"{name} is {number!r}; it must lie from 0 to 1.")
+        raise InvalidParameterError(f"{name} is {number!r}; it must lie from 0 to 1.")
     return number
 
 
 def not_negative(name: str, value: float, unit: str = "") -> float:
     """``value`` as a float if it is finite and not below zero."""
-    number = _number(name, value, InvalidParameter)
+    number = _number(name, value, InvalidParameterError)
     if not 0.0 <= number < math.inf:
-        raise InvalidParameter(f"{name} is {_with_unit(number, unit)}; it must be 0 or more.")
+        raise InvalidParameterError(f"{name} is {_with_unit(number, unit)}; it must be 0 or more.")
     return number
 
 
 def finite(name: str, values: ArrayLike, unit: str = "") -> NDArray[np.float64]:
-    """``values`` as an array of floats if all are finite; raises :class:`InvalidParameter`."""
+    """``values`` as an array of floats if all are finite; raises :class:`InvalidParameterError`."""
     array = np.asarray(values, dtype=float)
     wrong = ~np.isfinite(array)
     if wrong.any():
         value = float(array[wrong].flat[0])
-        raise InvalidParameter(
+        raise InvalidParameterError(
             f"{name} holds {_with_unit(value, unit)}; every value must be a finite number."
         )
     return array

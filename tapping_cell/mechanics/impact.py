@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.mechanics.bodies import Body
 from tapping_cell.mechanics.errors import (
-    InvalidParameter,
+    InvalidParameterError,
     finite,
     fraction,
     not_negative,
@@ -50,7 +50,7 @@ class Striker:
     """The moving part of the tapper: ``mass`` in kg, ball of ``tip_radius`` in m at its tip.
 
     ``constraint`` is ``"linear_bearings"`` (it can only move along its axis, as the paper's) or
-    ``"free"``. Raises :class:`InvalidParameter` for a mass that is not positive, a radius below 0
+    ``"free"``. Raises :class:`InvalidParameterError` for a mass that is not positive, a radius below 0
     or another constraint.
     """
 
@@ -62,7 +62,7 @@ class Striker:
         object.__setattr__(self, "mass", positive("striker mass", self.mass, "kg"))
         object.__setattr__(self, "tip_radius", not_negative("tip radius", self.tip_radius, "m"))
         if self.constraint not in get_args(Constraint):
-            raise InvalidParameter(
+            raise InvalidParameterError(
                 f"striker constraint is {self.constraint!r}; it must be one of "
                 f"{', '.join(get_args(Constraint))}."
             )
@@ -92,7 +92,7 @@ class Impact:
     B1, B2 and B3, for devices whose constants were fitted (section 3.1.1 of the paper fits two).
     With the scale (1, 1, 1) energy is never gained; a fitted scale answers for itself. The third
     may be negative: the paper's Jacobian asks for it (``docs/mechanics.md``). Raises
-    :class:`InvalidParameter` for values out of range.
+    :class:`InvalidParameterError` for values out of range.
     """
 
     body: Body
@@ -106,7 +106,7 @@ class Impact:
         object.__setattr__(self, "friction", positive("contact friction", self.friction))
         scale = tuple(float(s) for s in finite("impact scale", self.scale).ravel())
         if len(scale) != 3 or scale[0] <= 0 or scale[1] <= 0:
-            raise InvalidParameter(
+            raise InvalidParameterError(
                 f"impact scale is {scale}; it must hold three numbers, the first two above 0."
             )
         object.__setattr__(self, "scale", scale)
@@ -130,7 +130,7 @@ class Impact:
     ) -> tuple[Array, Array, Array]:
         """B1, B2 and B3, scaled, in 1/kg. Arguments as for :meth:`strike`.
 
-        Raises :class:`InvalidParameter` where the scaled values are not those of any mass,
+        Raises :class:`InvalidParameterError` where the scaled values are not those of any mass,
         B1 B2 <= B3^2.
         """
         angle, c = np.asarray(incidence, dtype=float), np.asarray(contact, dtype=float)
@@ -146,7 +146,7 @@ class Impact:
         b3 = self.scale[2] * (c_n * c_t / inertia + add3)
         singular = np.asarray(b1 * b2 <= b3 * b3)
         if singular.any():
-            raise InvalidParameter(
+            raise InvalidParameterError(
                 f"impact scale {self.scale} gives B1 B2 <= B3^2 at this contact; no body has such "
                 "constants. Fit the scale again."
             )
@@ -157,15 +157,15 @@ class Impact:
 
         ``incidence`` is the angle from the normal n to the striker's axis in rad, within a right
         angle; ``contact`` (..., 2) is (c_n, c_t) in m, (-R, 0) for a disk. Arguments broadcast.
-        Raises :class:`InvalidParameter` for values out of range.
+        Raises :class:`InvalidParameterError` for values out of range.
         """
         v = finite("striker speed", speed, "m/s")
         angle = finite("incidence", incidence, "rad")
         c = finite("contact point", contact, "m")
         if v.size and v.min() < 0:
-            raise InvalidParameter(f"striker speed is {v.min():g} m/s; it must be 0 or more.")
+            raise InvalidParameterError(f"striker speed is {v.min():g} m/s; it must be 0 or more.")
         if angle.size and np.abs(angle).max() > math.pi / 2:
-            raise InvalidParameter(
+            raise InvalidParameterError(
                 f"incidence is {np.abs(angle).max():g} rad; the striker must approach (pi/2)."
             )
         p_n, p_t, sliding = self._routh(angle, c)

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.mechanics.errors import InvalidParameter
+from tapping_cell.mechanics.errors import InvalidParameterError
 from tapping_cell.mechanics.slide_solution import (
     PIECES,
     Friction,
@@ -142,7 +142,7 @@ class SlideTable:
             np.maximum(value, gathered, out=major)
             np.minimum(value, gathered, out=minor)
             if not math.isfinite(float(major.sum())):
-                raise InvalidParameter("speed or spin is not finite or too large to square.")
+                raise InvalidParameterError("speed or spin is not finite or too large to square.")
             _grade(major, minor, t, spare)
             _piece(t, mask, index, spare)
             _cubic(x, index, t, value, gathered)
@@ -178,7 +178,7 @@ class SlideTable:
         np.abs(rim_travel, out=r)
         np.maximum(x, r, out=longer)
         if not math.isfinite(float(longer.sum())):
-            raise InvalidParameter("distance or rotation is not finite or too large.")
+            raise InvalidParameterError("distance or rotation is not finite or too large.")
         np.multiply(x, self._divide, out=spare)
         np.greater(r, spare, out=mask)
         # The measures of both regimes meet at the divide, so min over max serves either.
@@ -259,7 +259,7 @@ class SlideTable:
             divide = self._divide if half == 0 else 1 / self._divide
             fraction = np.minimum(grade_inverse(p) * small / (large * divide), 1.0)
             if not np.all(np.diff(fraction) > 0):
-                raise InvalidParameter(
+                raise InvalidParameterError(
                     f"torque factor times m R^2 / I is {self.torque_ratio:g}; sliding has no "
                     "single-valued inverse that far from 1."
                 )

@@ -20,8 +20,8 @@ from tapping_cell import se2
 from tapping_cell.mechanics.bodies import Body, Polygon
 from tapping_cell.mechanics.contact import first_contact
 from tapping_cell.mechanics.errors import (
-    InvalidParameter,
-    UnreachableDisplacement,
+    InvalidParameterError,
+    UnreachableDisplacementError,
     finite,
     not_negative,
 )
@@ -80,7 +80,7 @@ class Tap:
     """Taps on one body by one striker on one table.
 
     ``smallest_distance`` (m) is the shortest displacement that the tapper makes reliably, 1.7 mm
-    in the paper (section 4). Raises :class:`InvalidParameter` if ``sliding`` and ``impact`` are of
+    in the paper (section 4). Raises :class:`InvalidParameterError` if ``sliding`` and ``impact`` are of
     different bodies.
     """
 
@@ -91,7 +91,7 @@ class Tap:
 
     def __post_init__(self) -> None:
         if self.sliding.body != self.impact.body:
-            raise InvalidParameter(
+            raise InvalidParameterError(
                 f"the sliding is of {self.sliding.body} and the impact of {self.impact.body}; "
                 "both must be of the same body."
             )
@@ -100,7 +100,7 @@ class Tap:
         body = self.body
         lever = self._largest_lever()
         ratio = body.support_radius * lever / body.radius_of_gyration**2
-        slope = self.sliding.table.travel_ratio(ratio) / body.support_radius
+        slope = self.sliding.axisymmetric.table.travel_ratio(ratio) / body.support_radius
         object.__setattr__(self, "_cone_slope", slope)
 
     @property
@@ -141,7 +141,7 @@ class Tap:
 
         ``strike_pose`` is any pose of the ball's centre on its line of travel before the contact,
         x along the travel. One that overlaps the object counts from where its line comes in.
-        Raises :class:`InvalidParameter` for values that are not finite or a negative speed.
+        Raises :class:`InvalidParameterError` for values that are not finite or a negative speed.
         """
         result = self._impact(object_pose, strike_pose, striker_speed)
         angle = np.broadcast_to(np.asarray(object_pose, dtype=float)[..., 2], result.missed.shape)
@@ -186,8 +186,8 @@ class Tap:
 
         ``object_pose`` (..., 3) is the object's pose in the table frame; both broadcast.
         :meth:`outcome` of the plan is the displacement to rounding. Raises
-        :class:`UnreachableDisplacement` for a displacement outside the cone or shorter than the
-        smallest distance, and :class:`InvalidParameter` for values that are not finite.
+        :class:`UnreachableDisplacementError` for a displacement outside the cone or shorter than the
+        smallest distance, and :class:`InvalidParameterError` for values that are not finite.
         """
         wanted = _poses("displacement", displacement)
         self._refuse(wanted)
@@ -304,12 +304,12 @@ class Tap:
         dx, dy, rotation = wanted[outside][0].tolist()
         distance = math.hypot(dx, dy)
         if distance < self.smallest_distance * (1 - _EDGE) or distance == 0.0:
-            raise UnreachableDisplacement(
+            raise UnreachableDisplacementError(
                 f"the displacement is {1e3 * distance:.4g} mm long; the shortest tap is "
                 f"{1e3 * self.smallest_distance:.4g} mm. Move farther away first."
             )
         limit = math.degrees(self.cone_slope * distance)
-        raise UnreachableDisplacement(
+        raise UnreachableDisplacementError(
             f"the displacement turns by {math.degrees(rotation):.4g} degrees over "
             f"{1e3 * distance:.4g} mm; one tap turns by at most {limit:.4g} degrees over that "
             f"distance ({math.degrees(self.cone_slope) / 1e3:.4g} degrees/mm). Use two taps."
@@ -318,7 +318,7 @@ class Tap:
     def _refuse_contact(self, wanted: Array, where: NDArray[np.bool_]) -> None:
         dx, dy, rotation = wanted[where][0].tolist()
         limit = math.degrees(math.atan(self.impact.friction))
-        raise UnreachableDisplacement(
+        raise UnreachableDisplacementError(
             f"no contact of the body gives ({1e3 * dx:.4g} mm, {1e3 * dy:.4g} mm, "
             f"{math.degrees(rotation):.4g} degrees): the impulse would lie more than {limit:.4g} "
             "degrees from the normal of the edge that it meets. Choose another direction."
@@ -328,7 +328,7 @@ class Tap:
 def _poses(name: str, values: ArrayLike) -> Array:
     array = finite(name, values)
     if array.ndim == 0 or array.shape[-1] != 3:
-        raise InvalidParameter(f"{name} has shape {array.shape}; the last axis must be 3.")
+        raise InvalidParameterError(f"{name} has shape {array.shape}; the last axis must be 3.")
     return array
 
 
