@@ -174,7 +174,7 @@ class ArmDriver:
             self._connected = True
             reading = self._read()
         except HardwareFault as fault:
-            raise self._noted(fault) from fault
+            raise self._noted(fault) from fault.__cause__
         held = self._confirmed is not None and self._agrees(self._confirmed, reading.joints)
         if not (firmware.continued and held and not reading.alarm):
             self._homed = False
@@ -199,7 +199,7 @@ class ArmDriver:
                 self._dialect.home(self._transport.now() + self.settings.homing_timeout)
             joints = self._declare(strategy)
         except HardwareFault as fault:
-            raise self._noted(fault) from fault
+            raise self._noted(fault) from fault.__cause__
         self._confirmed = joints
         self._homed = True
         return joints
@@ -210,7 +210,7 @@ class ArmDriver:
         try:
             return self._read()
         except HardwareFault as fault:
-            raise self._noted(fault) from fault
+            raise self._noted(fault) from fault.__cause__
 
     def read_joints(self) -> Joints:
         """The joints, by question to the controller; raises NOT_HOMED before homing."""
@@ -237,7 +237,7 @@ class ArmDriver:
         try:
             reading = self._move(goal, speed, deadline)
         except HardwareFault as fault:
-            raise self._noted(fault) from fault
+            raise self._noted(fault) from fault.__cause__
         self.counters.moves += 1
         return reading
 
@@ -254,7 +254,7 @@ class ArmDriver:
             if last is not None and (reading.moving or not self._agrees(last, reading.joints)):
                 raise self._mismatch(last, reading.joints)
         except HardwareFault as fault:
-            raise self._noted(fault) from fault
+            raise self._noted(fault) from fault.__cause__
         return reading
 
     def stop(self) -> bool:
@@ -283,7 +283,7 @@ class ArmDriver:
                 self._confirmed = None
                 self._dialect.clear(self._transport.now() + timeout)
         except HardwareFault as fault:
-            raise self._noted(fault) from fault
+            raise self._noted(fault) from fault.__cause__
         self._fault = None
 
     def _move(self, goal: Joints, speed: float, deadline: float | None) -> ArmReading:

@@ -1,0 +1,375 @@
+"""Marlin 2 spoken to an arm in joint space: one numbered line in flight, no line ever run twice."""
+
+from __future__ import annotations
+
+import secrets
+from collections import deque
+from dataclasses import dataclass
+
+from tapping_cell.hardware import marlin
+from tapping_cell.hardware.dialect import (
+    AXIS_COUNT,
+    AxisReading,
+    AxisValues,
+    Firmware,
+    LineCounters,
+)
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.transport import Transport
+
+SILENCE = 2.5
+"""Longest wait for ``ok`` or ``busy``, s: a working Marlin says ``busy`` about every 2 s."""
+REPEAT_SILENCE = 0.4
+"""The same for a line sent again: it is answered at once, or was taken before, s."""
+POLL_PERIOD = 0.02
+"""Between position questions while the last steps are made, s."""
+FIRST_NUMBERS = (1000, 100_000_000)
+"""Range of the number at which counting starts: a board that was reset counts from 0 instead."""
+RECOVERIES = 8
+"""Rounds of sending again before a line counts as dead."""
+
+
+@dataclass(frozen=True, slots=True)
+class MarlinSettings:
+    """How the controller is wired."""
+
+    letters: str = "XYZA"
+    """Axis letters of shoulder, elbow, quill, tool."""
+
+    def __post_init__(self) -> None:
+        if len(set(self.letters)) != AXIS_COUNT or not set(self.letters) <= set("XYZABCUVWE"):
+            raise ValueError(
+                f"axis letters {self.letters!r}: four different letters of XYZABCUVWE are needed"
+            )
+
+
+class MarlinDialect:
+    """One Marlin controller; see :class:`~tapping_cell.hardware.dialect.ArmDialect`."""
+
+    def __init__(self, transport: Transport, settings: MarlinSettings | None = None) -> None:
+        self._transport = transport
+        self._settings = settings or MarlinSettings()
+        self.counters = LineCounters()
+        self._buffer = b""
+        self._frames: deque[marlin.Frame] = deque()
+        self._number = 0
+        self._sent: dict[int, bytes] = {}
+        self._known = False
+        self._emergency_parser = False
+        self._steps: dict[str, float] = {}
+
+    @property
+    def stop_bytes(self) -> bytes:
+        """``M410`` where the firmware reads it ahead of its queue, else ``M112``: both
+        unnumbered."""
+        return marlin.QUICK_STOP if self._emergency_parser else marlin.KILL
+
+    def connect(self, deadline: float) -> Firmware:
+        """Find out who is there, by line numbers whether it was reset, and set the modes."""
+        self._buffer = b""
+        self._frames.clear()
+        self._known = False
+        continued = self._number > 0 and self._counts_on(deadline)
+        self._begin_numbers(deadline)
+        name = self._identify(deadline)
+        self._steps = self._read_steps(deadline)
+        for mode in ("G21", "G90"):
+            self._command(mode, deadline)
+        self._known = True
+        return Firmware("Marlin", name, continued)
+
+    def read(self, deadline: float) -> AxisReading:
+        """``M114``: the step counts where the firmware gives them, else what was commanded."""
+        while True:
+            for frame in self._command("M114", deadline):
+                if isinstance(frame, marlin.Position):
+                    return self._reading(frame)
+            # The answer was garbled: Marlin's answers have no checksum, so ask again.
+            self.counters.retries += 1
+
+    def start_move(self, target: AxisValues, feed: float, deadline: float) -> None:
+        """Queue one move."""
+        self._order(marlin.move_code(self._settings.letters, target, feed), deadline)
+
+    def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
+        """``M400``, then the position until the step counts stand where they were sent."""
+        self._command("M400", deadline)
+        while (reading := self.read(deadline)).moving:
+            self._pump(POLL_PERIOD)
+        return reading
+
+    def idle(self, duration: float) -> None:
+        """Listen; a restart or a halt that comes is raised."""
+        self._pump(duration)
+
+    def home(self, deadline: float) -> None:
+        """``G28``."""
+        try:
+            self._order("G28", deadline)
+        except HardwareFault as fault:
+            if fault.reason in (FaultReason.ALARM, FaultReason.REJECTED):
+                raise HardwareFault(
+                    FaultReason.HOMING_FAILED, f"homing failed: {fault}: check the end stops"
+                ) from fault
+            raise
+
+    def set_position(self, axes: AxisValues, deadline: float) -> None:
+        """``G92``."""
+        self._order("G92" + marlin.axis_words(self._settings.letters, axes), deadline)
+
+    def clear(self, deadline: float) -> None:
+        """Start over; a halted board is reset by opening the port anew, where its wiring does
+        that."""
+        self._known = False
+        self._pump(0.0)
+        self._frames.clear()
+        try:
+            self._begin_numbers(min(deadline, self._transport.now() + 1.0))
+        except HardwareFault as fault:
+            if fault.reason not in (FaultReason.TIMEOUT, FaultReason.UNKNOWN_FIRMWARE):
+                raise
+            self._transport.open(max(deadline - self._transport.now(), 0.1))
+            self._buffer = b""
+            try:
+                self._begin_numbers(deadline)
+            except HardwareFault as still:
+                raise HardwareFault(
+                    FaultReason.NEEDS_PERSON,
+                    f"the arm's controller on {self._transport.name} is halted: press the reset"
+                    " button on its board, then clear the fault again",
+                ) from still
+        for mode in ("G21", "G90"):
+            self._command(mode, deadline)
+        self._known = True
+
+    # Lines.
+
+    def _order(self, code: str, deadline: float) -> None:
+        """A line that must not be unknown to the firmware."""
+        for frame in self._command(code, deadline):
+            if isinstance(frame, marlin.Unknown):
+                raise HardwareFault(
+                    FaultReason.REJECTED,
+                    f"the controller does not know {frame.code!r}: build its firmware with that code",
+                )
+
+    def _command(self, code: str, deadline: float) -> list[marlin.Frame]:
+        """Send one line and see it through; returns what was said before its ``ok``."""
+        self._pump(0.0)
+        self._frames.clear()
+        self._number += 1
+        number = self._number
+        self._sent[number] = marlin.numbered(number, code)
+        self._sent.pop(number - 4, None)
+        self._transport.write(self._sent[number])
+        heard: list[marlin.Frame] = []
+        patience = SILENCE
+        for _ in range(RECOVERIES):
+            outcome = self._await(number, patience, deadline, heard)
+            if outcome is None:
+                return heard
+            if outcome > number:
+                # The board has this line already and wants the next: only the `ok` was lost.
+                return heard
+            if outcome < 0:
+                if self._is_taken(number, deadline):
+                    return heard
+                outcome = number
+            if outcome not in self._sent:
+                if outcome == 1:
+                    raise self._restarted()
+                outcome = number  # a garbled number: the board asks again if this is not it
+            for again in range(outcome, number + 1):
+                self._transport.write(self._sent[again])
+                self.counters.resends += 1
+            patience = REPEAT_SILENCE if outcome == number else SILENCE
+        raise self._dead(code)
+
+    def _await(
+        self, number: int, patience: float, deadline: float, heard: list[marlin.Frame]
+    ) -> int | None:
+        """None: ``ok``. A number: the board wants that line. -1: silence."""
+        wanted: int | None = None
+        while True:
+            until = min(deadline, self._transport.now() + patience)
+            frame = self._next(until)
+            if frame is None:
+                if self._transport.now() >= deadline:
+                    raise self._dead(f"line {number}")
+                return -1 if wanted is None else wanted
+            if isinstance(frame, marlin.Ok):
+                return wanted
+            if isinstance(frame, marlin.Resend):
+                wanted = frame.number
+            elif isinstance(frame, marlin.LineError):
+                if self._known and frame.last_line == 0 and number > 1:
+                    raise self._restarted()
+            elif not isinstance(frame, marlin.Busy):
+                heard.append(frame)
+
+    def _is_taken(self, number: int, deadline: float) -> bool:
+        """After silence: send the line again, and if that is met with silence too, ask with the
+        next.
+
+        A duplicate of a line that was run is not answered and not run again; the next number is
+        answered with ``ok`` then, and with ``Resend`` if the line never arrived.
+        """
+        self.counters.timeouts += 1
+        self._transport.write(self._sent[number])
+        self.counters.resends += 1
+        heard: list[marlin.Frame] = []
+        outcome = self._await(number, REPEAT_SILENCE, deadline, heard)
+        if outcome is None or outcome > number:
+            return True
+        if outcome >= 0:
+            return False
+        self._number = number + 1
+        self._sent[number + 1] = marlin.numbered(number + 1, "M114")
+        self._transport.write(self._sent[number + 1])
+        outcome = self._await(number + 1, SILENCE, deadline, heard)
+        if outcome is None or outcome > number + 1:
+            return True
+        self._number = number
+        return outcome == number + 1
+
+    def _next(self, until: float) -> marlin.Frame | None:
+        while not self._frames:
+            left = until - self._transport.now()
+            if left <= 0:
+                return None
+            self._pump(left)
+        return self._frames.popleft()
+
+    def _pump(self, wait: float) -> None:
+        self._buffer += self._transport.read(wait)
+        while True:
+            decoded = marlin.decode(self._buffer)
+            self._buffer = decoded.rest
+            frame = decoded.frame
+            if frame is None:
+                return
+            if isinstance(frame, marlin.Bad):
+                self.counters.bad_lines += 1
+            elif isinstance(frame, marlin.Halted) and self._known:
+                raise HardwareFault(
+                    FaultReason.ALARM,
+                    f"the arm's controller halted: {frame.why}: make the cell safe, clear the fault"
+                    " and home again",
+                )
+            elif isinstance(frame, marlin.Start) and self._known:
+                raise self._restarted()
+            else:
+                self._frames.append(frame)
+
+    # Connecting.
+
+    def _counts_on(self, deadline: float) -> bool:
+        """Whether the board still counts our lines, so was not reset: it names its last line."""
+        known = set(self._sent) | {self._number}
+        self._transport.write(marlin.numbered(self._number + 2, "M114"))
+        until = min(deadline, self._transport.now() + 1.0)
+        while (frame := self._next(until)) is not None:
+            if isinstance(frame, marlin.Start):
+                return False
+            if isinstance(frame, marlin.LineError):
+                return frame.last_line in known
+        return False
+
+    def _begin_numbers(self, deadline: float) -> None:
+        """``M110``: count from a number of our own choice; repeated until answered."""
+        low, high = FIRST_NUMBERS
+        self._number = low + secrets.randbelow(high - low)
+        self._sent = {}
+        line = marlin.numbered(self._number, f"M110 N{self._number}")
+        while True:
+            self._transport.write(b"\n" + line)
+            until = min(deadline, self._transport.now() + 0.3)
+            while (frame := self._next(until)) is not None:
+                if isinstance(frame, marlin.Ok):
+                    self._settle(deadline)
+                    return
+            if until >= deadline:
+                raise HardwareFault(
+                    FaultReason.UNKNOWN_FIRMWARE,
+                    f"nothing on {self._transport.name} answers like Marlin"
+                    f" ({self.counters.bad_lines} unreadable lines): check the port, the baud rate"
+                    " and the dialect parameter",
+                )
+            self.counters.retries += 1
+
+    def _settle(self, deadline: float) -> None:
+        """Let answers to repeated lines run out, so that no stray ``ok`` is left."""
+        while self._transport.now() < deadline:
+            before = len(self._frames)
+            self._pump(0.05)
+            if len(self._frames) == before:
+                break
+        self._frames.clear()
+
+    def _identify(self, deadline: float) -> str:
+        for _ in range(3):
+            heard = self._command("M115", deadline)
+            names = [f.name for f in heard if isinstance(f, marlin.FirmwareName)]
+            capabilities = {f.name: f.present for f in heard if isinstance(f, marlin.Capability)}
+            if not names:
+                self.counters.retries += 1
+                continue
+            if not names[0].startswith("Marlin"):
+                raise HardwareFault(
+                    FaultReason.UNKNOWN_FIRMWARE,
+                    f"firmware {names[0]!r} is not understood: this driver speaks Marlin; check the"
+                    " dialect parameter",
+                )
+            self._emergency_parser = capabilities.get("EMERGENCY_PARSER", False)
+            return names[0].removeprefix("Marlin").strip()
+        raise HardwareFault(
+            FaultReason.UNKNOWN_FIRMWARE,
+            f"the controller on {self._transport.name} does not say what it is (M115): check the"
+            " dialect parameter",
+        )
+
+    def _read_steps(self, deadline: float) -> dict[str, float]:
+        """Steps per unit of our axes; empty where the firmware does not tell."""
+        for frame in self._command("M92", deadline):
+            if isinstance(frame, marlin.Steps) and set(self._settings.letters) <= set(
+                frame.per_unit
+            ):
+                return {axis: frame.per_unit[axis] for axis in self._settings.letters}
+        return {}
+
+    def _reading(self, frame: marlin.Position) -> AxisReading:
+        letters = self._settings.letters
+        missing = [letter for letter in letters if letter not in frame.commanded]
+        if missing:
+            raise HardwareFault(
+                FaultReason.UNKNOWN_FIRMWARE,
+                f"the controller reports no axis {', '.join(missing)}: build its firmware with"
+                f" {AXIS_COUNT} axes or correct the axis letters",
+            )
+        commanded = AxisValues(*(frame.commanded[letter] for letter in letters))
+        if not self._steps or not set(letters) <= set(frame.counts):
+            return AxisReading(commanded, False, "", False)
+        actual = AxisValues(*(frame.counts[a] / self._steps[a] for a in letters))
+        # Commanded values are rounded to 0.01; beyond that and one step the axes are on the way.
+        moving = any(
+            abs(a - c) > 0.006 + 1 / self._steps[letter]
+            for a, c, letter in zip(actual, commanded, letters, strict=True)
+        )
+        return AxisReading(actual, moving, "", True)
+
+    def _restarted(self) -> HardwareFault:
+        self._known = False
+        self._number = 0
+        return HardwareFault(
+            FaultReason.BOARD_RESET,
+            f"the arm's controller on {self._transport.name} restarted: its position is lost;"
+            " clear the fault and home again",
+        )
+
+    def _dead(self, what: str) -> HardwareFault:
+        self.counters.timeouts += 1
+        return HardwareFault(
+            FaultReason.TIMEOUT,
+            f"no answer to {what} from the arm's controller on {self._transport.name} in time:"
+            " check power, cable and baud rate",
+        )

@@ -1,0 +1,433 @@
+"""A Marlin 2 controller with an arm behind it, as a state machine in told time.
+
+Its answers to wrong, repeated and skipped lines are those of real boards: a duplicate of the last
+line is met with silence, an error is told as ``Error``, ``Resend``, ``ok``. Lines are read with a
+parser of its own, independent of the driver's codec.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import reduce
+
+import numpy as np
+
+from tapping_cell.simulation.device_emulator import OutputQueue
+from tapping_cell.simulation.joint_motion import Array, AxisErrors, AxisTrack
+
+QUEUE_LENGTH = 4
+"""Lines read ahead (Marlin's BUFSIZE)."""
+PLANNER_BLOCKS = 16
+LINE_LENGTH = 96
+RECEIVE_BUFFER = 256
+LINE_TIME = 0.001
+"""What one line costs the processor, s."""
+BUSY_PERIOD = 2.0
+KILL_TIME = 0.03
+"""From ``M112`` to standing still, s."""
+SLIP = 0.3
+"""Standard deviation of the steps lost by a sudden stop, in axis units."""
+AXES = 4
+TO_UNITS = np.array([180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi])
+
+
+@dataclass(frozen=True, slots=True)
+class MarlinMachine:
+    """The arm behind the controller; joints in rad, rad, m, rad."""
+
+    letters: str = "XYZA"
+    axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
+    start_joints: tuple[float, float, float, float] = (0.6, 0.9, -0.030, 0.2)
+    home_joints: tuple[float, float, float, float] = (0.0, math.pi / 2, 0.0, 0.0)
+    errors: AxisErrors = field(default_factory=AxisErrors)
+    steps: tuple[float, float, float, float] = (200.0, 200.0, 400.0, 100.0)
+    """Per unit (M92)."""
+    max_rate: tuple[float, float, float, float] = (115.0, 143.0, 250.0, 345.0)
+    """Units/s (M203)."""
+    acceleration: tuple[float, float, float, float] = (458.0, 573.0, 2000.0, 1720.0)
+    """Units/s2 (M201)."""
+    homing_rate: float = 60.0
+    """Units/s."""
+    emergency_parser: bool = True
+    reply_latency: float = 0.002
+    baud: int = 115200
+
+
+class MarlinEmulator:
+    """See the module; one instance is one board with its arm."""
+
+    def __init__(
+        self, machine: MarlinMachine | None = None, seed: int = 0, now: float = 0.0
+    ) -> None:
+        self.machine = machine or MarlinMachine()
+        self._rng = np.random.default_rng(seed)
+        self._sign = np.array(self.machine.axis_sign, dtype=float)
+        self._output = OutputQueue(self.machine.reply_latency, 10 / self.machine.baud)
+        start = self._units(self.machine.start_joints)
+        errors = self.machine.errors
+        self._track = AxisTrack(
+            start,
+            np.abs(self._units(errors.backlash)),
+            np.abs(self._units(errors.repeatability)),
+            self._rng,
+        )
+        self._steps = np.array(self.machine.steps)
+        self._due: float | None = None
+        self._after: Callable[[float], None] | None = None
+        self._busy_at: float | None = None
+        self._running: Callable[[float], bool] | None = None
+        self._line = bytearray()
+        self._restart(now)
+
+    # What the world asks.
+
+    def joints(self, time: float) -> tuple[float, float, float, float]:
+        """True joints at ``time``: rad, rad, m, rad; the controller's counts may differ."""
+        units = self._track.joints(time) * self._sign / TO_UNITS
+        a, b, c, d = (units + np.asarray(self.machine.errors.offset)).tolist()
+        return a, b, c, d
+
+    def moving(self, time: float) -> bool:
+        """Whether the axes move at ``time``."""
+        return self._track.moving(time)
+
+    @property
+    def halted(self) -> bool:
+        """Whether the firmware has killed itself."""
+        return self._killed
+
+    # DeviceEmulator.
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Bytes arrive; with the emergency parser the stops act as their line ends."""
+        self.advance(now)
+        if self._killed:
+            return
+        for byte in data:
+            if byte in b"\r\n":
+                line, self._line = bytes(self._line), bytearray()
+                if line:
+                    self._read_line(line, now)
+            elif len(self._line) < LINE_LENGTH:
+                self._line.append(byte)
+            if self._killed:
+                return
+        self._work(now)
+
+    def advance(self, now: float) -> None:
+        """Everything that is due by ``now``, in its order."""
+        while True:
+            due = self._next_internal()
+            if due is None or due > now:
+                return
+            if self._due is not None and self._due <= due:
+                after, self._due, self._after = self._after, None, None
+                if after is not None:
+                    after(due)
+                self._work(due)
+            else:
+                self._say("echo:busy: processing", due)
+                self._busy_at = due + BUSY_PERIOD
+
+    def take_output(self, now: float) -> bytes:
+        """Bytes out by ``now``."""
+        self.advance(now)
+        return self._output.take(now)
+
+    def next_event(self) -> float | None:
+        """Next end of a motion, busy message or byte going out."""
+        times = [t for t in (self._next_internal(), self._output.next_time()) if t is not None]
+        return min(times) if times else None
+
+    def power_cycle(self, now: float) -> None:
+        """The board restarts; the arm stays where it is and is called zero."""
+        self.advance(now)
+        self._freeze(now)
+        self._output.clear()
+        self._restart(now)
+
+    def _next_internal(self) -> float | None:
+        times = [t for t in (self._due, self._busy_at) if t is not None]
+        return min(times) if times else None
+
+    def _restart(self, now: float) -> None:
+        self._killed = False
+        self._line = bytearray()
+        self._queue: deque[str] = deque()
+        self._waiting: deque[bytes] = deque()
+        self._blocks: deque[tuple[Array, float, float]] = deque()
+        self._due = self._after = self._busy_at = self._running = None
+        self._last_number = 0
+        self._relative = False
+        self._inches = False
+        self._feed = 1500.0
+        # Where the motors stand is called zero; logical = native + shift.
+        self._reference = self._track.motors(now)
+        self._commanded = np.zeros(AXES)
+        self._shift = np.zeros(AXES)
+        for line in ("start", "Marlin 2.1.2.4", "echo: Last Updated: 2024-01-01"):
+            self._say(line, now)
+
+    def _say(self, text: str, now: float) -> None:
+        self._output.put(text.encode() + b"\n", now)
+
+    # Lines in.
+
+    def _read_line(self, line: bytes, now: float) -> None:
+        """As the serial reader does: number, checksum, then into the queue."""
+        text = line.decode("ascii", "replace").split(";")[0].strip()
+        stop = re.match(r"^(M112|M410)\b", text)
+        if stop and (stop[1] == "M112" or self.machine.emergency_parser):
+            if stop[1] == "M112":
+                self._kill("M112 Shutdown", now)
+            else:
+                self._quick_stop(now)
+            return
+        if text.startswith("N"):
+            found = re.match(r"^N(\d{1,10})", text)
+            number = int(found[1]) if found else -1
+            is_m110 = "M110" in text
+            star = text.rfind("*")
+            if star < 0:
+                self._line_error("No Checksum with line number", now)
+                return
+            if not is_m110 and number == self._last_number:
+                # Real boards drop a repeated line without a word.
+                if self._checksum_of(text[:star]) == _number_of(text[star + 1 :]):
+                    return
+            elif not is_m110 and number != self._last_number + 1:
+                self._line_error("Line Number is not Last Line Number+1", now)
+                return
+            if self._checksum_of(text[:star]) != _number_of(text[star + 1 :]):
+                self._line_error("checksum mismatch", now)
+                return
+            self._last_number = number
+            text = re.sub(r"^N\d+ ?", "", text[:star]).strip()
+        elif "*" in text:
+            self._line_error("No Line Number with checksum", now)
+            return
+        if text and len(self._queue) < 8 * QUEUE_LENGTH:
+            self._queue.append(text)
+
+    @staticmethod
+    def _checksum_of(text: str) -> int:
+        return reduce(lambda value, byte: value ^ byte, text.encode("ascii", "replace"), 0)
+
+    def _line_error(self, why: str, now: float) -> None:
+        self._say(f"Error:{why}, Last Line: {self._last_number}", now)
+        self._say(f"Resend: {self._last_number + 1}", now)
+        self._say("ok", now)
+
+    def _kill(self, why: str, now: float) -> None:
+        self._say(f"Error:Printer halted. kill() called! {why}", now)
+        self._killed = True
+        self._queue.clear()
+        self._blocks.clear()
+        self._busy_at = self._running = None
+        self._due, self._after = now + KILL_TIME, self._freeze
+
+    def _quick_stop(self, now: float) -> None:
+        self._freeze(now)
+        self._queue.clear()
+        self._blocks.clear()
+        self._due = self._after = self._busy_at = self._running = None
+        self._commanded = self._native(now)
+
+    def _freeze(self, now: float) -> None:
+        """The motors stop dead and lose steps if they moved."""
+        if not self._track.moving(now):
+            return
+        self._track.freeze(now)
+        slip = self._rng.normal(0.0, SLIP, AXES)
+        self._track.shift(self._track.motors(now) + slip, now)
+        self._reference = self._reference + slip
+
+    # Lines out of the queue.
+
+    def _work(self, now: float) -> None:
+        """Run queued lines until one takes time."""
+        while not self._killed:
+            if self._running is not None:
+                if not self._running(now):
+                    return
+                self._running = self._busy_at = None
+                self._say("ok", now + LINE_TIME)
+            if not self._queue:
+                return
+            self._run(self._queue.popleft(), now)
+
+    def _run(self, text: str, now: float) -> None:
+        code, words = _parse(text)
+        if code in ("G0", "G1"):
+            self._move(words, now)
+            return
+        still: dict[str, Callable[[], None]] = {
+            "M400": lambda: None,
+            "M410": lambda: None,
+            "M112": lambda: self._kill("M112 Shutdown", now),
+            "G92": lambda: self._set_position(words),
+        }
+        if code in still:
+            act = still[code]
+
+            def rest(at: float) -> bool:
+                if self._due is not None or self._blocks:
+                    return False
+                act()
+                return not self._killed
+
+            self._begin(rest, now)
+        elif code == "G28":
+            self._home(now)
+        elif code == "G4":
+            self._dwell(words.get("P", 0.0) / 1e3 + words.get("S", 0.0), now)
+        else:
+            if not self._setting(code, words, now):
+                self._say(f'echo:Unknown command: "{text}"', now)
+            self._say("ok", now + LINE_TIME)
+
+    def _begin(self, done: Callable[[float], bool], now: float) -> None:
+        """A line whose ``ok`` waits until ``done``; ``busy`` is said meanwhile."""
+        self._running = done
+        self._busy_at = now + BUSY_PERIOD
+
+    def _setting(self, code: str, words: dict[str, float], now: float) -> bool:
+        """Codes that are done at once; False for an unknown one."""
+        letters = self.machine.letters
+        if code in ("G90", "G91"):
+            self._relative = code == "G91"
+        elif code in ("G20", "G21"):
+            self._inches = code == "G20"
+        elif code == "M110":
+            self._last_number = int(words.get("N", self._last_number))
+        elif code == "M114":
+            logical = self._commanded + self._shift
+            # Marlin's counts follow G92: it sets the stepper position anew.
+            counts = np.round((self._native(now) + self._shift) * self._steps).tolist()
+            place = " ".join(f"{a}:{v:.2f}" for a, v in zip(letters, logical, strict=True))
+            count = " ".join(f"{a}:{int(n)}" for a, n in zip(letters, counts, strict=True))
+            self._say(f"{place} Count {count}", now)
+        elif code == "M115":
+            self._say(
+                "FIRMWARE_NAME:Marlin 2.1.2.4 (Jan  1 2024 00:00:00) SOURCE_CODE_URL:"
+                "github.com/MarlinFirmware/Marlin PROTOCOL_VERSION:1.0 MACHINE_TYPE:Arm",
+                now,
+            )
+            self._say("Cap:SERIAL_XON_XOFF:0", now)
+            self._say(f"Cap:EMERGENCY_PARSER:{int(self.machine.emergency_parser)}", now)
+        elif code == "M92" and not words:
+            steps = zip(letters, self.machine.steps, strict=True)
+            self._say("echo:  M92" + "".join(f" {a}{v:.2f}" for a, v in steps), now)
+        elif code not in ("M17", "M105", "M999"):
+            return False
+        return True
+
+    def _set_position(self, words: dict[str, float]) -> None:
+        for axis, letter in enumerate(self.machine.letters):
+            if letter in words:
+                self._shift[axis] = words[letter] - self._commanded[axis]
+
+    # Motion.
+
+    def _move(self, words: dict[str, float], now: float) -> None:
+        scale = 25.4 if self._inches else 1.0
+        if words.get("F", 0.0) > 0:
+            self._feed = words["F"] * scale
+        target = self._commanded.copy()
+        for axis, letter in enumerate(self.machine.letters):
+            if letter in words:
+                value = words[letter] * scale
+                target[axis] = target[axis] + value if self._relative else value - self._shift[axis]
+        delta = np.abs(target - self._commanded)
+        length = float(np.linalg.norm(delta))
+        if length == 0:
+            self._say("ok", now + LINE_TIME)
+            return
+        used = delta > 1e-9 * length
+        parts = delta[used] / length
+        speed = min(self._feed / 60, float(np.min(np.array(self.machine.max_rate)[used] / parts)))
+        pull = float(np.min(np.array(self.machine.acceleration)[used] / parts))
+        self._commanded = target
+
+        def queue(at: float) -> bool:
+            if len(self._blocks) >= PLANNER_BLOCKS:
+                return False
+            self._blocks.append((target, speed, pull))
+            if self._due is None:
+                self._start_block(at)
+            return True
+
+        self._begin(queue, now)
+
+    def _start_block(self, now: float) -> None:
+        target, speed, pull = self._blocks[0]
+        exact = np.round(target * self._steps) / self._steps + self._reference
+        end = self._track.move(exact, now, speed, pull)
+        self._due, self._after = end, self._end_block
+
+    def _end_block(self, now: float) -> None:
+        self._blocks.popleft()
+        if self._blocks:
+            self._start_block(now)
+
+    def _dwell(self, seconds: float, now: float) -> None:
+        def rest(at: float) -> bool:
+            if self._due is not None or self._blocks:
+                return False
+            self._due, self._running = at + seconds, lambda later: self._due is None
+            return False
+
+        self._begin(rest, now)
+
+    def _home(self, now: float) -> None:
+        """Seek the end stops axis by axis, quill first; then the position is zero there."""
+        noise = self._rng.normal(0.0, 1.0, AXES) * self._units(self.machine.errors.homing)
+        place = self._units(self.machine.home_joints) + noise
+        order = [2, 0, 1, 3]
+        pull = min(self.machine.acceleration)
+
+        def seek(at: float) -> bool:
+            if self._due is not None or self._blocks:
+                return False
+            while order:
+                target = self._track.motors(at).copy()
+                target[order[0]] = place[order[0]]
+                order.pop(0)
+                end = self._track.move(target, at, self.machine.homing_rate, pull)
+                if end > at:
+                    self._due = end
+                    return False
+            self._reference = self._track.motors(at)
+            self._commanded = np.zeros(AXES)
+            self._shift = np.zeros(AXES)
+            return True
+
+        self._begin(seek, now)
+
+    def _units(self, joints: tuple[float, float, float, float]) -> Array:
+        units: Array = np.asarray(joints, dtype=float) * TO_UNITS * self._sign
+        return units
+
+    def _native(self, now: float) -> Array:
+        """Where the motors are, in the frame of the commanded values."""
+        return np.asarray(self._track.motors(now) - self._reference, dtype=float)
+
+
+def _number_of(text: str) -> int:
+    return int(text) if text.strip().isdigit() and len(text) < 5 else -1
+
+
+def _parse(text: str) -> tuple[str, dict[str, float]]:
+    """Code and words; a word without a readable number is left out, as Marlin does."""
+    found = re.match(r"^([GMT]\d{1,4}(?:\.\d)?)\s*(.*)$", text)
+    if found is None:
+        return text, {}
+    words = {
+        letter: float(value)
+        for letter, value in re.findall(r"([A-Z])\s*(-?\d+\.?\d*|-?\.\d+)(?=\s|$)", found[2])
+    }
+    return found[1], words
