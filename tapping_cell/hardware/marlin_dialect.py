@@ -150,7 +150,8 @@ class MarlinDialect:
             if isinstance(frame, marlin.Unknown):
                 raise HardwareFault(
                     FaultReason.REJECTED,
-                    f"the controller does not know {frame.code!r}: build its firmware with that code",
+                    f"the controller does not know {frame.code!r}: build its firmware"
+                    " with that code",
                 )
 
     def _command(self, code: str, deadline: float) -> list[marlin.Frame]:

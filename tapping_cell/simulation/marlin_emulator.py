@@ -167,8 +167,8 @@ class MarlinEmulator:
         self._feed = 1500.0
         # Where the motors stand is called zero; logical = native + shift.
         self._reference = self._track.motors(now)
-        self._commanded = np.zeros(AXES)
-        self._shift = np.zeros(AXES)
+        self._commanded: Array = np.zeros(AXES)
+        self._shift: Array = np.zeros(AXES)
         for line in ("start", "Marlin 2.1.2.4", "echo: Last Updated: 2024-01-01"):
             self._say(line, now)
 
