@@ -17,6 +17,7 @@ VERBS = {
     "goal": "send a goal pose to a running graph",
     "evaluate": "many positioning trials of a planning method",
     "sensitivity": "how the tap's result answers errors of the striker's pose",
+    "locate": "where the object is in image files",
     "bench": "benchmarks, each beside a peer measured in the same run",
 }
 

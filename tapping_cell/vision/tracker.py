@@ -37,7 +37,7 @@ class TrackerSettings:
     """
 
     audit_period: float = 1.0
-    lost_period: float = 0.15
+    lost_period: float = 0.1
     references_each: int = 4
     references_timeout: float = 2.0
     size_tolerance: float = 0.03
@@ -201,8 +201,11 @@ class PoseTracker:
         same = self._map.dictionary == self.marker.dictionary
         objects = table if same else census(image, self.marker.dictionary)
         rows = {int(i): row for row, i in enumerate(self.table.ids)}
-        known = dict(table.single)
-        quads = {rows[i]: quad for i, quad in known.items() if i in rows}
+        quads = {rows[i]: quad for i, quad in table.single.items() if i in rows}
+        if self._reference_quads is not None:
+            # Whatever the table's pose was: the next frames look where the markers are now.
+            for row, quad in quads.items():
+                self._reference_quads[row] = quad
         if self.marker.id in objects.repeated:
             self._object = None
             return quads, None, (
@@ -278,7 +281,7 @@ class PoseTracker:
             # The next frame looks everywhere: they may have gone further than a few pixels.
             self._search_next = True
         view = self.view
-        if view is not None and state is not TableState.UNSEEN:
+        if view is not None and state in (TableState.STEADY, TableState.MOVED):
             self._reference_quads = view.project(self.table.points)
         if self._working is None:
             self._working = view
@@ -343,6 +346,9 @@ class PoseTracker:
             )
         stretch = fit.size / self.marker.size - 1.0
         if abs(stretch) > self.settings.size_tolerance:
+            where, _ = object_pose(fit.pose, fit.covariance, self.marker)
+            self._object = (stamp, where, np.zeros(3))
+            self._track.clear()
             return self._nothing(
                 stamp,
                 Problem.MISSHAPEN_MARKER,
@@ -365,12 +371,10 @@ class PoseTracker:
     def _measured(self, image: Image, view: View, fit: PoseFit) -> tuple[Array, Array]:
         """Pose and covariance of the object: by edges, and by all pixels when it hardly moves."""
         pose, covariance = object_pose(fit.pose, fit.covariance, self.marker)
-        if self._object is None:
-            return pose, covariance
-        step = pose - self._object[1]
-        slow = math.hypot(step[0], step[1]) < _SLOW and abs(wrap_angle(step[2])) < _SLOW_TURN
-        if not slow:
-            return pose, covariance
+        if self._object is not None:
+            step = pose - self._object[1]
+            if math.hypot(step[0], step[1]) > _SLOW or abs(wrap_angle(step[2])) > _SLOW_TURN:
+                return pose, covariance
         pixel = float(view.pose.translation[2]) / view.camera.fx
         if self._template is None:
             self._template = make_template(self.marker, pixel, _USUAL_BLUR * pixel)

@@ -1,0 +1,101 @@
+"""The camera model against the formulas of its definition, and its refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tapping_cell.vision import CameraError, CameraModel, CameraPose, View
+
+coefficient = st.floats(-0.1, 0.1)
+place = st.floats(-0.45, 0.45)
+
+
+def by_definition(camera: CameraModel, x: float, y: float) -> tuple[float, float]:
+    """OpenCV's documented model, written out."""
+    d = (*camera.distortion, *([0.0] * (8 - len(camera.distortion))))
+    k1, k2, p1, p2, k3, k4, k5, k6 = d
+    r2 = x * x + y * y
+    radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
+    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    return camera.fx * xd + camera.cx, camera.fy * yd + camera.cy
+
+
+@given(
+    st.lists(coefficient, min_size=8, max_size=8),
+    place,
+    place,
+    st.sampled_from([0, 5, 8]),
+)
+@settings(max_examples=60, deadline=None)
+def test_projection_is_the_definition_and_rays_undo_it(values, x, y, count):
+    model = "rational_polynomial" if count == 8 else "plumb_bob"
+    values = [v * (0.02 if i in (2, 3) else 1.0) for i, v in enumerate(values)]
+    camera = CameraModel(1280, 1024, 1100.0, 1120.0, 630.0, 515.0, tuple(values[:count]), model)
+    pixel = camera.project([2.0 * x, 2.0 * y, 2.0])
+    assert pixel == pytest.approx(by_definition(camera, x, y), abs=1e-8)
+    assert camera.rays(pixel) == pytest.approx([x, y], abs=1e-8)
+
+
+@given(
+    st.tuples(st.floats(-0.06, 0.06), st.floats(-0.06, 0.06), st.floats(0.4, 1.2)),
+    st.floats(-3.0, 3.0),
+    place,
+    place,
+    st.floats(0.0, 0.1),
+)
+@settings(max_examples=60, deadline=None)
+def test_a_ray_meets_the_plane_where_the_point_was(position, spin, x, y, height):
+    camera = CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5, (-0.12, 0.08, 4e-4, -3e-4, 0.0))
+    view = View(camera, CameraPose.above(position, spin=spin))
+    assert view.pose.position == pytest.approx(position, abs=1e-12)
+    assert np.linalg.det(view.pose.rotation) == pytest.approx(1.0)
+    scaled = np.array([x, y]) * 0.5 * position[2]
+    assert view.on_plane(view.project(scaled, height), height) == pytest.approx(scaled, abs=1e-9)
+
+
+def test_a_higher_plane_is_seen_further_out():
+    view = View(CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5), CameraPose.above((0, 0, 0.7)))
+    low, high = (view.on_plane(view.project([0.3, 0.0], h), 0.0)[0] for h in (0.0, 0.07))
+    assert low == pytest.approx(0.3)
+    assert high == pytest.approx(0.3 * 0.7 / 0.63)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"distortion_model": "equidistant"}, "equidistant"),
+        ({"d": [0.1, 0.2, 0.3]}, "3 given"),
+        ({"k": [0.0] * 9}, "uncalibrated"),
+        ({"k": [1.0] * 4}, "4 numbers"),
+        ({"d": [float("nan")] * 5}, "not finite"),
+        ({"width": 4}, "too small"),
+    ],
+)
+def test_what_is_no_camera_is_refused_in_words(change, words):
+    info = {
+        "width": 1280,
+        "height": 1024,
+        "distortion_model": "plumb_bob",
+        "d": [0.0] * 5,
+        "k": [1000.0, 0.0, 640.0, 0.0, 1000.0, 512.0, 0.0, 0.0, 1.0],
+    }
+    with pytest.raises(CameraError, match=words):
+        CameraModel.from_camera_info(**{**info, **change})
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.zeros((1024, 1280, 3), np.uint8),
+        np.zeros((1024, 1280), np.uint16),
+        np.zeros((480, 640), np.uint8),
+    ],
+)
+def test_an_image_of_another_kind_is_told_apart(image):
+    camera = CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5)
+    assert "1280" in camera.check_image(image)
+    assert camera.check_image(np.zeros((1024, 1280), np.uint8)) is None
