@@ -21,6 +21,14 @@
 #   FASTRTPS_DEFAULT_PROFILES_FILE config/fastdds_profile.xml unless set: without its large shared-memory
 #                                  segment most camera images are lost between processes.
 
+if [ -z "${BASH_VERSION:-}" ]; then
+    echo "tapping cell: env.sh works in bash: start bash, then source it there." >&2
+    return 1 2>/dev/null || exit 1
+elif [ "${BASH_SOURCE[0]}" = "$0" ]; then
+    echo "tapping cell: env.sh sets up the shell that sources it: type  . ./env.sh" >&2
+    exit 1
+fi
+
 _tapping_cell_say() { printf 'tapping cell: %s\n' "$*" >&2; }
 
 # The interpreter that builds, in REPLY: $PYTHON, the one that .venv has, or the first that suits.
@@ -51,11 +59,13 @@ _tapping_cell_choose_python() {
         return 0
     done
     if [ -n "${PYTHON:-}" ]; then
-        _tapping_cell_say "the cell needs Python 3.10 to 3.13 with the venv module, but PYTHON=$PYTHON does" \
-            "not suit (${found:+${found#, }}${found:-it does not run}): set PYTHON to one that does, or unset it."
+        found=${found:-, $PYTHON does not run}
+        _tapping_cell_say "the cell needs Python 3.10 to 3.13 with the venv module and PYTHON is not one" \
+            "(${found#, }): set PYTHON to one that suits, or unset it."
     else
+        found=${found:-, no python3 on the PATH}
         _tapping_cell_say "the cell needs Python 3.10 to 3.13 with the venv module and found none" \
-            "(${found:+${found#, }}${found:-no python3 on the PATH}): install one, or set PYTHON to its path."
+            "(${found#, }): install one, or set PYTHON to its path."
     fi
     return 1
 }
@@ -105,13 +115,6 @@ _tapping_cell_env() {
     _tapping_cell_set_up "$root" && _tapping_cell_activate "$root"
 }
 
-if [ -z "${BASH_VERSION:-}" ]; then
-    echo "tapping cell: env.sh works in bash: start bash, then source it there." >&2
-    return 1 2>/dev/null || exit 1
-elif [ "${BASH_SOURCE[0]}" = "$0" ]; then
-    echo "tapping cell: env.sh sets up the shell that sources it: type  . ./env.sh" >&2
-    exit 1
-fi
 # ROS's own scripts read variables that are not set and run commands that fail: under the caller's
 # `set -eu` they would end its shell.
 _tapping_cell_options=$-

@@ -2,8 +2,8 @@
 
     python3 environment/lock.py python3.10 python3.11 python3.12 python3.13
 
-Each interpreter's own pip resolves ``requirements.in``; a version that holds for all of them becomes
-a plain line, one that does not gets an environment marker for each Python.
+Each interpreter's own pip resolves ``requirements.in``; a version that holds for all of them
+becomes a plain line, one that does not gets an environment marker for each Python.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
     python environment/run_tests.py [pytest options]
 
-The pure ring shares out its tests between two processes. The others talk to pseudo-terminals and to
-the real middleware in real time, so they run one test after the other, with the machine to themselves.
-Every ring runs, also after one that failed; the last line counts the tests of all of them.
+The pure ring shares out its tests between two processes. The others talk to pseudo-terminals and
+to the real middleware in real time, so they run one test after the other, with the machine to
+themselves. Every ring runs, also after one that failed; the last line counts all tests.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Build what env.sh needs and what is missing or stale: .venv, the messages, the package.
 
 Run by env.sh with the interpreter that .venv is made of, isolated (``-I -S``), so only the standard
-library is at hand. Each stage leaves a fingerprint of everything that it was made from, written last:
-a stage that was interrupted has none and is made again from nothing.
+library is at hand. Each stage leaves a fingerprint of everything that it was made from, written
+last: a stage that was interrupted has none and is made again from nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -26,11 +27,15 @@ INSTALL = ROOT / "install"
 LOG = ROOT / "log"
 LOCK = ROOT / "requirements.lock"
 
+RECIPE = 1  # raised by whoever changes how the stages are made, so that they are made again
 PYTHON_VERSIONS = ((3, 10), (3, 13))  # first and last for which ROS 2 Jazzy wheels exist
 DISK_FOR_VENV = 2.0e9  # bytes; .venv takes 0.7e9, its downloads and the build the rest
 DISK_FOR_BUILD = 0.2e9  # bytes; the messages take 0.03e9
+SIGN_OF_LIFE = 20  # s between words while a long step runs
 GLIBC = (2, 28)  # of the ROS wheels
 CMAKE = (3, 20)  # asked for by msg_defs/CMakeLists.txt
+
+VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"  # of this interpreter
 
 # Built from the lock without pip's own build environments; setuptools comes from the lock as well.
 SOURCE_DISTRIBUTIONS = ("empy",)
@@ -38,10 +43,12 @@ SOURCE_DISTRIBUTIONS = ("empy",)
 FROM_APT = ("ros-", "colcon-", "numpy", "empy", "lark-parser", "catkin-pkg", "setuptools")
 # Variables that would bend pip, CMake or colcon to another environment or to another make.
 FOREIGN_VARIABLES = re.compile(
-    r"PYTHON(PATH|HOME|STARTUP)|PIP_(USER|TARGET|PREFIX|REQUIREMENT|CONSTRAINT|NO_DEPS)|COLCON_.*"
+    r"PYTHON(HOME|STARTUP)|PIP_(USER|TARGET|PREFIX|REQUIREMENT|CONSTRAINT|NO_DEPS)|COLCON_.*"
     r"|VIRTUAL_ENV|CONDA_PREFIX|MAKEFLAGS|MAKELEVEL|MFLAGS|DESTDIR|CMAKE_(GENERATOR|INSTALL_PREFIX)"
 )
-ROS_VARIABLES = re.compile(r"AMENT_.*|CMAKE_PREFIX_PATH|LD_LIBRARY_PATH|PKG_CONFIG_PATH")
+ROS_VARIABLES = re.compile(
+    r"AMENT_PREFIX_PATH|CMAKE_PREFIX_PATH|LD_LIBRARY_PATH|PKG_CONFIG_PATH|PYTHONPATH"
+)
 
 
 class SetUpError(RuntimeError):
@@ -100,8 +107,8 @@ def require_disk(limit: float) -> None:
     free = shutil.disk_usage(ROOT).free
     if free < limit:
         raise SetUpError(
-            f"the disk of {ROOT} has {free / 1e9:.2f} GB free and the set-up needs {limit / 1e9:.1f} GB:"
-            " free some space, or move the cell to a larger disk."
+            f"the disk of {ROOT} has {free / 1e9:.2f} GB free and the set-up needs"
+            f" {limit / 1e9:.1f} GB: free some space, or move the cell to a larger disk."
         )
 
 
@@ -149,9 +156,9 @@ def require_build_tools() -> None:
     missing = {tool: package for tool, package in wanted.items() if shutil.which(tool) is None}
     if missing:
         raise SetUpError(
-            f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} not on the PATH and the"
-            f" messages are compiled with it: install it (on Debian and Ubuntu: apt install"
-            f" {' '.join(missing.values())})."
+            f"the messages are compiled with {', '.join(wanted)}, and {' and '.join(missing)}"
+            f" cannot be found on the PATH: install {'it' if len(missing) == 1 else 'them'}"
+            f" (on Debian and Ubuntu: apt install {' '.join(missing.values())})."
         )
     answer = subprocess.run(["cmake", "--version"], capture_output=True, text=True).stdout
     found = re.search(r"(\d+)\.(\d+)", answer)
@@ -169,7 +176,7 @@ def require_python_headers(python: Path) -> None:
         raise SetUpError(
             f"{include}/Python.h is not there and the messages are compiled with it: install this"
             " Python's headers (on Debian and Ubuntu: apt install"
-            f" python{sys.version_info[0]}.{sys.version_info[1]}-dev), or set PYTHON to one that has them."
+            f" python{VERSION}-dev), or set PYTHON to one that has them."
         )
 
 
@@ -193,15 +200,14 @@ def ros_sourced() -> bool:
 def build_environment(outside: Mapping[str, str], sourced: bool) -> dict[str, str]:
     """The variables to build in: the shell's, without those of other environments.
 
-    A sourced ROS stays; without one, what is left of other ROS environments goes and the wheels'
-    own libraries and packages take their place.
+    A sourced ROS stays, but for what env.sh has added to it; without one, what is left of other ROS
+    environments goes and the wheels' own libraries and packages take their place.
     """
-    kept = {
-        name: value for name, value in outside.items() if not FOREIGN_VARIABLES.fullmatch(name)
-    }
+    kept = {name: value for name, value in outside.items() if not FOREIGN_VARIABLES.fullmatch(name)}
     if sourced:
-        if "PYTHONPATH" in outside:
-            kept["PYTHONPATH"] = outside["PYTHONPATH"]
+        for name in filter(ROS_VARIABLES.fullmatch, outside):
+            folders = outside[name].split(":")
+            kept[name] = ":".join(x for x in folders if not Path(x).is_relative_to(ROOT))
     else:
         kept = {name: value for name, value in kept.items() if not ROS_VARIABLES.fullmatch(name)}
         libraries = [VENV / "lib", *VENV.glob("lib/python3.*/site-packages/ros_*.libs")]
@@ -220,16 +226,28 @@ def build_environment(outside: Mapping[str, str], sourced: bool) -> dict[str, st
 def run(words: list[str], log: Path, failure: str) -> None:
     """Run a program with its output in ``log``; raise `SetUpError` with the cause if it fails."""
     log.parent.mkdir(exist_ok=True)
-    with log.open("w") as output:
-        status = subprocess.run(
+    # The program inherits the lock (see `locked`): should this process be killed, the next set-up
+    # waits until the program has ended, too.
+    with (
+        log.open("w") as output,
+        subprocess.Popen(
             words,
             cwd=ROOT,
             env=build_environment(os.environ, ros_sourced()),
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
-            check=False,
-        ).returncode
+            close_fds=False,
+        ) as process,
+    ):
+        waited = 0
+        while True:
+            try:
+                status = process.wait(SIGN_OF_LIFE)
+                break
+            except subprocess.TimeoutExpired:
+                waited += SIGN_OF_LIFE
+                say(f"... {waited} s")
     if status != 0:
         text = log.read_text(errors="replace")
         raise SetUpError(f"{failure}: {cause_of(text)} (all of it: {log.relative_to(ROOT)}).")
@@ -238,25 +256,35 @@ def run(words: list[str], log: Path, failure: str) -> None:
 CAUSES = (
     (r"No space left on device|Errno 28\b", "the disk is full: free some space and try again"),
     (
-        r"NewConnectionError|Cannot connect to proxy|ProxyError|name resolution|Name or service not known"
-        r"|ConnectTimeout|ReadTimeout|Network is unreachable|Connection refused|Connection reset",
-        "the package index does not answer: check the network and the proxy variables and try again",
+        r"NewConnectionError|ProxyError|Cannot connect to proxy|Name or service not known"
+        r"|name resolution|ConnectTimeout|ReadTimeout|Network is unreachable|Connection reset",
+        "the package index does not answer: check the network and the proxy variables and then"
+        " try again",
     ),
     (
         r"CERTIFICATE_VERIFY_FAILED|SSLError",
         "the package index's certificate is not trusted here: set PIP_CERT to your network's"
         " certificates and try again",
     ),
-    (r"Permission denied|Errno 13\b", "a file cannot be written: see to the folder's permissions"),
-    (r"Killed signal|Killed\b|out of memory", "the machine ran out of memory: close programs"),
+    (
+        r'package configuration file provided by "(\w+)"',
+        r"the ROS 2 package \1 is not installed: call  rosdep install --from-paths . msg_defs"
+        " --ignore-src -y  and try again",
+    ),
+    (
+        r"No module named 'colcon",
+        "colcon is not installed: apt install python3-colcon-common-extensions and try again",
+    ),
+    (r"Killed signal terminated", "the machine ran out of memory: close programs and try again"),
 )
 
 
 def cause_of(text: str) -> str:
     """The likely cause in a program's output, or the line in which it says what failed."""
     for pattern, cause in CAUSES:
-        if re.search(pattern, text):
-            return cause
+        found = re.search(pattern, text)
+        if found:
+            return found.expand(cause)
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     errors = [line for line in lines if re.search(r"\berror\b", line, re.IGNORECASE)]
     return (errors or lines or ["it printed nothing"])[0][:300]
@@ -266,7 +294,7 @@ def cause_of(text: str) -> str:
 
 
 def pinned(lock: str, sourced: bool) -> list[str]:
-    """The lock's requirement lines to install: all of them, or those that apt's ROS leaves to us."""
+    """The lock's requirement lines to install: all, or those that ROS from apt leaves to us."""
     lines = [line for line in lock.splitlines() if line and not line.startswith("#")]
     return [line for line in lines if not (sourced and line.startswith(FROM_APT))]
 
@@ -286,7 +314,8 @@ def make_venv(stamp: Path, wanted: str) -> None:
     lines = pinned(LOCK.read_text(), sourced)
     say(f"installing {len(lines)} packages for Python {version} into .venv (about a minute)")
     site = ["--system-site-packages"] if sourced else []
-    run([str(python), "-I", "-m", "venv", *site, str(VENV)], LOG / "venv.log", "making .venv failed")
+    venv = [str(python), "-I", "-m", "venv", *site, str(VENV)]
+    run(venv, LOG / "venv.log", "making .venv failed")
 
     from_source = [line for line in lines if line.startswith(SOURCE_DISTRIBUTIONS)]
     (VENV / "wheels.txt").write_text("\n".join(x for x in lines if x not in from_source))
@@ -295,7 +324,7 @@ def make_venv(stamp: Path, wanted: str) -> None:
     wheels = ["--only-binary", ":all:", "-r", str(VENV / "wheels.txt")]
     run([*install, *wheels], LOG / "pip.log", "installing packages failed")
     if from_source:
-        source = ["--no-build-isolation", *from_source]
+        source = ["--no-build-isolation", "--use-pep517", *from_source]
         run([*install, *source], LOG / "pip_source.log", "installing packages failed")
     if not sourced:
         repair_exports(VENV)
@@ -346,11 +375,9 @@ def build(packages: list[str], words: str) -> None:
 def set_up() -> None:
     """Bring every stage up to date."""
     sourced = ros_sourced()
-    version = f"{sys.version_info[0]}.{sys.version_info[1]}"
     base = str(Path(sys.executable).resolve())
-    kind = os.environ.get("AMENT_PREFIX_PATH", "") if sourced else "wheels"
-    own = [Path(__file__), LOCK]
-    venv = fingerprint(own, str(ROOT), version, base, "sourced" if sourced else "wheels")
+    origin = "sourced" if sourced else "wheels"
+    venv = fingerprint([LOCK], str(RECIPE), str(ROOT), VERSION, base, origin)
     messages = fingerprint(files_below(ROOT / "msg_defs"), venv)
     sources = [ROOT / name for name in ("setup.py", "setup.cfg", "package.xml")]
     listed = files_below(ROOT / "resource", ROOT / "config", ROOT / "launch")
@@ -366,23 +393,34 @@ def set_up() -> None:
         return
     require_writable()
     require_python(sys.version_info[:2])
+    started = time.monotonic()
+    with locked():
+        if not is_made(*stages[0]):
+            make_venv(*stages[0])
+        if not is_made(*stages[1]):
+            build(["tapping_cell_msgs", "tapping_cell"], "building the messages and the package")
+            write_stamp(*stages[1])
+            write_stamp(*stages[2])
+        elif not is_made(*stages[2]):
+            build(["tapping_cell"], "building the package")
+            write_stamp(*stages[2])
+    say(f"set up in {time.monotonic() - started:.0f} s")
+
+
+@contextmanager
+def locked() -> Iterator[None]:
+    """One set-up of this folder at a time: two calls of make side by side do not meet."""
     folder = os.open(ROOT, os.O_RDONLY)
     try:
-        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        say("waiting for another set-up of this folder to end")
-        fcntl.flock(folder, fcntl.LOCK_EX)
-    started = time.monotonic()
-    if not is_made(*stages[0]):
-        make_venv(*stages[0])
-    if not is_made(*stages[1]):
-        build(["tapping_cell_msgs", "tapping_cell"], "building the messages and the package")
-        write_stamp(*stages[1])
-        write_stamp(*stages[2])
-    elif not is_made(*stages[2]):
-        build(["tapping_cell"], "building the package")
-        write_stamp(*stages[2])
-    say(f"set up in {time.monotonic() - started:.0f} s")
+        os.set_inheritable(folder, True)
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            say("waiting for another set-up of this folder to end")
+            fcntl.flock(folder, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(folder)
 
 
 def main() -> int:
