@@ -1,7 +1,8 @@
 """Planar poses: a frame B seen from a frame A, X_AB = (x, y, theta).
 
 A pose is three numbers, metres, metres and radians, and a :class:`Pose` is a tuple of them, so that
-``numpy.asarray(pose)`` has shape (3,). The functions take any array of shape (..., 3) and broadcast.
+``numpy.asarray(pose)`` has shape (3,). The functions take any array of shape (..., 3) and
+broadcast.
 """
 
 from __future__ import annotations

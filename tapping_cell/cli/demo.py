@@ -1,7 +1,8 @@
 """Position an object in the simulated world, from nothing to the goal.
 
 Starts every node as a process of its own, waits until the cell is ready, sends one goal, shows the
-taps as they happen, ends the nodes and writes a run folder (summary.json, taps.csv, cell.png, logs).
+taps as they happen, ends the nodes and writes a run folder (summary.json, taps.csv,
+cell.png, logs).
 The exit status is 0 only where the object is measured to be, and truly is, within the tolerance.
 
     python -m tapping_cell demo --move 10 0 10 --seed 1
@@ -162,9 +163,7 @@ def _position(
     return _Heard(start, goal, followed, client.settled_truth())
 
 
-def _record(
-    arguments: argparse.Namespace, cell: Cell, heard: _Heard, wall_time: float
-) -> Run:
+def _record(arguments: argparse.Namespace, cell: Cell, heard: _Heard, wall_time: float) -> Run:
     finished = heard.followed.finished
     assert finished is not None
     tolerance = cell.tolerance

@@ -1,6 +1,6 @@
 """Send a goal pose to a running graph and show every tap; Ctrl-C cancels the goal.
 
-    python -m tapping_cell goal 50 -20 90
+python -m tapping_cell goal 50 -20 90
 """
 
 from __future__ import annotations

@@ -95,7 +95,7 @@ class Graph:
             stdin=subprocess.DEVNULL,
             stdout=stream,
             stderr=subprocess.STDOUT,
-            # A Ctrl-C at the terminal reaches only this process, which then ends the nodes in order.
+            # A Ctrl-C at the terminal reaches only this process, which then ends the nodes.
             start_new_session=True,
             preexec_fn=_die_with_parent,
         )

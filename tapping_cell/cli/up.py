@@ -59,9 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
             arguments.logs.resolve(),
             namespace=arguments.namespace,
         ) as graph:
-            console.print(
-                f"{', '.join(nodes)} are up; logs in {arguments.logs}; Ctrl-C ends them"
-            )
+            console.print(f"{', '.join(nodes)} are up; logs in {arguments.logs}; Ctrl-C ends them")
             while True:
                 graph.check()
                 time.sleep(LOOK_PERIOD_S)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraModel, ReferenceMap
 
 FourNumbers = tuple[float, float, float, float]
+Constraint = Literal["linear_bearings", "free"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +75,7 @@ class ArmSection:
     tip_height: float = quantity("tip above the table with the quill at zero", "m", 0.0, 2.0)
     lower: FourNumbers = quantity("lower joint limits: rad, rad, m, rad", "", -20.0, 20.0)
     upper: FourNumbers = quantity("upper joint limits: rad, rad, m, rad", "", -20.0, 20.0)
-    max_speed: FourNumbers = quantity(
-        "joint speeds: rad/s, rad/s, m/s, rad/s", "", 0.001, 100.0
-    )
+    max_speed: FourNumbers = quantity("joint speeds: rad/s, rad/s, m/s, rad/s", "", 0.001, 100.0)
     max_acceleration: FourNumbers = quantity(
         "joint accelerations: rad/s^2, rad/s^2, m/s^2, rad/s^2", "", 0.001, 1000.0
     )
@@ -133,7 +133,7 @@ class TapperSection:
     baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000)
     mass: float = quantity("mass of the striker", "kg", 0.001, 10.0)
     tip_radius: float = quantity("radius of the ball at the tip", "m", 0.0005, 0.1)
-    constraint: str = choice("how the striker is held", "linear_bearings", "free")
+    constraint: Constraint = choice("how the striker is held", "linear_bearings", "free")
     standoff: float = quantity(
         "free flight of the tip from its rest to the object", "m", 0.001, 0.2
     )

@@ -35,9 +35,9 @@ class ShapeSection:
         needed = "vertices" if self.kind == "polygon" else "radius"
         surplus = "radius" if needed == "vertices" else "vertices"
         if getattr(self, needed) is None:
-            raise ConfigurationError(f"a {self.kind} needs the key 'shape.{needed}'")
+            raise ValueError(f"a {self.kind} needs the key 'shape.{needed}'")
         if getattr(self, surplus) is not None:
-            raise ConfigurationError(f"a {self.kind} takes no key 'shape.{surplus}'")
+            raise ValueError(f"a {self.kind} takes no key 'shape.{surplus}'")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +78,7 @@ class ObjectFile:
         "factor of the friction torque (the paper's scaling factor)", "", 0.05, 20.0
     )
     restitution: float = quantity("coefficient of restitution with the striker", "", 0.0, 1.0)
-    contact_friction: float = quantity(
-        "coefficient of friction with the striker", "", 0.001, 2.0
-    )
+    contact_friction: float = quantity("coefficient of friction with the striker", "", 0.001, 2.0)
     marker: MarkerSection = section("marker on the top")
     impact_scale: tuple[float, float, float] = quantity(
         "calibrated factors of the impact constants B1, B2, B3",
@@ -96,10 +94,12 @@ class ObjectFile:
 
     def body(self) -> Disk | Ring | Polygon:
         """The body of the mechanics."""
-        if self.shape.kind == "polygon":
-            return Polygon(self.shape.vertices, mass=self.mass, height=self.height)
-        kind = Disk if self.shape.kind == "disk" else Ring
-        return kind(radius=self.shape.radius, mass=self.mass, height=self.height)
+        shape = self.shape
+        if shape.vertices is not None:
+            return Polygon(shape.vertices, mass=self.mass, height=self.height)
+        assert shape.radius is not None
+        kind = Disk if shape.kind == "disk" else Ring
+        return kind(radius=shape.radius, mass=self.mass, height=self.height)
 
     def tap(self, striker: Striker) -> Tap:
         """How this object answers a tap of that striker."""

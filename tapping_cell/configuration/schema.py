@@ -114,7 +114,7 @@ def read_yaml(path: Path) -> Any:
         ConfigurationError: the file is missing, unreadable or not YAML; with its line and column.
     """
     try:
-        return yaml.load(path.read_text(encoding="utf-8"), _StrictLoader)  # noqa: S506
+        return yaml.load(path.read_text(encoding="utf-8"), _StrictLoader)
     except OSError as error:
         raise ConfigurationError(
             f"{path}: cannot be read ({error.strerror}); give the path of an existing YAML file"
@@ -157,9 +157,7 @@ def build(kind: type[Section], document: Any, source: str, key: str = "") -> Sec
     for name, entry in fields.items():
         if name in document:
             limits = entry.metadata["limits"]
-            values[name] = _value(
-                hints[name], document[name], limits, source, _join(key, name)
-            )
+            values[name] = _value(hints[name], document[name], limits, source, _join(key, name))
         elif entry.default is MISSING and entry.default_factory is MISSING:
             limits = entry.metadata["limits"]
             raise ConfigurationError(
@@ -216,7 +214,7 @@ def _value(hint: Any, value: Any, limits: Limits, source: str, key: str) -> Any:
         if not isinstance(value, bool):
             raise _wrong(source, key, value, "true or false", limits)
         return value
-    if hint is str:
+    if hint is str or origin is typing.Literal:
         if not isinstance(value, str):
             raise _wrong(source, key, value, "a text", limits)
         if limits.choices and value not in limits.choices:

@@ -107,7 +107,7 @@ class Playback:
         return picture
 
     def close(self) -> None:
-        """Nothing is held open between two pictures of a folder; a file closes with its iterator."""
+        """Close the file; of a folder nothing is held open between two pictures."""
         self._pictures = iter(())
 
     def _all(self) -> Iterator[Picture]:
@@ -153,8 +153,8 @@ def open_source(name: str, settings: CameraSettings) -> Device | Playback:
         return Device(name, settings)
     if not path.exists():
         raise CameraSourceError(
-            f"there is no camera, video file or folder '{name}'; give a device such as /dev/video0, "
-            "a file or a folder"
+            f"there is no camera, video file or folder '{name}'; give a device such as "
+            "/dev/video0, a file or a folder"
         )
     return Playback(name, settings)
 

@@ -27,7 +27,14 @@ from tapping_cell.nodes.conversions import (
     to_message,
 )
 from tapping_cell.se2 import Pose
-from tapping_cell.vision import CameraError, CameraModel, Observation, PoseTracker, Problem, annotate
+from tapping_cell.vision import (
+    CameraError,
+    CameraModel,
+    Observation,
+    PoseTracker,
+    Problem,
+    annotate,
+)
 
 CODES = {
     Problem.NONE: ErrorCode.NONE,
@@ -56,7 +63,11 @@ class Parameters:
     cell_file: str = text("path of the cell file; empty for the package's own", default="")
     object_file: str = text("path of the object file; empty for the cell file's", default="")
     silence_limit: float = quantity(
-        "time without a picture after which the camera counts as silent", "s", 0.1, 60.0, default=1.0
+        "time without a picture after which the camera counts as silent",
+        "s",
+        0.1,
+        60.0,
+        default=1.0,
     )
     annotated_rate: float = quantity(
         "greatest rate of camera/image_annotated, sent only while somebody listens",
@@ -90,17 +101,13 @@ class CameraPose(CellNode[Parameters]):
         self.create_subscription(
             CameraInfo, "camera/camera_info", self._on_camera_info, qos_profile_sensor_data
         )
-        self.create_subscription(
-            Image, "camera/image_raw", self._on_image, qos_profile_sensor_data
-        )
+        self.create_subscription(Image, "camera/image_raw", self._on_image, qos_profile_sensor_data)
         self.create_subscription(PlanState, "plan_state", self._on_plan_state, LATCHED)
         self.create_timer(0.25, self._watch)
 
     def configure(self) -> None:
         """Read the cell, table and object files."""
-        self._cell = load_cell(
-            self.settings.cell_file or None, self.settings.object_file or None
-        )
+        self._cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
         self._camera = None
 
     def cleanup(self) -> None:

@@ -226,7 +226,9 @@ class GoalClient:
                 result.residual_distance,
                 result.residual_rotation,
             )
-        final = from_message(result.final_pose.pose.pose) if result.final_pose.header.frame_id else None
+        final = (
+            from_message(result.final_pose.pose.pose) if result.final_pose.header.frame_id else None
+        )
         self._events.put(
             Finished(
                 result.error_code,

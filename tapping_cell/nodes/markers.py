@@ -37,9 +37,7 @@ def cell_markers(
     for number, (x, y, radius) in enumerate(keep_outs.circles):
         markers.append(_line("keep_out", number, _circle(radius), Pose(x, y, 0.0), RED))
     for number, polygon in enumerate(keep_outs.polygons, start=len(keep_outs.circles)):
-        markers.append(
-            _line("keep_out", number, np.asarray(polygon), Pose(0.0, 0.0, 0.0), RED)
-        )
+        markers.append(_line("keep_out", number, np.asarray(polygon), Pose(0.0, 0.0, 0.0), RED))
     predicted = strike.predicted if strike is not None else None
     for name, place, colour in (
         ("object", pose, BLUE),
@@ -66,9 +64,7 @@ def _circle(radius: float) -> np.ndarray:
     return radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
-def _line(
-    name: str, number: int, points: np.ndarray, pose: Pose, colour: ColorRGBA
-) -> Marker:
+def _line(name: str, number: int, points: np.ndarray, pose: Pose, colour: ColorRGBA) -> Marker:
     marker = Marker(ns=name, id=number, type=Marker.LINE_STRIP, action=Marker.ADD, color=colour)
     marker.pose = to_message(pose)
     marker.scale.x = LINE_WIDTH

@@ -32,7 +32,8 @@ from tapping_cell.nodes.worker import Worker
 from tapping_cell.se2 import Pose
 
 RELEASE_GUARD_S = 0.1
-"""From saying that it withdraws to moving: longer than arm_state takes to the tapper and a release."""
+"""From saying that it withdraws to moving: longer than arm_state takes to the tapper and a release
+takes to end."""
 READ_PERIOD_S = 0.05
 """Between read-backs while the arm stands: a strike pose is confirmed twenty times a second."""
 
@@ -44,9 +45,7 @@ class Parameters:
     autostart: bool = text("configure and activate without being asked", default=True)
     cell_file: str = text("path of the cell file; empty for the package's own", default="")
     port: str = text("path of the arm's serial port; empty for the cell file's", default="")
-    home_on_activate: bool = text(
-        "home when activated, where homing needs no person", default=True
-    )
+    home_on_activate: bool = text("home when activated, where homing needs no person", default=True)
     state_rate: float = quantity("rate of arm_state", "Hz", 1.0, 200.0, default=20.0)
 
 

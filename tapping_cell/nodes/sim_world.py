@@ -79,9 +79,7 @@ class SimWorld(CellNode[Parameters]):
         """Make the world and open the two ports."""
         settings = self.settings
         cell = load_cell(settings.cell_file or None, settings.object_file or None)
-        truth = load(
-            TruthFile, settings.truth_file or shared_folder() / "truth" / "default.yaml"
-        )
+        truth = load(TruthFile, settings.truth_file or shared_folder() / "truth" / "default.yaml")
         world = World(
             cell.object,
             cell.file.tapper.striker(),
@@ -160,9 +158,7 @@ class SimWorld(CellNode[Parameters]):
         message.pose = to_message(pose)
         self._truth_publisher.publish(message)
 
-    def _on_clear_button(
-        self, _: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    def _on_clear_button(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Stand in for the person who presses the button at the tapper after a stop."""
         if self._devices is not None:
             self._devices.press_clear_button()

@@ -96,9 +96,7 @@ class Parameters:
         0.1,
         default=0.002,
     )
-    attempts: int = quantity(
-        "taps in a row that may end without a release", "", 1, 100, default=3
-    )
+    attempts: int = quantity("taps in a row that may end without a release", "", 1, 100, default=3)
 
 
 @dataclass(slots=True, eq=False)
@@ -326,9 +324,7 @@ class TapPlanner(CellNode[Parameters]):
         if self._task is not None:
             if self._task.canceled:
                 self._abandon()
-                self._finish(
-                    PlanState.CANCELED, ErrorCode.GOAL_CANCELED, "the goal was canceled"
-                )
+                self._finish(PlanState.CANCELED, ErrorCode.GOAL_CANCELED, "the goal was canceled")
             else:
                 {
                     PlanState.WAITING_FOR_CELL: self._wait_for_cell,
@@ -482,9 +478,7 @@ class TapPlanner(CellNode[Parameters]):
         command.header.stamp = now.to_msg()
         command.header.frame_id = "table"
         assert self._cell is not None
-        command.strike_pose = to_message(
-            strike.plan.strike_pose, self._cell.file.arm.strike_height
-        )
+        command.strike_pose = to_message(strike.plan.strike_pose, self._cell.file.arm.strike_height)
         command.object_pose = to_message(before)
         command.predicted_pose = to_message(strike.predicted)
         self._shot = Shot(self._last_tap_id, self._task, strike, before)
@@ -666,9 +660,7 @@ class TapPlanner(CellNode[Parameters]):
             handle.abort()
         return result
 
-    def _result(
-        self, code: int, sentence: str, records: list[TapRecord]
-    ) -> PositionObject.Result:
+    def _result(self, code: int, sentence: str, records: list[TapRecord]) -> PositionObject.Result:
         result = PositionObject.Result(
             error_code=code,
             error_msg=sentence,

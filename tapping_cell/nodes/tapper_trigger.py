@@ -1,4 +1,4 @@
-"""The tapper's node: draws and fires once for a tap, and only while the arm is in position for it."""
+"""The tapper's node: draws and fires once a tap, only while the arm is in position for it."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ class TapperTrigger(CellNode[Parameters]):
                 self._worker.submit(lambda: self._shoot(pending))
 
     def _abandon(self, why: str, code: int) -> None:
-        """Give up the tap that waits; a tap under way in the worker sees the flag before it fires."""
+        """Give up the tap that waits; one under way in the worker sees the flag before it fires."""
         self._abandoned.set()
         pending, self._pending = self._pending, None
         if pending is not None:
@@ -266,7 +266,9 @@ class TapperTrigger(CellNode[Parameters]):
         if arm is None:
             return "the arm has not reported yet"
         if arm.state != ArmState.IN_POSITION or arm.tap_id != tap_id:
-            return f"the arm is not in position for tap {tap_id} (state {arm.state}, tap {arm.tap_id})"
+            return (
+                f"the arm is not in position for tap {tap_id} (state {arm.state}, tap {arm.tap_id})"
+            )
         age = (self.get_clock().now() - Time.from_msg(arm.header.stamp)).nanoseconds * 1e-9
         if not 0 <= age <= limit or time.monotonic() - heard > limit:
             return f"the arm's read-back is {age:.2f} s old, more than {limit:.2f} s"

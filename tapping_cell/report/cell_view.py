@@ -10,9 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from tapping_cell.report.run import Run
-from tapping_cell.se2 import Pose, transform_points
+from tapping_cell.se2 import Array, Pose, transform_points
 
 START, REST, GOAL, STRIKE = "#555555", "#1f77b4", "#2ca02c", "#d62728"
 
@@ -42,12 +43,12 @@ def _mm(pose: Pose) -> tuple[float, float]:
     return 1000 * pose.x, 1000 * pose.y
 
 
-def _outline_at(run: Run, pose: Pose) -> np.ndarray:
+def _outline_at(run: Run, pose: Pose) -> Array:
     return 1000 * transform_points(pose, np.asarray(run.outline))
 
 
-def _heading(run: Run, pose: Pose) -> np.ndarray:
-    """A line from the centre to the rim along the object's x axis, so that a turn of a disk shows."""
+def _heading(run: Run, pose: Pose) -> Array:
+    """A line from the centre to the rim along the object's x axis: the turn of a disk shows."""
     reach = float(np.max(np.hypot(*np.asarray(run.outline).T)))
     return 1000 * transform_points(pose, [[0.0, 0.0], [reach, 0.0]])
 
@@ -151,4 +152,4 @@ def _draw_residuals(upper: Axes, lower: Axes, run: Run) -> None:
             )
         axes.set(ylabel=label, xlabel="taps", xlim=(-0.3, len(poses) - 0.4))
         axes.set_ylim(0, 1.15 * max(*values, 2 * limit) if len(values) > 1 else 2 * limit)
-        axes.xaxis.get_major_locator().set_params(integer=True)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))

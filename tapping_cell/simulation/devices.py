@@ -80,7 +80,7 @@ class SimulatedDevices:
 
 
 def _machine(arm: ArmSection, truth: ArmTruth) -> GrblMachine:
-    """The emulated controller set up for this arm: rates in units/min, accelerations in units/s^2."""
+    """The emulated controller set up for this arm: units/min and units/s^2."""
     settings = default_settings()
     for axis in range(len(TO_UNITS)):
         scale = float(TO_UNITS[axis])

@@ -14,8 +14,8 @@ from tapping_cell.vision.camera import CameraModel, CameraPose
 
 def true_camera(calibrated: CameraModel, truth: CameraTruth) -> CameraModel:
     """The lens as it really is."""
-    first, *others = (*calibrated.distortion, 0.0) if not calibrated.distortion else (
-        calibrated.distortion
+    first, *others = (
+        (*calibrated.distortion, 0.0) if not calibrated.distortion else (calibrated.distortion)
     )
     return replace(
         calibrated,

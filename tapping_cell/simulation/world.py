@@ -19,6 +19,7 @@ from tapping_cell.se2 import Pose, wrap_angle
 from tapping_cell.simulation.sliding import Motion, Support, advance, sample_support
 from tapping_cell.simulation.truth import TruthFile
 
+
 @dataclass(frozen=True, slots=True)
 class Launch:
     """A tap that is on its way: when the striker meets the object, and the twist that it gives."""
@@ -81,7 +82,7 @@ class World:
         self._motion = Motion((pose.x, pose.y, pose.theta))
 
     def random_pose(self, length: float, width: float, margin: float) -> Pose:
-        """A pose on the middle part of a table of that size, the object ``margin`` m off its edges."""
+        """A pose anywhere on a table of that size, at least ``margin`` m off its edges."""
         reach = np.maximum(np.array([length, width]) / 2 - margin, 0.0)
         x, y = self._random.uniform(-reach, reach)
         return Pose(float(x), float(y), float(self._random.uniform(-math.pi, math.pi)))
@@ -125,8 +126,8 @@ class World:
             if self._launches and self._launches[0].time <= until:
                 launch = self._launches.popleft()
                 # An object hit while it still moves keeps what it had: impulses add.
-                twist = tuple(a + b for a, b in zip(self._motion.twist, launch.twist, strict=True))
-                self._motion = replace(self._motion, twist=twist)
+                vx, vy, omega = np.add(self._motion.twist, launch.twist).tolist()
+                self._motion = replace(self._motion, twist=(vx, vy, omega))
 
     def _slide(self, until: float) -> None:
         if until > self._time:

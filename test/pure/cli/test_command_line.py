@@ -1,0 +1,40 @@
+"""The command line explains itself and refuses what it does not know."""
+
+from __future__ import annotations
+
+import importlib
+
+import pytest
+
+from tapping_cell.cli import VERBS, main
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_help_with_an_example(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([verb, "--help"])
+    assert ended.value.code == 0
+    assert f"python -m tapping_cell {verb}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_its_module(verb: str) -> None:
+    module = importlib.import_module(f"tapping_cell.cli.{verb.replace('-', '_')}")
+    assert callable(module.add_arguments) and callable(module.run)
+
+
+@pytest.mark.parametrize("words", [[], ["dance"], ["demo", "--goal", "1", "2"]])
+def test_a_wrong_command_line_exits_with_2(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    assert "usage" in capsys.readouterr().err
+
+
+def test_an_unreadable_cell_file_is_refused_before_anything_starts(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["demo", "--cell", "/nowhere/cell.yaml"]) == 2
+    assert "/nowhere/cell.yaml" in capsys.readouterr().out.replace("\n", "")

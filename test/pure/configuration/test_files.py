@@ -1,0 +1,123 @@
+"""The shipped files are read, and say what the nodes need."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tapping_cell.configuration import assembly
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.objects import load_object
+from tapping_cell.configuration.schema import ConfigurationError, load
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.truth import TruthFile
+
+
+def test_the_shipped_cell_is_read() -> None:
+    cell = load_cell()
+    assert cell.object.name == "aluminium disk"
+    assert len(cell.references.markers) >= 4
+    assert cell.tolerance == (0.001, pytest.approx(math.radians(1.0), abs=1e-6))
+
+
+@pytest.mark.parametrize("path", sorted((shared_folder() / "objects").glob("*.yaml")), ids=str)
+def test_every_shipped_object_makes_a_cell(path: Path) -> None:
+    cell = load_cell(object_path=path)
+    tap = assembly.make_tap(cell)
+    assert tap.cone_slope > 0
+    outline = np.asarray(cell.outline())
+    assert outline.shape[1] == 2 and len(outline) >= 3
+
+
+@pytest.mark.parametrize("path", sorted((shared_folder() / "truth").glob("*.yaml")), ids=str)
+def test_every_shipped_truth_is_read_and_differs_from_the_planners_model(path: Path) -> None:
+    truth = load(TruthFile, path)
+    assert truth.support.friction_factor != 1.0
+    assert truth.scatter.speed > 0
+
+
+def test_the_papers_disk_reproduces_the_papers_task() -> None:
+    """10 mm and 10 degrees is "about three times as much rotation as a single tap" (section 4)."""
+    tap = assembly.make_tap(load_cell())
+    assert math.degrees(tap.cone_slope) * 0.010 == pytest.approx(10 / 3, rel=0.02)
+
+
+def _copy(tmp_path: Path) -> Path:
+    folder = tmp_path / "config"
+    shutil.copytree(shared_folder(), folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "word"),
+    [
+        ("cell.yaml", "length: 0.60", "length: -1", "table.length"),
+        ("cell.yaml", "upper_arm: 0.425", "upper_leg: 0.425", "arm.upper_leg"),
+        ("cell.yaml", "lower: [-2.3", "lower: [2.9", "shoulder"),
+        ("cell.yaml", "speeds: [0.02, 0.1", "speeds: [0.2, 0.1", "energy table"),
+        ("cell.yaml", "dialect: grbl", "dialect: basic", "arm.dialect"),
+        ("cell.yaml", "table.yaml", "no_table.yaml", "no_table.yaml"),
+        ("table.yaml", "id: 102", "id: 101", "101"),
+        ("table.yaml", "APRILTAG_36h11", "NO_TAGS", "NO_TAGS"),
+        ("camera_info.yaml", "camera_matrix", "camera_matrices", "camera_matrix"),
+        ("objects/aluminium_disk.yaml", "mass: 0.2455", "mass: -1", "mass"),
+        ("objects/aluminium_disk.yaml", "radius: 0.048", "vertices: [[0, 0]]", "shape"),
+        ("objects/aluminium_disk.yaml", "friction: 0.17 ", "friction: .nan ", "friction"),
+    ],
+)
+def test_a_wrong_file_is_refused_by_name(
+    tmp_path: Path, file: str, old: str, new: str, word: str
+) -> None:
+    folder = _copy(tmp_path)
+    path = folder / file
+    content = path.read_text(encoding="utf-8")
+    assert old in content
+    path.write_text(content.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ConfigurationError) as caught:
+        load_cell(folder / "cell.yaml")
+    assert word in str(caught.value)
+    assert str(folder) in str(caught.value)
+
+
+def test_a_shape_that_is_not_convex_is_refused(tmp_path: Path) -> None:
+    folder = _copy(tmp_path)
+    path = folder / "objects" / "aluminium_disk.yaml"
+    content = path.read_text().replace("kind: disk", "kind: polygon")
+    arrow = "[[0.05, 0.0], [-0.05, 0.05], [-0.01, 0.0], [-0.05, -0.05]]"
+    path.write_text(content.replace("radius: 0.048", f"vertices: {arrow}"))
+    with pytest.raises(ConfigurationError, match="aluminium_disk.yaml: key 'shape'"):
+        load_object(path)
+
+
+def test_arm_reach_agrees_with_forward_kinematics() -> None:
+    """Every tip pose that the arm can truly take from joints within limits is called reachable."""
+    cell = load_cell()
+    geometry = cell.file.arm.geometry()
+    random = np.random.default_rng(5)
+    low, high = np.array(geometry.lower), np.array(geometry.upper)
+    joints = random.uniform(low, high, size=(500, 4))
+    joints = joints[np.abs(joints[:, 1]) > 2 * geometry.singularity_margin]
+    tips = geometry.forward_many(joints)
+    poses = np.array([cell.arm_base @ Pose(x, y, yaw) for x, y, _, yaw in tips])
+    reach = assembly.make_arm_reach(cell)(poses)
+    assert reach.shape == (len(joints), 2)
+    assert np.all(reach.any(axis=-1))
+
+
+def test_the_workspace_carries_the_keep_outs() -> None:
+    cell = load_cell()
+    keep_outs = dataclasses.replace(
+        cell.file.keep_outs,
+        circles=((0.1, 0.0, 0.02),),
+        polygons=(((-0.2, 0.0), (-0.1, 0.0), (-0.1, 0.1)),),
+    )
+    cell = dataclasses.replace(cell, file=dataclasses.replace(cell.file, keep_outs=keep_outs))
+    workspace = assembly.make_workspace(cell)
+    assert workspace.keep_out_distance([0.1, 0.0]) == pytest.approx(-0.02)
+    assert workspace.keep_out_distance([-0.11, 0.02]) < 0

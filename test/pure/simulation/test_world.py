@@ -1,0 +1,139 @@
+"""The simulated world answers a strike as its truth says, and not as the planner believes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTruth, TruthFile
+from tapping_cell.simulation.world import World
+
+CELL = load_cell()
+STRIKER = CELL.file.tapper.striker()
+STROKE = CELL.file.tapper.stroke
+PLAIN = TruthFile(object_start=(0.05, -0.03, 0.7))
+START = Pose(0.05, -0.03, 0.7)
+
+
+def world_of(truth: TruthFile, seed: int = 1) -> World:
+    world = World(CELL.object, STRIKER, STROKE, truth, seed)
+    world.advance(0.0)
+    return world
+
+
+def settled(world: World) -> Pose:
+    for step in range(1, 400):
+        world.advance(0.01 * step)
+        if world.at_rest:
+            return world.pose
+    raise AssertionError("the object does not come to rest")
+
+
+@settings(max_examples=10, deadline=None)
+@given(distance=st.floats(0.003, 0.08), heading=st.floats(-3.1, 3.1), share=st.floats(-0.9, 0.9))
+def test_a_world_without_errors_does_what_was_planned(
+    distance: float, heading: float, share: float
+) -> None:
+    tap = CELL.object.tap(STRIKER)
+    turn = share * tap.cone_slope * distance
+    wanted = (distance * math.cos(heading), distance * math.sin(heading), turn)
+    plan = tap.plan(wanted, START)
+    contact = Pose(*np.asarray(plan.strike_pose).tolist())
+    tip = contact @ Pose(-0.015, 0.0, 0.0)
+    world = world_of(PLAIN)
+    assert world.strike(tip, 0.006, float(plan.striker_speed), 0.0)
+    assert not world.at_rest
+    end = settled(world)
+    moved = (end.x - START.x, end.y - START.y)
+    assert math.hypot(*moved) == pytest.approx(distance, rel=0.02)
+    assert START.rotation_to(end) == pytest.approx(turn, rel=0.03, abs=1e-3)
+
+
+def test_the_object_stays_until_the_striker_arrives() -> None:
+    world = world_of(PLAIN)
+    tip = Pose(START.x - 0.048 - 0.0054 - 0.015, START.y, 0.0)
+    assert world.strike(tip, 0.006, 0.1, 0.0)
+    world.advance(0.149)
+    assert world.pose == pytest.approx(START)
+    world.advance(0.2)
+    assert world.pose.x > START.x
+
+
+@pytest.mark.parametrize(
+    ("tip", "height"),
+    [
+        (Pose(START.x - 0.07, START.y + 0.08, 0.0), 0.006),
+        (Pose(START.x - 0.07, START.y, math.pi), 0.006),
+        (Pose(START.x - 0.07, START.y, 0.0), 0.020),
+        (Pose(START.x - 0.07, START.y, 0.0), -0.001),
+        (Pose(START.x - 0.16, START.y, 0.0), 0.006),
+    ],
+    ids=["beside", "away from it", "above it", "into the table", "beyond the stroke"],
+)
+def test_a_striker_that_cannot_meet_the_object_moves_nothing(tip: Pose, height: float) -> None:
+    world = world_of(PLAIN)
+    assert not world.strike(tip, height, 0.3, 0.0)
+    world.advance(1.0)
+    assert world.pose == pytest.approx(START)
+
+
+def spread(truth: TruthFile) -> np.ndarray:
+    tip = Pose(START.x - 0.07, START.y, 0.0)
+    ends = []
+    for seed in range(40):
+        world = world_of(truth, seed)
+        world.strike(tip, 0.006, 0.3, 0.0)
+        ends.append(settled(world))
+    return np.asarray(ends)
+
+
+def test_taps_scatter_from_one_to_the_next_as_the_truth_says() -> None:
+    ends = spread(replace(PLAIN, scatter=ScatterTruth(speed=0.05, spin=0.0, direction=0.02)))
+    distance = np.hypot(ends[:, 0] - START.x, ends[:, 1] - START.y)
+    # Distance goes with the square of the speed: 5 % becomes 10 %; 40 draws know it to a quarter.
+    assert 0.07 < distance.std() / distance.mean() < 0.14
+    heading = np.arctan2(ends[:, 1] - START.y, ends[:, 0] - START.x)
+    assert 0.014 < heading.std() < 0.028
+
+
+def test_the_same_seed_is_the_same_world() -> None:
+    truth = replace(PLAIN, scatter=ScatterTruth(speed=0.05, spin=0.1, direction=0.02))
+    assert np.array_equal(spread(truth), spread(truth))
+
+
+def test_true_parameters_count() -> None:
+    tip = Pose(START.x - 0.07, START.y, 0.0)
+
+    def distance(truth: TruthFile) -> float:
+        world = world_of(truth)
+        world.strike(tip, 0.006, 0.3, 0.0)
+        return settled(world).x - START.x
+
+    plain = distance(PLAIN)
+    rougher = distance(replace(PLAIN, support=SupportTruth(friction_factor=1.2)))
+    assert rougher == pytest.approx(plain / 1.2, rel=0.01)
+    faster = distance(replace(PLAIN, impact=ImpactTruth(striker_speed_factor=1.1)))
+    assert faster == pytest.approx(plain * 1.21, rel=0.01)
+
+
+def test_a_placed_object_lies_still_where_it_was_put() -> None:
+    world = world_of(PLAIN)
+    world.strike(Pose(START.x - 0.07, START.y, 0.0), 0.006, 0.3, 0.0)
+    world.advance(0.12)
+    world.place(Pose(0.1, 0.1, 4.0))
+    assert world.at_rest
+    world.advance(1.0)
+    assert world.pose == pytest.approx((0.1, 0.1, 4.0 - 2 * math.pi))
+
+
+@given(seed=st.integers(0, 1000))
+def test_random_poses_keep_off_the_edges(seed: int) -> None:
+    pose = world_of(PLAIN, seed).random_pose(0.6, 0.44, 0.1)
+    assert abs(pose.x) <= 0.2 and abs(pose.y) <= 0.12
