@@ -8,7 +8,8 @@ from tapping_cell.mechanics.errors import (
     UnreachableDisplacementError,
 )
 from tapping_cell.mechanics.impact import Impact, ImpactResult, Striker
-from tapping_cell.mechanics.sliding import Launch, Profile, Rest, Sliding
+from tapping_cell.mechanics.slide_results import Launch, Profile, Rest
+from tapping_cell.mechanics.sliding import Sliding
 from tapping_cell.mechanics.tap import Tap, TapPlan, TapResult
 
 __all__ = [

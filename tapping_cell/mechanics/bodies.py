@@ -67,8 +67,12 @@ class _Round(Body):
 
     def __post_init__(self) -> None:
         name = type(self).__name__.lower()
-        object.__setattr__(self, "radius", positive(f"{name} radius", self.radius, "m", InvalidBodyError))
-        object.__setattr__(self, "mass", positive(f"{name} mass", self.mass, "kg", InvalidBodyError))
+        object.__setattr__(
+            self, "radius", positive(f"{name} radius", self.radius, "m", InvalidBodyError)
+        )
+        object.__setattr__(
+            self, "mass", positive(f"{name} mass", self.mass, "kg", InvalidBodyError)
+        )
         object.__setattr__(
             self, "height", positive(f"{name} height", self.height, "m", InvalidBodyError)
         )
@@ -130,9 +134,9 @@ class Polygon(Body):
     """A uniform convex polygon that rests on its whole face.
 
     ``vertices`` (N, 2) in m, either way round; they are kept counter-clockwise and moved so that
-    the centre of mass is the origin. ``mass`` in kg, ``height`` in m. Raises :class:`InvalidBodyError`
-    for fewer than three vertices, a repeated vertex, a polygon that crosses itself or is not
-    convex, no area, and values that are not finite and positive.
+    the centre of mass is the origin. ``mass`` in kg, ``height`` in m. Raises
+    :class:`InvalidBodyError` for fewer than three vertices, a repeated vertex, a polygon that
+    crosses itself or is not convex, no area, and values that are not finite and positive.
     """
 
     vertices: tuple[tuple[float, float], ...]
@@ -141,7 +145,9 @@ class Polygon(Body):
     support: ClassVar[str] = "disk"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mass", positive("polygon mass", self.mass, "kg", InvalidBodyError))
+        object.__setattr__(
+            self, "mass", positive("polygon mass", self.mass, "kg", InvalidBodyError)
+        )
         object.__setattr__(
             self, "height", positive("polygon height", self.height, "m", InvalidBodyError)
         )
@@ -190,6 +196,7 @@ class Polygon(Body):
 
     @property
     def bounding_radius(self) -> float:
+        """Largest distance of a vertex from the centre of mass, in m."""
         return float(np.hypot(*self.points.T).max())
 
     def equivalent_disk(self) -> Disk:
@@ -200,11 +207,13 @@ class Polygon(Body):
         return Disk(self.support_radius, self.mass, self.height)
 
     def boundary(self, angle: ArrayLike) -> Array:
+        """Where rays from the centre of mass in the directions ``angle`` (rad) leave the face."""
         a = np.asarray(angle, dtype=float)
         ray = np.stack([np.cos(a), np.sin(a)], axis=-1)
-        return self._exit(ray)[0][..., None] * ray
+        return np.asarray(self._exit(ray)[0][..., None] * ray)
 
     def normal(self, angle: ArrayLike) -> Array:
+        """Outward unit normals of the edges at :meth:`boundary` of the same angles."""
         a = np.asarray(angle, dtype=float)
         edge = self._exit(np.stack([np.cos(a), np.sin(a)], axis=-1))[1]
         return np.asarray(self.edge_normals[edge])

@@ -52,7 +52,9 @@ def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) 
         faces, edge_travel, 0.0
     ) * (direction @ tangents.T)
     slack = 1e-12 * lengths
-    edge_travel = np.where(faces & (along >= -slack) & (along <= lengths + slack), edge_travel, np.inf)
+    edge_travel = np.where(
+        faces & (along >= -slack) & (along <= lengths + slack), edge_travel, np.inf
+    )
     corner_travel, corner_hits = _enter_circle(from_vertex, direction[..., None, :], tip)
     corner_travel = np.where(corner_hits, corner_travel, np.inf)
     edge, corner = edge_travel.argmin(axis=-1), corner_travel.argmin(axis=-1)

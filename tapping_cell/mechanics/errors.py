@@ -36,7 +36,7 @@ def positive(
 
 
 def fraction(name: str, value: float) -> float:
-    """``value`` as a float if it lies in [0, 1]; raises :class:`InvalidParameterError` otherwise."""
+    """``value`` as a float if it lies in [0, 1]; raises :class:`InvalidParameterError`."""
     number = _number(name, value, InvalidParameterError)
     if not 0.0 <= number <= 1.0:
         raise InvalidParameterError(f"{name} is {number!r}; it must lie from 0 to 1.")

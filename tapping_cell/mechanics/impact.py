@@ -20,6 +20,7 @@ whole normal impulse 1 + e times that of the compression.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
@@ -50,8 +51,8 @@ class Striker:
     """The moving part of the tapper: ``mass`` in kg, ball of ``tip_radius`` in m at its tip.
 
     ``constraint`` is ``"linear_bearings"`` (it can only move along its axis, as the paper's) or
-    ``"free"``. Raises :class:`InvalidParameterError` for a mass that is not positive, a radius below 0
-    or another constraint.
+    ``"free"``. Raises :class:`InvalidParameterError` for a mass that is not positive, a radius
+    below 0 or another constraint.
     """
 
     mass: float
@@ -88,11 +89,11 @@ class ImpactResult(NamedTuple):
 class Impact:
     """Impact of ``striker`` on ``body`` at rest.
 
-    ``restitution`` is Poisson's, 0 to 1; ``friction`` is that of the contact; ``scale`` multiplies
-    B1, B2 and B3, for devices whose constants were fitted (section 3.1.1 of the paper fits two).
-    With the scale (1, 1, 1) energy is never gained; a fitted scale answers for itself. The third
-    may be negative: the paper's Jacobian asks for it (``docs/mechanics.md``). Raises
-    :class:`InvalidParameterError` for values out of range.
+    ``restitution`` is Poisson's, 0 to 1; ``friction`` is that of the contact. Two ways to calibrate
+    a real device (section 3.1.1 of the paper fits two constants): ``scale`` multiplies the model's
+    B1, B2 and B3, and ``constants`` puts fitted numbers, 1/kg, in the place of those that are not
+    None. With neither, energy is never gained and an impact has its mirror image; a calibration
+    answers for itself. Raises :class:`InvalidParameterError` for values out of range.
     """
 
     body: Body
@@ -100,6 +101,7 @@ class Impact:
     restitution: float
     friction: float
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    constants: tuple[float | None, float | None, float | None] = (None, None, None)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "restitution", fraction("restitution", self.restitution))
@@ -110,6 +112,17 @@ class Impact:
                 f"impact scale is {scale}; it must hold three numbers, the first two above 0."
             )
         object.__setattr__(self, "scale", scale)
+        if len(self.constants) != 3:
+            raise InvalidParameterError(
+                f"impact constants are {self.constants}; they must be three numbers or None."
+            )
+        b1, b2, b3 = self.constants
+        constants = (
+            None if b1 is None else positive("impact constant B1", b1, "1/kg"),
+            None if b2 is None else positive("impact constant B2", b2, "1/kg"),
+            None if b3 is None else float(finite("impact constant B3", b3, "1/kg")),
+        )
+        object.__setattr__(self, "constants", constants)
 
     def largest_impulse_angle(self, contact: ArrayLike) -> Array:
         """The largest angle (rad) of the impulse to either side of the normal at ``contact``.
@@ -123,14 +136,14 @@ class Impact:
         for side in (angle, -angle):
             p_n, p_t, _ = self._routh(side, c)
             slopes.append(np.abs(p_t / p_n))
-        return np.arctan(np.minimum(*slopes))
+        return np.asarray(np.arctan(np.minimum(*slopes)))
 
     def inverse_inertias(
         self, incidence: ArrayLike, contact: ArrayLike
     ) -> tuple[Array, Array, Array]:
-        """B1, B2 and B3, scaled, in 1/kg. Arguments as for :meth:`strike`.
+        """B1, B2 and B3, calibrated, in 1/kg. Arguments as for :meth:`strike`.
 
-        Raises :class:`InvalidParameterError` where the scaled values are not those of any mass,
+        Raises :class:`InvalidParameterError` where the calibrated values are not those of any mass,
         B1 B2 <= B3^2.
         """
         angle, c = np.asarray(incidence, dtype=float), np.asarray(contact, dtype=float)
@@ -144,11 +157,15 @@ class Impact:
         b1 = self.scale[0] * (1 / mass + c_n**2 / inertia + add1)
         b2 = self.scale[1] * (1 / mass + c_t**2 / inertia + add2)
         b3 = self.scale[2] * (c_n * c_t / inertia + add3)
+        b1, b2, b3 = (
+            model if fitted is None else np.full(np.shape(model), fitted)
+            for model, fitted in zip((b1, b2, b3), self.constants, strict=True)
+        )
         singular = np.asarray(b1 * b2 <= b3 * b3)
         if singular.any():
             raise InvalidParameterError(
-                f"impact scale {self.scale} gives B1 B2 <= B3^2 at this contact; no body has such "
-                "constants. Fit the scale again."
+                f"impact scale {self.scale} and constants {self.constants} give B1 B2 <= B3^2 at "
+                "this contact; no body has such values. Fit them again."
             )
         return b1, b2, b3
 
@@ -203,7 +220,7 @@ class Impact:
 
         def error(angle: Array) -> Array:
             p_n, p_t, _ = self._routh(angle, c)
-            return p_t / p_n - target
+            return np.asarray(p_t / p_n - target)
 
         e_low, e_high = error(low), error(high)
         missing = (e_low > 0) | (e_high < 0) | beyond
@@ -241,9 +258,9 @@ class Impact:
         return p_n, p_t, np.where(still_first, direction, reverse)
 
 
-
-
-def _bracketed_root(function, low: Array, high: Array, f_low: Array, f_high: Array) -> Array:
+def _bracketed_root(
+    function: Callable[[Array], Array], low: Array, high: Array, f_low: Array, f_high: Array
+) -> Array:
     """Zeros of an increasing function by Chandrupatla's method, elementwise (1997)."""
     a, b, c = high.copy(), low.copy(), high.copy()
     fa, fb, fc = f_high.copy(), f_low.copy(), f_high.copy()

@@ -80,15 +80,16 @@ class PolygonSlide:
         angle = a.ravel()
         target = np.stack([x.ravel(), theta.ravel()], axis=1)
 
-        def twists(z: Array) -> Array:
+        def twists(z: Array, rows: NDArray[np.intp]) -> Array:
             speed, spin = self._disk.launch(z[:, 0], z[:, 1])
-            return _twists(np.asarray(speed), np.asarray(spin), angle)
+            return _twists(np.asarray(speed), np.asarray(spin), angle[rows])
 
-        def forward(z: Array) -> Array:
-            moved, _ = self._slide(twists(z))
-            return np.stack([_turned(moved, -angle)[0], moved[:, 2]], axis=1)
+        def forward(z: Array, rows: NDArray[np.intp]) -> Array:
+            moved, _ = self._slide(twists(z, rows))
+            return np.stack([_turned(moved, -angle[rows])[0], moved[:, 2]], axis=1)
 
-        twist = twists(invert(forward, target, self._scale(x.ravel(), theta.ravel())[:, 1:]))
+        nearby = invert(forward, target, self._scale(x.ravel(), theta.ravel())[:, 1:])
+        twist = twists(nearby, np.arange(angle.size))
         speed, _ = _turned(twist, -angle)
         return Launch(_scalar(speed.reshape(x.shape)), _scalar(twist[:, 2].reshape(x.shape)))
 
@@ -99,9 +100,7 @@ class PolygonSlide:
     def twist_for(self, displacement: Array) -> Array:
         """Launches (n, 3) of displacements (n, 3)."""
         scale = self._scale(np.hypot(displacement[:, 0], displacement[:, 1]), displacement[:, 2])
-        nearby = invert(
-            lambda z: self.displace(self._disk.twist_for(z)), displacement, scale
-        )
+        nearby = invert(lambda z, _: self.displace(self._disk.twist_for(z)), displacement, scale)
         return self._disk.twist_for(nearby)
 
     def profile(self, speed: Array, spin: Array, direction: Array, times: Array) -> Profile:
@@ -177,17 +176,13 @@ class PolygonSlide:
         both = here + there
         length = self._length
         logarithm = np.log((both + length) / np.maximum(both - length, _TINY))
-        integral = (
-            (along + length) * there - along * here + height * height * logarithm
-        ) / 2
+        integral = ((along + length) * there - along * here + height * height * logarithm) / 2
         sign = np.sign(spin) / self._area
         mean_x, mean_y = sign * (integral * tx).sum(axis=0), sign * (integral * ty).sum(axis=0)
         moment = sign * (height * integral).sum(axis=0) / 3 + cx * mean_y - cy * mean_x
         if far.any():
-            for value, series in zip(
-                (mean_x, mean_y, moment), self._far_friction(vx[far], vy[far], spin[far])
-            ):
-                value[far] = series
+            outer = self._far_friction(vx[far], vy[far], spin[far])
+            mean_x[far], mean_y[far], moment[far] = outer
         return mean_x, mean_y, moment
 
     def _far_friction(self, vx: Array, vy: Array, spin: Array) -> tuple[Array, Array, Array]:
@@ -234,7 +229,7 @@ class PolygonSlide:
         start = twist.T * scale
         size0 = np.sqrt((start**2).sum(axis=0))
         moving = size0 > 0
-        unit = np.where(moving, start / np.where(moving, size0, 1.0), [[1.0], [0.0], [0.0]])
+        unit: Array = np.where(moving, start / np.where(moving, size0, 1.0), [[1.0], [0.0], [0.0]])
         per_size = size0 / self._deceleration
 
         def slope(length: float, unit: Array, state: Array) -> tuple[Array, Array]:
@@ -243,8 +238,8 @@ class PolygonSlide:
             time = per_size * size / loss
             return unit - force / loss, np.stack([*(unit / scale * size0 * size * time), time])
 
-        state = np.zeros((4, len(twist)))
-        steps = []
+        state: Array = np.zeros((4, len(twist)))
+        steps: list[tuple[Array, Array]] = []
         for i in range(_STEPS):
             at = i * _STEP
             steps.append((state, unit / scale * (size0 * np.exp(-at))))
@@ -260,47 +255,52 @@ class PolygonSlide:
         _, loss = self._rates(unit, state[2])
         time = per_size * size / loss
         tail = np.stack([*(unit / scale * size0 * size * time / 2), time])
-        return np.where(moving, state + tail, 0.0), steps
+        return np.asarray(np.where(moving, state + tail, 0.0)), steps
 
 
-def invert(forward: Callable[[Array], Array], target: Array, scale: Array) -> Array:
-    """Solve forward(z) = target, (n, k), for a forward map near the identity: Broyden's method.
+def invert(
+    forward: Callable[[Array, NDArray[np.intp]], Array], target: Array, scale: Array
+) -> Array:
+    """Solve forward(z, rows) = target[rows], (n, k), near the identity: Broyden's method.
 
-    ``scale`` (n, k) brings the columns to one size. Raises :class:`MechanicsError` if some row
-    does not converge.
+    ``scale`` (n, k) brings the columns to one size; rows that are done are left out. Raises
+    :class:`MechanicsError` if some row does not converge.
     """
     goal = target / scale
     z = goal.copy()
-    residual = forward(z * scale) / scale - goal
+    rows: NDArray[np.intp] = np.arange(len(goal))
+    residual = forward(z * scale, rows) / scale - goal
     inverse = np.broadcast_to(np.eye(goal.shape[1]), (*goal.shape, goal.shape[1])).copy()
+    error = np.full(len(goal), np.inf)
     for _ in range(_INVERSE_STEPS):
-        error = np.abs(residual).max(axis=1)
-        if not error.size or error.max() <= _INVERSE_TOLERANCE:
-            break
+        # A row within the tolerance takes one more step, which brings it to rounding.
+        left = error > _INVERSE_TOLERANCE
+        rows, residual, inverse = rows[left], residual[left], inverse[left]
+        error = np.abs(residual).max(axis=1, initial=0.0)
+        if not rows.size:
+            return z * scale
         step = -np.einsum("nij,nj->ni", inverse, residual)
-        z = z + step
-        fresh = forward(z * scale) / scale - goal
+        z[rows] += step
+        fresh = forward(z[rows] * scale[rows], rows) / scale[rows] - goal[rows]
         change = fresh - residual
         image = np.einsum("nij,nj->ni", inverse, change)
-        row = np.einsum("ni,nij->nj", step, inverse)
-        bottom = (row * change).sum(axis=1)
+        across = np.einsum("ni,nij->nj", step, inverse)
+        bottom = (across * change).sum(axis=1)
         bottom = np.where(np.abs(bottom) > _TINY, bottom, np.inf)
-        inverse += (step - image)[:, :, None] * row[:, None, :] / bottom[:, None, None]
+        inverse += (step - image)[:, :, None] * across[:, None, :] / bottom[:, None, None]
         residual = fresh
-    else:
-        raise MechanicsError(
-            f"the launch of the polygon was not found: the displacement is off by "
-            f"{float(np.abs(residual).max()):.3g} of itself after {_INVERSE_STEPS} steps, "
-            f"{_INVERSE_TOLERANCE:g} is allowed."
-        )
-    return z * scale
+    raise MechanicsError(
+        f"the launch of the polygon was not found: the displacement is off by "
+        f"{float(np.abs(residual).max()):.3g} of itself after {_INVERSE_STEPS} steps, "
+        f"{_INVERSE_TOLERANCE:g} is allowed."
+    )
 
 
 def _quadrature(polygon: Polygon) -> tuple[Array, Array]:
     """Points (2, k, 1) and weights (k,) of the mean over the face: Gauss's rule in the triangles
     from the centre to the edges."""
-    nodes, weights = np.polynomial.legendre.leggauss(_FAR_POINTS)
-    nodes, weights = (nodes + 1) / 2, weights / 2
+    roots, halves = np.polynomial.legendre.leggauss(_FAR_POINTS)
+    nodes, weights = (roots + 1) / 2, halves / 2
     a, b = polygon.points, np.roll(polygon.points, -1, axis=0)
     double = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     chord = a[:, None, :] + (b - a)[:, None, :] * nodes[:, None]

@@ -45,7 +45,9 @@ class SlideTable:
         self.torque_ratio = torque_ratio
         solution = SlideSolution(_FRICTION[support], torque_ratio)
         self.terminal_ratio = solution.terminal_ratio
-        x, theta, duration = (_hermite(v, s) for v, s in zip(solution.values, solution.slopes))
+        x, theta, duration = (
+            _hermite(v, s) for v, s in zip(solution.values, solution.slopes, strict=True)
+        )
         self._forward = np.ascontiguousarray(np.concatenate([x, theta, duration], axis=1).T)
         # Inverse: rim travel over travel (translating) or its inverse (spinning) grows with p.
         translating = np.arange(2 * PIECES)[:, None] < PIECES
@@ -164,9 +166,7 @@ class SlideTable:
             part = slice(start, min(start + _CHUNK, count))
             size = part.stop - part.start
             block = _Block([f[:size] for f in work.floats], work.index[:size], work.mask[:size])
-            self._launch_block(
-                travel[part], rim_travel[part], speed[part], rim_speed[part], block
-            )
+            self._launch_block(travel[part], rim_travel[part], speed[part], rim_speed[part], block)
         return speed, rim_speed
 
     def _launch_block(
@@ -250,7 +250,7 @@ class SlideTable:
 
     def _inverse_guess(self) -> Array:
         """Hermite pieces of p over the graded measure of the displacement, one regime a half."""
-        p = np.linspace(0.0, 1.0, PIECES + 1)
+        p = _floats(np.linspace(0.0, 1.0, PIECES + 1))
         halves = []
         for half in range(2):
             rows = slice(half * PIECES, (half + 1) * PIECES)
@@ -263,13 +263,13 @@ class SlideTable:
                     f"torque factor times m R^2 / I is {self.torque_ratio:g}; sliding has no "
                     "single-valued inverse that far from 1."
                 )
-            root = np.sqrt(fraction)
+            root: Array = np.sqrt(fraction)
             graded = root / (root + np.sqrt(1.0 - fraction))
             graded[-1] = 1.0
-            values = np.interp(p, graded, p)
             # Refine the knots by Newton's method on the same pieces that rest() evaluates.
-            values = self._solve_knots(values, grade_inverse(p), half, divide)
-            slopes = np.gradient(values, p, edge_order=2)
+            first = _floats(np.interp(p, graded, p))
+            values = self._solve_knots(first, grade_inverse(p), half, divide)
+            slopes = _floats(np.gradient(values, p, edge_order=2))
             halves.append(_hermite(values[None, :], slopes[None, :]))
         return np.concatenate(halves)
 
@@ -331,9 +331,7 @@ def _piece(t: Array, mask: NDArray[np.bool_], index: NDArray[np.intp], spare: Ar
     np.add(index, spare, out=index, casting="unsafe")
 
 
-def _cubic(
-    rows: Array, index: NDArray[np.intp], t: Array, value: Array, gathered: Array
-) -> None:
+def _cubic(rows: Array, index: NDArray[np.intp], t: Array, value: Array, gathered: Array) -> None:
     np.take(rows[3], index, out=value, mode="clip")
     for k in (2, 1, 0):
         value *= t
@@ -358,11 +356,16 @@ def _cubic_and_slope(
 
 
 def _hermite(values: Array, slopes: Array) -> Array:
-    """Cubic coefficients, rows of pieces, from values and p-slopes at (halves, PIECES + 1) knots."""
+    """Cubic coefficients, a row a piece, of values and p-slopes at (halves, PIECES + 1) knots."""
     y0, y1 = values[:, :-1], values[:, 1:]
     s0, s1 = slopes[:, :-1] / PIECES, slopes[:, 1:] / PIECES
     rows = np.stack([y0, s0, 3 * (y1 - y0) - 2 * s0 - s1, 2 * (y0 - y1) + s0 + s1], axis=-1)
     return rows.reshape(-1, 4)
+
+
+def _floats(values: NDArray[np.floating]) -> Array:
+    """numpy's interp and gradient do not say that floats stay of one kind."""
+    return np.asarray(values, dtype=np.float64)
 
 
 @lru_cache(maxsize=32)

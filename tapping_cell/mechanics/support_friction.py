@@ -43,21 +43,19 @@ class SupportFriction(NamedTuple):
     trailing: Array
 
 
-def disk_friction(tau: Array, complement: Array, spinning: Array) -> SupportFriction:
-    """Uniform pressure on a disk. ``complement`` is 1 - tau^2, given so that it keeps its digits."""
+def disk_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) -> SupportFriction:
+    """Uniform pressure on a disk; ``complement`` is 1 - tau^2, given as it has more digits."""
     b, c, d = _elliptic_bcd(tau, complement)
     shared = 4 / (3 * math.pi) * (2 * b + complement * d)
     modulus2 = tau * tau
-    torque = (
-        4 / (9 * math.pi) * ((3 - modulus2) * b + complement * (3 - 2 * modulus2) * d)
-    )
+    torque = 4 / (9 * math.pi) * ((3 - modulus2) * b + complement * (3 - 2 * modulus2) * d)
     trailing_torque = 4 / (9 * math.pi) * (c + 3 * b - d)
     return SupportFriction(
         np.where(spinning, torque, shared), np.where(spinning, shared, trailing_torque)
     )
 
 
-def ring_friction(tau: Array, complement: Array, spinning: Array) -> SupportFriction:
+def ring_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) -> SupportFriction:
     """Uniform pressure on a thin ring: both regimes are the same with force and torque swapped."""
     del spinning
     b, _, d = _elliptic_bcd(tau, complement)

@@ -80,8 +80,8 @@ class Tap:
     """Taps on one body by one striker on one table.
 
     ``smallest_distance`` (m) is the shortest displacement that the tapper makes reliably, 1.7 mm
-    in the paper (section 4). Raises :class:`InvalidParameterError` if ``sliding`` and ``impact`` are of
-    different bodies.
+    in the paper (section 4). Raises :class:`InvalidParameterError` if ``sliding`` and ``impact``
+    are of different bodies.
     """
 
     sliding: Sliding
@@ -159,9 +159,7 @@ class Tap:
         held = np.broadcast_to(held, (*shape, 3))
         in_body = se2.compose(se2.inverse(held), np.broadcast_to(aimed, (*shape, 3)))
         axis = _unit(in_body[..., 2])
-        contact = first_contact(
-            self.body, self.impact.striker.tip_radius, in_body[..., :2], axis
-        )
+        contact = first_contact(self.body, self.impact.striker.tip_radius, in_body[..., :2], axis)
         closing = (contact.normal * axis).sum(axis=-1)
         missed = contact.missed | (closing <= 0)
         incidence = np.where(missed, 0.0, np.arctan2(_cross(contact.normal, axis), closing))
@@ -186,8 +184,8 @@ class Tap:
 
         ``object_pose`` (..., 3) is the object's pose in the table frame; both broadcast.
         :meth:`outcome` of the plan is the displacement to rounding. Raises
-        :class:`UnreachableDisplacementError` for a displacement outside the cone or shorter than the
-        smallest distance, and :class:`InvalidParameterError` for values that are not finite.
+        :class:`UnreachableDisplacementError` for a displacement outside the cone or shorter than
+        the smallest distance, :class:`InvalidParameterError` for values that are not finite.
         """
         wanted = _poses("displacement", displacement)
         self._refuse(wanted)
@@ -212,7 +210,7 @@ class Tap:
         held = _poses("object pose", object_pose)
         turned = _turn(wanted, -held[..., 2])
         sample = np.where(inside[..., None], turned, [1.0, 0.0, 0.0])
-        return inside & ~np.isnan(self._plan_in_body(sample).incidence)
+        return np.asarray(inside & ~np.isnan(self._plan_in_body(sample).incidence))
 
     def jacobian(self, displacement: ArrayLike) -> Array:
         """Derivative (..., 3, 3) of the tap's result by the striker's pose, in m and rad.
@@ -242,7 +240,7 @@ class Tap:
             for shift in shifts
         ]
         scale = 2 * np.array([_LENGTH_STEP, _LENGTH_STEP, _ANGLE_STEP])
-        return np.stack(columns, axis=-1) / scale
+        return np.asarray(np.stack(columns, axis=-1) / scale)
 
     def _largest_lever(self) -> float:
         """The largest distance of an impulse's line of action from the centre of mass, in m."""

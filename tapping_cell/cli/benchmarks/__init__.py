@@ -1,0 +1,1 @@
+"""One benchmark a room; see ``tapping_cell.cli.bench``."""

@@ -1,0 +1,131 @@
+"""How the tap's result answers errors of the striker's pose: the Jacobian of section 5.1.
+
+Prints the 3 x 3 Jacobian of a tap of the paper's disk in mm and degrees, its product with an
+error of the striker and its norm, and over how much of the reachable range the norm is below one.
+Columns: the striker's ball moved by i (along the contact normal, away from the object) and j
+(along the tangent), its axis turned by beta. Rows: the displacement along the travel, across it,
+and the rotation, counted clockwise as in the paper. The y row is the paper's, in which the travel
+turns with the striker; the row that the impact gives stands beside it.
+
+    python -m tapping_cell sensitivity --distance 10 --rotation 3
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+
+import numpy as np
+
+from tapping_cell.mechanics import MechanicsError, Tap
+from tapping_cell.mechanics.sensitivity import (
+    PAPER_STRIKER_ERROR,
+    norm,
+    paper_tap,
+    sensitivity,
+)
+
+_SWEEP_DISTANCES = 60
+_SWEEP_ROTATIONS = 41
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The tap, the striker's error and the sweep."""
+    parser.add_argument("--distance", type=float, default=10.0, help="of the tap, mm (10)")
+    parser.add_argument("--rotation", type=float, default=3.0, help="of the tap, degrees (3)")
+    parser.add_argument(
+        "--error",
+        type=float,
+        nargs=3,
+        default=PAPER_STRIKER_ERROR,
+        metavar=("I", "J", "BETA"),
+        help="of the striker, mm mm degrees (7.5 7.5 5, the paper's)",
+    )
+    parser.add_argument(
+        "--farthest", type=float, default=50.0, help="distance where the sweep ends, mm (50)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the Jacobian and the sweep; 1 for a tap that cannot be made."""
+    tap = paper_tap()
+    displacement = [arguments.distance / 1e3, 0.0, math.radians(arguments.rotation)]
+    try:
+        both = sensitivity(tap, displacement)
+        report = {
+            "distance_mm": arguments.distance,
+            "rotation_deg": arguments.rotation,
+            "striker_error": list(arguments.error),
+            **_figures(both.printed, arguments.error),
+            "physical": _figures(both.physical, arguments.error),
+            "sweep": _sweep(tap, arguments.farthest / 1e3),
+        }
+    except MechanicsError as problem:
+        print(f"sensitivity: {problem}", file=sys.stderr)
+        return 1
+    if arguments.json:
+        print(json.dumps(report))
+    else:
+        _print(report)
+    return 0
+
+
+def _figures(jacobian: np.ndarray, error: list[float]) -> dict:
+    return {
+        "jacobian": jacobian.tolist(),
+        "product": (jacobian @ np.asarray(error)).tolist(),
+        "norm": float(norm(jacobian)),
+    }
+
+
+def _sweep(tap: Tap, farthest: float) -> dict:
+    """Norms over the reachable taps, from no rotation to the edge of the cone."""
+    nearest = tap.smallest_distance
+    distances, shares = np.meshgrid(
+        np.linspace(nearest, max(farthest, nearest), _SWEEP_DISTANCES),
+        np.linspace(0.0, 0.99, _SWEEP_ROTATIONS),
+        indexing="ij",
+    )
+    taps = np.stack(
+        [distances, np.zeros_like(distances), shares * tap.cone_slope * distances], axis=-1
+    )
+    both = sensitivity(tap, taps)
+    printed, physical = norm(both.printed), norm(both.physical)
+    below = (printed < 1).all(axis=1)
+    whole = distances[below.cumprod().astype(bool), 0]
+    return {
+        "distance_mm": [1e3 * nearest, 1e3 * max(farthest, nearest)],
+        "cone_deg_per_mm": math.degrees(tap.cone_slope) / 1e3,
+        "taps": int(printed.size),
+        "share_below_one": float((printed < 1).mean()),
+        "share_below_one_physical": float((physical < 1).mean()),
+        "all_below_one_up_to_mm": float(1e3 * whole[-1]) if whole.size else 0.0,
+    }
+
+
+def _print(report: dict) -> None:
+    print(
+        f"A tap of {report['distance_mm']:g} mm and {report['rotation_deg']:g} degrees "
+        "(rows x mm, y mm, theta degrees; columns i mm, j mm, beta degrees)"
+    )
+    for title, figures in (
+        ("the travel turns with the striker, as the paper has it", report),
+        ("the travel turns as the impact has it", report["physical"]),
+    ):
+        print(f"\n{title}:")
+        for row in figures["jacobian"]:
+            print("  " + "".join(f"{value:10.4f}" for value in row))
+        error = " ".join(f"{e:g}" for e in report["striker_error"])
+        product = " ".join(f"{p:.2f}" for p in figures["product"])
+        print(f"  times [{error}]: [{product}]    norm {figures['norm']:.3f}")
+    sweep = report["sweep"]
+    print(
+        f"\nOver {sweep['taps']} taps of {sweep['distance_mm'][0]:g} to "
+        f"{sweep['distance_mm'][1]:g} mm inside the cone of {sweep['cone_deg_per_mm']:.3f} "
+        f"degrees/mm:\n  norm below one in {100 * sweep['share_below_one']:.0f} % "
+        f"({100 * sweep['share_below_one_physical']:.0f} % with the impact's y row), in all of "
+        f"them up to {sweep['all_below_one_up_to_mm']:.0f} mm"
+    )
