@@ -34,7 +34,7 @@ def alternative_taps(
     from where they lead, with the distance measured along the path around obstacles.
     """
     settings = planner.settings
-    length = math.hypot(first[0], first[1])
+    length = math.hypot(first[0], first[1]) * float(gains.value[0])
     sizes = np.clip(
         np.concatenate(
             [
@@ -46,22 +46,21 @@ def alternative_taps(
         settings.largest_distance,
     )
     headings = math.atan2(first[1], first[0]) + np.arange(HEADINGS) * (2.0 * math.pi / HEADINGS)
-    heading, size, turn = (
+    heading, size, share = (
         axis.ravel() for axis in np.meshgrid(headings, np.unique(sizes), TURNS, indexing="ij")
     )
     most = settings.cone_slope * size
-    left = float(wrap_angle(goal[2] - pose[2])) / float(gains.value[1])
-    rotation = np.where(turn == 1.0, np.clip(left, -most, most), turn * most)
-    commanded = np.stack([size * np.cos(heading), size * np.sin(heading), rotation], axis=-1)
+    scale = float(gains.value[0] / gains.value[1])
+    left = float(wrap_angle(goal[2] - pose[2])) * scale
+    turn = np.where(share == 1.0, np.clip(left, -most, most), share * most)
+    commanded = gains.command(size, turn, heading)
     after = pose + gains.predict(commanded)
     path = paths.length(after[:, :2])
-    remaining = wrap_angle(goal[2] - after[:, 2])
+    remaining = wrap_angle(goal[2] - after[:, 2]) * scale
     reachable = np.isfinite(path)
     cost = np.where(
         reachable,
-        planner.taps_to_go(
-            np.where(reachable, path, 0.0) / gains.value[0], remaining / gains.value[1]
-        )
+        planner.taps_to_go(np.where(reachable, path, 0.0), remaining)
         + 0.05 * size / settings.largest_distance,
         np.inf,
     )

@@ -166,7 +166,7 @@ def _tips_around(space: StrikeSpace) -> list[Array]:
     if isinstance(space.tap.body, Polygon):
         back = space.object_radius + space.tip_radius + space.settings.standoff
         return [np.concatenate([-back * along, heading[:, None]], axis=-1)]
-    size = max(space.tap.smallest_distance, TYPICAL_TAP)
+    size = TYPICAL_TAP
     tips = []
     for share in TURNS:
         turn = np.full((DIRECTIONS, 1), share * space.tap.cone_slope * size)

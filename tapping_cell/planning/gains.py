@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.interface import Array
@@ -28,8 +28,8 @@ from tapping_cell.se2 import wrap_angle
 
 NAMES = ("distance", "rotation", "direction")
 START = np.array([1.0, 1.0, 0.0])
-START_DEVIATION = np.array([0.10, 0.15, 0.05])
-"""What is believed of an object never tapped before: 10 %, 15 %, 3 degrees (0.05 rad)."""
+START_DEVIATION = np.array([0.06, 0.10, 0.01])
+"""What is believed of an object never tapped before: 6 %, 10 %, 0.6 degrees (0.01 rad)."""
 
 LOWEST = np.array([0.5, 0.4, -0.35])
 HIGHEST = np.array([2.0, 2.5, 0.35])
@@ -38,7 +38,7 @@ GATE = 4.0
 """Deviations beyond which a measurement is an outlier."""
 
 WIDENING = 2.0
-"""Factor of the variances after an outlier, up to four times those of the start."""
+"""Factor of the variances after an outlier, up to 25 times those of the start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,16 +65,32 @@ class Gains:
             np.zeros(shape),
         )
 
-    def to_command(self, remaining: ArrayLike) -> tuple[Array, Array, Array]:
-        """What remains, (..., 3) as dx, dy (m) and rotation (rad), in the units of commands.
+    def of(self, rows: NDArray[np.intp]) -> Gains:
+        """The gains of some of many objects."""
+        return Gains(self.value[rows], self.variance[rows], self.taken[rows], self.outliers[rows])
 
-        Returns distance (m), rotation (rad) and heading (rad) that, commanded as one tap, would
-        bring the object there by what has been learnt.
+    def put(self, rows: NDArray[np.intp], gains: Gains) -> None:
+        """Replace the gains of some of many objects."""
+        for name in ("value", "variance", "taken", "outliers"):
+            getattr(self, name)[rows] = getattr(gains, name)
+
+    def to_plan(self, remaining: ArrayLike) -> tuple[Array, Array, Array]:
+        """What remains, (..., 3) as dx, dy (m) and rotation (rad), as planning methods see it.
+
+        Returns the distance (m), the rotation (rad) in the units in which the cone has its nominal
+        slope, and the heading to command (rad). The distance stays true, so that the box and the
+        smallest tap keep their size.
         """
         left = np.asarray(remaining, dtype=float)
-        distance = np.hypot(left[..., 0], left[..., 1]) / self.value[..., 0]
+        turn = left[..., 2] * self.value[..., 0] / self.value[..., 1]
         heading = np.arctan2(left[..., 1], left[..., 0]) - self.value[..., 2]
-        return distance, left[..., 2] / self.value[..., 1], heading
+        return np.hypot(left[..., 0], left[..., 1]), turn, heading
+
+    def command(self, distance: ArrayLike, rotation: ArrayLike, heading: ArrayLike) -> Array:
+        """Displacements (..., 3) to ask of the mechanics for taps planned in ``to_plan``'s units."""
+        length = np.asarray(distance, dtype=float) / self.value[..., 0]
+        turn = np.asarray(rotation, dtype=float) / self.value[..., 0]
+        return np.stack([length * np.cos(heading), length * np.sin(heading), turn], axis=-1)
 
     def predict(self, commanded: ArrayLike) -> Array:
         """The displacement, (..., 3), that a commanded one is expected to make."""
@@ -125,7 +141,7 @@ class Gains:
         learnt = np.clip(self.value + weight * surprise, LOWEST, HIGHEST)
         narrowed = (1.0 - weight * slope) * self.variance
         widened = np.maximum(
-            np.minimum(WIDENING * self.variance, 4.0 * START_DEVIATION**2), self.variance
+            np.minimum(WIDENING * self.variance, 25.0 * START_DEVIATION**2), self.variance
         )
         take = believed[..., None]
         return Gains(
@@ -157,7 +173,7 @@ class Gains:
         value, deviation = np.empty(3), np.empty(3)
         for index, name in enumerate(NAMES):
             kept, spread = numbers.get(name), numbers.get(f"{name}_deviation")
-            widest = 2.0 * START_DEVIATION[index]
+            widest = 5.0 * START_DEVIATION[index]
             if (
                 not isinstance(kept, int | float)
                 or not isinstance(spread, int | float)

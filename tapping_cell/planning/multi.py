@@ -78,8 +78,13 @@ class MultiPlanner:
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
         """Taps of the plan; a share of the path's length tells states of one cone apart."""
         settings = self.settings
-        path = np.maximum(np.asarray(distance), np.abs(rotation) / settings.cone_slope)
-        return self.planned_taps(distance, rotation) + 0.2 * path / settings.largest_distance
+        r = np.asarray(distance, dtype=float)
+        path = np.maximum(r, np.abs(rotation) / settings.cone_slope)
+        beyond = np.maximum(r - self.distances[-1], 0.0)
+        return np.asarray(
+            self.planned_taps(distance, rotation)
+            + (0.2 * path + beyond) / settings.largest_distance
+        )
 
     def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
         """The next tap down the cones; outside all of them, the one that comes nearest."""

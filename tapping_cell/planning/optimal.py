@@ -48,11 +48,13 @@ class OptimalPolicy:
         return Taps(tap, sense * np.minimum(turn, most))
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Expected taps from there, 0 inside the stopping box."""
+        """Expected taps from there, 0 inside the stopping box; beyond the grid one a largest tap."""
+        beyond = np.maximum(np.asarray(distance, dtype=float) - self._solution.distances[-1], 0.0)
         i, u, j, v, _ = self._cell(distance, rotation)
         box = self.settings.stopping
         inside = (np.asarray(distance) <= box.distance) & (np.abs(rotation) <= box.rotation)
-        return np.asarray(np.where(inside, 0.0, _blend(self._solution.value, i, u, j, v)))
+        taps = _blend(self._solution.value, i, u, j, v) + beyond / self.settings.largest_distance
+        return np.asarray(np.where(inside, 0.0, taps))
 
     def _cell(
         self, distance: ArrayLike, rotation: ArrayLike

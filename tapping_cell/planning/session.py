@@ -193,9 +193,9 @@ class PositioningSession:
         return None
 
     def _strike(self, pose: Array, left: Array) -> Strike | Refusal:
-        distance, turn, heading = self.gains.to_command(left)
+        distance, turn, heading = self.gains.to_plan(left)
         tap = self.planner.choose(distance, turn)
-        first = _displacement(heading, tap.distance, tap.rotation)
+        first = self.gains.command(tap.distance, tap.rotation, heading)
         detour = self._obstacle(pose, first)
         if not detour:
             found = self._space.first_strike(Pose(*pose.tolist()), first[None, :])
@@ -261,6 +261,3 @@ def noise_of(covariance: ArrayLike) -> CameraNoise:
     largest = float(np.max(np.linalg.eigvalsh(matrix[:2, :2])))
     return CameraNoise(math.sqrt(max(largest, 0.0)), math.sqrt(max(float(matrix[2, 2]), 0.0)))
 
-
-def _displacement(heading: Array, distance: Array, turn: Array) -> Array:
-    return np.stack([distance * np.cos(heading), distance * np.sin(heading), turn], axis=-1)

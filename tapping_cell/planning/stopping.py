@@ -7,7 +7,7 @@ of stops whose true value lies outside the tolerance a is
     (s / b) * integral of Q(u) du from (a - b) / s to infinity,  Q(u) = 1 - Phi(u),
 
 and the integral is phi(u) - u Q(u). The box is the largest one that keeps this share at or below
-``FALSE_STOPS`` on each axis. For a camera of a tenth of the tolerance it is 0.85 of the tolerance.
+``FALSE_STOPS`` on each axis. For a camera of a tenth of the tolerance it is 0.87 of the tolerance.
 Measured values crowd in the middle of the box rather than spread evenly, so fewer stops are false.
 """
 
@@ -20,7 +20,7 @@ from typing import NamedTuple
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-FALSE_STOPS = 0.0035
+FALSE_STOPS = 0.005
 """Share of false stops on one axis, for values spread evenly over the box."""
 
 SMALLEST_SHARE = 0.25

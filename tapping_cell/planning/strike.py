@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -118,7 +118,9 @@ class StrikeSpace:
         settings: StrikeSettings | None = None,
         scatter: Scatter | None = None,
     ) -> None:
-        self.tap = tap
+        self.tap = replace(tap, smallest_distance=0.0)
+        """The mechanics; how small a tap may be is for the planning method to keep, since it counts
+        in true distance and commands are scaled by the gains learnt."""
         self.workspace = workspace
         self.settings = StrikeSettings() if settings is None else settings
         self.scatter = Scatter() if scatter is None else scatter

@@ -1,0 +1,16 @@
+"""Many positioning trials of a method: in lockstep on an open table, or one by one on a real one."""
+
+from tapping_cell.planning.evaluation.open_table import run_open_trials
+from tapping_cell.planning.evaluation.parallel import evaluate
+from tapping_cell.planning.evaluation.summary import summarise
+from tapping_cell.planning.evaluation.task import Evaluation, Results
+from tapping_cell.planning.evaluation.worlds import PhysicsWorld
+
+__all__ = [
+    "Evaluation",
+    "PhysicsWorld",
+    "Results",
+    "evaluate",
+    "run_open_trials",
+    "summarise",
+]

@@ -1,0 +1,94 @@
+"""Trials on a table with edges, keep-outs and an arm: whole sessions, one after the other."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tapping_cell.planning.errors import PlanningError
+from tapping_cell.planning.evaluation.task import End, Evaluation, Results, draw_gains, draw_tasks
+from tapping_cell.planning.free_space import FreeSpace
+from tapping_cell.planning.interface import Array, Planner
+from tapping_cell.planning.session import Done, PositioningSession, Strike
+from tapping_cell.planning.strike import StrikeSpace
+from tapping_cell.se2 import wrap_angle
+
+MOST_DRAWS = 1000
+
+
+def run_table_trials(
+    evaluation: Evaluation, planner: Planner, count: int, rng: np.random.Generator
+) -> Results:
+    """``count`` sessions: starts anywhere where the object can be worked on, goals around them.
+
+    Goals are not filtered: those that cannot be reached must be refused before the first tap.
+    """
+    space = evaluation.space
+    if space is None:
+        raise PlanningError("trials on a table need its StrikeSpace")
+    free = FreeSpace(space)
+    tasks = draw_tasks(evaluation, count, rng)
+    true_gains = draw_gains(evaluation, count, rng)
+    rows = []
+    for task, gain in zip(tasks, true_gains, strict=True):
+        start = _draw_start(space, free, rng)
+        goal = start + task
+        goal[2] = wrap_angle(goal[2])
+        rows.append(_run_one(evaluation, planner, space, free, start, goal, gain, rng))
+    taps, end, inside, distance, rotation = (np.array(column) for column in zip(*rows, strict=True))
+    return Results(taps.astype(np.int64), end.astype(np.int64), inside, distance, rotation)
+
+
+def _draw_start(space: StrikeSpace, free: FreeSpace, rng: np.random.Generator) -> Array:
+    half = np.array([space.workspace.length, space.workspace.width]) / 2
+    for _ in range(MOST_DRAWS):
+        place = rng.uniform(-half, half)
+        if bool(free.contains(place)):
+            return np.append(place, rng.uniform(-math.pi, math.pi))
+    raise PlanningError(
+        "nowhere on the table can the object be tapped from enough sides; check the arm's base, "
+        "its limits and the table's size in the cell's file"
+    )
+
+
+def _run_one(
+    evaluation: Evaluation,
+    planner: Planner,
+    space: StrikeSpace,
+    free: FreeSpace,
+    start: Array,
+    goal: Array,
+    gain: Array,
+    rng: np.random.Generator,
+) -> tuple[int, int, bool, float, float]:
+    session = PositioningSession(
+        goal, planner, space, free, adapt=evaluation.adapt, most_taps=evaluation.most_taps
+    )
+    camera, settings = evaluation.settings.camera, evaluation.settings
+    look = np.array([camera.position, camera.position, camera.angle])
+    pose = start.copy()
+    while True:
+        seen = pose + look * rng.standard_normal(3)
+        if session.taps > 0:
+            session.observe(decision, before, seen)  # noqa: F821 (set on the pass before)
+        decision = session.decide(seen)
+        if not isinstance(decision, Strike):
+            break
+        before = seen
+        moved = evaluation.world.answer(
+            pose[None, :], np.array([decision.commanded]), gain[None, :], rng
+        )[0]
+        pose = pose + moved
+        pose[2] = wrap_angle(pose[2])
+        session.taps += 1
+    if isinstance(decision, Done):
+        end = End.DONE
+    elif session.taps >= evaluation.most_taps:
+        end = End.ENDLESS
+    else:
+        end = End.REFUSED_BEFORE if session.taps == 0 else End.REFUSED_LATER
+    left = goal - pose
+    distance, rotation = math.hypot(left[0], left[1]), float(wrap_angle(left[2]))
+    within = distance <= settings.tolerance_position and abs(rotation) <= settings.tolerance_angle
+    return session.taps, int(end), within, distance, rotation

@@ -1,0 +1,83 @@
+"""Trials on an open table, all at once: every step of the loop is done for all trials together."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tapping_cell.planning.evaluation.task import (
+    End,
+    Evaluation,
+    Results,
+    draw_gains,
+    draw_tasks,
+)
+from tapping_cell.planning.evaluation.worlds import draw_starts
+from tapping_cell.planning.gains import Gains
+from tapping_cell.planning.interface import Array, Planner
+from tapping_cell.se2 import wrap_angle
+
+MISSED = 0.1
+"""A tap that moved the object by less than this share of what was asked has missed it."""
+
+ASIDE = math.radians(30.0)
+"""After a miss the next tap is turned by up to this much: the same tap would miss again."""
+
+
+def run_open_trials(
+    evaluation: Evaluation, planner: Planner, count: int, rng: np.random.Generator
+) -> Results:
+    """``count`` trials from one random stream."""
+    camera = evaluation.settings.camera
+    box = planner.settings.stopping
+    pose = draw_starts(count, rng)
+    goal = pose + draw_tasks(evaluation, count, rng)
+    true_gains = draw_gains(evaluation, count, rng)
+    gains = Gains.start((count,))
+    look = np.array([camera.position, camera.position, camera.angle])
+    seen = pose + look * rng.standard_normal((count, 3))
+    taps = np.zeros(count, dtype=np.int64)
+    end = np.full(count, End.ENDLESS, dtype=np.int64)
+    aside = np.zeros(count)
+    running = np.arange(count)
+    for _ in range(evaluation.most_taps + 1):
+        left = _remaining(goal[running], seen[running])
+        inside = (np.hypot(left[:, 0], left[:, 1]) <= box.distance) & (
+            np.abs(left[:, 2]) <= box.rotation
+        )
+        end[running[inside]] = End.DONE
+        running, left = running[~inside], left[~inside]
+        if running.size == 0:
+            break
+        still = taps[running] < evaluation.most_taps
+        running, left = running[still], left[still]
+        known = gains.of(running)
+        distance, turn, heading = known.to_plan(left)
+        tap = planner.choose(distance, turn)
+        commanded = known.command(tap.distance, tap.rotation, heading + aside[running])
+        moved = evaluation.world.answer(pose[running], commanded, true_gains[running], rng)
+        pose[running] += moved
+        before = seen[running]
+        seen[running] = pose[running] + look * rng.standard_normal((running.size, 3))
+        taps[running] += 1
+        measured = seen[running] - before
+        missed = np.hypot(measured[:, 0], measured[:, 1]) < MISSED * np.abs(tap.distance)
+        aside[running] = np.where(missed, rng.uniform(-ASIDE, ASIDE, running.size), 0.0)
+        if evaluation.adapt:
+            gains.put(
+                running, known.observe(commanded, measured, evaluation.settings.scatter, camera)
+            )
+    left = _remaining(goal, pose)
+    distance, rotation = np.hypot(left[:, 0], left[:, 1]), left[:, 2]
+    settings = evaluation.settings
+    within = (distance <= settings.tolerance_position) & (
+        np.abs(rotation) <= settings.tolerance_angle
+    )
+    return Results(taps, end, within, distance, rotation)
+
+
+def _remaining(goal: Array, pose: Array) -> Array:
+    left = goal - pose
+    left[:, 2] = wrap_angle(left[:, 2])
+    return left

@@ -1,0 +1,74 @@
+"""From trials to numbers for people and programs; lengths in mm and angles in degrees."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.planning.evaluation.task import End, Results
+
+NORMAL_95 = 1.959963984540054
+"""Two-sided 95 % quantile of the normal distribution."""
+
+
+def summarise(results: Results, planned_taps: int | None = None) -> dict[str, Any]:
+    """The figures of an evaluation.
+
+    ``success_rate``: share of trials that were declared done (of those not refused before the first
+    tap). ``truly_inside_rate``: share of the trials declared done whose true pose is within the full
+    tolerance. ``taps``: over the trials that were not refused before the first tap.
+    ``planned_taps``, where the method has a plan with a fixed number of taps, adds
+    ``within_planned_rate``.
+    """
+    began = results.end != End.REFUSED_BEFORE
+    done = results.end == End.DONE
+    taps = results.taps[began]
+    summary: dict[str, Any] = {
+        "trials": int(results.taps.size),
+        "success_rate": _share(done, began),
+        "truly_inside_rate": _share(results.inside & done, done),
+        "taps": tap_figures(taps),
+        "refused_before": int(np.sum(~began)),
+        "refused_later": int(np.sum(results.end == End.REFUSED_LATER)),
+        "endless": int(np.sum(results.end == End.ENDLESS)),
+        "residual_mm": _spread(1e3 * results.distance[done]),
+        "residual_deg": _spread(np.degrees(np.abs(results.rotation[done]))),
+    }
+    if planned_taps is not None:
+        summary["planned_taps"] = planned_taps
+        summary["within_planned_rate"] = _share(done & (results.taps <= planned_taps), began)
+    return summary
+
+
+def tap_figures(taps: np.ndarray[Any, np.dtype[np.int64]]) -> dict[str, Any]:
+    """Mean with its 95 % interval, percentiles, maximum and histogram of tap counts."""
+    if taps.size == 0:
+        return {"mean": math.nan, "mean_interval": [math.nan] * 2, "histogram": {}}
+    mean = float(np.mean(taps))
+    error = NORMAL_95 * float(np.std(taps)) / math.sqrt(taps.size)
+    counts = np.bincount(taps)
+    return {
+        "mean": mean,
+        "mean_interval": [mean - error, mean + error],
+        "p50": int(np.percentile(taps, 50, method="inverted_cdf")),
+        "p90": int(np.percentile(taps, 90, method="inverted_cdf")),
+        "p99": int(np.percentile(taps, 99, method="inverted_cdf")),
+        "max": int(taps.max()),
+        "histogram": {str(number): int(count) for number, count in enumerate(counts) if count},
+    }
+
+
+def _share(part: np.ndarray[Any, Any], whole: np.ndarray[Any, Any]) -> float:
+    return float(np.sum(part & whole) / np.sum(whole)) if np.any(whole) else math.nan
+
+
+def _spread(values: np.ndarray[Any, Any]) -> dict[str, float]:
+    if values.size == 0:
+        return {"mean": math.nan, "p99": math.nan, "max": math.nan}
+    return {
+        "mean": float(np.mean(values)),
+        "p99": float(np.percentile(values, 99)),
+        "max": float(np.max(values)),
+    }

@@ -1,0 +1,97 @@
+"""What is asked of an evaluation and what comes out of its trials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.planning.errors import PlanningError
+from tapping_cell.planning.evaluation.worlds import AbstractWorld, PhysicsWorld
+from tapping_cell.planning.interface import Array
+from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.strike import StrikeSpace
+
+
+class End(IntEnum):
+    """How a trial ended."""
+
+    DONE = 0
+    ENDLESS = 1
+    REFUSED_BEFORE = 2
+    REFUSED_LATER = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """One evaluation: a method, a task, and the world that answers. Lengths in m, angles in rad.
+
+    goal: dx, dy and rotation from the start.
+    random_tasks: largest distance and rotation of tasks drawn anew for each trial; replaces goal.
+    gain_bias: steady errors of the object's distance and rotation gains, as shares; each trial has
+        them with its own random signs.
+    space: with it trials run on its table, within its arm's reach, starts and goals all over it.
+    """
+
+    planner: str
+    settings: PlannerSettings
+    trials: int = 2000
+    goal: tuple[float, float, float] = (0.010, 0.0, 0.17453292519943295)
+    random_tasks: tuple[float, float] | None = None
+    world: AbstractWorld | PhysicsWorld = field(default_factory=AbstractWorld)
+    gain_bias: tuple[float, float] = (0.0, 0.0)
+    adapt: bool = False
+    seed: int = 0
+    most_taps: int = 100
+    space: StrikeSpace | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no evaluation (PlanningError)."""
+        if not 1 <= self.trials <= 10**8:
+            raise PlanningError(f"{self.trials} trials: needs 1 to 100000000")
+        if not np.all(np.isfinite(self.goal)):
+            raise PlanningError(f"the goal {self.goal} must be three finite numbers")
+        if self.random_tasks is not None and not (
+            np.all(np.isfinite(self.random_tasks)) and min(self.random_tasks) >= 0.0
+        ):
+            raise PlanningError(f"random tasks to {self.random_tasks}: needs two numbers, 0 or more")
+        if not all(0.0 <= abs(bias) <= 0.4 for bias in self.gain_bias):
+            raise PlanningError(
+                f"the gain bias {self.gain_bias} is too large: at most 0.4 (40 %) either way"
+            )
+
+
+class Results(NamedTuple):
+    """Trials, one entry each.
+
+    taps: fired. end: an ``End``. inside: whether the true pose is within the full tolerance.
+    distance, rotation: what truly remains, m and rad.
+    """
+
+    taps: NDArray[np.int64]
+    end: NDArray[np.int64]
+    inside: NDArray[np.bool_]
+    distance: Array
+    rotation: Array
+
+
+def draw_tasks(evaluation: Evaluation, count: int, rng: np.random.Generator) -> Array:
+    """Displacements from start to goal, (count, 3)."""
+    if evaluation.random_tasks is None:
+        return np.tile(np.asarray(evaluation.goal, dtype=float), (count, 1))
+    far, turn = evaluation.random_tasks
+    distance = rng.uniform(0.0, far, count)
+    heading = rng.uniform(-np.pi, np.pi, count)
+    return np.stack(
+        [distance * np.cos(heading), distance * np.sin(heading), rng.uniform(-turn, turn, count)],
+        axis=-1,
+    )
+
+
+def draw_gains(evaluation: Evaluation, count: int, rng: np.random.Generator) -> Array:
+    """True gains of distance and rotation, (count, 2)."""
+    signs = rng.choice([-1.0, 1.0], size=(count, 2))
+    return np.asarray(1.0 + signs * np.asarray(evaluation.gain_bias))

@@ -1,0 +1,81 @@
+"""What answers a commanded tap: displacement and scatter alone, or the whole physics of a tap."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tapping_cell.mechanics import Tap
+from tapping_cell.planning.interface import Array
+from tapping_cell.planning.settings import Scatter
+
+
+@dataclass(frozen=True, slots=True)
+class AbstractWorld:
+    """The object moves as commanded, but for gains and scatter."""
+
+    scatter: Scatter = field(default_factory=Scatter)
+
+    def answer(self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator) -> Array:
+        """True displacements (n, 3) of commanded ones, for true gains (n, 2); poses unused."""
+        return scattered(commanded, gains, self.scatter, rng)
+
+
+@dataclass(frozen=True, slots=True)
+class PhysicsWorld:
+    """The arm puts the striker where it was told, rounded; then impact and slide by true mechanics.
+
+    model: the mechanics that the planner believes, by which a displacement becomes a strike.
+    truth: the mechanics that answers.
+    standoff: from the tip at rest to the contact, m.
+    round_position, round_angle: the tip's pose at rest is rounded to multiples of these (m, rad) in
+        the table frame, as in section 5 of the paper; 0 for none. The planner is not told.
+    """
+
+    model: Tap
+    truth: Tap
+    scatter: Scatter = field(default_factory=Scatter)
+    standoff: float = 0.015
+    round_position: float = 0.0
+    round_angle: float = 0.0
+
+    def answer(self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator) -> Array:
+        """True displacements (n, 3) of taps commanded at the objects' poses (n, 3)."""
+        plan = self.model.plan(commanded, poses)
+        tips = np.array(plan.strike_pose)
+        tips[..., 0] -= self.standoff * np.cos(tips[..., 2])
+        tips[..., 1] -= self.standoff * np.sin(tips[..., 2])
+        if self.round_position > 0.0:
+            tips[..., :2] = self.round_position * np.round(tips[..., :2] / self.round_position)
+        if self.round_angle > 0.0:
+            tips[..., 2] = self.round_angle * np.round(tips[..., 2] / self.round_angle)
+        moved = self.truth.outcome(poses, tips, plan.striker_speed)
+        return scattered(moved, gains, self.scatter, rng)
+
+
+def scattered(moved: Array, gains: Array, scatter: Scatter, rng: np.random.Generator) -> Array:
+    """Displacements (n, 3) with steady gains (n, 2) and one draw of the scatter each."""
+    noise = rng.standard_normal((3, moved.shape[0]))
+    length = gains[:, 0] * (1.0 + scatter.distance * noise[0])
+    turned = scatter.direction * noise[2]
+    cos, sin = length * np.cos(turned), length * np.sin(turned)
+    return np.stack(
+        [
+            cos * moved[:, 0] - sin * moved[:, 1],
+            sin * moved[:, 0] + cos * moved[:, 1],
+            moved[:, 2] * gains[:, 1] * (1.0 + scatter.rotation * noise[1]),
+        ],
+        axis=-1,
+    )
+
+
+START_REACH = 0.1
+"""Starts on the open table are spread over a square of twice this size in m, at any angle."""
+
+
+def draw_starts(count: int, rng: np.random.Generator) -> Array:
+    """Poses of objects at the start of trials on an open table, (count, 3)."""
+    place = rng.uniform(-START_REACH, START_REACH, (count, 2))
+    return np.concatenate([place, rng.uniform(-math.pi, math.pi, (count, 1))], axis=1)
