@@ -1,0 +1,274 @@
+"""The arrows between the rooms point one way; outside libraries are imported where they belong."""
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[2] / "tapping_cell"
+
+# What each room may import of ours: a room, or one module of it. A room may import itself.
+ARROWS = {
+    "se2": set(),
+    "mechanics": {"se2"},
+    "vision": {"se2"},
+    "hardware": {"se2"},
+    "planning": {"se2", "mechanics"},
+    "configuration": {"se2", "mechanics", "vision", "hardware", "planning"},
+    # The world speaks the devices' bytes and draws what the camera sees.
+    "simulation": {
+        "se2",
+        "mechanics",
+        "hardware",
+        "vision.camera",
+        "vision.markers",
+        "configuration",
+    },
+    "calibration": {"se2", "mechanics", "vision", "hardware", "configuration"},
+    "report": {"se2", "mechanics", "planning", "configuration"},
+    "nodes": {
+        "se2",
+        "mechanics",
+        "vision",
+        "hardware",
+        "planning",
+        "configuration",
+        "simulation",
+        "calibration",
+        "report",
+    },
+    "cli": {
+        "se2",
+        "mechanics",
+        "vision",
+        "hardware",
+        "planning",
+        "configuration",
+        "simulation",
+        "calibration",
+        "report",
+        "nodes",
+    },
+    "__main__": {"cli"},
+}
+ROS_ROOMS = {"nodes", "cli"}
+# Outside libraries that only these rooms import.
+HOMES = {
+    "serial": {"hardware"},
+    "matplotlib": {"report"},
+    "rich": {"cli", "report"},
+    "mujoco": {"cli"},  # a benchmark's peer, where it is installed
+}
+# These open real ports; the simulated world must never do that, so it gets none of them.
+DRIVERS = {"serial_transport", "arm", "tapper"}
+# Everything else that may be imported at all, by the rooms that may.
+COMMON = {"numpy", "scipy", "cv2", "yaml", "ament_index_python"}
+LONGEST_FILE = 500  # lines; about 400 is the aim
+
+
+class Import(NamedTuple):
+    """One import statement of a module: ``room`` is the importing room."""
+
+    room: str
+    file: str
+    line: int
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line} imports {self.name}"
+
+
+def imports_of(package: Path) -> Iterator[Import]:
+    """Every import below the package, wherever in a module it stands."""
+    for file in sorted(package.rglob("*.py")):
+        place = file.relative_to(package)
+        room = place.parts[0].removesuffix(".py")
+        parents = (package.name, *place.parts[:-1])
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                base = ".".join(parents[: len(parents) + 1 - node.level]) if node.level else ""
+                module = ".".join(part for part in (base, node.module) if part)
+                # ``from tapping_cell import se2`` imports a room, not the package
+                names = [
+                    f"{module}.{alias.name}" if module == package.name else module
+                    for alias in node.names
+                ]
+            else:
+                continue
+            for name in dict.fromkeys(names):
+                yield Import(room, str(place), node.lineno, name)
+
+
+def is_ros(name: str) -> bool:
+    """Whether the module is ROS's client library or its messages."""
+    top = name.split(".")[0]
+    return top in {"rclpy", "launch", "launch_ros"} or top.endswith(
+        ("_msgs", "_srvs", "_interfaces")
+    )
+
+
+def against_the_arrows(imports: list[Import], package: str) -> list[Import]:
+    """Imports of ours that no arrow allows."""
+    wrong = []
+    for found in imports:
+        parts = found.name.split(".")
+        if parts[0] != package or found.room == "__init__":
+            continue
+        target = parts[1] if len(parts) > 1 else ""
+        allowed = ARROWS.get(found.room, set()) | {found.room}
+        if target in allowed or ".".join(parts[1:3]) in allowed:
+            continue
+        if target not in ARROWS and target != "":
+            continue  # a plain name of the package, such as __version__
+        wrong.append(found)
+    return wrong
+
+
+def strangers(imports: list[Import], package: str) -> list[Import]:
+    """Imports of outside libraries in rooms where they do not belong."""
+    wrong = []
+    for found in imports:
+        top = found.name.split(".")[0]
+        if top == package or top in sys.stdlib_module_names or top in COMMON:
+            continue
+        home = ROS_ROOMS if is_ros(found.name) else HOMES.get(top, set())
+        if found.room not in home:
+            wrong.append(found)
+    return wrong
+
+
+def drivers_in_the_world(imports: list[Import], package: str) -> list[Import]:
+    """Imports of the drivers of real devices by the simulated world."""
+    prefix = f"{package}.hardware."
+    return [
+        found
+        for found in imports
+        if found.room == "simulation"
+        and found.name.startswith(prefix)
+        and found.name.removeprefix(prefix).split(".")[0] in DRIVERS
+    ]
+
+
+def cycles(edges: dict[str, set[str]]) -> list[str]:
+    """The rooms that can be reached from themselves."""
+    found = []
+    for start in edges:
+        seen: set[str] = set()
+        ahead = list(edges[start])
+        while ahead:
+            room = ahead.pop()
+            if room not in seen:
+                seen.add(room)
+                ahead.extend(edges.get(room, ()))
+        if start in seen:
+            found.append(start)
+    return found
+
+
+@pytest.fixture(scope="module")
+def real_imports() -> list[Import]:
+    return list(imports_of(PACKAGE))
+
+
+def test_every_room_has_its_arrows():
+    rooms = {
+        path.name.removesuffix(".py")
+        for path in PACKAGE.iterdir()
+        if path.suffix == ".py" or any(path.glob("*.py"))
+    }
+    assert rooms - {"__init__"} <= set(ARROWS)
+
+
+def test_arrows_point_one_way():
+    edges = {room: {name.split(".")[0] for name in to} for room, to in ARROWS.items()}
+    assert cycles(edges) == []
+
+
+def test_rooms_import_along_the_arrows(real_imports):
+    assert len(real_imports) > 100  # the walk finds the code
+    assert [str(found) for found in against_the_arrows(real_imports, PACKAGE.name)] == []
+
+
+def test_outside_libraries_stay_in_their_rooms(real_imports):
+    assert [str(found) for found in strangers(real_imports, PACKAGE.name)] == []
+
+
+def test_the_world_drives_no_real_device(real_imports):
+    assert [str(found) for found in drivers_in_the_world(real_imports, PACKAGE.name)] == []
+
+
+def test_files_stay_readable():
+    lengths = {
+        str(file.relative_to(PACKAGE)): len(file.read_text(encoding="utf-8").splitlines())
+        for file in PACKAGE.rglob("*.py")
+    }
+    assert {file: n for file, n in lengths.items() if n > LONGEST_FILE} == {}
+
+
+def test_no_room_is_called_utils():
+    vague = {"utils", "util", "helpers", "misc", "common", "tools"}
+    assert [file for file in PACKAGE.rglob("*") if file.stem in vague] == []
+
+
+PLANTED = [
+    ("mechanics/bad.py", "from tapping_cell.planning import make_planner", against_the_arrows),
+    ("mechanics/bad.py", "from tapping_cell import vision", against_the_arrows),
+    ("mechanics/bad.py", "from ..hardware import scara", against_the_arrows),
+    ("mechanics/deep/bad.py", "from ...cli import main", against_the_arrows),
+    ("se2.py", "from tapping_cell.mechanics import Tap", against_the_arrows),
+    ("planning/bad.py", "def f():\n    import tapping_cell.hardware.scara", against_the_arrows),
+    ("simulation/bad.py", "from tapping_cell.vision.tracker import T", against_the_arrows),
+    ("nodes/bad.py", "from tapping_cell.cli import main", against_the_arrows),
+    ("hardware/bad.py", "import tapping_cell.simulation as world", against_the_arrows),
+    ("mechanics/bad.py", "import rclpy", strangers),
+    ("vision/bad.py", "from sensor_msgs.msg import Image", strangers),
+    ("planning/bad.py", "from tapping_cell_msgs.msg import PlanState", strangers),
+    ("configuration/bad.py", "from builtin_interfaces.msg import Time", strangers),
+    ("planning/bad.py", "def f():\n    import matplotlib.pyplot as plt", strangers),
+    ("nodes/bad.py", "import serial", strangers),
+    ("simulation/bad.py", "from serial import Serial", strangers),
+    ("hardware/bad.py", "from std_srvs.srv import Trigger", strangers),
+    ("vision/bad.py", "import pandas", strangers),
+    ("simulation/bad.py", "from tapping_cell.hardware.arm import ArmDriver", drivers_in_the_world),
+]
+
+
+@pytest.mark.parametrize(("file", "code", "check"), PLANTED)
+def test_a_planted_violation_is_found(tmp_path, file, code, check):
+    place = tmp_path / "tapping_cell" / file
+    place.parent.mkdir(parents=True)
+    place.write_text(code)
+    assert [
+        found.file for found in check(list(imports_of(tmp_path / "tapping_cell")), "tapping_cell")
+    ] == [file]
+
+
+@pytest.mark.parametrize(
+    ("file", "code"),
+    [
+        ("mechanics/good.py", "import math\nimport numpy as np\nfrom tapping_cell import se2"),
+        ("mechanics/good.py", "from . import bodies\nfrom .sliding import Sliding"),
+        ("hardware/good.py", "import serial\nfrom tapping_cell.se2 import Pose"),
+        ("nodes/good.py", "import rclpy\nfrom tapping_cell_msgs.msg import ArmState"),
+        ("simulation/good.py", "from tapping_cell.vision.camera import CameraModel"),
+        ("cli/good.py", "from tapping_cell import __version__"),
+        ("report/good.py", "from matplotlib.figure import Figure"),
+    ],
+)
+def test_what_the_arrows_allow_is_let_through(tmp_path, file, code):
+    place = tmp_path / "tapping_cell" / file
+    place.parent.mkdir(parents=True)
+    place.write_text(code)
+    found = list(imports_of(tmp_path / "tapping_cell"))
+    assert found
+    for check in (against_the_arrows, strangers, drivers_in_the_world):
+        assert check(found, "tapping_cell") == []
+
+
+def test_a_cycle_is_found():
+    assert cycles({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c"]
