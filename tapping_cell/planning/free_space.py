@@ -60,7 +60,9 @@ class FreeSpace:
         self.workable: BoolArray = self._tappable & fits
         self.centres: Array = centres
         self._graph = _neighbour_graph(self.workable)
-        nearest = distance_transform_edt(~self.workable, return_distances=False, return_indices=True)
+        nearest = distance_transform_edt(
+            ~self.workable, return_distances=False, return_indices=True
+        )
         self._nearest = np.ravel_multi_index(tuple(nearest), self._shape).reshape(-1)
 
     def contains(self, points: ArrayLike) -> BoolArray:
@@ -207,6 +209,7 @@ def _neighbour_graph(workable: BoolArray) -> coo_array:
 
 def _hull_mask(workable: BoolArray) -> BoolArray:
     """Cells between two workable cells of the same column and of the same row."""
+
     def between(cells: BoolArray, axis: int) -> BoolArray:
         before = np.logical_or.accumulate(cells, axis=axis)
         after = np.flip(np.logical_or.accumulate(np.flip(cells, axis), axis=axis), axis)

@@ -18,7 +18,9 @@ def place_text(pose: ArrayLike) -> str:
     return f"({1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {math.degrees(theta):.1f} degrees)"
 
 
-def check_goal(goal_pose: ArrayLike, space: StrikeSpace, free: FreeSpace | None = None) -> Refusal | None:
+def check_goal(
+    goal_pose: ArrayLike, space: StrikeSpace, free: FreeSpace | None = None
+) -> Refusal | None:
     """Why no run to this goal (x, y, theta in `table`) can end well, or None.
 
     With the map of the free space the goal must also be workable by it, so that the closed loop

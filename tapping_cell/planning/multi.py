@@ -135,9 +135,7 @@ class MultiPlanner:
         cones: list[Array] = []
         before = np.full(self.distances.size, -1.0)
         while len(cones) < MOST_CONES:
-            below = self._box_opening(end) if not cones else np.interp(
-                end, self.distances, before
-            )
+            below = self._box_opening(end) if not cones else np.interp(end, self.distances, before)
             widest = np.minimum(settings.cone_slope * np.abs(taps), below / line)
             opening = np.where(below > 0.0, below + (1.0 - line) * widest, -1.0)
             grown = np.maximum(before, opening.max(axis=1))

@@ -109,7 +109,7 @@ class OptimalPlanner:
 
     @property
     def name(self) -> str:
-        """"optimal", or the fallback's name while the plan is being solved."""
+        """ "optimal", or the fallback's name while the plan is being solved."""
         return "optimal" if self.ready else f"{self._fallback.name} (optimal is being solved)"
 
     def wait(self, timeout: float | None = None) -> bool:

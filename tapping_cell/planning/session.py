@@ -260,4 +260,3 @@ def noise_of(covariance: ArrayLike) -> CameraNoise:
     matrix = np.asarray(covariance, dtype=float)
     largest = float(np.max(np.linalg.eigvalsh(matrix[:2, :2])))
     return CameraNoise(math.sqrt(max(largest, 0.0)), math.sqrt(max(float(matrix[2, 2]), 0.0)))
-

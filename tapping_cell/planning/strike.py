@@ -211,7 +211,9 @@ class StrikeSpace:
             axis=-1,
         )
 
-    def first_strike(self, object_pose: Pose, displacements: Array) -> tuple[int, StrikePlan] | None:
+    def first_strike(
+        self, object_pose: Pose, displacements: Array
+    ) -> tuple[int, StrikePlan] | None:
         """The first of the displacements (n, 3) that can be struck, with its strike, or None.
 
         The slide itself is not looked at here (``slide_is_safe``).

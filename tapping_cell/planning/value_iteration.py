@@ -237,9 +237,7 @@ def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tup
     abscissae = (grid[:-1, None] + width[:, None] * (points + 1.0) / 2.0).reshape(-1)
     values = distribution(abscissae).reshape(*mean.shape, width.size, 3)
     cells = values @ (shares / 2.0) * width
-    cumulative = np.concatenate(
-        [np.zeros((*mean.shape, 1)), np.cumsum(cells, axis=-1)], axis=-1
-    )
+    cumulative = np.concatenate([np.zeros((*mean.shape, 1)), np.cumsum(cells, axis=-1)], axis=-1)
     return _weights(grid, cumulative, box, distribution(grid[box : box + 1])[..., 0])
 
 

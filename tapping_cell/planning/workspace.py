@@ -26,7 +26,9 @@ class CircleArea:
     def __post_init__(self) -> None:
         """Refuse a circle that is not finite or has no size (PlanningError)."""
         if not (np.all(np.isfinite([self.x, self.y])) and 0.0 < self.radius < 10.0):
-            raise PlanningError(f"keep-out circle {self}: needs finite numbers and a radius above 0")
+            raise PlanningError(
+                f"keep-out circle {self}: needs finite numbers and a radius above 0"
+            )
 
     def distance(self, points: ArrayLike) -> Array:
         """Distance from the points to the area, negative inside."""
@@ -96,7 +98,9 @@ class Workspace:
         ):
             value = getattr(self, name)
             if not low <= value <= high:
-                raise PlanningError(f"Workspace.{name} is {value!r}, allowed is {low:g} to {high:g} m")
+                raise PlanningError(
+                    f"Workspace.{name} is {value!r}, allowed is {low:g} to {high:g} m"
+                )
 
     def edge_distance(self, points: ArrayLike) -> Array:
         """Distance to the nearest edge of the table, negative beyond it."""

@@ -24,9 +24,9 @@ def run_table_trials(
 
     Goals are not filtered: those that cannot be reached must be refused before the first tap.
     """
-    space = evaluation.space
-    if space is None:
-        raise PlanningError("trials on a table need its StrikeSpace")
+    if evaluation.space is None:
+        raise PlanningError("trials on a table need a function that makes its StrikeSpace")
+    space = evaluation.space()
     free = FreeSpace(space)
     tasks = draw_tasks(evaluation, count, rng)
     true_gains = draw_gains(evaluation, count, rng)
@@ -68,20 +68,17 @@ def _run_one(
     camera, settings = evaluation.settings.camera, evaluation.settings
     look = np.array([camera.position, camera.position, camera.angle])
     pose = start.copy()
-    while True:
-        seen = pose + look * rng.standard_normal(3)
-        if session.taps > 0:
-            session.observe(decision, before, seen)  # noqa: F821 (set on the pass before)
-        decision = session.decide(seen)
-        if not isinstance(decision, Strike):
-            break
-        before = seen
+    seen = pose + look * rng.standard_normal(3)
+    decision = session.decide(seen)
+    while isinstance(decision, Strike):
         moved = evaluation.world.answer(
             pose[None, :], np.array([decision.commanded]), gain[None, :], rng
         )[0]
         pose = pose + moved
         pose[2] = wrap_angle(pose[2])
-        session.taps += 1
+        before, seen = seen, pose + look * rng.standard_normal(3)
+        session.observe(decision, before, seen)
+        decision = session.decide(seen)
     if isinstance(decision, Done):
         end = End.DONE
     elif session.taps >= evaluation.most_taps:

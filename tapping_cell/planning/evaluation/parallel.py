@@ -47,7 +47,7 @@ def evaluate(
     seeds = np.random.SeedSequence(evaluation.seed).spawn(len(sizes))
     workers = min(processes or os.cpu_count() or 1, len(sizes))
     note = progress or (lambda count: None)
-    if workers == 1 or len(sizes) < WORTH_PROCESSES or evaluation.space is not None:
+    if workers == 1 or len(sizes) < WORTH_PROCESSES:
         parts = []
         for size, seed in zip(sizes, seeds, strict=True):
             parts.append(run_chunk(evaluation, size, seed))

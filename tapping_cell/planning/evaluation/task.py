@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
@@ -33,7 +34,8 @@ class Evaluation:
     random_tasks: largest distance and rotation of tasks drawn anew for each trial; replaces goal.
     gain_bias: steady errors of the object's distance and rotation gains, as shares; each trial has
         them with its own random signs.
-    space: with it trials run on its table, within its arm's reach, starts and goals all over it.
+    space: makes the table, arm and striker of trials on a table, starts and goals all over it; can be
+        pickled, so that every process makes its own. None for an open table.
     """
 
     planner: str
@@ -46,7 +48,7 @@ class Evaluation:
     adapt: bool = False
     seed: int = 0
     most_taps: int = 100
-    space: StrikeSpace | None = None
+    space: Callable[[], StrikeSpace] | None = None
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no evaluation (PlanningError)."""
@@ -57,7 +59,9 @@ class Evaluation:
         if self.random_tasks is not None and not (
             np.all(np.isfinite(self.random_tasks)) and min(self.random_tasks) >= 0.0
         ):
-            raise PlanningError(f"random tasks to {self.random_tasks}: needs two numbers, 0 or more")
+            raise PlanningError(
+                f"random tasks to {self.random_tasks}: needs two numbers, 0 or more"
+            )
         if not all(0.0 <= abs(bias) <= 0.4 for bias in self.gain_bias):
             raise PlanningError(
                 f"the gain bias {self.gain_bias} is too large: at most 0.4 (40 %) either way"

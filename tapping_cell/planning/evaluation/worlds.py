@@ -18,7 +18,9 @@ class AbstractWorld:
 
     scatter: Scatter = field(default_factory=Scatter)
 
-    def answer(self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator) -> Array:
+    def answer(
+        self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator
+    ) -> Array:
         """True displacements (n, 3) of commanded ones, for true gains (n, 2); poses unused."""
         return scattered(commanded, gains, self.scatter, rng)
 
@@ -32,6 +34,7 @@ class PhysicsWorld:
     standoff: from the tip at rest to the contact, m.
     round_position, round_angle: the tip's pose at rest is rounded to multiples of these (m, rad) in
         the table frame, as in section 5 of the paper; 0 for none. The planner is not told.
+    speed_factor: true over commanded speed of the striker.
     """
 
     model: Tap
@@ -40,8 +43,11 @@ class PhysicsWorld:
     standoff: float = 0.015
     round_position: float = 0.0
     round_angle: float = 0.0
+    speed_factor: float = 1.0
 
-    def answer(self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator) -> Array:
+    def answer(
+        self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator
+    ) -> Array:
         """True displacements (n, 3) of taps commanded at the objects' poses (n, 3)."""
         plan = self.model.plan(commanded, poses)
         tips = np.array(plan.strike_pose)
@@ -51,7 +57,7 @@ class PhysicsWorld:
             tips[..., :2] = self.round_position * np.round(tips[..., :2] / self.round_position)
         if self.round_angle > 0.0:
             tips[..., 2] = self.round_angle * np.round(tips[..., 2] / self.round_angle)
-        moved = self.truth.outcome(poses, tips, plan.striker_speed)
+        moved = self.truth.outcome(poses, tips, self.speed_factor * plan.striker_speed)
         return scattered(moved, gains, self.scatter, rng)
 
 

@@ -1,0 +1,375 @@
+"""Many positioning trials of a planning method, without ROS: how many taps, how many truly inside.
+
+example:
+  python -m tapping_cell evaluate --planner optimal --goal 10 0 10 --camera-noise 0.1 0.1 --gain-bias 6 10 --adapt
+
+Lengths are in mm, angles in degrees, shares in percent. The model "abstract" answers a tap with the
+wanted displacement and its scatter; "physics" strikes, collides and slides by true parameters that
+the planner does not know (--truth). With --table the trials run on the cell's table, within the
+arm's reach, with edges and keep-outs; goals that cannot be reached must be refused before the first
+tap.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import functools
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tapping_cell.planning.evaluation import Evaluation, PhysicsWorld, Results
+    from tapping_cell.planning.settings import PlannerSettings
+    from tapping_cell.planning.strike import StrikeSpace
+
+LARGE_TASKS = (300.0, 180.0)
+DEFAULT_TASKS = (40.0, 20.0)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    numbers: Callable[..., Any] = parser.add_argument
+    parser.add_argument("--planner", default="optimal", metavar="P", help="planning method")
+    parser.add_argument("--all", action="store_true", help="compare all methods")
+    numbers("--trials", type=int, default=2000, metavar="N", help="number of trials (2000)")
+    numbers(
+        "--goal",
+        type=float,
+        nargs=3,
+        default=(10.0, 0.0, 10.0),
+        metavar=("X", "Y", "THETA"),
+        help="from start to goal: mm, mm, degrees (10 0 10)",
+    )
+    numbers(
+        "--random-tasks",
+        type=float,
+        nargs="*",
+        metavar="MAX",
+        help="draw each trial's goal: largest distance in mm and rotation in degrees "
+        "(40 20; with --table 300 180)",
+    )
+    numbers(
+        "--tolerance",
+        type=float,
+        nargs=2,
+        default=(1.0, 1.0),
+        metavar=("MM", "DEG"),
+        help="where the object must end (1 1)",
+    )
+    numbers(
+        "--scatter",
+        type=float,
+        nargs=3,
+        default=(5.0, 15.0, 1.0),
+        metavar=("D", "R", "A"),
+        help="standard deviation of a tap: percent of distance, percent of rotation, degrees of "
+        "direction (5 15 1)",
+    )
+    numbers(
+        "--camera-noise",
+        type=float,
+        nargs=2,
+        default=(0.0, 0.0),
+        metavar=("MM", "DEG"),
+        help="standard deviation of a look (0 0)",
+    )
+    numbers(
+        "--gain-bias",
+        type=float,
+        nargs=2,
+        default=(0.0, 0.0),
+        metavar=("D", "R"),
+        help="steady errors of distance and rotation in percent, of random sign in each trial (0 0)",
+    )
+    parser.add_argument("--adapt", action="store_true", help="learn the gains tap by tap")
+    numbers(
+        "--box",
+        type=float,
+        metavar="SHARE",
+        help="share of the tolerance to stop in; default: "
+        "the largest that is honest for the camera noise",
+    )
+    numbers(
+        "--variant",
+        choices=("overshoot", "retreat"),
+        default="overshoot",
+        help="two-tap plans of exact and conservative: first past the goal, or away from it",
+    )
+    numbers(
+        "--error-line",
+        type=float,
+        metavar="PERCENT",
+        help="half length of the error lines of conservative (30) and multi (60)",
+    )
+    numbers("--model", choices=("abstract", "physics"), default="abstract", help="what answers")
+    numbers(
+        "--round-position",
+        type=float,
+        default=0.0,
+        metavar="MM",
+        help="the arm rounds the striker's place to multiples of this (physics)",
+    )
+    numbers(
+        "--round-angle",
+        type=float,
+        default=0.0,
+        metavar="DEG",
+        help="the arm rounds the striker's angle to multiples of this (physics)",
+    )
+    numbers("--table", action="store_true", help="on the cell's table, within the arm's reach")
+    numbers("--cell", type=Path, metavar="FILE", help="cell file (physics and --table)")
+    numbers("--object", type=Path, metavar="FILE", help="object file (physics and --table)")
+    numbers("--truth", type=Path, metavar="FILE", help="true parameters (physics)")
+    numbers("--most-taps", type=int, default=100, metavar="N", help="then a trial is endless (100)")
+    numbers("--seed", type=int, default=0, help="of the random numbers (0)")
+    numbers("--processes", type=int, metavar="N", help="default: one a core")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    numbers("--report", type=Path, metavar="DIR", help="write a table and plots (with --all)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the evaluation; 0, or 2 for options that make no evaluation."""
+    # The work is spread over processes; BLAS threads on top of them only get in each other's way.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from tapping_cell.configuration.schema import ConfigurationError
+    from tapping_cell.mechanics import MechanicsError
+    from tapping_cell.planning import PlanningError
+
+    try:
+        if arguments.all:
+            return _compare(arguments)
+        if arguments.report is not None:
+            raise PlanningError("--report compares all methods: give --all with it")
+        evaluation = make_evaluation(arguments, arguments.planner)
+        figures = measure(arguments, evaluation)
+    except (PlanningError, ConfigurationError, MechanicsError) as error:
+        print(f"evaluate: {error}", file=sys.stderr)
+        return 2
+    if arguments.json:
+        print(json.dumps(figures, indent=2))
+    else:
+        print(_text(arguments.planner, figures))
+    return 0
+
+
+def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
+    """The evaluation that the options ask for, SI."""
+    from tapping_cell.planning import PlanningError
+    from tapping_cell.planning.evaluation import Evaluation
+    from tapping_cell.planning.evaluation.worlds import AbstractWorld
+
+    settings = _settings(arguments)
+    world: Any = AbstractWorld(settings.scatter)
+    space = None
+    if arguments.model == "physics" or arguments.table:
+        from tapping_cell.configuration.assembly import make_tap
+        from tapping_cell.configuration.cell import load_cell
+        from tapping_cell.planning import PlannerSettings
+
+        cell = load_cell(arguments.cell, arguments.object)
+        tap = make_tap(cell)
+        fitted = PlannerSettings.for_tap(tap)
+        settings = replace(
+            settings,
+            cone_slope=fitted.cone_slope,
+            smallest_distance=fitted.smallest_distance,
+        )
+        if arguments.model == "physics":
+            world = _physics(arguments, cell, settings.scatter)
+        if arguments.table:
+            space = functools.partial(_cell_space, arguments.cell, arguments.object)
+    if arguments.model == "abstract" and (arguments.round_position or arguments.round_angle):
+        raise PlanningError("rounding moves the striker: give --model physics with it")
+    tasks = arguments.random_tasks
+    if tasks is not None and len(tasks) not in (0, 2):
+        raise PlanningError(
+            f"--random-tasks takes no number or two (mm, degrees), not {len(tasks)}"
+        )
+    if tasks == []:
+        tasks = LARGE_TASKS if arguments.table else DEFAULT_TASKS
+    x, y, theta = arguments.goal
+    return Evaluation(
+        planner=planner,
+        settings=settings,
+        trials=arguments.trials,
+        goal=(1e-3 * x, 1e-3 * y, math.radians(theta)),
+        random_tasks=None if tasks is None else (1e-3 * tasks[0], math.radians(tasks[1])),
+        world=world,
+        gain_bias=(arguments.gain_bias[0] / 100.0, arguments.gain_bias[1] / 100.0),
+        adapt=arguments.adapt,
+        seed=arguments.seed,
+        most_taps=arguments.most_taps,
+        space=space,
+    )
+
+
+def measure(arguments: argparse.Namespace, evaluation: Evaluation) -> dict[str, Any]:
+    """Run one evaluation and return its figures with the inputs and the speed."""
+    from tapping_cell.planning import make_planner
+    from tapping_cell.planning.evaluation import evaluate, summarise
+    from tapping_cell.planning.multi import MultiPlanner
+
+    began = time.perf_counter()
+    planner = make_planner(evaluation.planner, evaluation.settings)
+    solved = time.perf_counter() - began
+    with _progress(arguments, evaluation) as note:
+        began = time.perf_counter()
+        results: Results = evaluate(evaluation, arguments.processes, note)
+        elapsed = time.perf_counter() - began
+    planned = None
+    if isinstance(planner, MultiPlanner) and evaluation.random_tasks is None:
+        goal = evaluation.goal
+        planned = int(planner.planned_taps(math.hypot(goal[0], goal[1]), goal[2]))
+    figures = {"planner": evaluation.planner, **summarise(results, planned)}
+    box = evaluation.settings.stopping
+    figures["box"] = {
+        "distance_mm": 1e3 * box.distance,
+        "rotation_deg": math.degrees(box.rotation),
+        "camera_suffices": box.camera_suffices,
+    }
+    figures["solving_s"] = solved
+    figures["trials_per_second"] = evaluation.trials / elapsed
+    figures["inputs"] = _inputs(arguments)
+    return figures
+
+
+def _settings(arguments: argparse.Namespace) -> PlannerSettings:
+    from tapping_cell.planning import CameraNoise, PlannerSettings, Scatter
+
+    share, turn, direction = arguments.scatter
+    line = arguments.error_line
+    return PlannerSettings(
+        scatter=Scatter(share / 100.0, turn / 100.0, math.radians(direction)),
+        camera=CameraNoise(
+            1e-3 * arguments.camera_noise[0], math.radians(arguments.camera_noise[1])
+        ),
+        tolerance_position=1e-3 * arguments.tolerance[0],
+        tolerance_angle=math.radians(arguments.tolerance[1]),
+        box=arguments.box,
+        variant=arguments.variant,
+        error_line=None if line is None else line / 100.0,
+    )
+
+
+def _cell_space(cell: Path | None, content: Path | None) -> StrikeSpace:
+    from tapping_cell.configuration.assembly import make_strike_space
+    from tapping_cell.configuration.cell import load_cell
+
+    return make_strike_space(load_cell(cell, content))
+
+
+def _physics(arguments: argparse.Namespace, cell: Any, scatter: Any) -> PhysicsWorld:
+    from tapping_cell.configuration.assembly import make_tap
+    from tapping_cell.configuration.files import shared_folder
+    from tapping_cell.configuration.schema import load
+    from tapping_cell.planning.evaluation import PhysicsWorld
+    from tapping_cell.simulation.truth import TruthFile
+
+    path = arguments.truth or shared_folder() / "truth" / "default.yaml"
+    truth = load(TruthFile, Path(path).expanduser())
+    known = cell.object
+    actual = replace(
+        known,
+        friction=known.friction * truth.support.friction_factor,
+        torque_factor=known.torque_factor * truth.support.torque_factor_factor,
+        restitution=min(1.0, known.restitution * truth.impact.restitution_factor),
+        contact_friction=known.contact_friction * truth.impact.contact_friction_factor,
+    )
+    return PhysicsWorld(
+        model=replace(make_tap(cell), smallest_distance=0.0),
+        truth=actual.tap(cell.file.tapper.striker()),
+        scatter=scatter,
+        standoff=cell.file.tapper.standoff,
+        round_position=1e-3 * arguments.round_position,
+        round_angle=math.radians(arguments.round_angle),
+        speed_factor=truth.impact.striker_speed_factor,
+    )
+
+
+def _inputs(arguments: argparse.Namespace) -> dict[str, Any]:
+    left_out = {"json", "report", "processes", "verb"}
+    return {
+        name: str(value) if isinstance(value, Path) else value
+        for name, value in sorted(vars(arguments).items())
+        if name not in left_out
+    }
+
+
+@contextlib.contextmanager
+def _progress(
+    arguments: argparse.Namespace, evaluation: Evaluation
+) -> Iterator[Callable[[int], None]]:
+    """A bar on stderr where a person looks at it."""
+    if arguments.json or not sys.stderr.isatty():
+        yield lambda count: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(evaluation.planner, total=evaluation.trials)
+        yield lambda count: bar.advance(task, count)
+
+
+def _text(planner: str, figures: dict[str, Any]) -> str:
+    taps, box = figures["taps"], figures["box"]
+    lines = [
+        f"{planner}: {figures['trials']} trials, {figures['trials_per_second']:.0f} a second",
+        f"  taps              mean {taps['mean']:.3f} "
+        f"(95 % interval {taps['mean_interval'][0]:.3f} to {taps['mean_interval'][1]:.3f})",
+        f"                    half within {taps['p50']}, 90 % {taps['p90']}, 99 % {taps['p99']}, "
+        f"most {taps['max']}",
+        f"  done              {100 * figures['success_rate']:.2f} %",
+        f"  truly inside      {100 * figures['truly_inside_rate']:.2f} % of those",
+        f"  stopping box      {box['distance_mm']:.3f} mm, {box['rotation_deg']:.3f} degrees",
+    ]
+    if not box["camera_suffices"]:
+        lines.append(
+            "  the camera is too coarse for an honest box of this tolerance: fewer are truly inside"
+        )
+    if "planned_taps" in figures:
+        lines.append(
+            f"  within its plan   {100 * figures['within_planned_rate']:.2f} % "
+            f"({figures['planned_taps']} taps)"
+        )
+    for key, label in (
+        ("refused_before", "refused at once"),
+        ("refused_later", "refused later"),
+        ("endless", "endless"),
+    ):
+        if figures[key]:
+            lines.append(f"  {label:<17} {figures[key]}")
+    return "\n".join(lines)
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    from tapping_cell.report.planning_comparison import (
+        comparison_table,
+        methods,
+        write_comparison,
+    )
+
+    rows: dict[str, dict[str, Any]] = {}
+    for method in methods():
+        chosen = argparse.Namespace(**vars(arguments))
+        chosen.planner = method.planner
+        chosen.variant = method.variant
+        chosen.error_line = method.error_line
+        rows[method.label] = measure(chosen, make_evaluation(chosen, method.planner))
+    if arguments.report is not None:
+        write_comparison(arguments.report, rows, _settings(arguments), tuple(arguments.goal))
+    if arguments.json:
+        print(json.dumps(rows, indent=2))
+    else:
+        print(comparison_table(rows))
+        if arguments.report is not None:
+            print(f"report in {arguments.report}")
+    return 0

@@ -1,0 +1,39 @@
+"""A fan of runs in the plane of distance and rotation, like figures 5 and 6 of the paper."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tapping_cell.planning.interface import Array, Planner
+
+
+def fan_of_runs(
+    planner: Planner, goal: tuple[float, float], count: int, seed: int, most_taps: int = 20
+) -> list[Array]:
+    """Runs from (0, 0) to ``goal`` = (distance in m, rotation in rad), each (taps + 1, 2).
+
+    Perfect camera, the planner's own scatter. The first coordinate is the object's place along the
+    line from the start to the goal: what drifts sideways is not shown.
+    """
+    rng = np.random.default_rng(seed)
+    scatter, box = planner.settings.scatter, planner.settings.stopping
+    runs = []
+    for _ in range(count):
+        place = np.zeros(3)
+        track = [(0.0, 0.0)]
+        while len(track) <= most_taps:
+            left = np.array([goal[0], 0.0, goal[1]]) - place
+            distance = math.hypot(left[0], left[1])
+            if distance <= box.distance and abs(left[2]) <= box.rotation:
+                break
+            tap = planner.choose(distance, left[2])
+            noise = rng.standard_normal(3)
+            length = float(tap.distance) * (1.0 + scatter.distance * noise[0])
+            heading = math.atan2(left[1], left[0]) + scatter.direction * noise[2]
+            turn = float(tap.rotation) * (1.0 + scatter.rotation * noise[1])
+            place = place + [length * math.cos(heading), length * math.sin(heading), turn]
+            track.append((float(place[0]), float(place[2])))
+        runs.append(np.array(track))
+    return runs

@@ -1,0 +1,221 @@
+"""All planning methods side by side: a table and plots, in mm and degrees."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from tapping_cell.planning import Planner, PlannerSettings, make_planner, planner_names
+from tapping_cell.planning.evaluation.fan import fan_of_runs
+from tapping_cell.planning.multi import MultiPlanner
+
+FAN_RUNS = 60
+FAN_SEED = 1
+Goal = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A planning method with the settings that make it another one.
+
+    ``error_line`` in percent; None takes the method's own.
+    """
+
+    label: str
+    planner: str
+    variant: str = "overshoot"
+    error_line: float | None = None
+
+
+def methods() -> tuple[Method, ...]:
+    """What is compared: every built-in method with its variants, and every registered one."""
+    built_in = (
+        Method("exact, retreat", "exact", "retreat"),
+        Method("exact, overshoot", "exact"),
+        Method("conservative, retreat", "conservative", "retreat"),
+        Method("conservative, overshoot", "conservative"),
+        Method("multi 30 %", "multi", error_line=30.0),
+        Method("multi 60 %", "multi", error_line=60.0),
+        Method("optimal", "optimal"),
+    )
+    known = {method.planner for method in built_in}
+    return built_in + tuple(Method(name, name) for name in planner_names() if name not in known)
+
+
+def method_settings(method: Method, settings: PlannerSettings) -> PlannerSettings:
+    """The common settings with a method's own."""
+    line = method.error_line
+    return replace(
+        settings, variant=method.variant, error_line=None if line is None else line / 100.0
+    )
+
+
+def comparison_table(rows: dict[str, dict[str, Any]]) -> str:
+    """A Markdown table of figures, one method a row."""
+    lines = [
+        "| method | mean taps (95 % interval) | 99 % within | most | done within 5 | done "
+        "| truly inside |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for label, figures in rows.items():
+        taps = figures["taps"]
+        low, high = taps["mean_interval"]
+        lines.append(
+            f"| {label} | {taps['mean']:.3f} ({low:.3f} to {high:.3f}) | {taps['p99']} "
+            f"| {taps['max']} | {100 * _within(figures)[min(5, taps['max'])]:.1f} % "
+            f"| {100 * figures['success_rate']:.1f} % "
+            f"| {100 * figures['truly_inside_rate']:.2f} % |"
+        )
+    return "\n".join(lines)
+
+
+def write_comparison(
+    folder: Path, rows: dict[str, dict[str, Any]], settings: PlannerSettings, goal: Goal
+) -> None:
+    """Write ``comparison.md``, ``comparison.json`` and the plots into a folder (made if missing)."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "comparison.md").write_text(comparison_table(rows) + "\n", encoding="utf-8")
+    (folder / "comparison.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    draw_histograms(rows, folder / "planning_taps.png")
+    draw_success(rows, folder / "planning_success.png")
+    draw_cones(settings, goal, folder / "planning_cones.png")
+    draw_fans(settings, goal, folder / "planning_fans.png")
+
+
+def draw_histograms(rows: dict[str, dict[str, Any]], path: Path) -> None:
+    """How often each method took how many taps."""
+    figure, axes = _figure(len(rows), columns=4, size=(12.0, 2.6))
+    longest = max(figures["taps"]["max"] for figures in rows.values())
+    last = min(longest, 12)
+    for axis, (label, figures) in zip(axes, rows.items(), strict=False):
+        share = np.zeros(last + 1)
+        for taps, count in figures["taps"]["histogram"].items():
+            share[min(int(taps), last)] += 100.0 * count / figures["trials"]
+        axis.bar(np.arange(last + 1), share, color="#1f77b4")
+        axis.axvline(figures["taps"]["mean"], color="#d62728", linewidth=1.2)
+        axis.set_title(f"{label}: mean {figures['taps']['mean']:.2f}", fontsize=9)
+        axis.set_xlabel("taps" + (f" ({last} and more)" if longest > last else ""))
+        axis.set_ylabel("runs (%)")
+    figure.savefig(path)
+
+
+def draw_success(rows: dict[str, dict[str, Any]], path: Path) -> None:
+    """Share of the runs that are done after so many taps."""
+    figure, (axis,) = _figure(1, columns=1, size=(7.5, 4.5))
+    for label, figures in rows.items():
+        share = 100.0 * _within(figures)
+        axis.plot(np.arange(share.size), share, marker="o", markersize=3, label=label)
+    axis.set_xlim(0, 10)
+    axis.set_ylim(0, 101)
+    axis.set_xlabel("taps")
+    axis.set_ylabel("runs done (%)")
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8)
+    figure.savefig(path)
+
+
+def draw_cones(settings: PlannerSettings, goal: Goal, path: Path) -> None:
+    """What one tap reaches, the subgoals of the first tap, and the cones of the multi-tap plan."""
+    figure, (left, right) = _figure(2, columns=2, size=(11.0, 4.6))
+    distance, turn = math.hypot(goal[0], goal[1]), goal[2]
+    slope = math.degrees(settings.cone_slope) * 1e-3
+    span = max(2.5 * distance, 3.0 * turn / slope, 5.0)
+    x = np.linspace(-span, span, 201)
+    left.fill_between(x, -slope * np.abs(x), slope * np.abs(x), color="#cfe2f3", lw=0)
+    back = slope * np.abs(x - distance)
+    left.fill_between(x, turn - back, turn + back, color="#f4cccc", alpha=0.5, lw=0)
+    left.plot(0.0, 0.0, "ko")
+    left.annotate("start", (0.0, 0.0), textcoords="offset points", xytext=(6, -12), fontsize=8)
+    left.plot(distance, turn, "k*", markersize=12)
+    for method in methods():
+        tap = _planner(method, settings).choose(1e-3 * distance, math.radians(turn))
+        place, angle = 1e3 * float(tap.distance), math.degrees(float(tap.rotation))
+        left.plot([0.0, place], [0.0, angle], marker="o", markersize=4, lw=1.0, label=method.label)
+    left.set_title("blue: one tap from the start; red: one tap to the goal", fontsize=9)
+    left.set_ylim(-2.0, max(1.3 * turn, 12.0))
+    left.legend(fontsize=7, loc="upper left")
+    _draw_chain(right, settings, distance, turn)
+    for axis in (left, right):
+        axis.set_xlabel("distance (mm)")
+        axis.set_ylabel("rotation (degrees)")
+    figure.savefig(path)
+
+
+def _draw_chain(axis: Axes, settings: PlannerSettings, distance: float, turn: float) -> None:
+    planner = MultiPlanner(replace(settings, error_line=None))
+    shown = planner.distances <= max(4e-3 * distance, 0.03)
+    x = 1e3 * planner.distances[shown]
+    planned = int(planner.planned_taps(1e-3 * distance, math.radians(turn)))
+    for number, opening in enumerate(planner.cones[: planned + 1], start=1):
+        axis.plot(x, np.degrees(np.maximum(opening[shown], 0.0)), label=f"cone {number}")
+    axis.plot(distance, turn, "ko")
+    axis.annotate(
+        f"start: {planned} taps",
+        (distance, turn),
+        textcoords="offset points",
+        xytext=(8, -3),
+        fontsize=8,
+    )
+    axis.set_ylim(0.0, max(2.5 * turn, 12.0))
+    axis.set_title(
+        f"cones of multi, error lines of {100 * planner.error_line:.0f} %: what remains", fontsize=9
+    )
+    axis.legend(fontsize=7, loc="upper left")
+
+
+def draw_fans(settings: PlannerSettings, goal: Goal, path: Path) -> None:
+    """Runs of every method in the plane of distance and rotation, like figures 5 and 6."""
+    chosen = methods()
+    figure, axes = _figure(len(chosen), columns=4, size=(13.0, 3.0))
+    distance, turn = math.hypot(goal[0], goal[1]), goal[2]
+    for axis, method in zip(axes, chosen, strict=False):
+        planner = _planner(method, settings)
+        for run in fan_of_runs(planner, (1e-3 * distance, math.radians(turn)), FAN_RUNS, FAN_SEED):
+            axis.plot(1e3 * run[:, 0], np.degrees(run[:, 1]), color="#1f77b4", alpha=0.15, lw=0.8)
+            axis.plot(1e3 * run[1:, 0], np.degrees(run[1:, 1]), ".", color="#d62728", markersize=2)
+        box = settings.stopping
+        axis.add_patch(
+            Rectangle(
+                (distance - 1e3 * box.distance, turn - math.degrees(box.rotation)),
+                2e3 * box.distance,
+                2.0 * math.degrees(box.rotation),
+                fill=False,
+                color="k",
+                lw=0.8,
+            )
+        )
+        axis.set_title(method.label, fontsize=9)
+        axis.set_xlabel("distance (mm)")
+        axis.set_ylabel("rotation (degrees)")
+    figure.savefig(path)
+
+
+def _planner(method: Method, settings: PlannerSettings) -> Planner:
+    return make_planner(method.planner, method_settings(method, settings))
+
+
+def _within(figures: dict[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Share of all runs done within 0, 1, 2, ... taps."""
+    counts = np.zeros(figures["taps"]["max"] + 1)
+    for taps, count in figures["taps"]["histogram"].items():
+        counts[int(taps)] = count
+    return np.asarray(np.cumsum(counts) / np.sum(counts) * figures["success_rate"])
+
+
+def _figure(count: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
+    rows = math.ceil(count / columns)
+    figure = Figure(figsize=(size[0], size[1] * rows), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axis in axes[count:]:
+        axis.set_axis_off()
+    return figure, list(axes[:count])
