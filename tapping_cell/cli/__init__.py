@@ -18,6 +18,7 @@ VERBS = {
     "evaluate": "many positioning trials of a planning method",
     "sensitivity": "how the tap's result answers errors of the striker's pose",
     "locate": "where the object is in image files",
+    "faults": "taps over bad serial lines: is anything unsafe, hanging or untrue?",
     "bench": "benchmarks, each beside a peer measured in the same run",
 }
 

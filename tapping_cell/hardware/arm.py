@@ -148,7 +148,9 @@ class ArmDriver:
 
     @property
     def fault(self) -> HardwareFault | None:
-        """The latched fault that ``clear_fault`` ends; None when the arm may move."""
+        """The latched fault or stop that ``clear_fault`` ends; None when the arm may move."""
+        if self._fault is None and self._stopped.is_set():
+            return _stop_fault()
         return self._fault
 
     @property
@@ -296,13 +298,18 @@ class ArmDriver:
                 FaultReason.ALARM,
                 f"the arm's controller is {start.alarm}: clear the fault and home again",
             )
-        if self._confirmed is None or not self._agrees(self._confirmed, start.joints):
+        if self._confirmed is None:
+            raise HardwareFault(
+                FaultReason.POSITION_LOST,
+                f"the arm's last move was not confirmed; it stands at {_in_words(start.joints)}:"
+                " clear the fault and home again",
+            )
+        if not self._agrees(self._confirmed, start.joints):
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
                 f"the arm stands at {_in_words(start.joints)}, last confirmed at"
                 f" {_in_words(self._confirmed)}: it was moved or its controller restarted; clear"
-                " the"
-                " fault and home again",
+                " the fault and home again",
             )
         duration = move_duration(self.geometry, start.joints, goal, speed)
         if deadline is None:
@@ -441,9 +448,7 @@ class ArmDriver:
 
     def _require_line(self) -> None:
         if self._stopped.is_set():
-            raise HardwareFault(
-                FaultReason.STOPPED, "the arm is stopped: make the cell safe, then clear the fault"
-            )
+            raise _stop_fault()
         if not self.connected:
             raise HardwareFault(
                 FaultReason.DISCONNECTED,
@@ -461,24 +466,25 @@ class ArmDriver:
         """Draw the consequences of a fault; returns the one to raise."""
         if self._stopped.is_set() and fault.reason in (FaultReason.ALARM, FaultReason.BOARD_RESET):
             # What a stop does to the controller is no fault of its own.
-            fault = HardwareFault(
-                FaultReason.STOPPED,
-                "the arm was stopped: make the cell safe, clear the fault and home again",
-            )
+            fault = _stop_fault()
         self.counters.last_error = fault.sentence
         if fault.reason is FaultReason.DISCONNECTED:
             self._connected = False
         if fault.reason in UNHOMING:
             self._homed = False
             self._confirmed = None
-            if fault.reason is not FaultReason.HOMING_FAILED:
-                self._fault = fault
+            self._fault = fault
         return fault
 
 
-def _in_words(joints: Joints | None) -> str:
-    if joints is None:
-        return "nowhere"
+def _stop_fault() -> HardwareFault:
+    return HardwareFault(
+        FaultReason.STOPPED,
+        "the arm was stopped: make the cell safe, clear the fault and home again",
+    )
+
+
+def _in_words(joints: Joints) -> str:
     return (
         f"({math.degrees(joints.shoulder):.3f} deg, {math.degrees(joints.elbow):.3f} deg,"
         f" {joints.quill * 1e3:.3f} mm, {math.degrees(joints.tool):.3f} deg)"

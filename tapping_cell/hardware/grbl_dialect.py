@@ -22,6 +22,20 @@ REPLY_TIMEOUT = 0.5
 ms."""
 POLL_PERIOD = 0.01
 """Between status questions when a move is due to end, s; during it the controller is left alone."""
+LOCKED = {
+    "Alarm": "locked by an alarm",
+    "Hold": "in a feed hold",
+    "Door": "held by its safety door",
+    "Sleep": "asleep",
+    "Check": "in check mode",
+}
+"""States in which no motion is taken until the controller is cleared."""
+RESETS = 3
+"""Soft resets sent until the banner comes."""
+DRAIN_SILENCE = 0.05
+"""Silence after which nothing more is expected to be on the line, s."""
+DRAIN_ROUNDS = 100
+"""Reads after which a board that never falls silent is asked all the same."""
 MARK_LINE = b"G18\n"
 """A modal state that changes nothing for straight moves and that every reset forgets: if it is
 still there after a reconnect, the controller was not reset."""
@@ -67,7 +81,9 @@ class GrblDialect:
         """Find out who is there: status, version, settings; refuses what it does not understand."""
         self._forget()
         self._known = False
-        banner = self._await_first_status(deadline)
+        banner = self._drain() or self._await_first_status(deadline)
+        if banner is not None:
+            self._await_first_status(deadline)
         version = self._version(deadline, banner)
         self._check_settings(deadline)
         continued = self._marked and banner is None and self._mark_is_there(deadline)
@@ -108,7 +124,7 @@ class GrblDialect:
             status = self._ask_status(deadline)
             if status.state == "Alarm":
                 raise self._alarm_fault("the controller is in alarm")
-            if status.state in ("Hold", "Door", "Sleep", "Check"):
+            if status.state in LOCKED:
                 raise HardwareFault(
                     FaultReason.REJECTED,
                     f"the controller went into {status.state} during a move: look for the cause at"
@@ -148,7 +164,13 @@ class GrblDialect:
         self._forget()
         self._known = False
         self._marked = False
-        self._transport.write(grbl.SOFT_RESET)
+        for _ in range(RESETS):
+            self._transport.write(grbl.SOFT_RESET)
+            # What the board said before it was reset may still be on the line: wait for the banner.
+            if self._await_banner(min(deadline, self._transport.now() + REPLY_TIMEOUT)):
+                break
+            self.counters.retries += 1
+        self._drain()
         self._await_first_status(deadline)
         self._command(b"$X\n", deadline)
         self._offset = None
@@ -159,14 +181,15 @@ class GrblDialect:
         self._frames.clear()
         self._offset = None
 
-    def _pump(self, wait: float) -> None:
-        """Read for up to ``wait`` s and decode what came."""
-        self._buffer += self._transport.read(wait)
+    def _pump(self, wait: float) -> bool:
+        """Read for up to ``wait`` s and decode what came; False when nothing came."""
+        data = self._transport.read(wait)
+        self._buffer += data
         while True:
             decoded = grbl.decode(self._buffer)
             self._buffer = decoded.rest
             if decoded.frame is None:
-                return
+                return bool(data)
             self._sort(decoded.frame)
 
     def _sort(self, frame: grbl.Frame) -> None:
@@ -264,6 +287,28 @@ class GrblDialect:
                     ) from fault
                 self.counters.retries += 1
 
+    def _await_banner(self, until: float) -> bool:
+        """Wait for the greeting that follows a reset."""
+        while self._transport.now() < until:
+            self._pump(until - self._transport.now())
+            while self._frames:
+                if isinstance(self._frames.popleft(), grbl.Banner):
+                    return True
+        return False
+
+    def _drain(self) -> grbl.Banner | None:
+        """Let what is on the line run out, so that old answers are not taken for new ones."""
+        banner: grbl.Banner | None = None
+        for _ in range(DRAIN_ROUNDS):
+            heard = self._pump(DRAIN_SILENCE)
+            while self._frames:
+                frame = self._frames.popleft()
+                if isinstance(frame, grbl.Banner):
+                    banner = frame
+            if not heard:
+                break
+        return banner
+
     def _retried(self, line: bytes, deadline: float) -> list[grbl.Frame]:
         """A question that may be asked again: three tries, each as long as a reply takes."""
         for attempt in range(3):
@@ -329,7 +374,7 @@ class GrblDialect:
                 f"the controller reports {count} axes, {AXIS_COUNT} are needed: build its firmware"
                 f" with {AXIS_COUNT} axes",
             )
-        alarm = "locked by an alarm" if status.state == "Alarm" else ""
+        alarm = LOCKED.get(status.state, "")
         return AxisReading(AxisValues(*position[:AXIS_COUNT]), _moving(status), alarm, True)
 
     def _same(self, first: grbl.Status, second: grbl.Status) -> bool:

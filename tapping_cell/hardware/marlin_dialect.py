@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from tapping_cell.hardware import marlin
@@ -21,6 +22,8 @@ SILENCE = 2.5
 """Longest wait for ``ok`` or ``busy``, s: a working Marlin says ``busy`` about every 2 s."""
 REPEAT_SILENCE = 0.4
 """The same for a line sent again: it is answered at once, or was taken before, s."""
+DRAIN_SILENCE = 0.05
+"""Silence after which nothing more is expected to be on the line, s."""
 POLL_PERIOD = 0.02
 """Between position questions while the last steps are made, s."""
 FIRST_NUMBERS = (1000, 100_000_000)
@@ -46,9 +49,15 @@ class MarlinSettings:
 class MarlinDialect:
     """One Marlin controller; see :class:`~tapping_cell.hardware.dialect.ArmDialect`."""
 
-    def __init__(self, transport: Transport, settings: MarlinSettings | None = None) -> None:
+    def __init__(
+        self,
+        transport: Transport,
+        settings: MarlinSettings | None = None,
+        draw_number: Callable[[int], int] = secrets.randbelow,
+    ) -> None:
         self._transport = transport
         self._settings = settings or MarlinSettings()
+        self._draw_number = draw_number
         self.counters = LineCounters()
         self._buffer = b""
         self._frames: deque[marlin.Frame] = deque()
@@ -84,7 +93,8 @@ class MarlinDialect:
             for frame in self._command("M114", deadline):
                 if isinstance(frame, marlin.Position):
                     return self._reading(frame)
-            # The answer was garbled: Marlin's answers have no checksum, so ask again.
+            # The answer was garbled, or a stray `ok` was taken for that of this line: begin afresh.
+            self._settle(deadline)
             self.counters.retries += 1
 
     def start_move(self, target: AxisValues, feed: float, deadline: float) -> None:
@@ -165,11 +175,12 @@ class MarlinDialect:
         self._transport.write(self._sent[number])
         heard: list[marlin.Frame] = []
         patience = SILENCE
+        strange = 0
         for _ in range(RECOVERIES):
             outcome = self._await(number, patience, deadline, heard)
             if outcome is None:
                 return heard
-            if outcome > number:
+            if outcome == number + 1:
                 # The board has this line already and wants the next: only the `ok` was lost.
                 return heard
             if outcome < 0:
@@ -179,7 +190,14 @@ class MarlinDialect:
             if outcome not in self._sent:
                 if outcome == 1:
                     raise self._restarted()
-                outcome = number  # a garbled number: the board asks again if this is not it
+                strange += 1
+                if strange > 1:
+                    # Not a garbled digit: the board counts otherwise and takes no line of ours.
+                    self._begin_numbers(deadline)
+                    self._number += 1
+                    number = self._number
+                    self._sent[number] = marlin.numbered(number, code)
+                outcome = number
             for again in range(outcome, number + 1):
                 self._transport.write(self._sent[again])
                 self.counters.resends += 1
@@ -220,7 +238,7 @@ class MarlinDialect:
         self.counters.resends += 1
         heard: list[marlin.Frame] = []
         outcome = self._await(number, REPEAT_SILENCE, deadline, heard)
-        if outcome is None or outcome > number:
+        if outcome is None or outcome == number + 1:
             return True
         if outcome >= 0:
             return False
@@ -228,7 +246,7 @@ class MarlinDialect:
         self._sent[number + 1] = marlin.numbered(number + 1, "M114")
         self._transport.write(self._sent[number + 1])
         outcome = self._await(number + 1, SILENCE, deadline, heard)
-        if outcome is None or outcome > number + 1:
+        if outcome is None or outcome == number + 2:
             return True
         self._number = number
         return outcome == number + 1
@@ -241,14 +259,16 @@ class MarlinDialect:
             self._pump(left)
         return self._frames.popleft()
 
-    def _pump(self, wait: float) -> None:
-        self._buffer += self._transport.read(wait)
+    def _pump(self, wait: float) -> bool:
+        """Read for up to ``wait`` s and decode what came; False when nothing came."""
+        data = self._transport.read(wait)
+        self._buffer += data
         while True:
             decoded = marlin.decode(self._buffer)
             self._buffer = decoded.rest
             frame = decoded.frame
             if frame is None:
-                return
+                return bool(data)
             if isinstance(frame, marlin.Bad):
                 self.counters.bad_lines += 1
             elif isinstance(frame, marlin.Halted) and self._known:
@@ -279,7 +299,7 @@ class MarlinDialect:
     def _begin_numbers(self, deadline: float) -> None:
         """``M110``: count from a number of our own choice; repeated until answered."""
         low, high = FIRST_NUMBERS
-        self._number = low + secrets.randbelow(high - low)
+        self._number = low + self._draw_number(high - low)
         self._sent = {}
         line = marlin.numbered(self._number, f"M110 N{self._number}")
         while True:
@@ -300,11 +320,8 @@ class MarlinDialect:
 
     def _settle(self, deadline: float) -> None:
         """Let answers to repeated lines run out, so that no stray ``ok`` is left."""
-        while self._transport.now() < deadline:
-            before = len(self._frames)
-            self._pump(0.05)
-            if len(self._frames) == before:
-                break
+        while self._transport.now() < deadline and self._pump(DRAIN_SILENCE):
+            self._frames.clear()
         self._frames.clear()
 
     def _identify(self, deadline: float) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import secrets
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -82,10 +83,16 @@ class TapperCounters:
 class TapperDriver:
     """One tapper on one line. All calls block and belong to one thread; ``stop`` to any."""
 
-    def __init__(self, transport: Transport, settings: TapperSettings | None = None) -> None:
+    def __init__(
+        self,
+        transport: Transport,
+        settings: TapperSettings | None = None,
+        draw_number: Callable[[int], int] = secrets.randbelow,
+    ) -> None:
         self.settings = settings or TapperSettings()
         self.counters = TapperCounters()
         self._transport = transport
+        self._draw_number = draw_number
         self._buffer = b""
         self._session = 0
         self._sequence = 0
@@ -121,7 +128,7 @@ class TapperDriver:
         self.counters.reconnects += again
         self._buffer = b""
         # A number other than any recent one: a stray frame of an old session must not fit.
-        self._session = secrets.randbelow(0xFFFF) + 1
+        self._session = self._draw_number(0xFFFF) + 1
         while True:
             self._sequence = (self._sequence + 1) & 0xFFFF
             frame = protocol.encode(self._session, self._sequence, Command.HELLO)

@@ -1,0 +1,305 @@
+"""Taps of the real drivers on emulated devices behind bad lines, checked against the devices'
+truth.
+
+The tap is the cell's: place the striker, draw, look again whether the arm stands there, fire once,
+withdraw. What the drivers say is held against what the devices did.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from tapping_cell.hardware.arm import ArmDriver, ArmReading, ArmSettings, HomingStrategy
+from tapping_cell.hardware.dialect import ArmDialect
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.grbl_dialect import GrblDialect
+from tapping_cell.hardware.marlin_dialect import MarlinDialect
+from tapping_cell.hardware.motion import MotionSettings, strike_path, withdraw_path
+from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
+from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
+from tapping_cell.simulation.fault_layer import Direction, FaultKind, FaultLayer, random_fault
+from tapping_cell.simulation.grbl_emulator import GrblEmulator, GrblMachine
+from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
+from tapping_cell.simulation.virtual_line import HangError, VirtualClock, VirtualTransport
+
+HOME = (0.0, np.pi / 2, 0.0, 0.0)
+PARK = (0.6, 1.2, -0.020, 0.0)
+TRUE_TOLERANCE = np.array([2e-3, 2e-3, 2e-4, 2e-3])
+"""How far the true joints may be from the strike pose at a release: rad, rad, m, rad."""
+CALL_LIMIT = 600.0
+"""A tap with its recoveries that takes longer counts as hanging, s of the cell's time."""
+RECOVERIES = 40
+"""Rounds of recovering after which the cell counts as hanging."""
+FAULT_COUNTS = (0.35, 0.35, 0.2, 0.1)
+"""Shares of taps with 0, 1, 2 and 3 faults planned."""
+BYTES_PER_TAP = {"arm": (600, 2600), "tapper": (250, 500)}
+"""About how many bytes one tap sends to the device and to the host."""
+
+
+class Dialect(Enum):
+    """Which controller drives the arm."""
+
+    GRBL = "grbl"
+    MARLIN = "marlin"
+
+
+@dataclass
+class Tally:
+    """What came out; counts add."""
+
+    taps: int = 0
+    fired: int = 0
+    not_fired: int = 0
+    unknown: int = 0
+    double_fires: int = 0
+    unsafe_fires: int = 0
+    hangs: int = 0
+    false_reports: int = 0
+    faults_struck: int = 0
+    cell_seconds: float = 0.0
+    by_fault: dict[str, Counter[str]] = field(default_factory=dict)
+    reasons: Counter[str] = field(default_factory=Counter)
+    """Why taps ended before the release was asked for."""
+    notes: list[str] = field(default_factory=list)
+    """What went wrong, in words, the first few."""
+
+    def add(self, other: Tally) -> None:
+        """Add another's counts."""
+        for name in [
+            "taps",
+            "fired",
+            "not_fired",
+            "unknown",
+            "double_fires",
+            "unsafe_fires",
+            "hangs",
+            "false_reports",
+            "faults_struck",
+            "cell_seconds",
+        ]:
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.reasons.update(other.reasons)
+        for kind, counts in other.by_fault.items():
+            self.by_fault.setdefault(kind, Counter()).update(counts)
+        self.notes = (self.notes + other.notes)[:20]
+
+    @property
+    def clean(self) -> bool:
+        """Whether nothing happened that must not."""
+        return not (self.double_fires or self.unsafe_fires or self.hangs or self.false_reports)
+
+
+class TrialCell:
+    """Two emulated devices behind bad lines, their drivers, and a witness of the truth."""
+
+    def __init__(self, dialect: Dialect, seed: int) -> None:
+        self.rng = np.random.default_rng([seed, list(Dialect).index(dialect)])
+        self.clock = VirtualClock()
+        self.geometry = ScaraGeometry()
+        self.motion = MotionSettings(park=PARK)
+        self.tapper_device = TapperEmulator(on_fire=self._witness)
+        self.arm_device: GrblEmulator | MarlinEmulator
+        if dialect is Dialect.GRBL:
+            self.arm_device = GrblEmulator(GrblMachine(start_joints=PARK, home_joints=HOME), seed)
+        else:
+            self.arm_device = MarlinEmulator(
+                MarlinMachine(start_joints=PARK, home_joints=HOME), seed
+            )
+        self.arm_line = FaultLayer(self.arm_device)
+        self.tapper_line = FaultLayer(self.tapper_device)
+        arm_port = VirtualTransport(self.arm_line, self.clock, "arm")
+        tapper_port = VirtualTransport(self.tapper_line, self.clock, "tapper")
+        language: ArmDialect
+        if dialect is Dialect.GRBL:
+            language = GrblDialect(arm_port)
+        else:
+            language = MarlinDialect(arm_port, draw_number=self._draw)
+        self.arm = ArmDriver(arm_port, language, self.geometry, ArmSettings(home_joints=HOME))
+        self.tapper = TapperDriver(tapper_port, draw_number=self._draw)
+        self.goal: Joints | None = None
+        self.shot = 0
+        self.firing = False
+        self.reported: dict[int, FireOutcome] = {}
+        self.tally = Tally()
+        self._seen = [0, 0]
+
+    def _draw(self, below: int) -> int:
+        return int(self.rng.integers(below))
+
+    def plan_faults(self) -> None:
+        """Draw this tap's faults."""
+        for _ in range(int(self.rng.choice(len(FAULT_COUNTS), p=FAULT_COUNTS))):
+            name = "arm" if self.rng.random() < 0.5 else "tapper"
+            line = self.arm_line if name == "arm" else self.tapper_line
+            toward = int(self.rng.integers(2))
+            direction = list(Direction)[toward]
+            span = BYTES_PER_TAP[name][toward]
+            line.add(random_fault(self.rng, direction, line.count(direction), span))
+
+    def tap(self) -> FireOutcome:
+        """One tap from wherever the cell is; recovers first. Raises HangError."""
+        self.shot += 1
+        self.goal = None
+        self.clock.limit = self.clock.now + CALL_LIMIT
+        self.recover()
+        try:
+            outcome = self._tap()
+        except HardwareFault as fault:
+            # Every fault that is raised was met before a FIRE could go out.
+            outcome = FireOutcome.NOT_FIRED
+            self.tally.reasons[fault.reason.value] += 1
+        self._report(self.shot, outcome)
+        try:
+            self.arm.follow(withdraw_path(self.geometry, self.arm.read_joints(), self.motion))
+        except HardwareFault:
+            # The next tap recovers; the striker has been released or surely will not be.
+            return outcome
+        return outcome
+
+    def _tap(self) -> FireOutcome:
+        tip = self._random_tip()
+        path = strike_path(self.geometry, self.arm.read_joints(), tip, self.motion)
+        goal = path[-1].joints if path else self.arm.read_joints()
+        self._check_place(self.arm.follow(path), goal)
+        self.goal = goal
+        self.tapper.arm(self.shot, float(self.rng.uniform(0.001, 0.2)))
+        reading = self.arm.read()
+        self._check_place(reading, goal)
+        if reading.alarm or reading.moving or not self._near(reading.joints, goal):
+            self.tapper.disarm()
+            return FireOutcome.NOT_FIRED
+        self.firing = True
+        try:
+            return self.tapper.fire(self.shot).outcome
+        finally:
+            self.firing = False
+
+    def recover(self) -> None:
+        """Bring both devices back to where they take orders, with a person's help at the button."""
+        for _ in range(RECOVERIES):
+            try:
+                self._recover_arm()
+                self._recover_tapper()
+                return
+            except HardwareFault:
+                continue
+        raise HangError(f"the cell did not recover in {RECOVERIES} rounds")
+
+    def _recover_arm(self) -> None:
+        if not self.arm.connected:
+            self.arm.connect()
+        if self.arm.fault is not None or self.arm.read().alarm:
+            try:
+                self.arm.clear_fault()
+            except HardwareFault as fault:
+                if fault.reason is FaultReason.NEEDS_PERSON:
+                    self.arm_device.power_cycle(self.clock.now)
+                raise
+        if not self.arm.homed:
+            self.arm.home(HomingStrategy.FIRMWARE)
+
+    def _recover_tapper(self) -> None:
+        if not self.tapper.connected:
+            self.tapper.connect()
+        if self.tapper.status().stop_latched:
+            self.tapper_device.press_clear_button(self.clock.now)
+            self.tapper.clear()
+
+    def _random_tip(self) -> TipPose:
+        while True:
+            x, y = self.rng.uniform((0.25, -0.3), (0.7, 0.3))
+            tip = TipPose(float(x), float(y), 0.012, float(self.rng.uniform(-3.1, 3.1)))
+            if self.geometry.inverse(tip, near=PARK).success:
+                return tip
+
+    def _near(self, joints: Joints, goal: Joints) -> bool:
+        return bool(np.all(np.abs(np.subtract(joints, goal)) <= TRUE_TOLERANCE))
+
+    def _check_place(self, reading: ArmReading, goal: Joints) -> None:
+        """The arm's driver says it stands at the goal: does it?"""
+        if reading.moving or not self._near(reading.joints, goal):
+            return
+        now = self.clock.now
+        truth = Joints(*self.arm_device.joints(now))
+        if self.arm_device.moving(now) or not self._near(truth, goal):
+            self.tally.false_reports += 1
+            self._note(f"the arm's driver says {reading.joints}, the arm is at {truth}")
+
+    def _witness(self, shot: int, energy: float, now: float) -> float:
+        """The striker was released, in truth."""
+        earlier = [s for s, _, _ in self.tapper_device.fires[:-1]]
+        if shot in earlier:
+            self.tally.double_fires += 1
+            self._note(f"shot {shot} was fired twice")
+        truth = Joints(*self.arm_device.joints(now))
+        why = ""
+        if not self.firing or shot != self.shot:
+            why = f"shot {shot} while shot {self.shot} was under way"
+        elif self.arm_device.moving(now):
+            why = "the arm was moving"
+        elif self.goal is None or not self._near(truth, self.goal):
+            why = f"the arm was at {truth}, not at {self.goal}"
+        if why:
+            self.tally.unsafe_fires += 1
+            self._note(f"unsafe release at {now:.2f} s: {why}")
+        return float(np.sqrt(energy * 20))
+
+    def _report(self, shot: int, outcome: FireOutcome) -> None:
+        self.reported[shot] = outcome
+        setattr(self.tally, outcome.value, getattr(self.tally, outcome.value) + 1)
+
+    def check_reports(self) -> None:
+        """Hold every report against what the tapper truly did, also later."""
+        fired = {shot for shot, _, _ in self.tapper_device.fires}
+        for shot, outcome in self.reported.items():
+            if outcome is not FireOutcome.UNKNOWN and (
+                (outcome is FireOutcome.FIRED) != (shot in fired)
+            ):
+                self.tally.false_reports += 1
+                self._note(f"shot {shot} was reported {outcome.value}, which is not true")
+
+    def struck(self) -> list[FaultKind]:
+        """Kinds of the faults that struck since the last call."""
+        kinds: list[FaultKind] = []
+        for index, line in enumerate((self.arm_line, self.tapper_line)):
+            kinds += [fault.kind for _, fault in line.happened[self._seen[index] :]]
+            self._seen[index] = len(line.happened)
+        return kinds
+
+    def _note(self, text: str) -> None:
+        if len(self.tally.notes) < 20:
+            self.tally.notes.append(text)
+
+
+def run_taps(
+    dialect: Dialect, taps: int, seed: int, prepare: Callable[[TrialCell], None] | None = None
+) -> Tally:
+    """``taps`` taps of one cell; ``prepare`` plans the faults before each (random ones if None)."""
+    total = Tally()
+    done = 0
+    while done < taps:
+        # After a hang the drivers' state is unknown to us, so a new cell goes on.
+        cell = TrialCell(dialect, seed + 1_000_003 * total.hangs)
+        try:
+            while done < taps:
+                done += 1
+                cell.tally.taps += 1
+                (prepare or TrialCell.plan_faults)(cell)
+                outcome = cell.tap()
+                for kind in set(cell.struck()) or (None,):
+                    name = kind.value if kind else "none"
+                    cell.tally.by_fault.setdefault(name, Counter())[outcome.value] += 1
+        except HangError as hang:
+            cell.tally.hangs += 1
+            cell.tally.notes.append(str(hang))
+        cell.check_reports()
+        cell.tally.faults_struck = len(cell.arm_line.happened) + len(cell.tapper_line.happened)
+        cell.tally.cell_seconds = cell.clock.now
+        total.add(cell.tally)
+    return total

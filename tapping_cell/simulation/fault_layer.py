@@ -1,0 +1,280 @@
+"""A bad serial line between a driver and an emulated device.
+
+Wraps an emulator and is one itself, so it stands behind a pseudo-terminal or a virtual line alike.
+Each fault is tied to a byte: the n-th byte that goes in one direction. What happens is scripted, or
+drawn from a seed with :func:`random_fault`; either way a run can be repeated exactly.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from tapping_cell.simulation.device_emulator import DeviceEmulator
+
+
+class FaultKind(Enum):
+    """What can happen to a line."""
+
+    DROP = "drop"
+    """Bytes are lost."""
+    DELAY = "delay"
+    """From this byte on the direction is late, in order, until it has caught up."""
+    DUPLICATE = "duplicate"
+    """A run of bytes comes twice."""
+    FLIP = "flip"
+    """One bit changes."""
+    SPLIT = "split"
+    """A short pause within a line."""
+    MERGE = "merge"
+    """Bytes are held and come in one piece with the following."""
+    STALL = "stall"
+    """Neither direction moves for a while."""
+    HANG_UP = "hang_up"
+    """The port vanishes and comes back; what was on the line is lost."""
+    RESET = "reset"
+    """The board restarts."""
+
+
+class Direction(Enum):
+    """Which way the bytes go."""
+
+    TO_DEVICE = "to_device"
+    TO_HOST = "to_host"
+
+
+@dataclass(frozen=True, slots=True)
+class LineFault:
+    """One fault at the byte number ``byte`` (from 0) of a direction."""
+
+    kind: FaultKind
+    direction: Direction
+    byte: int
+    length: int = 1
+    """Bytes that are dropped, doubled or held together."""
+    duration: float = 0.0
+    """How long a pause, a stall or an absence lasts, s."""
+    bit: int = 0
+
+
+def random_fault(
+    rng: np.random.Generator, direction: Direction, first: int, span: int
+) -> LineFault:
+    """A fault of any kind at one of ``span`` bytes from number ``first`` on."""
+    kind = list(FaultKind)[int(rng.integers(len(FaultKind)))]
+    longest = {
+        FaultKind.DELAY: 1.5,
+        FaultKind.SPLIT: 0.05,
+        FaultKind.MERGE: 0.2,
+        FaultKind.STALL: 4.0,
+        FaultKind.HANG_UP: 3.0,
+    }.get(kind, 0.0)
+    return LineFault(
+        kind,
+        direction,
+        first + int(rng.integers(max(span, 1))),
+        int(rng.integers(1, 30)),
+        float(rng.uniform(0.0, longest)),
+        int(rng.integers(8)),
+    )
+
+
+class _Channel:
+    """One direction: counts bytes, and holds those that are late."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._queue: deque[tuple[float, int]] = deque()
+        self._free = 0.0
+        self._dropping = 0
+        self._run: list[int] = []
+        self._run_left = 0
+        self._merge_left = 0
+        self._merge_until = 0.0
+
+    def feed(self, byte: int, now: float, fault: LineFault | None) -> None:
+        """One byte enters, with the fault that is tied to it."""
+        if fault is not None:
+            if fault.kind is FaultKind.DROP:
+                self._dropping = fault.length
+            elif fault.kind in (FaultKind.DELAY, FaultKind.SPLIT, FaultKind.STALL):
+                self.hold(now + fault.duration)
+            elif fault.kind is FaultKind.FLIP:
+                byte ^= 1 << fault.bit
+            elif fault.kind is FaultKind.DUPLICATE:
+                self._run, self._run_left = [], fault.length
+            elif fault.kind is FaultKind.MERGE:
+                self._merge_left, self._merge_until = fault.length, now + fault.duration
+        if self._dropping:
+            self._dropping -= 1
+            return
+        self._put(byte, now)
+        if self._run_left:
+            self._run.append(byte)
+            self._run_left -= 1
+            if not self._run_left:
+                for again in self._run:
+                    self._put(again, now)
+
+    def _put(self, byte: int, now: float) -> None:
+        due = max(now, self._free)
+        if self._merge_left:
+            self._merge_left -= 1
+            if self._merge_left:
+                due = max(due, self._merge_until)
+            else:
+                # The piece is complete: what waited goes out with its last byte.
+                self._queue = deque((min(at, due), held) for at, held in self._queue)
+        self._queue.append((due, byte))
+
+    def hold(self, until: float) -> None:
+        """Nothing that enters from now on leaves before ``until``."""
+        self._free = max(self._free, until)
+
+    def hold_all(self, until: float) -> None:
+        """Nothing leaves before ``until``, also not what is under way."""
+        self.hold(until)
+        self._queue = deque((max(at, until), byte) for at, byte in self._queue)
+
+    def take(self, now: float) -> bytes:
+        """What has come through by ``now``, in order."""
+        out = bytearray()
+        while self._queue and self._queue[0][0] <= now:
+            out.append(self._queue.popleft()[1])
+        return bytes(out)
+
+    def next_time(self) -> float | None:
+        """When the next byte comes through."""
+        return self._queue[0][0] if self._queue else None
+
+    def clear(self) -> None:
+        """Lose what is under way."""
+        self._queue.clear()
+        self._free = 0.0
+        self._dropping = self._run_left = self._merge_left = 0
+
+
+class FaultLayer:
+    """See the module. ``on_plug`` is told when the port vanishes (False) and comes back (True)."""
+
+    def __init__(
+        self,
+        emulator: DeviceEmulator,
+        faults: Iterable[LineFault] = (),
+        on_plug: Callable[[bool], None] | None = None,
+    ) -> None:
+        self.emulator = emulator
+        self.happened: list[tuple[float, LineFault]] = []
+        """Every fault that has struck, with its time in s."""
+        self.absences = 0
+        """How often the port has vanished."""
+        self._on_plug = on_plug
+        self._channels = {direction: _Channel() for direction in Direction}
+        self._plan: dict[tuple[Direction, int], LineFault] = {}
+        self._back_at: float | None = None
+        for fault in faults:
+            self.add(fault)
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the port is there."""
+        return self._back_at is None
+
+    def count(self, direction: Direction) -> int:
+        """Bytes that have entered a direction so far."""
+        return self._channels[direction].count
+
+    def add(self, fault: LineFault) -> None:
+        """Plan one more fault."""
+        self._plan[(fault.direction, fault.byte)] = fault
+
+    def forget(self) -> None:
+        """Plan no more faults."""
+        self._plan.clear()
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Bytes from the host enter the line."""
+        self.advance(now)
+        self._enter(Direction.TO_DEVICE, data, now)
+        self._deliver(now)
+
+    def advance(self, now: float) -> None:
+        """Let the line and the device behind it go on to ``now``, event by event."""
+        while True:
+            due = self.next_on_line()
+            if due is None or due > now:
+                break
+            self._step(due)
+        self.emulator.advance(now)
+
+    def take_output(self, now: float) -> bytes:
+        """Bytes that have come through to the host."""
+        self.advance(now)
+        self._collect(now)
+        return self._channels[Direction.TO_HOST].take(now)
+
+    def next_event(self) -> float | None:
+        """Next time at which anything happens by itself."""
+        times = [self.next_on_line(), self._channels[Direction.TO_HOST].next_time()]
+        return min((t for t in times if t is not None), default=None)
+
+    def power_cycle(self, now: float) -> None:
+        """The board restarts."""
+        self.emulator.power_cycle(now)
+
+    def next_on_line(self) -> float | None:
+        """Next event but for bytes that only wait for the host to read them."""
+        times = [
+            self.emulator.next_event(),
+            self._channels[Direction.TO_DEVICE].next_time(),
+            self._back_at,
+        ]
+        return min((t for t in times if t is not None), default=None)
+
+    def _step(self, now: float) -> None:
+        if self._back_at is not None and self._back_at <= now:
+            self._back_at = None
+            if self._on_plug:
+                self._on_plug(True)
+        self.emulator.advance(now)
+        self._deliver(now)
+        self._collect(now)
+
+    def _deliver(self, now: float) -> None:
+        data = self._channels[Direction.TO_DEVICE].take(now)
+        if data:
+            self.emulator.receive(data, now)
+
+    def _collect(self, now: float) -> None:
+        self._enter(Direction.TO_HOST, self.emulator.take_output(now), now)
+
+    def _enter(self, direction: Direction, data: bytes, now: float) -> None:
+        channel = self._channels[direction]
+        for byte in data:
+            fault = self._plan.pop((direction, channel.count), None)
+            channel.count += 1
+            if fault is not None:
+                self.happened.append((now, fault))
+                if fault.kind is FaultKind.STALL:
+                    for each in self._channels.values():
+                        each.hold_all(now + fault.duration)
+                elif fault.kind is FaultKind.RESET:
+                    self._deliver(now)
+                    self.emulator.power_cycle(now)
+                elif fault.kind is FaultKind.HANG_UP:
+                    self._hang_up(now, fault.duration)
+            if self._back_at is None:
+                channel.feed(byte, now, fault)
+
+    def _hang_up(self, now: float, duration: float) -> None:
+        self._deliver(now)
+        for channel in self._channels.values():
+            channel.clear()
+        self._back_at = now + duration
+        self.absences += 1
+        if self._on_plug:
+            self._on_plug(False)

@@ -1,0 +1,139 @@
+"""Drivers and emulated devices in one thread and in a time of their own, as fast as they compute.
+
+The clock jumps from event to event while a driver waits, so hours of a cell pass in seconds and
+every run repeats exactly. The driver is the real one; only its transport is this.
+"""
+
+from __future__ import annotations
+
+import math
+
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.simulation.fault_layer import FaultLayer
+
+IDLE_READS = 100_000
+"""Reads without any time passing after which the driver counts as spinning."""
+
+
+class HangError(Exception):
+    """A driver's call went on beyond the limit set for it."""
+
+
+class VirtualClock:
+    """The common time of all lines, s."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.limit = float("inf")
+        """Time beyond which a call counts as hanging."""
+        self._lines: list[FaultLayer] = []
+        self._still = 0
+
+    def add(self, line: FaultLayer) -> None:
+        """Let a line live in this time."""
+        self._lines.append(line)
+
+    def step(self, until: float, reading: FaultLayer | None = None) -> None:
+        """Go to the next event of any line, at most to ``until``; raises HangError past the limit.
+
+        ``reading``: the line whose bytes to the host are waited for.
+        """
+        times = [t for line in self._lines if (t := line.next_on_line()) is not None]
+        if reading is not None and (output := reading.next_event()) is not None:
+            times.append(output)
+        # An event that is due already is dealt with without going back.
+        target = max(min([until, *times]), self.now)
+        self._still = self._still + 1 if target == self.now else 0
+        self.now = target
+        if self.now > self.limit or self._still > IDLE_READS:
+            raise HangError(f"a driver's call was not over at {self.now:.1f} s")
+        for line in self._lines:
+            line.advance(self.now)
+
+
+class VirtualTransport:
+    """A :class:`~tapping_cell.hardware.transport.Transport` to one line in virtual time."""
+
+    def __init__(self, line: FaultLayer, clock: VirtualClock, name: str) -> None:
+        self._line = line
+        self._clock = clock
+        self._name = name
+        self._absences: int | None = None
+        self._stopped = False
+        clock.add(line)
+
+    @property
+    def name(self) -> str:
+        """Name for messages."""
+        return self._name
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the line is open as far as known."""
+        return self._absences is not None
+
+    def now(self) -> float:
+        """The virtual clock, s."""
+        return self._clock.now
+
+    def sleep(self, duration: float) -> None:
+        """Let ``duration`` s pass."""
+        end = self._clock.now + duration
+        while self._clock.now < end:
+            self._clock.step(end)
+
+    def open(self, timeout: float) -> None:
+        """Open anew, waiting for the port; bytes that came before are dropped."""
+        self._absences = None
+        deadline = self._clock.now + timeout
+        while not self._line.plugged:
+            if self._clock.now >= deadline:
+                raise HardwareFault(FaultReason.PORT_MISSING, f"{self._name} is not there")
+            self._clock.step(deadline)
+        self._absences = self._line.absences
+        self._line.take_output(self._clock.now)
+
+    def close(self) -> None:
+        """Close the line."""
+        self._absences = None
+
+    def read(self, timeout: float) -> bytes:
+        """The bytes at hand, letting up to ``timeout`` s pass for the first."""
+        deadline = self._clock.now + timeout
+        if timeout > 0:
+            # Real time passes however short the wait; rounding must not make it stand still.
+            deadline = max(deadline, math.nextafter(self._clock.now, math.inf))
+        while True:
+            self._require()
+            data = self._line.take_output(self._clock.now)
+            if data or self._clock.now >= deadline:
+                return data
+            self._clock.step(deadline, self._line)
+
+    def write(self, data: bytes, timeout: float = 1.0) -> None:
+        """Write all of ``data``."""
+        self._require()
+        self._line.receive(data, self._clock.now)
+        # A port that vanished under these bytes took some of them or none: who knows.
+        self._require()
+
+    def stop(self, data: bytes) -> bool:
+        """Latch the stop and write ``data``."""
+        self._stopped = True
+        if self._absences is None or self._absences != self._line.absences:
+            return False
+        self._line.receive(data, self._clock.now)
+        return True
+
+    def release(self) -> None:
+        """End the latch of ``stop``."""
+        self._stopped = False
+
+    def _require(self) -> None:
+        if self._stopped:
+            raise HardwareFault(FaultReason.STOPPED, f"{self._name}: a stop is latched")
+        if self._absences is None:
+            raise HardwareFault(FaultReason.DISCONNECTED, f"{self._name} is not open")
+        if self._absences != self._line.absences:
+            self._absences = None
+            raise HardwareFault(FaultReason.DISCONNECTED, f"{self._name} went away")
