@@ -202,7 +202,8 @@ class Polygon(Body):
     def equivalent_disk(self) -> Disk:
         """The disk of the same mass, height and radius of gyration.
 
-        A square slides like it to 1 % of the distance and 2 % of the rotation (tested).
+        A square slides like it to 1 % of the distance, 4 % of the rotation and a drift of 1.5 %
+        of the distance, for launches with R omega up to v (tested); elongated shapes do not.
         """
         return Disk(self.support_radius, self.mass, self.height)
 
@@ -240,12 +241,13 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
             f"polygon vertices have shape {raw.shape}; they must be (N, 2) with N at least 3."
         )
     points = _checked_finite(raw)
+    points = points - points.mean(axis=0)  # moments about a far origin would lose digits
     edges = np.roll(points, -1, axis=0) - points
     lengths = np.hypot(*edges.T)
     size = float(lengths.max())
     if lengths.min() <= 1e-9 * size:
         i = int(lengths.argmin())
-        raise InvalidBodyError(f"polygon vertex {i} at {points[i].tolist()} m stands there twice.")
+        raise InvalidBodyError(f"polygon vertex {i} at {raw[i].tolist()} m stands there twice.")
     following = np.roll(edges, -1, axis=0)
     turn = np.arctan2(_cross(edges, following), np.einsum("ij,ij->i", edges, following))
     if turn.sum() < 0:

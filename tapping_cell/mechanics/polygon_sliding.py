@@ -34,7 +34,7 @@ _CHUNK = 512
 # Speed over spin, in radii of gyration. The closed form loses the cube of it in digits, to 1e-11
 # here; farther out the integrand is so smooth that few points give all of them.
 _FAR = 50.0
-_FAR_POINTS = 3
+_FAR_POINTS = 4
 _TINY = 1e-300
 _INVERSE_STEPS = 40
 _INVERSE_TOLERANCE = 5e-11
