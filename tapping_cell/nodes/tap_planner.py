@@ -59,6 +59,8 @@ from tapping_cell.planning import (
 from tapping_cell.se2 import Pose
 
 TICK_S = 0.02
+LEAST_EFFECT = 0.2
+"""Share of the wanted distance below which a tap counts as without effect."""
 FINAL = (PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
 
 
@@ -96,7 +98,9 @@ class Parameters:
         0.1,
         default=0.002,
     )
-    attempts: int = quantity("taps in a row that may end without a release", "", 1, 100, default=3)
+    attempts: int = quantity(
+        "taps in a row that may end without a release or without an effect", "", 1, 100, default=3
+    )
 
 
 @dataclass(slots=True, eq=False)
@@ -111,6 +115,7 @@ class Task:
     handle: ServerGoalHandle | None
     records: list[TapRecord] = field(default_factory=list)
     not_fired: int = 0
+    without_effect: int = 0
     canceled: bool = False
 
 
@@ -438,6 +443,9 @@ class TapPlanner(CellNode[Parameters]):
         if shot is not None and shot.outcome != TapperState.NOT_FIRED and shot.task is self._task:
             self._task.session.observe(shot.strike, shot.before, pose, covariance)
             self._task.records.append(self._record(shot, seen))
+            wanted = math.hypot(shot.strike.wanted.x, shot.strike.wanted.y)
+            moved = shot.before.distance_to(pose) > LEAST_EFFECT * wanted
+            self._task.without_effect = 0 if moved else self._task.without_effect + 1
             self._said_at = 0.0
         return self._task.session.decide(pose, covariance)
 
@@ -447,6 +455,13 @@ class TapPlanner(CellNode[Parameters]):
             self._finish(PlanState.REACHED, ErrorCode.NONE, "")
         elif isinstance(decision, Refusal):
             self._fail(REFUSALS[decision.reason], decision.sentence)
+        elif self._task.without_effect >= self.settings.attempts:
+            self._fail(
+                ErrorCode.TAP_WITHOUT_EFFECT,
+                f"{self._task.without_effect} taps in a row moved the object by less than "
+                f"{100 * LEAST_EFFECT:.0f} % of what was wanted; look whether the striker reaches "
+                "it at the right height, and calibrate arm and tapper",
+            )
         elif len(self._task.records) >= self._task.max_taps:
             self._fail(
                 ErrorCode.TAP_LIMIT_REACHED,

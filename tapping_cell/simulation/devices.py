@@ -46,7 +46,7 @@ class SimulatedDevices:
         self._curve = cell.file.tapper.curve()
         self._on_strike = on_strike
         now = time.monotonic()
-        self._arm = GrblEmulator(_machine(cell.file.arm, truth), seed, now)
+        self._arm = GrblEmulator(arm_machine(cell.file.arm, truth), seed, now)
         # A world that is started anew is a board that was switched on anew: another boot number.
         boot = int(time.time()) % LARGEST_BOOT + 1
         self._tapper = TapperEmulator(on_fire=self._fire, boot=boot, now=now)
@@ -79,7 +79,7 @@ class SimulatedDevices:
         return speed
 
 
-def _machine(arm: ArmSection, truth: ArmTruth) -> GrblMachine:
+def arm_machine(arm: ArmSection, truth: ArmTruth) -> GrblMachine:
     """The emulated controller set up for this arm: units/min and units/s^2."""
     settings = default_settings()
     for axis in range(len(TO_UNITS)):

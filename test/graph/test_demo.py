@@ -1,0 +1,150 @@
+"""The demo as a user runs it: as a process, to its exit, leaving a run folder and nothing else."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+NODES = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
+
+
+def start(folder: Path, *options: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "tapping_cell", "demo", "--out", str(folder), *options]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=folder.parent
+    )
+
+
+def children_of(folder: Path) -> dict[str, int]:
+    """Process ids of the nodes whose parameters name this run's ports, by node name."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            words = (entry / "cmdline").read_bytes().decode().split("\0")
+            log = os.readlink(entry / "fd" / "1")
+        except OSError:
+            continue
+        for node in NODES:
+            if f"tapping_cell.nodes.{node}" in words and log.startswith(str(folder)):
+                found[node] = int(entry.name)
+    return found
+
+
+def wait_for_nodes(folder: Path, process: subprocess.Popen[str]) -> dict[str, int]:
+    deadline = time.monotonic() + 30
+    while len(found := children_of(folder)) < len(NODES):
+        assert process.poll() is None, process.stdout.read() if process.stdout else ""
+        assert time.monotonic() < deadline, f"only {sorted(found)} came up"
+        time.sleep(0.1)
+    return found
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[Path]:
+    yield tmp_path / "run"
+    assert children_of(tmp_path / "run") == {}, "a node was left behind"
+
+
+def test_the_demo_reaches_a_goal_and_tells_the_truth(folder: Path) -> None:
+    process = start(folder, "--seed", "5", "--move", "-25", "15", "-12")
+    output, _ = process.communicate(timeout=180)
+    assert process.returncode == 0, output
+    content = json.loads((folder / "summary.json").read_text())
+    assert content["reached"] is True and content["error_code"] == 0 and content["seed"] == 5
+    for kind in ("measured_residual", "true_residual"):
+        assert content[kind]["distance_mm"] <= 1.0 and content[kind]["rotation_deg"] <= 1.0
+    moved = content["goal"]["x_mm"] - content["start"]["x_mm"]
+    assert moved == pytest.approx(-25.0)
+    with (folder / "taps.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == content["taps"] >= 1
+    for row in rows:
+        assert row["outcome"] == "fired"
+        for axis in ("x_mm", "y_mm"):
+            assert abs(float(row[f"measured_{axis}"]) - float(row[f"true_{axis}"])) < 0.2
+    assert (folder / "cell.png").stat().st_size > 20_000
+    assert "goal reached" in output and "tap 1" in output
+
+
+def test_ctrl_c_ends_every_node(folder: Path) -> None:
+    process = start(folder, "--move", "100", "0", "90")
+    wait_for_nodes(folder, process)
+    time.sleep(3.0)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(20) == 130
+    assert json.loads((folder / "summary.json").read_text())["reached"] is False
+
+
+def test_a_crashing_node_ends_the_run_with_its_name(folder: Path) -> None:
+    process = start(folder, "--move", "100", "0", "90")
+    os.kill(wait_for_nodes(folder, process)["camera_pose"], signal.SIGKILL)
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "camera_pose" in output
+    content = json.loads((folder / "summary.json").read_text())
+    assert content["error_code"] != 0 and "camera_pose" in content["error_msg"]
+
+
+def test_killing_the_demo_itself_leaves_no_node(folder: Path) -> None:
+    process = start(folder, "--move", "100", "0", "90")
+    nodes = wait_for_nodes(folder, process)
+    process.kill()
+    process.wait(10)
+    deadline = time.monotonic() + 10
+    while any(Path(f"/proc/{number}").exists() for number in nodes.values()):
+        assert time.monotonic() < deadline, f"left behind: {children_of(folder)}"
+        time.sleep(0.1)
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "word"),
+    [
+        (("--goal", "900", "0", "0"), 103, "inside the table's edge"),
+        (("--move", "10", "0", "10", "--planner", "guess"), 904, "guess"),
+    ],
+    ids=["off the table", "unknown planner"],
+)
+def test_what_cannot_be_done_is_said(
+    folder: Path, options: tuple[str, ...], code: int, word: str
+) -> None:
+    process = start(folder, *options)
+    output, _ = process.communicate(timeout=90)
+    assert process.returncode == 1
+    content = json.loads((folder / "summary.json").read_text())
+    assert content["error_code"] == code
+    assert word in content["error_msg"]
+    assert content["taps"] == 0
+    assert word in output.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ("mass: 0.2455", "maas: 0.2455", "unknown key 'maas'"),
+        ("shape:", "shape: [", "malformed YAML"),
+    ],
+    ids=["unknown key", "malformed"],
+)
+def test_a_wrong_object_file_is_refused_before_any_node(
+    folder: Path, tmp_path: Path, old: str, new: str, word: str
+) -> None:
+    from tapping_cell.configuration.files import shared_folder
+
+    good = (shared_folder() / "objects" / "aluminium_disk.yaml").read_text()
+    path = tmp_path / "object.yaml"
+    path.write_text(good.replace(old, new, 1))
+    process = start(folder, "--object", str(path))
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert word in output.replace("\n", " ") and "object.yaml" in output.replace("\n", "")

@@ -1,0 +1,238 @@
+"""The whole graph as processes, spoken to over its topics and its action as a user would."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import pytest
+from geometry_msgs.msg import PoseStamped
+from rich.console import Console
+from std_msgs.msg import Bool
+from tapping_cell_msgs.msg import ArmState, ErrorCode, PlanState, TapCommand, TapperState
+from tapping_cell_msgs.srv import ResetWorld
+
+from tapping_cell.cli import session
+from tapping_cell.cli.graph import SIMULATED, Graph
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.conversions import to_message
+from tapping_cell.nodes.goal_client import Finished, GoalClient, TapDone
+from tapping_cell.se2 import Pose
+
+TOLERANCE = (0.001, math.radians(1.0))
+
+
+@dataclass
+class Cell:
+    """A running cell and its client."""
+
+    graph: Graph
+    client: GoalClient
+    plans: list[PlanState]
+    commands: list[TapCommand]
+
+    def __post_init__(self) -> None:
+        node = self.client.node
+        self.goals = node.create_publisher(PoseStamped, "goal_pose", COMMAND)
+        self.stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
+        self.reset = node.create_client(ResetWorld, "reset_world")
+
+    def wait(self, condition: object, what: str, patience: float = 60.0) -> None:
+        deadline = time.monotonic() + patience
+        while not condition():  # type: ignore[operator]
+            self.graph.check()
+            assert time.monotonic() < deadline, f"waited {patience:.0f} s in vain: {what}"
+            time.sleep(0.02)
+
+    def ready(self) -> None:
+        session.wait_until_ready(self.client, 60.0, self.graph.check, Console(quiet=True))
+
+    def place(self, pose: Pose) -> None:
+        request = ResetWorld.Request(object_pose=to_message(pose))
+        future = self.reset.call_async(request)
+        self.wait(future.done, "reset_world", 10.0)
+        assert future.result().success, future.result().message
+        self.ready()
+
+    def publish_goal(self, pose: Pose, frame: str = "table") -> None:
+        message = PoseStamped(pose=to_message(pose))
+        message.header.frame_id = frame
+        self.goals.publish(message)
+
+    def run_action(self, goal: Pose, tolerance: tuple[float, float] = (0.0, 0.0)) -> Finished:
+        self.client.send(goal, tolerance)
+        deadline = time.monotonic() + 150
+        for event in self.client.events():
+            self.graph.check()
+            assert time.monotonic() < deadline
+            if isinstance(event, Finished):
+                return event
+        raise AssertionError("the goal has no end")
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
+    folder = tmp_path_factory.mktemp("cell")
+    parameters: dict[str, dict[str, object]] = {
+        "sim_world": {"arm_port": folder / "arm", "tapper_port": folder / "tapper", "seed": 4},
+        "scara_arm": {"port": folder / "arm"},
+        "tapper_trigger": {"port": folder / "tapper"},
+    }
+    with Graph(SIMULATED, parameters, folder / "logs") as graph, GoalClient() as client:
+        plans: list[PlanState] = []
+        commands: list[TapCommand] = []
+        client.node.create_subscription(PlanState, "plan_state", plans.append, LATCHED)
+        client.node.create_subscription(TapCommand, "tap_command", commands.append, COMMAND)
+        made = Cell(graph, client, plans, commands)
+        made.ready()
+        made.wait(lambda: made.goals.get_subscription_count() == 1, "the planner listens")
+        yield made
+
+
+def test_the_graph_has_the_names_of_the_design(cell: Cell) -> None:
+    nodes = {name for name, _ in cell.client.node.get_node_names_and_namespaces()}
+    assert set(SIMULATED) <= nodes
+    topics = {name for name, _ in cell.client.node.get_topic_names_and_types()}
+    assert {
+        "/arm_state",
+        "/camera/camera_info",
+        "/camera/image_annotated",
+        "/camera/image_raw",
+        "/diagnostics",
+        "/emergency_stop",
+        "/goal_pose",
+        "/ground_truth",
+        "/joint_states",
+        "/joint_trajectory",
+        "/markers",
+        "/object_pose",
+        "/object_state",
+        "/plan_state",
+        "/tap_command",
+        "/tapper_state",
+    } <= topics
+
+
+@pytest.mark.parametrize(
+    ("pose", "frame", "code"),
+    [
+        (Pose(math.nan, 0.0, 0.0), "table", ErrorCode.GOAL_NOT_FINITE),
+        (Pose(0.0, 0.0, 0.0), "map", ErrorCode.GOAL_WRONG_FRAME),
+        (Pose(0.6, 0.0, 0.0), "table", ErrorCode.GOAL_OFF_TABLE),
+    ],
+    ids=["NaN", "frame", "off the table"],
+)
+def test_a_bad_goal_on_the_topic_is_refused_in_words_and_moves_nothing(
+    cell: Cell, pose: Pose, frame: str, code: int
+) -> None:
+    heard, commanded = len(cell.plans), len(cell.commands)
+    cell.publish_goal(pose, frame)
+    cell.wait(lambda: any(plan.error_code == code for plan in cell.plans[heard:]), str(code), 10.0)
+    refused = next(plan for plan in cell.plans[heard:] if plan.error_code == code)
+    assert len(refused.error_msg) > 30
+    time.sleep(0.5)
+    assert len(cell.commands) == commanded
+
+
+def test_a_bad_goal_of_the_action_gets_its_code_as_the_result(cell: Cell) -> None:
+    finished = cell.run_action(Pose(2.0, 0.0, 0.0))
+    assert finished.error_code == ErrorCode.GOAL_OFF_TABLE
+    assert "2000.0 mm" in finished.error_msg
+    finished = cell.run_action(Pose(0.0, 0.0, 0.0), (-1.0, 0.0))
+    assert finished.error_code == ErrorCode.GOAL_BAD_TOLERANCE
+
+
+def test_a_goal_on_the_topic_moves_the_object_there_truly(cell: Cell) -> None:
+    cell.place(Pose(0.05, -0.05, 0.0))
+    goal = Pose(0.03, -0.04, 0.15)
+    heard = len(cell.plans)
+    cell.publish_goal(goal)
+    final = (PlanState.REACHED, PlanState.FAILED)
+    cell.wait(lambda: any(p.state in final for p in cell.plans[heard:]), "the goal's end", 150)
+    last = cell.plans[-1]
+    assert last.state == PlanState.REACHED, last.error_msg
+    true = cell.client.settled_truth()
+    assert true is not None
+    assert true.distance_to(goal) <= TOLERANCE[0] and abs(true.rotation_to(goal)) <= TOLERANCE[1]
+    taps = [command for command in cell.commands if command.request == TapCommand.TAP]
+    assert len({command.tap_id for command in taps}) == len(taps)
+
+
+def test_a_second_goal_replaces_the_first_cleanly(cell: Cell) -> None:
+    cell.place(Pose(-0.05, 0.0, 0.0))
+    cell.client.send(Pose(0.10, 0.0, 1.0))
+    cell.wait(
+        lambda: cell.client.arm_state and cell.client.arm_state.state == ArmState.MOVING,
+        "the first tap begins",
+    )
+    second = Pose(-0.06, 0.01, 0.0)
+    cell.publish_goal(second)
+    ends = [event for event in cell.client.events() if isinstance(event, Finished)]
+    assert ends[0].error_code == ErrorCode.GOAL_REPLACED
+    heard = len(cell.plans)
+    final = (PlanState.REACHED, PlanState.FAILED)
+    cell.wait(lambda: any(p.state in final for p in cell.plans[heard:]), "the second goal", 150)
+    assert cell.plans[-1].state == PlanState.REACHED, cell.plans[-1].error_msg
+    true = cell.client.settled_truth()
+    assert true is not None and true.distance_to(second) <= TOLERANCE[0]
+
+
+def test_an_object_pushed_off_by_hand_between_taps_is_still_brought_to_the_goal(
+    cell: Cell,
+) -> None:
+    cell.place(Pose(0.0, 0.0, 0.0))
+    goal = Pose(0.04, -0.02, 0.3)
+    cell.client.send(goal)
+    pushed = False
+    for event in cell.client.events():
+        cell.graph.check()
+        if isinstance(event, TapDone) and not pushed:
+            pushed = True
+            shifted = Pose(0.02, -0.05, -0.2)
+            cell.reset.call_async(ResetWorld.Request(object_pose=to_message(shifted)))
+        if isinstance(event, Finished):
+            assert event.error_code == 0, event.error_msg
+    true = cell.client.settled_truth()
+    assert pushed and true is not None
+    assert true.distance_to(goal) <= TOLERANCE[0] and abs(true.rotation_to(goal)) <= TOLERANCE[1]
+
+
+def test_canceling_withdraws_the_arm_and_disarms_the_tapper(cell: Cell) -> None:
+    cell.place(Pose(-0.05, 0.0, 0.0))
+    cell.client.send(Pose(0.05, 0.0, 1.0))
+    cell.wait(
+        lambda: cell.client.arm_state and cell.client.arm_state.state == ArmState.MOVING,
+        "the first tap begins",
+    )
+    before = cell.client.true_pose
+    cell.client.cancel()
+    ends = [event for event in cell.client.events() if isinstance(event, Finished)]
+    assert ends[0].error_code == ErrorCode.GOAL_CANCELED
+    cell.wait(lambda: not cell.client.missing(), "the cell is at rest again", 30)
+    assert before is not None and cell.client.true_pose is not None
+    assert before.distance_to(cell.client.true_pose) < 1e-6
+
+
+def test_the_emergency_stop_ends_the_goal_and_latches_every_actor(cell: Cell) -> None:
+    """The last test of this graph: it stays stopped."""
+    cell.place(Pose(-0.05, 0.0, 0.0))
+    cell.client.send(Pose(0.05, 0.0, 1.0))
+    cell.wait(
+        lambda: cell.client.arm_state and cell.client.arm_state.state == ArmState.MOVING,
+        "the first tap begins",
+    )
+    cell.stop.publish(Bool(data=True))
+    ends = [event for event in cell.client.events() if isinstance(event, Finished)]
+    assert ends[0].error_code == ErrorCode.EMERGENCY_STOP
+    cell.wait(
+        lambda: (
+            cell.client.arm_state.state == ArmState.STOPPED
+            and cell.client.tapper_state.state == TapperState.STOPPED
+        ),
+        "both stopped",
+        5.0,
+    )
+    finished = cell.run_action(Pose(0.0, 0.0, 0.0))
+    assert finished.error_code == ErrorCode.EMERGENCY_STOP

@@ -1,0 +1,83 @@
+"""Real nodes in one process over real DDS, with devices on real pseudo-terminals."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+
+PATIENCE_S = 20.0
+
+
+class Bench:
+    """A context with nodes under test and one node to talk to them, spun in a thread."""
+
+    def __init__(self) -> None:
+        self.probe: Node | None = None
+        self.heard: dict[str, list[Any]] = {}
+
+    def listen(self, kind: type, topic: str, profile: object = 10) -> list[Any]:
+        """Every message of a topic from now on."""
+        messages: list[Any] = self.heard.setdefault(topic, [])
+        assert self.probe is not None
+        self.probe.create_subscription(kind, topic, messages.append, profile)
+        return messages
+
+    def wait(
+        self, condition: Callable[[], object], what: str, patience: float = PATIENCE_S
+    ) -> None:
+        """Wait until the condition holds; fail with the words otherwise."""
+        deadline = time.monotonic() + patience
+        while not condition():
+            assert time.monotonic() < deadline, f"waited {patience:.0f} s in vain: {what}"
+            time.sleep(0.01)
+
+
+@contextmanager
+def bench(
+    make_nodes: Callable[[], list[Node]], parameters: dict[str, dict[str, object]]
+) -> Iterator[Bench]:
+    """Run nodes with parameters by node name; everything ends with the block."""
+    made = Bench()
+    arguments = ["--ros-args"]
+    for node, values in parameters.items():
+        for key, value in values.items():
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            arguments += ["-p", f"{node}:{key}:={text}"]
+    # The nodes take the default context, as they do on their own.
+    rclpy.init(args=arguments)
+    made.probe = Node("probe")
+    executor = SingleThreadedExecutor()
+    executor.add_node(made.probe)
+    nodes = make_nodes()
+    for node in nodes:
+        executor.add_node(node)
+    errors: list[BaseException] = []
+
+    def spin() -> None:
+        try:
+            executor.spin()
+        except ExternalShutdownException:
+            return
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=spin, daemon=True)
+    thread.start()
+    try:
+        yield made
+    finally:
+        executor.shutdown()
+        thread.join(5.0)
+        for node in nodes:
+            node.cleanup()
+            node.destroy_node()
+        made.probe.destroy_node()
+        rclpy.try_shutdown()
+    assert not errors, f"a node failed: {errors[0]!r}"

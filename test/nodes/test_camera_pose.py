@@ -1,0 +1,136 @@
+"""The seeing node: from rendered pictures over real DDS to a pose, and trouble said in words."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from harness import Bench, bench
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image
+from tapping_cell_msgs.msg import ErrorCode, ObjectState
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.nodes import images
+from tapping_cell.nodes.camera_pose import CameraPose
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.conversions import covariance_from_message, from_message
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.rendered_camera import SceneRenderer
+from tapping_cell.simulation.scene import make_renderer
+from tapping_cell.simulation.truth import CameraTruth
+
+TRUE = Pose(0.06, -0.04, 0.8)
+
+
+@dataclass
+class Cell:
+    """The node and hands to play the camera."""
+
+    bench: Bench
+    states: list[ObjectState]
+    poses: list[PoseWithCovarianceStamped]
+    renderer: SceneRenderer
+
+    def __post_init__(self) -> None:
+        assert self.bench.probe is not None
+        self.node = self.bench.probe
+        create = self.node.create_publisher
+        self.images = create(Image, "camera/image_raw", qos_profile_sensor_data)
+        self.infos = create(CameraInfo, "camera/camera_info", qos_profile_sensor_data)
+        self.info = images.to_camera_info(load_cell().camera)
+        self.bench.wait(
+            lambda: (
+                self.images.get_subscription_count() == 1
+                and self.infos.get_subscription_count() == 1
+            ),
+            "the node listens",
+        )
+        time.sleep(0.5)
+
+    def send(self, picture: Image) -> None:
+        self.info.header.stamp = picture.header.stamp = self.node.get_clock().now().to_msg()
+        self.infos.publish(self.info)
+        self.images.publish(picture)
+        time.sleep(1 / 30)
+
+    def show(self, frames: int, pose: Pose = TRUE) -> None:
+        for _ in range(frames):
+            self.send(images.to_message(self.renderer.render(pose), "mono8"))
+
+
+@pytest.fixture
+def cell() -> Iterator[Cell]:
+    configuration = load_cell()
+    outline = np.asarray(configuration.outline())
+    renderer = make_renderer(configuration, CameraTruth(), outline, 1)
+    with bench(lambda: [CameraPose()], {}) as b:
+        states = b.listen(ObjectState, "object_state", LATCHED)
+        poses = b.listen(PoseWithCovarianceStamped, "object_pose")
+        yield Cell(b, states, poses, renderer)
+
+
+def test_a_resting_object_is_measured_and_every_picture_is_answered(cell: Cell) -> None:
+    cell.show(60)
+    cell.bench.wait(lambda: cell.states and cell.states[-1].at_rest, "at rest")
+    cell.bench.wait(lambda: len(cell.poses) >= 55, f"poses: {len(cell.poses)}", 3.0)
+    last = cell.states[-1]
+    assert last.header.frame_id == "table" and last.object_id == "aluminium disk"
+    assert last.frames_fused >= 10 and len(last.references_used) >= 2
+    measured = from_message(last.pose.pose)
+    assert measured.distance_to(TRUE) < 0.0001
+    assert abs(measured.rotation_to(TRUE)) < math.radians(0.1)
+    deviation = np.sqrt(np.diag(covariance_from_message(last.pose.covariance)))
+    assert np.all(deviation > 0) and deviation[0] < 0.0002
+
+
+def test_a_moving_object_is_not_called_at_rest(cell: Cell) -> None:
+    cell.show(30)
+    heard = len(cell.states)
+    for step in range(20):
+        cell.show(1, TRUE @ Pose(0.0005 * step, 0.0, 0.0))
+    cell.bench.wait(lambda: len(cell.states) >= heard + 18, "answered")
+    moving = cell.states[heard + 4 :]
+    assert moving and not any(state.at_rest for state in moving)
+
+
+@pytest.mark.parametrize("trouble", ["encoding", "size", "bytes"])
+def test_an_unusable_picture_is_refused_in_words(cell: Cell, trouble: str) -> None:
+    cell.show(5)
+    picture = images.to_message(cell.renderer.render(TRUE), "mono8")
+    if trouble == "encoding":
+        picture.encoding = "yuv422"
+    elif trouble == "size":
+        picture = images.to_message(cell.renderer.render(TRUE)[:480, :640].copy(), "mono8")
+    else:
+        picture.data = picture.data[:1000]
+    heard = len(cell.states)
+    cell.send(picture)
+    cell.bench.wait(
+        lambda: any(s.error_code == ErrorCode.IMAGE_INVALID for s in cell.states[heard:]), trouble
+    )
+    refused = [s for s in cell.states[heard:] if s.error_code == ErrorCode.IMAGE_INVALID]
+    assert not refused[0].visible and len(refused[0].error_msg) > 20
+
+
+def test_a_silent_camera_is_said_and_comes_back(cell: Cell) -> None:
+    cell.show(10)
+    cell.bench.wait(
+        lambda: cell.states[-1].error_code == ErrorCode.CAMERA_SILENT, "silence noticed", 5.0
+    )
+    assert not cell.states[-1].visible
+    cell.show(10)
+    cell.bench.wait(lambda: cell.states[-1].visible, "seen again", 3.0)
+
+
+def test_an_uncalibrated_camera_is_refused(cell: Cell) -> None:
+    cell.info.k = [0.0] * 9
+    cell.show(5)
+    cell.bench.wait(
+        lambda: any(s.error_code == ErrorCode.CAMERA_NOT_CALIBRATED for s in cell.states), "refused"
+    )

@@ -1,0 +1,253 @@
+"""The arm's node: homed before it moves, in position only by read-back, withdrawn when told."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from harness import Bench, bench
+from rclpy.duration import Duration
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.nodes.scara_arm import ScaraArm
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.devices import arm_machine
+from tapping_cell.simulation.grbl_emulator import GrblEmulator
+from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.truth import ArmTruth
+
+STRIKE = Pose(-0.08, 0.02, 0.3)
+JOINT_NAMES = ["shoulder", "elbow", "quill", "tool"]
+
+
+@dataclass
+class Cell:
+    """The node, its emulated controller, and hands to play the planner."""
+
+    bench: Bench
+    device: GrblEmulator
+    terminal: PseudoTerminal
+    states: list[ArmState]
+    joints: list[JointState]
+
+    def __post_init__(self) -> None:
+        node = self.bench.probe
+        assert node is not None
+        self.node = node
+        self.commands = node.create_publisher(TapCommand, "tap_command", COMMAND)
+        self.stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
+        self.trajectory = node.create_publisher(JointTrajectory, "joint_trajectory", COMMAND)
+        self.services = {
+            name: node.create_client(Trigger, f"scara_arm/{name}")
+            for name in ("home", "stop", "clear_fault")
+        }
+
+    @property
+    def last(self) -> ArmState:
+        return self.states[-1]
+
+    def wait_state(self, state: int, patience: float = 20.0) -> None:
+        self.bench.wait(
+            lambda: self.states and self.last.state == state, f"state {state}", patience
+        )
+
+    def command(self, tap_id: int, strike: Pose = STRIKE, frame: str = "table") -> None:
+        message = TapCommand(request=TapCommand.TAP, tap_id=tap_id, striker_speed=0.3)
+        message.header.frame_id = frame
+        message.strike_pose = to_message(strike)
+        message.expiry = (self.node.get_clock().now() + Duration(seconds=20)).to_msg()
+        self.commands.publish(message)
+
+    def withdraw(self, tap_id: int) -> None:
+        self.commands.publish(TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id))
+
+    def moves(self, seconds: float) -> bool:
+        """Whether the emulated arm moves at any time in the next seconds."""
+        end = time.monotonic() + seconds
+        moved = False
+        while time.monotonic() < end:
+            with self.terminal.lock:
+                moved = moved or self.device.moving(time.monotonic())
+            time.sleep(0.01)
+        return moved
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Iterator[Cell]:
+    settings = load_cell().file.arm
+    device = GrblEmulator(arm_machine(settings, ArmTruth()), 1, time.monotonic())
+    path = tmp_path / "arm"
+    with (
+        PseudoTerminal(device, path) as terminal,
+        bench(lambda: [ScaraArm()], {"scara_arm": {"port": path}}) as b,
+    ):
+        made = Cell(
+            b,
+            device,
+            terminal,
+            b.listen(ArmState, "arm_state", LATCHED),
+            b.listen(JointState, "joint_states"),
+        )
+        made.wait_state(ArmState.IDLE)
+        b.wait(lambda: made.commands.get_subscription_count() == 1, "the node listens")
+        yield made
+
+
+def test_it_homes_by_itself_and_reports_joints_only_then(cell: Cell) -> None:
+    unhomed = [s for s in cell.states if s.state in (ArmState.DISCONNECTED, ArmState.NOT_HOMED)]
+    assert not any(state.homed for state in unhomed)
+    assert cell.last.homed and cell.last.clear_of_camera
+    cell.bench.wait(lambda: cell.joints, "joint states")
+    park = load_cell().file.arm.park
+    assert list(cell.joints[-1].name) == JOINT_NAMES
+    assert list(cell.joints[-1].position) == pytest.approx(park, abs=2e-3)
+
+
+def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) -> None:
+    cell.command(100)
+    cell.wait_state(ArmState.IN_POSITION)
+    assert cell.last.tap_id == 100 and not cell.last.clear_of_camera
+    tip = from_message(cell.last.tip_pose)
+    assert tip.distance_to(STRIKE) < 0.0005 and abs(tip.rotation_to(STRIKE)) < 0.002
+    assert cell.last.tip_pose.position.z == pytest.approx(0.006, abs=2e-4)
+    # Where the arm truly is, by the emulator and forward kinematics, not by what it says.
+    configuration = load_cell()
+    with cell.terminal.lock:
+        joints = cell.device.joints(time.monotonic())
+    true = configuration.file.arm.geometry().forward(joints)
+    assert (configuration.arm_base @ Pose(true.x, true.y, true.yaw)).distance_to(STRIKE) < 0.0005
+    first = cell.last.header.stamp
+    cell.bench.wait(lambda: cell.last.header.stamp != first, "read back again and again")
+    cell.withdraw(100)
+    cell.wait_state(ArmState.IDLE)
+    assert cell.last.clear_of_camera and cell.last.tap_id == 0
+
+
+def test_the_striker_is_lowered_only_at_its_place(cell: Cell) -> None:
+    """Raise, travel, lower: below travel height the tip is over the strike pose alone."""
+    configuration = load_cell()
+    geometry = configuration.file.arm.geometry()
+    cell.command(100)
+    low = []
+    while cell.last.state != ArmState.IN_POSITION:
+        with cell.terminal.lock:
+            tip = geometry.forward(cell.device.joints(time.monotonic()))
+        if tip.z < configuration.file.arm.travel_height - 0.002:
+            low.append((configuration.arm_base @ Pose(tip.x, tip.y, tip.yaw)).distance_to(STRIKE))
+        time.sleep(0.005)
+    assert len(low) > 10
+    assert max(low) < 0.001
+
+
+@pytest.mark.parametrize(
+    ("strike", "frame"),
+    [
+        (STRIKE, "map"),
+        (Pose(math.nan, 0.0, 0.0), "table"),
+    ],
+    ids=["frame", "not finite"],
+)
+def test_a_bad_command_moves_nothing(cell: Cell, strike: Pose, frame: str) -> None:
+    cell.command(100, strike, frame)
+    assert not cell.moves(0.5)
+    assert cell.last.state == ArmState.IDLE
+
+
+def test_a_pose_out_of_reach_is_a_worded_fault_and_moves_nothing(cell: Cell) -> None:
+    cell.command(100, Pose(0.0, -3.0, 0.0))
+    cell.wait_state(ArmState.FAULT)
+    assert cell.last.error_code == ErrorCode.ARM_OUT_OF_REACH
+    assert "reach" in cell.last.error_msg
+    assert not cell.moves(0.3)
+
+
+def test_a_tap_id_is_served_once(cell: Cell) -> None:
+    cell.command(100)
+    cell.wait_state(ArmState.IN_POSITION)
+    cell.withdraw(100)
+    cell.wait_state(ArmState.IDLE)
+    cell.command(100)
+    cell.command(99)
+    assert not cell.moves(0.5)
+
+
+def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> None:
+    cell.command(100, Pose(0.15, -0.1, 0.0))
+    time.sleep(0.8)
+    with cell.terminal.lock:
+        assert cell.device.moving(time.monotonic())
+    cell.stop.publish(Bool(data=True))
+    cell.wait_state(ArmState.STOPPED)
+    time.sleep(0.2)
+    assert not cell.moves(0.5)
+    cell.command(101)
+    assert not cell.moves(0.5)
+    cell.services["clear_fault"].call_async(Trigger.Request())
+    cell.wait_state(ArmState.NOT_HOMED)
+    assert not cell.moves(0.3)
+    cell.services["home"].call_async(Trigger.Request())
+    cell.wait_state(ArmState.IDLE)
+    cell.command(102)
+    cell.wait_state(ArmState.IN_POSITION)
+
+
+def test_withdrawing_in_mid_move_never_reports_in_position(cell: Cell) -> None:
+    cell.command(100)
+    time.sleep(0.5)
+    heard = len(cell.states)
+    cell.withdraw(100)
+    cell.wait_state(ArmState.IDLE)
+    assert all(state.state != ArmState.IN_POSITION for state in cell.states[heard:])
+
+
+def test_a_joint_trajectory_is_followed_in_any_order_of_names(cell: Cell) -> None:
+    order = [2, 0, 3, 1]
+    target = np.array([0.3, 1.0, -0.01, 0.5])
+    message = JointTrajectory(joint_names=[JOINT_NAMES[index] for index in order])
+    point = JointTrajectoryPoint(positions=target[order].tolist())
+    point.time_from_start.sec = 2
+    message.points = [point]
+    cell.bench.wait(lambda: cell.trajectory.get_subscription_count() == 1, "the node listens")
+    cell.trajectory.publish(message)
+    cell.wait_state(ArmState.MOVING)
+    cell.wait_state(ArmState.IDLE)
+    cell.bench.wait(
+        lambda: np.allclose(cell.joints[-1].position, target, atol=2e-3), "the target is reported"
+    )
+    assert not cell.last.clear_of_camera
+
+
+def test_a_bad_trajectory_moves_nothing(cell: Cell) -> None:
+    cell.bench.wait(lambda: cell.trajectory.get_subscription_count() == 1, "the node listens")
+    for names, positions in (
+        (JOINT_NAMES[:3], [0.0, 0.0, 0.0]),
+        (JOINT_NAMES, [0.0, math.nan, 0.0, 0.0]),
+        (JOINT_NAMES, [0.0, 0.0]),
+    ):
+        cell.trajectory.publish(
+            JointTrajectory(joint_names=names, points=[JointTrajectoryPoint(positions=positions)])
+        )
+    assert not cell.moves(0.6)
+    assert cell.last.state == ArmState.IDLE
+
+
+def test_a_pulled_cable_is_noticed_and_mended(cell: Cell) -> None:
+    cell.terminal.hang_up()
+    cell.wait_state(ArmState.DISCONNECTED)
+    assert cell.last.error_code == ErrorCode.ARM_NOT_CONNECTED
+    cell.terminal.plug_in()
+    cell.bench.wait(
+        lambda: cell.last.state in (ArmState.IDLE, ArmState.NOT_HOMED), "connected again", 4.0
+    )
