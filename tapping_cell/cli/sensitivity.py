@@ -8,6 +8,7 @@ and the rotation, counted clockwise as in the paper. The y row is the paper's, i
 turns with the striker; the row that the impact gives stands beside it.
 
     python -m tapping_cell sensitivity --distance 10 --rotation 3
+    python -m tapping_cell sensitivity --figures docs/images
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import argparse
 import json
 import math
 import sys
+from pathlib import Path
 
 import numpy as np
 
@@ -46,6 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--farthest", type=float, default=50.0, help="distance where the sweep ends, mm (50)"
     )
+    parser.add_argument(
+        "--figures",
+        type=Path,
+        metavar="DIR",
+        help="also draw the reachable cone and the velocities of a slide",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -66,6 +74,11 @@ def run(arguments: argparse.Namespace) -> int:
     except MechanicsError as problem:
         print(f"sensitivity: {problem}", file=sys.stderr)
         return 1
+    if arguments.figures:
+        from tapping_cell.report.mechanics_figures import write_figures
+
+        for file in write_figures(tap, arguments.figures):
+            print(f"wrote {file}", file=sys.stderr)
     if arguments.json:
         print(json.dumps(report))
     else:

@@ -268,7 +268,7 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
     area = _area_moments(points)[0]
     if area <= 1e-12 * size**2:
         raise InvalidBodyError(f"polygon area is {area:.3g} m^2; it must be above 0.")
-    return points
+    return np.asarray(points)
 
 
 def _checked_finite(points: Array) -> Array:

@@ -32,7 +32,7 @@ class RoundSlide:
         del direction
         if isinstance(speed, (float, int)) and isinstance(spin, (float, int)):
             v, w = float(speed), float(spin)
-            if not math.isfinite(v + w):
+            if not math.isfinite(v * v + w * w):
                 raise _not_finite("speed and spin", v, w)
             travel, rim_travel, time = self.table.rest(v, w * self._radius)
             g = self._deceleration
@@ -158,5 +158,6 @@ def _ratio_at(table: SlideTable, start: Array, log_left: Array) -> Array:
 
 def _not_finite(name: str, first: float, second: float) -> InvalidParameterError:
     return InvalidParameterError(
-        f"{name} are {first!r} and {second!r}; both must be finite numbers."
+        f"{name} are {first!r} and {second!r}; both must be finite numbers, "
+        "small enough to square."
     )

@@ -143,8 +143,11 @@ class SlideTable:
             np.greater(gathered, value, out=mask)
             np.maximum(value, gathered, out=major)
             np.minimum(value, gathered, out=minor)
-            if not math.isfinite(float(major.sum())):
-                raise InvalidParameterError("speed or spin is not finite or too large to square.")
+            if not math.isfinite(float(np.dot(major, major))):
+                raise InvalidParameterError(
+                    f"speed and spin reach {float(np.abs(major).max()):g} m/s; all must be finite "
+                    "numbers, small enough to square."
+                )
             _grade(major, minor, t, spare)
             _piece(t, mask, index, spare)
             _cubic(x, index, t, value, gathered)
@@ -178,7 +181,10 @@ class SlideTable:
         np.abs(rim_travel, out=r)
         np.maximum(x, r, out=longer)
         if not math.isfinite(float(longer.sum())):
-            raise InvalidParameterError("distance or rotation is not finite or too large.")
+            raise InvalidParameterError(
+                f"distance and rotation reach {float(longer.max()):g} (m^2/s^2); all must be "
+                "finite numbers."
+            )
         np.multiply(x, self._divide, out=spare)
         np.greater(r, spare, out=mask)
         # The measures of both regimes meet at the divide, so min over max serves either.

@@ -1,0 +1,130 @@
+"""Figures of the mechanics: the reachable cone and the velocities of a slide, in mm and degrees."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from tapping_cell.mechanics import Sliding, Tap
+from tapping_cell.mechanics.sensitivity import norm, sensitivity
+
+CONE = "mechanics_cone.png"
+VELOCITIES = "mechanics_velocities.png"
+
+_FARTHEST = 0.030
+_GRID = 61
+_TAP_COLOUR = "tab:blue"
+_GOAL_COLOUR = "tab:red"
+
+
+def write_figures(tap: Tap, folder: Path) -> list[Path]:
+    """Draw the cone of ``tap`` and slides of its body into ``folder``; returns the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for name, draw in ((CONE, _cone), (VELOCITIES, _velocities)):
+        figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(figure, tap)
+        figure.savefig(folder / name, dpi=110)
+        files.append(folder / name)
+    return files
+
+
+def _cone(figure: Figure, tap: Tap) -> None:
+    """Left: what one tap reaches. Right: the Jacobian's norm over the half that was fitted."""
+    reach, gain = figure.subplots(1, 2)
+    slope = tap.cone_slope
+    distance = np.array([0.0, _FARTHEST])
+    for sign in (1, -1):
+        reach.fill_between(
+            sign * distance * 1e3,
+            -np.degrees(slope * distance),
+            np.degrees(slope * distance),
+            color=_TAP_COLOUR,
+            alpha=0.15 if sign > 0 else 0.07,
+            label="one tap forward" if sign > 0 else "one tap backward",
+        )
+    least = tap.smallest_distance * 1e3
+    reach.axvspan(-least, least, color="grey", alpha=0.25, label=f"below {least:g} mm")
+    reach.plot(10, 3, "o", color=_TAP_COLOUR, label="10 mm, 3 degrees: one tap")
+    reach.plot(10, 10, "X", color=_GOAL_COLOUR, label="10 mm, 10 degrees: the paper's task")
+    reach.set(
+        xlabel="distance (mm)",
+        ylabel="rotation (degrees)",
+        title=f"Reachable cone, {math.degrees(slope) / 1e3:.3f} degrees/mm",
+    )
+    reach.set_ylim(-12, 18)
+    reach.legend(fontsize=7, loc="upper left")
+
+    far = np.linspace(tap.smallest_distance, 2 * _FARTHEST, _GRID)
+    share = np.linspace(0.0, 0.99, _GRID)
+    x, s = np.meshgrid(far, share)
+    taps = np.stack([x, np.zeros_like(x), s * slope * x], axis=-1)
+    norms = norm(sensitivity(tap, taps).physical)
+    filled = gain.contourf(1e3 * x, 100 * s, norms, levels=np.arange(0, 2.01, 0.2), cmap="viridis")
+    lines = gain.contour(1e3 * x, 100 * s, norms, levels=[1.0], colors="white")
+    gain.clabel(lines, fmt="norm 1")
+    gain.set(
+        xlabel="distance (mm)",
+        ylabel="share of the cone's rotation (%)",
+        title="Norm of the Jacobian (mm, degrees)",
+    )
+    figure.colorbar(filled, ax=gain)
+
+
+def _velocities(figure: Figure, tap: Tap) -> None:
+    """Left: the paper's tap in time. Right: how the ratio of the velocities ends."""
+    left, right = figure.subplots(1, 2)
+    sliding = tap.sliding
+    speed, spin = (float(value) for value in sliding.launch(0.010, math.radians(3.0)))
+    plain = Sliding(sliding.body, sliding.friction, 1.0, sliding.gravity)
+    turning = left.twinx()
+    for model, style in ((sliding, "-"), (plain, "--")):
+        times = _times(model, speed, spin)
+        profile = model.profile(speed, spin, times)
+        name = f"torque factor {model.torque_factor:g}"
+        left.plot(1e3 * times, 1e3 * profile.speed, style, color=_TAP_COLOUR, label=f"v, {name}")
+        left.plot([], [], style, color=_GOAL_COLOUR, label=f"omega, {name}")
+        turning.plot(1e3 * times, np.degrees(profile.spin), style, color=_GOAL_COLOUR)
+    left.set(xlabel="time (ms)", ylabel="v (mm/s)", title="Velocities of a tap of 10 mm, 3 degrees")
+    turning.set_ylabel("omega (degrees/s)")
+    turning.set_ylim(bottom=0)
+    left.set_ylim(bottom=0)
+    left.legend(fontsize=7)
+    _ratios(right, sliding)
+
+
+def _ratios(axes: Axes, sliding: Sliding) -> None:
+    radius = sliding.body.support_radius
+    for index, kappa in enumerate((0.5, 1.0, 1.5, sliding.torque_factor)):
+        model = Sliding(sliding.body, sliding.friction, kappa, sliding.gravity)
+        for start in (0.2, 1.0, 5.0):
+            spin = 0.2 / (start * radius)
+            times = _times(model, 0.2, spin)
+            profile = model.profile(0.2, spin, times)
+            axes.plot(
+                100 * times / times[-1],
+                profile.speed / (radius * profile.spin),
+                color=f"C{index}",
+                label=f"torque factor {kappa:g}" if start == 1.0 else None,
+            )
+    axes.set(
+        xlabel="share of the slide's duration (%)",
+        ylabel="v / (R omega)",
+        yscale="log",
+        title="Whatever the launch, the ratio ends alike",
+    )
+    axes.set_ylim(0.02, 50)
+    axes.legend(fontsize=7)
+
+
+def _times(sliding: Sliding, speed: float, spin: float) -> NDArray[np.float64]:
+    duration = float(sliding.rest(speed, spin).duration)
+    # Denser at the end, and just short of it, where the ratio is still one of two numbers.
+    return np.asarray(duration * (1 - np.linspace(1.0, 0.02, 300) ** 2))
