@@ -100,6 +100,13 @@ _tapping_cell_activate() {
         esac
     fi
     . "$root/install/local_setup.bash"
+    case :${AMENT_PREFIX_PATH:-}: in
+        *":$root/install/tapping_cell_msgs:"*) ;;
+        *)
+            _tapping_cell_say "$root/install is damaged: call  make clean  and source env.sh again."
+            return 1
+            ;;
+    esac
     export ROS_AUTOMATIC_DISCOVERY_RANGE=$range
     export FASTRTPS_DEFAULT_PROFILES_FILE=${FASTRTPS_DEFAULT_PROFILES_FILE:-$root/config/fastdds_profile.xml}
     hash -r

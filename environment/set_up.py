@@ -122,6 +122,16 @@ def require_writable() -> None:
     )
 
 
+def require_plain_path() -> None:
+    """Raise `SetUpError` if colcon's and pip's scripts would break in the cell's folder."""
+    odd = re.findall(r"[^\w/.,+@=-]", str(ROOT), re.ASCII)
+    if odd:
+        raise SetUpError(
+            f"the path of {ROOT} has the character {odd[0]!r} and the scripts that colcon writes work"
+            " with ASCII letters, digits and / . , + @ = _ - only: move the cell to such a folder."
+        )
+
+
 def require_wheel_platform() -> None:
     """Raise `SetUpError` where no ROS 2 wheels exist for the machine."""
     machine = platform.machine()
@@ -391,6 +401,7 @@ def set_up() -> None:
     )
     if all(is_made(stamp, wanted) for stamp, wanted in stages):
         return
+    require_plain_path()
     require_writable()
     require_python(sys.version_info[:2])
     started = time.monotonic()

@@ -81,6 +81,18 @@ def test_too_little_disk_is_refused_with_value_and_limit(monkeypatch):
         set_up.require_disk(2.0e9)
 
 
+@pytest.mark.parametrize("name", ["a cell", "cell:2", "Zelle-ü", "$cell", "a'b"])
+def test_a_folder_that_breaks_colcons_scripts_is_refused(name, monkeypatch):
+    monkeypatch.setattr(set_up, "ROOT", Path("/home/me") / name)
+    with pytest.raises(set_up.SetUpError, match="move the cell"):
+        set_up.require_plain_path()
+
+
+def test_a_usual_folder_is_taken(monkeypatch):
+    monkeypatch.setattr(set_up, "ROOT", Path("/home/me/ros2_ws/src/tapping-cell.v2+main@x"))
+    set_up.require_plain_path()
+
+
 @pytest.mark.parametrize("version", [(3, 9), (3, 14), (2, 7), (4, 10)])
 def test_a_wrong_python_is_refused(version):
     with pytest.raises(set_up.SetUpError, match=rf"{version[0]}\.{version[1]} .* 3\.10 to 3\.13"):
