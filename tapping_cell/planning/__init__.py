@@ -15,6 +15,7 @@ from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.gains import Gains
 from tapping_cell.planning.goal import check_goal
 from tapping_cell.planning.interface import Planner, Taps
+from tapping_cell.planning.kept_gains import keep_gains, load_gains
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.registry import make_planner, planner_names
 from tapping_cell.planning.session import Decision, Done, PositioningSession, Strike
@@ -56,6 +57,8 @@ __all__ = [
     "Waypoint",
     "Workspace",
     "check_goal",
+    "keep_gains",
+    "load_gains",
     "make_planner",
     "planner_names",
     "reach_everywhere",

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tapping_cell.mechanics import Polygon, Tap
 from tapping_cell.planning.free_space import PathLengths
 from tapping_cell.planning.gains import Gains
 from tapping_cell.planning.interface import Array, Planner
@@ -26,12 +27,13 @@ def alternative_taps(
     gains: Gains,
     planner: Planner,
     paths: PathLengths,
+    tap: Tap,
 ) -> Iterator[Array]:
     """Displacements to command, in chunks of shape (n, 3), best first.
 
-    All directions, several distances (shares of the method's own choice ``first`` and of the largest
-    tap) and rotations (shares of the cone). They are ranked by how many taps the method would need
-    from where they lead, with the distance measured along the path around obstacles.
+    All directions, several distances (shares of the method's own choice ``first`` and of the
+    largest tap) and rotations (shares of the cone). They are ranked by how many taps the method
+    would need from where they lead, with the distance measured along the path around obstacles.
     """
     settings = planner.settings
     length = math.hypot(first[0], first[1]) * float(gains.value[0])
@@ -64,7 +66,24 @@ def alternative_taps(
         + 0.05 * size / settings.largest_distance,
         np.inf,
     )
+    if isinstance(tap.body, Polygon):
+        cost = cost + _indirect(after, goal, gains, planner, tap)
     order = np.argsort(cost, kind="stable")
     order = order[np.isfinite(cost[order])]
     for start in range(0, order.size, CHUNK):
         yield commanded[order[start : start + CHUNK]]
+
+
+def _indirect(after: Array, goal: Array, gains: Gains, planner: Planner, tap: Tap) -> Array:
+    """One more tap where no contact of a polygon gives the rest in one: poses (n, 3) after a tap.
+
+    The edges of a polygon pass on impulses within the contact's friction of their normals only,
+    which a planning method does not know.
+    """
+    left = goal - after
+    left[:, 2] = wrap_angle(left[:, 2])
+    distance, turn, heading = gains.to_plan(left)
+    settings = planner.settings
+    near = (distance >= settings.smallest_distance) & (distance <= settings.largest_distance)
+    direct = tap.reachable(gains.command(np.where(near, distance, 1.0), turn, heading), after)
+    return np.where(near & ~direct, 1.0, 0.0)

@@ -1,4 +1,4 @@
-"""What planning refuses by raising; refusals of a goal or a tap are values (``Refusal``) instead."""
+"""What planning refuses by raising; a refused goal or tap is a value (``Refusal``) instead."""
 
 from __future__ import annotations
 

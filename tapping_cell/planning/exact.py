@@ -1,4 +1,4 @@
-"""Exact two-tap plans: the nearest subgoal from which one more tap reaches the goal (section 4.1)."""
+"""Exact two-tap plans: the nearest subgoal from which one more tap reaches the goal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tapping_cell.planning.two_tap import two_tap_choice
 
 @dataclass(frozen=True, slots=True)
 class ExactPlanner:
-    """Aims at the edge of the reachable region: few taps when they are true, replanned when not."""
+    """Aims at the edge of the reachable region (section 4.1): replanned where a tap falls short."""
 
     settings: PlannerSettings
     name: str = "exact"

@@ -131,7 +131,7 @@ class PathLengths:
     def length(self, points: ArrayLike) -> Array:
         """Length of the path from the points (..., 2) to the goal, m; inf where there is none."""
         p = np.asarray(points, dtype=float)
-        straight = np.hypot(p[..., 0] - self._goal[0], p[..., 1] - self._goal[1])
+        straight: Array = np.hypot(p[..., 0] - self._goal[0], p[..., 1] - self._goal[1])
         if self._open:
             return straight
         seen = self._free.in_sight(p, self._goal)
@@ -184,7 +184,7 @@ def _largest_run(missing: BoolArray) -> Array:
     for index in range(2 * DIRECTIONS):
         run = np.where(missing[..., index % DIRECTIONS], run + 1, 0)
         longest = np.maximum(longest, run)
-    return (np.minimum(longest, DIRECTIONS - 1) + 1) * (2.0 * math.pi / DIRECTIONS)
+    return np.asarray((np.minimum(longest, DIRECTIONS - 1) + 1) * (2.0 * math.pi / DIRECTIONS))
 
 
 def _neighbour_graph(workable: BoolArray) -> coo_array:

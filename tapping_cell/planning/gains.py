@@ -87,7 +87,7 @@ class Gains:
         return np.hypot(left[..., 0], left[..., 1]), turn, heading
 
     def command(self, distance: ArrayLike, rotation: ArrayLike, heading: ArrayLike) -> Array:
-        """Displacements (..., 3) to ask of the mechanics for taps planned in ``to_plan``'s units."""
+        """Displacements (..., 3) to ask of the mechanics, for taps in the units of ``to_plan``."""
         length = np.asarray(distance, dtype=float) / self.value[..., 0]
         turn = np.asarray(rotation, dtype=float) / self.value[..., 0]
         return np.stack([length * np.cos(heading), length * np.sin(heading), turn], axis=-1)

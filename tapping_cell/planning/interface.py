@@ -33,7 +33,7 @@ class Planner(Protocol):
 
     @property
     def name(self) -> str:
-        """The name of the method that answers now (a fallback may answer while a plan is solved)."""
+        """The method that answers now (a fallback may answer while a plan is solved)."""
         ...
 
     @property

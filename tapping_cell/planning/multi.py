@@ -2,7 +2,7 @@
 
 Cone 0 is the box. A state belongs to cone i when some tap takes its whole error line, the rotation
 times 1 +- ``error_line``, into the cones below i. At a distance r the cones are intervals
-|theta| <= h_i(r), since with rotations from 0 to the largest the error lines cover everything below:
+|theta| <= h_i(r): with rotations from 0 to the largest the error lines cover everything below.
 
     h_i(r) = largest over taps d of  H + (1 - s) min(k |d|, H / s),   H = h_(i-1)(|r - d|)
 
@@ -148,7 +148,7 @@ class MultiPlanner:
     def _opening(self, cone: int, distance: Array) -> Array:
         if cone == 0:
             return self._box_opening(distance)
-        return np.interp(distance, self.distances, self.cones[cone - 1])
+        return np.asarray(np.interp(distance, self.distances, self.cones[cone - 1]))
 
     def _box_opening(self, distance: Array) -> Array:
         box = self.settings.stopping

@@ -5,13 +5,15 @@ from __future__ import annotations
 import threading
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.planning.exact import ExactPlanner
 from tapping_cell.planning.interface import Array, Planner, Taps
 from tapping_cell.planning.policy_cache import keep_policy, load_policy
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.value_iteration import Solution, solve
+
+Indices = NDArray[np.intp]
 
 ALIKE = 0.35
 """Neighbouring taps are interpolated when they differ by less than this share of the larger one."""
@@ -48,7 +50,7 @@ class OptimalPolicy:
         return Taps(tap, sense * np.minimum(turn, most))
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Expected taps from there, 0 inside the stopping box; beyond the grid one a largest tap."""
+        """Expected taps from there, 0 inside the box; beyond the grid one for each largest tap."""
         beyond = np.maximum(np.asarray(distance, dtype=float) - self._solution.distances[-1], 0.0)
         i, u, j, v, _ = self._cell(distance, rotation)
         box = self.settings.stopping
@@ -58,7 +60,7 @@ class OptimalPolicy:
 
     def _cell(
         self, distance: ArrayLike, rotation: ArrayLike
-    ) -> tuple[Array, Array, Array, Array, Array]:
+    ) -> tuple[Indices, Array, Indices, Array, Array]:
         r, signed = np.broadcast_arrays(
             np.asarray(distance, dtype=float), np.asarray(rotation, dtype=float)
         )
@@ -136,14 +138,16 @@ class OptimalPlanner:
             self._ready.set()
 
 
-def _bracket(grid: Array, values: Array) -> tuple[Array, Array]:
+def _bracket(grid: Array, values: Array) -> tuple[Indices, Array]:
     """Index of the grid's cell of each value and the share of the way through it, in [0, 1]."""
-    index = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, grid.size - 2)
+    index = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, grid.size - 2).astype(
+        np.intp
+    )
     share = (values - grid[index]) / (grid[index + 1] - grid[index])
     return index, np.clip(share, 0.0, 1.0)
 
 
-def _blend(table: Array, i: Array, u: Array, j: Array, v: Array) -> Array:
+def _blend(table: Array, i: Indices, u: Array, j: Indices, v: Array) -> Array:
     low = (1.0 - v) * table[i, j] + v * table[i, j + 1]
     high = (1.0 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
     return np.asarray((1.0 - u) * low + u * high)

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from tapping_cell.planning.settings import PlannerSettings
-from tapping_cell.planning.value_iteration import Solution
+from tapping_cell.planning.value_iteration import FINE_STEPS, RATIO, Solution
 
-FORMAT = 1
-"""To be raised whenever the solver would give other plans for the same settings."""
+FORMAT = 2
+"""To be raised whenever the solver would give other plans for the same settings and grids."""
 
 MOST_FILES = 64
 
@@ -36,7 +36,9 @@ def cache_folder() -> Path:
 
 def policy_file(settings: PlannerSettings) -> Path:
     """The file of the plan for these settings."""
-    digest = hashlib.sha256(f"format={FORMAT};{settings.key()}".encode()).hexdigest()
+    digest = hashlib.sha256(
+        f"format={FORMAT};grid={RATIO},{FINE_STEPS};{settings.key()}".encode()
+    ).hexdigest()
     return cache_folder() / f"{digest[:32]}.npz"
 
 

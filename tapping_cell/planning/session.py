@@ -16,11 +16,17 @@ from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.settings import CameraNoise
 from tapping_cell.planning.stopping import StoppingBox, stopping_box
-from tapping_cell.planning.strike import StrikePlan, StrikeSpace
+from tapping_cell.planning.strike import BoolArray, StrikePlan, StrikeSpace
 from tapping_cell.se2 import Pose, wrap_angle
 
 MOST_TAPS = 100
 """Taps after which something is wrong that planning cannot see."""
+
+MISSED = 0.1
+"""A tap that moved the object by less than this share of what was wanted has missed it."""
+
+ELSEWHERE = math.radians(20.0)
+"""After a miss the next tap differs in direction by at least this: the same would miss again."""
 
 BLOCKED = 1.05
 """Path over straight distance beyond which the way is not straight (the grid is true to 3 %)."""
@@ -89,6 +95,7 @@ class PositioningSession:
         self.planner = planner
         self.gains = Gains.start() if gains is None else gains
         self.taps = 0
+        self._missed: float | None = None  # heading of the last tap if it did not move the object
         self._space = space
         self._adapt = adapt
         self._most_taps = most_taps
@@ -99,7 +106,7 @@ class PositioningSession:
 
     def residual(self, object_pose: ArrayLike) -> Array:
         """Goal less object: (dx, dy, dtheta) in `table`, the rotation the short way round."""
-        left = self.goal - np.asarray(object_pose, dtype=float)
+        left: Array = self.goal - np.asarray(object_pose, dtype=float)
         left[2] = wrap_angle(left[2])
         return left
 
@@ -149,11 +156,14 @@ class PositioningSession:
         Call it once for each tap fired, also when nothing is known of the result (NaN poses).
         """
         self.taps += 1
-        if not self._adapt:
-            return
         settings = self.planner.settings
         moved = np.asarray(pose_after, dtype=float) - np.asarray(pose_before, dtype=float)
         moved[2] = wrap_angle(moved[2])
+        asked = math.hypot(strike.wanted.x, strike.wanted.y)
+        missed = math.hypot(moved[0], moved[1]) < MISSED * asked
+        self._missed = math.atan2(strike.commanded.y, strike.commanded.x) if missed else None
+        if not self._adapt:
+            return
         noise = settings.camera if covariance is None else noise_of(covariance)
         self.gains = self.gains.observe(strike.commanded, moved, settings.scatter, noise)
 
@@ -203,9 +213,9 @@ class PositioningSession:
                 return self._made(pose, left, first, found[1], "")
             detour = "the arm or the tool has no room for the tap along the line"
         for candidates in alternative_taps(
-            pose, self.goal, first, self.gains, self.planner, self._paths
+            pose, self.goal, first, self.gains, self.planner, self._paths, self._space.tap
         ):
-            safe = candidates[self._ends_well(pose, candidates)]
+            safe = candidates[self._elsewhere(candidates) & self._ends_well(pose, candidates)]
             if safe.shape[0] == 0:
                 continue
             found = self._space.first_strike(Pose(*pose.tolist()), safe)
@@ -218,7 +228,7 @@ class PositioningSession:
             f"of the arm's reach (first: {detour}); move the object by hand towards the middle",
         )
 
-    def _ends_well(self, pose: Array, commanded: Array) -> Array:
+    def _ends_well(self, pose: Array, commanded: Array) -> BoolArray:
         """Which displacements (n, 3) slide safely and end, footprint and all, where taps go on."""
         expected = self.gains.predict(commanded)
         centres = self._space.footprint(pose, expected)
@@ -229,8 +239,17 @@ class PositioningSession:
             workable = nominal  # an escape: better than here, its footprint cannot be asked for
         return np.asarray(workable & nominal & self._space.slide_is_safe(pose, expected))
 
+    def _elsewhere(self, commanded: Array) -> BoolArray:
+        """Which displacements (..., 3) differ in direction from a tap that just missed."""
+        if self._missed is None:
+            return np.ones(commanded.shape[:-1], dtype=bool)
+        heading = np.arctan2(commanded[..., 1], commanded[..., 0])
+        return np.asarray(np.abs(wrap_angle(heading - self._missed)) >= ELSEWHERE)
+
     def _obstacle(self, pose: Array, commanded: Array) -> str:
         """Why the slide of a displacement (3,) is not acceptable, or an empty text."""
+        if not bool(self._elsewhere(commanded)):
+            return "the last tap in this direction did not move the object"
         straight = math.hypot(self.goal[0] - pose[0], self.goal[1] - pose[1])
         if float(self._paths.length(pose[:2])) > BLOCKED * straight + 1e-9:
             return "the straight line to the goal is blocked"

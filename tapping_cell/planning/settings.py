@@ -1,8 +1,8 @@
-"""What a planning method is told about the cell: the cone of taps, their scatter, the camera, the box.
+"""What a planning method is told: the cone of taps, their scatter, the camera, the box.
 
-All lengths in metres, angles in radians. The numbers of the paper's cell are the defaults: a cone of
-10 degrees in 30 mm (Huang and Mason, section 4: the task needs three times the rotation of one tap),
-a smallest tap of 1.7 mm (section 4), 5 % and 15 % of scatter (section 3.1.1).
+All lengths in metres, angles in radians. The numbers of the paper's cell are the defaults: a cone
+of 10 degrees in 30 mm (Huang and Mason, section 4: the task needs three times the rotation of one
+tap), a smallest tap of 1.7 mm (section 4), 5 % and 15 % of scatter (section 3.1.1).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True)
 class CameraNoise:
-    """One standard deviation of a look at the object at rest: position (each axis, m), angle (rad)."""
+    """One standard deviation of a look at rest: position (each axis, m) and angle (rad)."""
 
     position: float = 0.0
     angle: float = 0.0

@@ -1,8 +1,8 @@
 """Honest stopping: how much smaller than the tolerance the box must be in which the cell stops.
 
-The camera's error can make an object just outside the tolerance look inside. If measured values are
-spread evenly over a box of half width b and the camera's error is normal with deviation s, the share
-of stops whose true value lies outside the tolerance a is
+The camera's error can make an object just outside the tolerance look inside. If measured values
+are spread evenly over a box of half width b and the camera's error is normal with deviation s, the
+share of stops whose true value lies outside the tolerance a is
 
     (s / b) * integral of Q(u) du from (a - b) / s to infinity,  Q(u) = 1 - Phi(u),
 
@@ -24,7 +24,7 @@ FALSE_STOPS = 0.005
 """Share of false stops on one axis, for values spread evenly over the box."""
 
 SMALLEST_SHARE = 0.25
-"""A smaller box than this share of the tolerance would cost endless taps: the camera is too coarse."""
+"""A smaller box than this share of the tolerance would cost endless taps."""
 
 
 class StoppingBox(NamedTuple):

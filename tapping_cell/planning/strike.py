@@ -1,7 +1,8 @@
 """The strike: where the arm must put the striker, and which taps the room around it allows.
 
-Frames: everything in `table`. A strike pose is the pose of the centre of the striker's ball tip with
-x along the direction of travel. The tool behind the tip is a straight bar (a capsule) on that line.
+Frames: everything in `table`. A strike pose is the pose of the centre of the striker's ball tip
+with x along the direction of travel. The tool behind the tip is a straight bar (a capsule) on that
+line.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from tapping_cell.se2 import Pose, transform_points
 BoolArray = NDArray[np.bool_]
 
 ArmReach = Callable[[Array], BoolArray]
-"""Which tip poses, (..., 3) in `table`, the arm can take: (...,) or, one column for each elbow side,
+"""Which tip poses, (..., 3) in `table`, the arm can take: (...,) or, a column for each elbow side,
 (..., sides). A strike uses one side for all of its waypoints."""
 
 OUTLINE_POINTS = 72
@@ -118,9 +119,10 @@ class StrikeSpace:
         settings: StrikeSettings | None = None,
         scatter: Scatter | None = None,
     ) -> None:
-        self.tap = replace(tap, smallest_distance=0.0)
-        """The mechanics; how small a tap may be is for the planning method to keep, since it counts
-        in true distance and commands are scaled by the gains learnt."""
+        self.tap = replace(tap, sliding=tap.sliding.approximated(), smallest_distance=0.0)
+        """The mechanics, fast rather than exact for polygons, without its smallest tap: that is for
+        the planning method to keep, since it counts in true distance and commands are scaled by the
+        gains learnt."""
         self.workspace = workspace
         self.settings = StrikeSettings() if settings is None else settings
         self.scatter = Scatter() if scatter is None else scatter

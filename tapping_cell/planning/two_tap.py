@@ -1,9 +1,9 @@
 """Geometry shared by the two-tap methods: which subgoal is nearest, and which tap leads to it.
 
-State: what remains to the goal, a distance r >= 0 (m) and a rotation theta (rad). A tap moves along
-the line to the goal by d (either sign) and rotates by at most k |d| (either sense). From a subgoal
-with distance r' and rotation theta' one more tap can reach the goal when r' is at least the smallest
-tap and |theta'| <= k r'.
+State: what remains to the goal, a distance r >= 0 (m) and a rotation theta (rad). A tap moves
+along the line to the goal by d (either sign) and rotates by at most k |d| (either sense). From a
+subgoal with distance r' and rotation theta' one more tap can reach the goal when r' is at least the
+smallest tap and |theta'| <= k r'.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from tapping_cell.planning.interface import Array, Taps
 from tapping_cell.planning.settings import PlannerSettings
-
 
 SECOND_TAP_MARGIN = 1.4
 """Least second tap over the smallest tap. A subgoal exactly one smallest tap away would be lost in
@@ -57,7 +56,7 @@ def two_tap_choice(
         second = subgoal
     turn = _first_rotation(theta, k * np.abs(first), k * second, error_line)
 
-    # A plan that needs larger taps than there are: turn as much as a tap can and stay near the goal.
+    # A plan that needs larger taps than there are: turn as much as a tap can, stay near the goal.
     too_large = ~direct & (np.maximum(np.abs(first), second) > most)
     tap = np.where(direct, np.minimum(r, most), np.where(too_large, most, first))
     turn = np.where(direct, theta * np.minimum(1.0, most / np.maximum(r, most)), turn)

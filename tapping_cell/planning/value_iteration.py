@@ -1,4 +1,6 @@
-"""Fewest expected taps: the stochastic shortest path over what remains (Bertsekas 2012, vol. 2, ch. 3).
+"""Fewest expected taps: the stochastic shortest path over what remains.
+
+(Bertsekas, *Dynamic Programming and Optimal Control*, 2012, vol. 2, ch. 3.)
 
 State: distance r >= 0 and rotation theta >= 0 to the goal (the other sense is its mirror image). A
 tap (d, turn) moves the state to
@@ -6,16 +8,17 @@ tap (d, turn) moves the state to
     r'     = hypot(r - d (1 + a), |d| c)     a, c scatter of distance and direction, plus the camera
     theta' = |theta - turn (1 + b)|          b scatter of rotation, plus the camera
 
-and the run ends inside the stopping box. The value W(r, theta) is the least expected number of taps
-when one more tap must be made; the value of a state is 0 inside the box and W outside. W is smooth
-(each tap blurs it), so it is kept on a product grid and interpolated linearly. Given the tap, r' and
-theta' are independent: the expectation over all taps from a state is two matrix products,
+and the run ends inside the stopping box. The value W(r, theta) is the least expected number of
+taps when one more tap must be made; the value of a state is 0 inside the box and W outside. W is
+smooth (each tap blurs it), so it is kept on a product grid and interpolated linearly. Given the
+tap, r' and theta' are independent: the expectation over all taps from a state is two matrix
+products,
 
     E = P_r W P_t^T - (the same over the part inside the box),
 
 where a row of P_r or P_t holds the expected weights of linear interpolation, exact integrals over
-the distribution. Policy iteration: all taps of the action grid are compared in each improvement, and
-the policy is evaluated by repeated sweeps between improvements.
+the distribution. Policy iteration: all taps of the action grid are compared in each improvement,
+and the policy is evaluated by repeated sweeps between improvements.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from tapping_cell.planning.interface import Array
@@ -54,6 +58,10 @@ LEAST_DEVIATION = 0.01
 """Floor of the deviations, as a share of the box: keeps the integrals finite without scatter."""
 
 
+Values = NDArray[np.float32]
+"""Single precision: the products are the whole cost, and a tap in a million does not matter."""
+
+
 class Solution(NamedTuple):
     """A solved plan on the product grid of distances (m) and rotations (rad).
 
@@ -70,7 +78,7 @@ class Solution(NamedTuple):
 def solve(settings: PlannerSettings) -> Solution:
     """Solve the shortest path for these settings; a few seconds."""
     problem = _Problem(settings)
-    value = np.asarray(
+    value: Values = np.asarray(
         nominal_taps(problem.r[:, None], problem.theta[None, :], settings) + 1.0, dtype=np.float32
     )
     best = problem.improve(value)
@@ -91,9 +99,9 @@ def solve(settings: PlannerSettings) -> Solution:
 
 
 class _Improvement(NamedTuple):
-    value: Array
-    tap: Array  # index into the taps of the state's distance
-    turn: Array  # index into the turns of the state's rotation
+    value: Values
+    tap: NDArray[np.intp]  # index into the taps of the state's distance
+    turn: NDArray[np.intp]  # index into the turns of the state's rotation
 
 
 class _Problem:
@@ -126,7 +134,7 @@ class _Problem:
         spread = np.sqrt((scatter.rotation * self.turns) ** 2 + look_t + floor_t**2)
         self.p_t = _folded_weights(self.theta, self.theta[:, None] - self.turns, spread)
 
-    def improve(self, value: Array) -> _Improvement:
+    def improve(self, value: Values) -> _Improvement:
         """The best tap of every state against a value function."""
         rows, columns = self.r.size, self.theta.size
         after_turn, after_turn_in = self.p_t
@@ -151,7 +159,7 @@ class _Problem:
             best.tap[row], best.turn[row] = np.divmod(choice, shape[2])
         return best
 
-    def evaluate(self, value: Array, policy: _Improvement) -> Array:
+    def evaluate(self, value: Values, policy: _Improvement) -> Values:
         """The value of always following a policy, from a first guess."""
         rows, columns = np.indices(policy.tap.shape)
         to_r, in_r = (weights[rows, policy.tap] for weights in self.p_r)

@@ -26,9 +26,7 @@ class CircleArea:
     def __post_init__(self) -> None:
         """Refuse a circle that is not finite or has no size (PlanningError)."""
         if not (np.all(np.isfinite([self.x, self.y])) and 0.0 < self.radius < 10.0):
-            raise PlanningError(
-                f"keep-out circle {self}: needs finite numbers and a radius above 0"
-            )
+            raise PlanningError(f"keep-out circle {self}: needs finite numbers, radius above 0")
 
     def distance(self, points: ArrayLike) -> Array:
         """Distance from the points to the area, negative inside."""
@@ -99,7 +97,7 @@ class Workspace:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise PlanningError(
-                    f"Workspace.{name} is {value!r}, allowed is {low:g} to {high:g} m"
+                    f"Workspace.{name} is {value!r}, allowed: {low:g} to {high:g} m"
                 )
 
     def edge_distance(self, points: ArrayLike) -> Array:

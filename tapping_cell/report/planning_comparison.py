@@ -81,7 +81,7 @@ def comparison_table(rows: dict[str, dict[str, Any]]) -> str:
 def write_comparison(
     folder: Path, rows: dict[str, dict[str, Any]], settings: PlannerSettings, goal: Goal
 ) -> None:
-    """Write ``comparison.md``, ``comparison.json`` and the plots into a folder (made if missing)."""
+    """Write ``comparison.md``, ``comparison.json`` and the plots into a folder, made if missing."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "comparison.md").write_text(comparison_table(rows) + "\n", encoding="utf-8")
     (folder / "comparison.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
@@ -128,7 +128,7 @@ def draw_cones(settings: PlannerSettings, goal: Goal, path: Path) -> None:
     figure, (left, right) = _figure(2, columns=2, size=(11.0, 4.6))
     distance, turn = math.hypot(goal[0], goal[1]), goal[2]
     slope = math.degrees(settings.cone_slope) * 1e-3
-    span = max(2.5 * distance, 3.0 * turn / slope, 5.0)
+    span = distance + max(turn / slope, distance, 5.0)
     x = np.linspace(-span, span, 201)
     left.fill_between(x, -slope * np.abs(x), slope * np.abs(x), color="#cfe2f3", lw=0)
     back = slope * np.abs(x - distance)
@@ -156,7 +156,8 @@ def _draw_chain(axis: Axes, settings: PlannerSettings, distance: float, turn: fl
     x = 1e3 * planner.distances[shown]
     planned = int(planner.planned_taps(1e-3 * distance, math.radians(turn)))
     for number, opening in enumerate(planner.cones[: planned + 1], start=1):
-        axis.plot(x, np.degrees(np.maximum(opening[shown], 0.0)), label=f"cone {number}")
+        upper = np.degrees(np.clip(opening, 0.0, None))[shown]
+        axis.plot(x, upper, label=f"cone {number}")
     axis.plot(distance, turn, "ko")
     axis.annotate(
         f"start: {planned} taps",
@@ -208,7 +209,8 @@ def _within(figures: dict[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
     counts = np.zeros(figures["taps"]["max"] + 1)
     for taps, count in figures["taps"]["histogram"].items():
         counts[int(taps)] = count
-    return np.asarray(np.cumsum(counts) / np.sum(counts) * figures["success_rate"])
+    share = np.cumsum(counts) / np.sum(counts) * float(figures["success_rate"])
+    return np.asarray(share)
 
 
 def _figure(count: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:

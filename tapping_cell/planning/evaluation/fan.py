@@ -33,7 +33,7 @@ def fan_of_runs(
             length = float(tap.distance) * (1.0 + scatter.distance * noise[0])
             heading = math.atan2(left[1], left[0]) + scatter.direction * noise[2]
             turn = float(tap.rotation) * (1.0 + scatter.rotation * noise[1])
-            place = place + [length * math.cos(heading), length * math.sin(heading), turn]
+            place = place + np.array([length * math.cos(heading), length * math.sin(heading), turn])
             track.append((float(place[0]), float(place[2])))
         runs.append(np.array(track))
     return runs

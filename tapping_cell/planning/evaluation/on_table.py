@@ -31,10 +31,11 @@ def run_table_trials(
     tasks = draw_tasks(evaluation, count, rng)
     true_gains = draw_gains(evaluation, count, rng)
     rows = []
-    for task, gain in zip(tasks, true_gains, strict=True):
+    for index in range(count):
         start = _draw_start(space, free, rng)
-        goal = start + task
+        goal = start + tasks[index]
         goal[2] = wrap_angle(goal[2])
+        gain = true_gains[index : index + 1]
         rows.append(_run_one(evaluation, planner, space, free, start, goal, gain, rng))
     taps, end, inside, distance, rotation = (np.array(column) for column in zip(*rows, strict=True))
     return Results(taps.astype(np.int64), end.astype(np.int64), inside, distance, rotation)
@@ -71,9 +72,7 @@ def _run_one(
     seen = pose + look * rng.standard_normal(3)
     decision = session.decide(seen)
     while isinstance(decision, Strike):
-        moved = evaluation.world.answer(
-            pose[None, :], np.array([decision.commanded]), gain[None, :], rng
-        )[0]
+        moved = evaluation.world.answer(pose[None, :], np.array([decision.commanded]), gain, rng)[0]
         pose = pose + moved
         pose[2] = wrap_angle(pose[2])
         before, seen = seen, pose + look * rng.standard_normal(3)

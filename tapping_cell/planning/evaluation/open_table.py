@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tapping_cell.planning.evaluation.task import (
     End,
@@ -40,7 +41,7 @@ def run_open_trials(
     taps = np.zeros(count, dtype=np.int64)
     end = np.full(count, End.ENDLESS, dtype=np.int64)
     aside = np.zeros(count)
-    running = np.arange(count)
+    running: NDArray[np.intp] = np.arange(count, dtype=np.intp)
     for _ in range(evaluation.most_taps + 1):
         left = _remaining(goal[running], seen[running])
         inside = (np.hypot(left[:, 0], left[:, 1]) <= box.distance) & (

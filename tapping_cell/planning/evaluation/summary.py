@@ -17,8 +17,8 @@ def summarise(results: Results, planned_taps: int | None = None) -> dict[str, An
     """The figures of an evaluation.
 
     ``success_rate``: share of trials that were declared done (of those not refused before the first
-    tap). ``truly_inside_rate``: share of the trials declared done whose true pose is within the full
-    tolerance. ``taps``: over the trials that were not refused before the first tap.
+    tap). ``truly_inside_rate``: share of the trials declared done whose true pose is within the
+    full tolerance. ``taps``: over the trials that were not refused before the first tap.
     ``planned_taps``, where the method has a plan with a fixed number of taps, adds
     ``within_planned_rate``.
     """

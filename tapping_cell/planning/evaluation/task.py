@@ -34,8 +34,8 @@ class Evaluation:
     random_tasks: largest distance and rotation of tasks drawn anew for each trial; replaces goal.
     gain_bias: steady errors of the object's distance and rotation gains, as shares; each trial has
         them with its own random signs.
-    space: makes the table, arm and striker of trials on a table, starts and goals all over it; can be
-        pickled, so that every process makes its own. None for an open table.
+    space: makes the table, arm and striker of trials on a table, starts and goals all over it; can
+        be pickled, so that every process makes its own. None for an open table.
     """
 
     planner: str
@@ -59,9 +59,7 @@ class Evaluation:
         if self.random_tasks is not None and not (
             np.all(np.isfinite(self.random_tasks)) and min(self.random_tasks) >= 0.0
         ):
-            raise PlanningError(
-                f"random tasks to {self.random_tasks}: needs two numbers, 0 or more"
-            )
+            raise PlanningError(f"random tasks to {self.random_tasks}: needs two numbers from 0")
         if not all(0.0 <= abs(bias) <= 0.4 for bias in self.gain_bias):
             raise PlanningError(
                 f"the gain bias {self.gain_bias} is too large: at most 0.4 (40 %) either way"
