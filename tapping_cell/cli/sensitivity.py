@@ -60,9 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the Jacobian and the sweep; 1 for a tap that cannot be made."""
     tap = paper_tap()
+    asked = paper_tap(mirrored=True) if arguments.rotation < 0 else tap
     displacement = [arguments.distance / 1e3, 0.0, math.radians(arguments.rotation)]
     try:
-        both = sensitivity(tap, displacement)
+        both = sensitivity(asked, displacement)
         report = {
             "distance_mm": arguments.distance,
             "rotation_deg": arguments.rotation,

@@ -158,6 +158,5 @@ def _ratio_at(table: SlideTable, start: Array, log_left: Array) -> Array:
 
 def _not_finite(name: str, first: float, second: float) -> InvalidParameterError:
     return InvalidParameterError(
-        f"{name} are {first!r} and {second!r}; both must be finite numbers, "
-        "small enough to square."
+        f"{name} are {first!r} and {second!r}; both must be finite numbers, small enough to square."
     )

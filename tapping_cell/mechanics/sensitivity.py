@@ -47,16 +47,18 @@ class Sensitivity(NamedTuple):
     physical: Array
 
 
-def paper_tap() -> Tap:
+def paper_tap(mirrored: bool = False) -> Tap:
     """The aluminium disk, table and striker of sections 3.1, 4 and 5.1 of the paper.
 
     Radius 48 mm, height 12 mm, 245.5 g, friction 0.17, torque factor 3.64, restitution 0.86; the
     contact friction of 0.20 follows from 10 mm and 10 degrees being three times what one tap can
-    turn; the ball's radius and two impact constants from the Jacobian.
+    turn; the ball's radius and two impact constants from the Jacobian. Those were fitted to taps of
+    one sense of rotation, the positive one here; ``mirrored`` gives the other.
     """
     disk = Disk(radius=0.048, mass=0.2455, height=0.012)
     striker = Striker(mass=_STRIKER_MASS, tip_radius=0.0054, constraint="free")
     b2 = 1 / disk.mass + 1 / striker.mass
+    b3 = -_FITTED_B3 * b2 if mirrored else _FITTED_B3 * b2
     return Tap(
         Sliding(disk, friction=0.17, torque_factor=3.64),
         Impact(
@@ -64,7 +66,7 @@ def paper_tap() -> Tap:
             striker,
             restitution=0.86,
             friction=0.20,
-            constants=(_FITTED_B1 * b2, None, _FITTED_B3 * b2),
+            constants=(_FITTED_B1 * b2, None, b3),
         ),
     )
 
