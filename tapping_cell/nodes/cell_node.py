@@ -16,9 +16,12 @@ import rclpy
 from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.msg import State as LifecycleState
+from rcl_interfaces.msg import SetParametersResult
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.lifecycle import LifecycleState as Previous
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Bool
@@ -55,9 +58,15 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     :meth:`cleanup`, :meth:`stop_now` and :meth:`health`.
     """
 
+    actor = False
+    """True for a node that moves something: an emergency stop latches it until clear_fault."""
+    changeable: tuple[str, ...] = ()
+    """Parameters that may be set at run time; :meth:`change` takes them in."""
+
     def __init__(self, name: str, parameter_class: type[Parameters]) -> None:
         super().__init__(name)
-        parameters.declare(self, parameter_class)
+        parameters.declare(self, parameter_class, self.changeable)
+        self.add_on_set_parameters_callback(self._on_set_parameters)
         self._parameter_class = parameter_class
         self.settings = parameters.read(self, parameter_class)
         self.stopped = False
@@ -87,6 +96,9 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
     def stop_now(self) -> None:
         """Stop everything that moves, at once; called from the executor's thread."""
+
+    def change(self, name: str, value: object) -> None:
+        """Take in a parameter that was set at run time. Raises ValueError with a sentence."""
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Level, sentence and values for /diagnostics."""
@@ -176,9 +188,21 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
     def _on_emergency_stop(self, message: Bool) -> None:
         if message.data and not self.stopped:
-            self.stopped = True
+            self.stopped = self.actor
             self.stop_now()
-            self.get_logger().error("emergency stop: latched until the service clear_fault")
+            if self.actor:
+                self.get_logger().error("emergency stop: latched until the service clear_fault")
+
+    # Parameters at run time
+
+    def _on_set_parameters(self, changed: list[Parameter[Any]]) -> SetParametersResult:
+        try:
+            for parameter in changed:
+                if parameter.name in self.changeable:
+                    self.change(parameter.name, parameter.value)
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
     # Diagnostics
 
@@ -213,6 +237,11 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
         executor.add_node(node)
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
+        return 0
+    except RCLError:
+        # A signal that arrives in mid-call leaves the call without its context.
+        if rclpy.ok():
+            raise
         return 0
     except ConfigurationError as error:
         print(f"error: {error}", file=sys.stderr)

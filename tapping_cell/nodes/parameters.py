@@ -23,8 +23,10 @@ FOREIGN_PREFIXES = ("use_sim_time", "qos_overrides.", "start_type_description_se
 """Parameters that belong to rclpy itself."""
 
 
-def declare(node: Node, kind: type[Parameters]) -> None:
+def declare(node: Node, kind: type[Parameters], changeable: tuple[str, ...] = ()) -> None:
     """Declare every field of a parameter class on the node, with description, unit and range.
+
+    Those not named in ``changeable`` are read-only once the node runs.
 
     Raises:
         ConfigurationError: an override names no parameter of this node, or has the wrong type.
@@ -42,6 +44,7 @@ def declare(node: Node, kind: type[Parameters]) -> None:
         if entry.default is MISSING:
             raise TypeError(f"{kind.__name__}.{entry.name} needs a default")
         descriptor = _descriptor(entry.metadata["limits"], hints[entry.name])
+        descriptor.read_only = entry.name not in changeable
         try:
             node.declare_parameter(entry.name, entry.default, descriptor)
         except Exception as error:
@@ -77,7 +80,6 @@ def _descriptor(limits: Limits, hint: Any) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=limits.description + unit,
         additional_constraints=limits.range_text() if limits.choices else "",
-        read_only=True,
     )
     bounded = math.isfinite(limits.minimum) and math.isfinite(limits.maximum)
     if hint is float and bounded:

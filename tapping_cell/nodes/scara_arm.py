@@ -66,6 +66,8 @@ class Snapshot:
 class ScaraArm(CellNode[Parameters]):
     """See the module's docstring."""
 
+    actor = True
+
     def __init__(self) -> None:
         super().__init__("scara_arm", Parameters)
         self._cell: Cell | None = None

@@ -74,6 +74,8 @@ class Pending:
 class TapperTrigger(CellNode[Parameters]):
     """See the module's docstring."""
 
+    actor = True
+
     def __init__(self) -> None:
         super().__init__("tapper_trigger", Parameters)
         self._driver: TapperDriver | None = None

@@ -1,0 +1,96 @@
+"""Where goals are accepted: the cell's mechanics, its map of the table and its planning methods."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geometry_msgs.msg import PoseStamped
+from rclpy.action.server import ServerGoalHandle
+from tapping_cell_msgs.msg import ErrorCode
+
+from tapping_cell.configuration import assembly
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.nodes.goals import REFUSALS, Refused, read_goal, read_tolerance
+from tapping_cell.nodes.tap_task import Task
+from tapping_cell.planning import (
+    FreeSpace,
+    Planner,
+    PositioningSession,
+    check_goal,
+    make_planner,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A goal as it arrives. Tolerances in m and rad, 0 for the cell's own; max_taps 0 likewise."""
+
+    message: PoseStamped
+    position_tolerance: float = 0.0
+    angle_tolerance: float = 0.0
+    max_taps: int = 0
+    handle: ServerGoalHandle | None = None
+
+
+class GoalDesk:
+    """Turns requests into tasks.
+
+    Raises:
+        tapping_cell.planning.PlanningError: the planning method is not known.
+    """
+
+    def __init__(self, cell: Cell, planner: str) -> None:
+        self.cell = cell
+        self._planner = planner or cell.file.goal.planner
+        self._space = assembly.make_strike_space(cell)
+        self._free = FreeSpace(self._space)
+        self._planners: dict[str, Planner] = {}
+        # Made now, so that a method that must be solved first begins before the first goal.
+        self._planner_for(cell.tolerance)
+
+    def use(self, planner: str) -> None:
+        """Take another planning method, from the next goal on.
+
+        Raises:
+            tapping_cell.planning.PlanningError: the method is not known; the old one stays.
+        """
+        before, self._planner = self._planner, planner or self.cell.file.goal.planner
+        try:
+            self._planner_for(self.cell.tolerance)
+        except ValueError:
+            self._planner = before
+            raise
+
+    def accept(self, request: Request, now: float) -> Task | Refused:
+        """A task for a request, or why there is none. ``now`` is ROS time in s."""
+        goal = read_goal(request.message, now)
+        if isinstance(goal, Refused):
+            return goal
+        tolerance = read_tolerance(
+            request.position_tolerance, request.angle_tolerance, self.cell.tolerance
+        )
+        if isinstance(tolerance, Refused):
+            return tolerance
+        limit = self.cell.file.goal.max_taps
+        if request.max_taps > limit:
+            return Refused(
+                ErrorCode.GOAL_BAD_TAP_LIMIT,
+                f"max_taps is {request.max_taps}, the cell allows {limit}; ask for at most that "
+                "many",
+            )
+        unreachable = check_goal(goal, self._space, self._free)
+        if unreachable is not None:
+            return Refused(REFUSALS[unreachable.reason], unreachable.sentence)
+        max_taps = request.max_taps or limit
+        session = PositioningSession(
+            goal, self._planner_for(tolerance), self._space, self._free, most_taps=max_taps
+        )
+        return Task(request.message, goal, tolerance, max_taps, session, request.handle)
+
+    def _planner_for(self, tolerance: tuple[float, float]) -> Planner:
+        """The planning method for a tolerance, made once and kept."""
+        settings = assembly.make_planner_settings(self.cell, tolerance)
+        key = f"{self._planner};{settings.key()}"
+        if key not in self._planners:
+            self._planners[key] = make_planner(self._planner, settings, background=True)
+        return self._planners[key]

@@ -1,0 +1,94 @@
+"""What the planning node says: ``plan_state``, the action's feedback and the markers."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from rclpy.node import Node
+from tapping_cell_msgs.action import PositionObject
+from tapping_cell_msgs.msg import ObjectState, PlanState
+from visualization_msgs.msg import MarkerArray
+
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.markers import cell_markers
+from tapping_cell.nodes.tap_task import Shot, Task
+from tapping_cell.se2 import Pose
+
+FINAL = (PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
+REMEMBERED = (
+    "planner",
+    "goal",
+    "position_tolerance",
+    "angle_tolerance",
+    "residual_distance",
+    "residual_rotation",
+    "taps",
+    "last_tap",
+)
+"""Fields of the last goal that stay readable after its end, for whoever joins late."""
+
+
+class PlanReporter:
+    """Publishes; keeps the last report."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._states = node.create_publisher(PlanState, "plan_state", LATCHED)
+        self._markers = node.create_publisher(MarkerArray, "markers", LATCHED)
+        self._said_at = -math.inf
+        self.last = PlanState(residual_distance=math.nan, residual_rotation=math.nan)
+
+    def age(self) -> float:
+        """Seconds since the last report."""
+        return time.monotonic() - self._said_at
+
+    def say(
+        self,
+        phase: int,
+        trouble: tuple[int, str],
+        task: Task | None,
+        shot: Shot | None,
+        pose: Pose | None,
+        cell: Cell | None,
+    ) -> None:
+        """Report a phase with its error code and sentence, and what is known of goal and object."""
+        self._said_at = time.monotonic()
+        code, sentence = trouble
+        state = PlanState(state=phase, error_code=code, error_msg=sentence)
+        state.header.stamp = self._node.get_clock().now().to_msg()
+        state.header.frame_id = "table"
+        state.residual_distance = state.residual_rotation = math.nan
+        if task is not None:
+            task.fill(state, pose)
+            if task.handle is not None and task.handle.is_active:
+                task.handle.publish_feedback(PositionObject.Feedback(plan_state=state))
+        elif phase in FINAL:
+            for name in REMEMBERED:
+                setattr(state, name, getattr(self.last, name))
+        self.last = state
+        self._states.publish(state)
+        if cell is not None:
+            strike = shot.strike if shot is not None else None
+            goal = task.goal if task is not None else None
+            self._markers.publish(cell_markers(cell, state, pose, goal, strike))
+
+    def result(
+        self, trouble: tuple[int, str], task: Task | None, seen: ObjectState | None
+    ) -> PositionObject.Result:
+        """The action's result, as last reported."""
+        code, sentence = trouble
+        records = task.records if task is not None else []
+        result = PositionObject.Result(
+            error_code=code,
+            error_msg=sentence,
+            residual_distance=self.last.residual_distance,
+            residual_rotation=self.last.residual_rotation,
+            taps=len(records),
+            records=records,
+        )
+        if seen is not None and seen.visible:
+            result.final_pose.header = seen.header
+            result.final_pose.pose = seen.pose
+        return result
