@@ -127,8 +127,9 @@ def require_plain_path() -> None:
     odd = re.findall(r"[^\w/.,+@=-]", str(ROOT), re.ASCII)
     if odd:
         raise SetUpError(
-            f"the path of {ROOT} has the character {odd[0]!r} and the scripts that colcon writes work"
-            " with ASCII letters, digits and / . , + @ = _ - only: move the cell to such a folder."
+            f"the path of {ROOT} has the character {odd[0]!r} and the scripts that colcon writes"
+            " work with ASCII letters, digits and / . , + @ = _ - only: move the cell to a path of"
+            " such characters."
         )
 
 
