@@ -191,6 +191,8 @@ def _status(line: bytes, text: str) -> Frame:
             positions[key] = tuple(float(number) for number in value.split(","))
     if "MPos" not in positions and "WPos" not in positions:
         return Bad(line, "a status report without a position")
+    if len({len(position) for position in positions.values()}) > 1:
+        return Bad(line, "positions of different numbers of axes")
     return Status(
         name,
         int(sub) if sub else None,

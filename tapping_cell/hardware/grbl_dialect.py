@@ -100,9 +100,7 @@ class GrblDialect:
         last: grbl.Status | None = None
         while True:
             status = self._ask_status(deadline)
-            if last is not None and _moving(status) and _moving(last):
-                return self._reading(status)
-            if last is not None and self._same(last, status):
+            if last is not None and self._agree(last, status):
                 return self._reading(status)
             last = status
 
@@ -366,20 +364,22 @@ class GrblDialect:
         )
 
     def _reading(self, status: grbl.Status) -> AxisReading:
-        position = self._work_position(status)
-        if position is None or len(position) < AXIS_COUNT:
-            count = len(status.machine or status.work or ())
+        position = self._work_position(status) or ()
+        if len(position) < AXIS_COUNT:
             raise HardwareFault(
                 FaultReason.UNKNOWN_FIRMWARE,
-                f"the controller reports {count} axes, {AXIS_COUNT} are needed: build its firmware"
-                f" with {AXIS_COUNT} axes",
+                f"the controller reports {len(position)} axes, {AXIS_COUNT} are needed: build its"
+                f" firmware with {AXIS_COUNT} axes",
             )
         alarm = LOCKED.get(status.state, "")
         return AxisReading(AxisValues(*position[:AXIS_COUNT]), _moving(status), alarm, True)
 
-    def _same(self, first: grbl.Status, second: grbl.Status) -> bool:
+    def _agree(self, first: grbl.Status, second: grbl.Status) -> bool:
+        """Whether two reports confirm each other: on the move, or at rest in the same place."""
         if self._work_position(second) is None:
             return False
+        if _moving(first) and _moving(second):
+            return True
         return (
             first.state == second.state
             and first.machine == second.machine

@@ -259,7 +259,7 @@ class TapperEmulator:
         return "OK"
 
     def _fire(self, shot: int, now: float) -> str:
-        if shot == self._fired:
+        if shot and shot == self._fired:
             return "FIRED"
         if shot <= self._used or shot < self._fired:
             return "SPENT"

@@ -53,6 +53,7 @@ def test_lines_of_the_documentation(line: bytes, frame: grbl.Frame) -> None:
         b"<Idle|FS:0,0>",
         b"<Idme|MPos:0.000,0.000,0.000>",
         b"<Idle|MPos:0.000,0.000,0.000",
+        b"<Idle|MPos:0.000,0.000,0.000,0.000|WCO:0.000,0.000,0.000>",
         b"<Idle|MPos:nan,0.000,0.000>",
         b"<Idle|MPos:0.000,0.000,0.000|MPos:0.000,0.000,0.000>",
         b"error:",

@@ -1,0 +1,403 @@
+/* The tapper's board: ATmega328P at 16 MHz (Arduino Nano and the like), 115200 baud on its USB port.
+ *
+ *   PD2  interlock, closed loop to ground, pull-up          (Nano D2)
+ *   PD3  stop loop, normally closed to ground, pull-up      (D3)
+ *   PB0  clear button to ground, pull-up                    (D8)
+ *   PD4  release: latch magnet or striker coil, active high (D4)
+ *   PD5  step, PD6 direction, PD7 enable (low)              (D5 to D7; spring build)
+ *   PB1  carriage at its front end, switch to ground        (D9; spring build)
+ *
+ * TAPPER_DRIVE_SPRING: a stepper draws a spring against a latch, the latch is released by a pulse.
+ * TAPPER_DRIVE_SOLENOID: a coil drives the striker; the energy is the width of its pulse.
+ */
+#include <avr/eeprom.h>
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <avr/wdt.h>
+#include <util/atomic.h>
+
+#include "tapper.h"
+
+#if defined(TAPPER_DRIVE_SPRING) == defined(TAPPER_DRIVE_SOLENOID)
+#error "define TAPPER_DRIVE_SPRING or TAPPER_DRIVE_SOLENOID, one of them"
+#endif
+
+#define INTERLOCK PD2
+#define STOP_LOOP PD3
+#define RELEASE PD4
+#define STEP PD5
+#define DIRECTION PD6
+#define DISABLE PD7
+#define CLEAR_BUTTON PB0
+#define FRONT PB1
+
+#define RECEIVE_SIZE 128u /* a power of two */
+#define USED_SLOTS 32u
+#define USED_PLACE 16u
+
+static struct tapper tapper;
+static volatile uint32_t milliseconds;
+static volatile uint8_t received[RECEIVE_SIZE];
+static volatile uint8_t head, tail;
+static volatile bool stop_seen;
+static volatile bool pulse_on;
+static uint8_t next_slot;
+
+struct used_slot {
+    uint64_t shot;
+    uint16_t check;
+};
+
+/* Everything that may move lets go; from interrupts too. */
+static inline void let_go(void)
+{
+    PORTD &= (uint8_t)~_BV(RELEASE);
+    pulse_on = false;
+}
+
+ISR(USART_RX_vect)
+{
+    uint8_t byte = UDR0;
+    if (byte == '!') {
+        stop_seen = true;
+        let_go();
+        return;
+    }
+    uint8_t following = (uint8_t)((head + 1u) & (RECEIVE_SIZE - 1u));
+    if (following != tail) {
+        received[head] = byte;
+        head = following;
+    }
+}
+
+ISR(TIMER0_COMPA_vect)
+{
+    milliseconds++;
+    if (PIND & _BV(STOP_LOOP)) {
+        stop_seen = true;
+        let_go();
+    }
+    if (PIND & _BV(INTERLOCK))
+        let_go();
+}
+
+/* The end of the release pulse, whatever the main loop does. */
+ISR(TIMER1_COMPA_vect)
+{
+    let_go();
+    TCCR1B = 0;
+}
+
+static bool pulse(uint16_t microseconds)
+{
+    bool started = false;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        if (!stop_seen && !(PIND & (_BV(STOP_LOOP) | _BV(INTERLOCK)))) {
+            TCCR1A = 0;
+            TCCR1B = 0;
+            TCNT1 = 0;
+            OCR1A = (uint16_t)(2u * microseconds); /* prescaler 8: 0.5 us a count, 32 ms at most */
+            TIFR1 = _BV(OCF1A);
+            TIMSK1 = _BV(OCIE1A);
+            pulse_on = true;
+            PORTD |= _BV(RELEASE);
+            TCCR1B = _BV(CS11);
+            started = true;
+        }
+    }
+    return started;
+}
+
+bool board_interlock_closed(void)
+{
+    return !(PIND & _BV(INTERLOCK));
+}
+
+#ifdef TAPPER_DRIVE_SPRING
+
+/* The mechanism; measure and set with -D at the build. */
+#ifndef SPRING_N_PER_M
+#define SPRING_N_PER_M 500ul
+#endif
+#ifndef NM_PER_STEP
+#define NM_PER_STEP 10000ul /* 8 mm lead, 200 steps, quarter steps */
+#endif
+#ifndef LONGEST_DRAW_STEPS
+#define LONGEST_DRAW_STEPS 6000u
+#endif
+#define LATCH_PULSE_US 20000u
+
+static volatile int16_t place, target;
+static volatile bool step_high;
+
+/* 4 kHz: every second call makes a step, so 2000 steps/s. */
+ISR(TIMER2_COMPA_vect)
+{
+    if (step_high) {
+        PORTD &= (uint8_t)~_BV(STEP);
+        step_high = false;
+        return;
+    }
+    if (place == target || stop_seen)
+        return;
+    if (target > place) {
+        PORTD |= _BV(DIRECTION);
+        place++;
+    } else {
+        PORTD &= (uint8_t)~_BV(DIRECTION);
+        if (!(PINB & _BV(FRONT))) {
+            place = target = 0; /* the switch knows better than the count */
+            return;
+        }
+        place--;
+    }
+    PORTD |= _BV(STEP);
+    step_high = true;
+}
+
+static uint32_t root(uint64_t value)
+{
+    uint64_t result = 0;
+    for (uint64_t bit = 1ull << 62; bit; bit >>= 2) {
+        if (value >= result + bit) {
+            value -= result + bit;
+            result = (result >> 1) + bit;
+        } else {
+            result >>= 1;
+        }
+    }
+    return (uint32_t)result;
+}
+
+/* E = k x^2 / 2, so x in um is sqrt(2e6 E in uJ / k). */
+static uint32_t steps_for(uint32_t energy_uj)
+{
+    uint32_t nanometres = root(2000000ull * energy_uj / SPRING_N_PER_M * 1000000ull);
+    return nanometres / NM_PER_STEP;
+}
+
+bool board_can_store(uint32_t energy_uj)
+{
+    uint32_t steps = steps_for(energy_uj);
+    return steps > 0 && steps <= LONGEST_DRAW_STEPS;
+}
+
+static void go_to(int16_t steps)
+{
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        target = steps;
+    }
+}
+
+static bool arrived(void)
+{
+    bool there;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        there = place == target;
+    }
+    return there;
+}
+
+void board_draw(uint32_t energy_uj)
+{
+    PORTD &= (uint8_t)~_BV(DISABLE);
+    go_to((int16_t)steps_for(energy_uj));
+}
+
+bool board_drawn(void)
+{
+    return arrived();
+}
+
+void board_relax(void)
+{
+    let_go();
+    go_to(0);
+}
+
+bool board_release(void)
+{
+    if (!pulse(LATCH_PULSE_US))
+        return false;
+    return true;
+}
+
+bool board_releasing(void)
+{
+    if (pulse_on)
+        return true;
+    go_to(0); /* the carriage goes back for the striker */
+    return !arrived();
+}
+
+static void start_drive(void)
+{
+    TCCR2A = _BV(WGM21);
+    TCCR2B = _BV(CS22); /* 16 MHz / 64 */
+    OCR2A = 61;         /* 4 kHz */
+    TIMSK2 = _BV(OCIE2A);
+    /* Where the carriage is, is not known: let it run to its switch. */
+    place = (int16_t)LONGEST_DRAW_STEPS;
+    target = 0;
+}
+
+#else
+
+/* Energy against pulse width, measured: uJ, us; rising. */
+#ifndef SOLENOID_TABLE
+#define SOLENOID_TABLE {100, 1500}, {5000, 4000}, {50000, 9000}, {200000, 20000}
+#endif
+static const uint32_t TABLE[][2] = {SOLENOID_TABLE};
+#define ROWS (sizeof TABLE / sizeof TABLE[0])
+
+static uint32_t charged_uj;
+
+static uint16_t width_for(uint32_t energy_uj)
+{
+    for (uint8_t row = 1; row < ROWS; row++)
+        if (energy_uj <= TABLE[row][0])
+            return (uint16_t)(TABLE[row - 1][1] +
+                              (uint64_t)(energy_uj - TABLE[row - 1][0]) *
+                                  (TABLE[row][1] - TABLE[row - 1][1]) /
+                                  (TABLE[row][0] - TABLE[row - 1][0]));
+    return 0;
+}
+
+bool board_can_store(uint32_t energy_uj)
+{
+    return energy_uj >= TABLE[0][0] && energy_uj <= TABLE[ROWS - 1][0];
+}
+
+void board_draw(uint32_t energy_uj)
+{
+    charged_uj = energy_uj;
+}
+
+bool board_drawn(void)
+{
+    return true;
+}
+
+void board_relax(void)
+{
+    let_go();
+}
+
+bool board_release(void)
+{
+    return pulse(width_for(charged_uj));
+}
+
+bool board_releasing(void)
+{
+    return pulse_on;
+}
+
+static void start_drive(void)
+{
+}
+
+#endif
+
+static uint16_t slot_check(const struct used_slot *slot)
+{
+    return tapper_crc((const char *)&slot->shot, sizeof slot->shot);
+}
+
+static uint8_t *slot_place(uint8_t index)
+{
+    return (uint8_t *)(uintptr_t)(USED_PLACE + index * sizeof(struct used_slot));
+}
+
+/* The greatest shot kept; the slots are written in turn, so that the EEPROM lasts 3 million shots. */
+static uint64_t read_used(void)
+{
+    uint64_t greatest = 0;
+    for (uint8_t index = 0; index < USED_SLOTS; index++) {
+        struct used_slot slot;
+        eeprom_read_block(&slot, slot_place(index), sizeof slot);
+        if (slot.check == slot_check(&slot) && slot.shot >= greatest) {
+            greatest = slot.shot;
+            next_slot = (uint8_t)((index + 1u) % USED_SLOTS);
+        }
+    }
+    return greatest;
+}
+
+void board_keep_used(uint64_t shot)
+{
+    struct used_slot slot = {.shot = shot};
+    slot.check = slot_check(&slot);
+    eeprom_update_block(&slot, slot_place(next_slot), sizeof slot);
+    next_slot = (uint8_t)((next_slot + 1u) % USED_SLOTS);
+}
+
+static uint32_t count_boot(void)
+{
+    uint32_t boot = eeprom_read_dword((uint32_t *)0);
+    boot = boot == 0xFFFFFFFFul ? 1 : boot + 1;
+    eeprom_update_dword((uint32_t *)0, boot);
+    return boot;
+}
+
+void board_send(const char *text)
+{
+    while (*text) {
+        while (!(UCSR0A & _BV(UDRE0)))
+            wdt_reset(); /* a byte leaves every 87 us, so this ends */
+        UDR0 = (uint8_t)*text++;
+    }
+}
+
+static uint32_t now_ms(void)
+{
+    uint32_t now;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        now = milliseconds;
+    }
+    return now;
+}
+
+int main(void)
+{
+    MCUSR = 0;
+    wdt_enable(WDTO_250MS);
+    DDRD = _BV(RELEASE) | _BV(STEP) | _BV(DIRECTION) | _BV(DISABLE);
+    PORTD = _BV(INTERLOCK) | _BV(STOP_LOOP) | _BV(DISABLE);
+    PORTB = _BV(CLEAR_BUTTON) | _BV(FRONT);
+    TCCR0A = _BV(WGM01);
+    TCCR0B = _BV(CS01) | _BV(CS00); /* 16 MHz / 64 */
+    OCR0A = 249;                    /* 1 kHz */
+    TIMSK0 = _BV(OCIE0A);
+    UCSR0A = _BV(U2X0);
+    UBRR0 = 16; /* 117647 baud, 2.1 % above 115200, as every 16 MHz board has it */
+    UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
+    UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
+    start_drive();
+    tapper_start(&tapper, count_boot(), read_used(), 0);
+    sei();
+
+    for (;;) {
+        wdt_reset();
+        uint32_t now = now_ms();
+        if (stop_seen) {
+            tapper_stop(&tapper);
+            /* The loop's input holds the stop as long as it is open. */
+            stop_seen = false;
+        }
+        if (!(PINB & _BV(CLEAR_BUTTON)))
+            tapper_press_clear(&tapper, now);
+        tapper_poll(&tapper, now);
+        while (tail != head) {
+            uint8_t byte = received[tail];
+            tail = (uint8_t)((tail + 1u) & (RECEIVE_SIZE - 1u));
+            if (stop_seen)
+                break;
+            tapper_byte(&tapper, byte, now_ms());
+        }
+    }
+}

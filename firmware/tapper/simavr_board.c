@@ -1,0 +1,167 @@
+/* The AVR binary of the firmware behind a pseudo-terminal, with the mechanism around it (libsimavr).
+ *
+ *     simavr_board tapper.elf
+ *
+ * prints "PORT <path>", then "RELEASE <0|1> <microseconds>" at every edge of the release output; reads
+ * "interlock 0|1", "stop 0|1" (1: pressed), "clear 0|1" and "reset" on its standard input. Keeps pace
+ * with real time as far as the machine can.
+ */
+#define _GNU_SOURCE
+#include <fcntl.h>
+#include <poll.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <termios.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <simavr/avr_ioport.h>
+#include <simavr/avr_uart.h>
+#include <simavr/sim_avr.h>
+#include <simavr/sim_elf.h>
+
+#define BYTE_CYCLES 1389 /* ten bits at 115200 baud and 16 MHz */
+
+static avr_t *avr;
+static int master;
+static int carriage = 1500; /* steps in front of its switch */
+static int direction;
+
+static void set_pin(char port, int pin, int high)
+{
+    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), pin), (uint32_t)high);
+}
+
+static void on_uart(struct avr_irq_t *irq, uint32_t value, void *param)
+{
+    (void)irq;
+    (void)param;
+    uint8_t byte = (uint8_t)value;
+    if (write(master, &byte, 1) < 0)
+        return; /* nobody listens: lost, as on a line */
+}
+
+static void on_release(struct avr_irq_t *irq, uint32_t value, void *param)
+{
+    (void)irq;
+    (void)param;
+    printf("RELEASE %u %llu\n", value, (unsigned long long)(avr->cycle / 16));
+    fflush(stdout);
+}
+
+static void on_direction(struct avr_irq_t *irq, uint32_t value, void *param)
+{
+    (void)irq;
+    (void)param;
+    direction = (int)value;
+}
+
+static void on_step(struct avr_irq_t *irq, uint32_t value, void *param)
+{
+    (void)irq;
+    (void)param;
+    if (value) {
+        carriage += direction ? 1 : -1;
+        set_pin('B', 1, carriage > 0);
+    }
+}
+
+static avr_cycle_count_t feed(avr_t *board, avr_cycle_count_t when, void *param)
+{
+    uint8_t byte;
+    (void)board;
+    if (read(master, &byte, 1) == 1)
+        avr_raise_irq(param, byte);
+    return when + BYTE_CYCLES;
+}
+
+static void inputs(void)
+{
+    set_pin('D', 2, 0);
+    set_pin('D', 3, 0);
+    set_pin('B', 0, 1);
+    set_pin('B', 1, carriage > 0);
+}
+
+static void obey(const char *line)
+{
+    int value;
+    if (sscanf(line, "interlock %d", &value) == 1)
+        set_pin('D', 2, !value);
+    else if (sscanf(line, "stop %d", &value) == 1)
+        set_pin('D', 3, value);
+    else if (sscanf(line, "clear %d", &value) == 1)
+        set_pin('B', 0, !value);
+    else if (strncmp(line, "reset", 5) == 0) {
+        avr_reset(avr);
+        inputs();
+    }
+}
+
+int main(int count, char **words)
+{
+    elf_firmware_t firmware;
+    struct termios raw;
+    uint32_t flags = 0;
+    memset(&firmware, 0, sizeof firmware);
+    if (count != 2 || elf_read_firmware(words[1], &firmware) != 0) {
+        fprintf(stderr, "usage: simavr_board tapper.elf\n");
+        return 2;
+    }
+    avr = avr_make_mcu_by_name("atmega328p");
+    if (!avr)
+        return 1;
+    avr_init(avr);
+    avr_load_firmware(avr, &firmware);
+    avr->frequency = 16000000;
+    avr->log = LOG_ERROR;
+
+    master = posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK);
+    if (master < 0 || grantpt(master) || unlockpt(master))
+        return 1;
+    int slave = open(ptsname(master), O_RDWR | O_NOCTTY);
+    tcgetattr(slave, &raw);
+    cfmakeraw(&raw);
+    tcsetattr(slave, TCSANOW, &raw);
+
+    avr_ioctl(avr, AVR_IOCTL_UART_GET_FLAGS('0'), &flags);
+    flags &= ~(uint32_t)(AVR_UART_FLAG_STDIO | AVR_UART_FLAG_POLL_SLEEP);
+    avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_uart,
+                            NULL);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 4), on_release, NULL);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 5), on_step, NULL);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 6), on_direction, NULL);
+    inputs();
+    avr_cycle_timer_register(avr, BYTE_CYCLES, feed,
+                             avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT));
+    printf("PORT %s\n", ptsname(master));
+    fflush(stdout);
+
+    struct timespec began, now;
+    clock_gettime(CLOCK_MONOTONIC, &began);
+    for (;;) {
+        avr_cycle_count_t until = avr->cycle + 16000; /* one millisecond */
+        while (avr->cycle < until) {
+            int state = avr_run(avr);
+            if (state == cpu_Done || state == cpu_Crashed) {
+                fprintf(stderr, "the firmware ended in state %d\n", state);
+                return 1;
+            }
+        }
+        struct pollfd input = {.fd = 0, .events = POLLIN};
+        if (poll(&input, 1, 0) > 0) {
+            char line[80];
+            if (!fgets(line, sizeof line, stdin))
+                return 0;
+            obey(line);
+        }
+        clock_gettime(CLOCK_MONOTONIC, &now);
+        long long real = (now.tv_sec - began.tv_sec) * 1000000ll +
+                         (now.tv_nsec - began.tv_nsec) / 1000;
+        long long ahead = (long long)(avr->cycle / 16) - real;
+        if (ahead > 500)
+            usleep((useconds_t)ahead);
+    }
+}
