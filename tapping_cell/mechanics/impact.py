@@ -44,6 +44,7 @@ Constraint = Literal["linear_bearings", "free"]
 LARGEST_INCIDENCE = math.radians(89.0)
 _ROOT_STEPS = 60
 _ROOT_TOLERANCE = 1e-15
+_SLOPE_TOLERANCE = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,16 +216,24 @@ class Impact:
         limit = self.friction * (1 - 1e-11)
         target = np.clip(np.broadcast_to(slope, shape), -limit, limit)
         beyond = np.abs(slope) > self.friction * (1 + 1e-9)
-        low = np.full(shape, -LARGEST_INCIDENCE)
-        high = np.full(shape, LARGEST_INCIDENCE)
 
         def error(angle: Array) -> Array:
             p_n, p_t, _ = self._routh(angle, c)
             return np.asarray(p_t / p_n - target)
 
-        e_low, e_high = error(low), error(high)
-        missing = (e_low > 0) | (e_high < 0) | beyond
-        root = _bracketed_root(error, low, high, e_low, e_high)
+        straight = np.zeros(shape)
+        e_straight = error(straight)
+        # A contact that sticks answers to the tangent of the incidence: half as far again as a
+        # linear guess is beyond the root, if not the last place to look is.
+        b1, b2, _ = self.inverse_inertias(straight, c)
+        other = np.arctan(-1.5 * (1 + self.restitution) * b1 / b2 * e_straight)
+        e_other = error(other)
+        open_ended = (e_other * e_straight > 0) | (np.abs(other) > LARGEST_INCIDENCE)
+        if open_ended.any():
+            other = np.where(open_ended, np.copysign(LARGEST_INCIDENCE, -e_straight), other)
+            e_other = np.where(open_ended, error(other), e_other)
+        missing = (e_other * e_straight > 0) | beyond
+        root = _bracketed_root(error, straight, other, e_straight, e_other)
         return np.where(missing, np.nan, root)
 
     def _routh(self, incidence: Array, contact: Array) -> tuple[Array, Array, Array]:
@@ -261,7 +270,7 @@ class Impact:
 def _bracketed_root(
     function: Callable[[Array], Array], low: Array, high: Array, f_low: Array, f_high: Array
 ) -> Array:
-    """Zeros of an increasing function by Chandrupatla's method, elementwise (1997)."""
+    """Zeros between ``low`` and ``high`` by Chandrupatla's method, elementwise (1997)."""
     a, b, c = high.copy(), low.copy(), high.copy()
     fa, fb, fc = f_high.copy(), f_low.copy(), f_high.copy()
     t = np.full(a.shape, 0.5)
@@ -276,7 +285,7 @@ def _bracketed_root(
         best_f = np.minimum(np.abs(fa), np.abs(fb))
         width = np.abs(b - a)
         tolerance = _ROOT_TOLERANCE / np.where(width > 0, width, 1.0)
-        if np.all((best_f == 0) | (width <= _ROOT_TOLERANCE)):
+        if np.all((best_f <= _SLOPE_TOLERANCE) | (width <= _ROOT_TOLERANCE)):
             break
         with np.errstate(divide="ignore", invalid="ignore"):
             xi = (a - b) / (c - b)
@@ -285,6 +294,6 @@ def _bracketed_root(
                 (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)
             )
             good = (phi**2 < xi) & ((1 - phi) ** 2 < 1 - xi) & np.isfinite(inverse)
-        t = np.where(good, np.where(good, inverse, 0.5), 0.5)
+        t = np.where(good, inverse, 0.5)
         t = np.clip(t, np.minimum(tolerance, 0.5), np.maximum(1 - tolerance, 0.5))
     return best
