@@ -362,6 +362,15 @@ static uint32_t now_ms(void)
     return now;
 }
 
+/* A stop that an interrupt saw; an open stop loop brings it back every millisecond. */
+static void take_stop(void)
+{
+    if (!stop_seen)
+        return;
+    stop_seen = false;
+    tapper_stop(&tapper);
+}
+
 int main(void)
 {
     MCUSR = 0;
@@ -384,19 +393,14 @@ int main(void)
     for (;;) {
         wdt_reset();
         uint32_t now = now_ms();
-        if (stop_seen) {
-            tapper_stop(&tapper);
-            /* The loop's input holds the stop as long as it is open. */
-            stop_seen = false;
-        }
+        take_stop();
         if (!(PINB & _BV(CLEAR_BUTTON)))
             tapper_press_clear(&tapper, now);
         tapper_poll(&tapper, now);
         while (tail != head) {
             uint8_t byte = received[tail];
             tail = (uint8_t)((tail + 1u) & (RECEIVE_SIZE - 1u));
-            if (stop_seen)
-                break;
+            take_stop();
             tapper_byte(&tapper, byte, now_ms());
         }
     }

@@ -28,8 +28,16 @@ static int master;
 static int carriage = 1500; /* steps in front of its switch */
 static int direction;
 
+/* Drives an input from outside: against its pull-up, and again whenever the firmware sets that. */
 static void set_pin(char port, int pin, int high)
 {
+    static uint8_t masks[2], values[2];
+    int which = port == 'D';
+    masks[which] |= (uint8_t)(1 << pin);
+    values[which] = (uint8_t)((values[which] & ~(1 << pin)) | (high << pin));
+    avr_ioport_external_t external = {
+        .name = (unsigned char)port, .mask = masks[which], .value = values[which]};
+    avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL(port), &external);
     avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), pin), (uint32_t)high);
 }
 
@@ -65,15 +73,6 @@ static void on_step(struct avr_irq_t *irq, uint32_t value, void *param)
         carriage += direction ? 1 : -1;
         set_pin('B', 1, carriage > 0);
     }
-}
-
-static avr_cycle_count_t feed(avr_t *board, avr_cycle_count_t when, void *param)
-{
-    uint8_t byte;
-    (void)board;
-    if (read(master, &byte, 1) == 1)
-        avr_raise_irq(param, byte);
-    return when + BYTE_CYCLES;
 }
 
 static void inputs(void)
@@ -134,8 +133,8 @@ int main(int count, char **words)
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 5), on_step, NULL);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 6), on_direction, NULL);
     inputs();
-    avr_cycle_timer_register(avr, BYTE_CYCLES, feed,
-                             avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT));
+    avr_irq_t *uart = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
+    avr_cycle_count_t next_byte = 0;
     printf("PORT %s\n", ptsname(master));
     fflush(stdout);
 
@@ -148,6 +147,12 @@ int main(int count, char **words)
             if (state == cpu_Done || state == cpu_Crashed) {
                 fprintf(stderr, "the firmware ended in state %d\n", state);
                 return 1;
+            }
+            uint8_t byte;
+            if (avr->cycle >= next_byte) {
+                next_byte = avr->cycle + BYTE_CYCLES;
+                if (read(master, &byte, 1) == 1)
+                    avr_raise_irq(uart, byte);
             }
         }
         struct pollfd input = {.fd = 0, .events = POLLIN};
