@@ -14,6 +14,7 @@ import json
 # ``lines(report) -> list[str]`` (the same for people).
 SECTIONS = {
     "mechanics": "tapping_cell.cli.benchmarks.mechanics",
+    "vision": "tapping_cell.cli.benchmarks.vision",
 }
 
 

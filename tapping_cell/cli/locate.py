@@ -1,9 +1,10 @@
-"""Find the object in image files: where it is on the table, how well that is known, how long it took.
+"""Find the object in image files: where it is on the table, how well that is known, how long it
+took.
 
-Every image is judged by itself, by the same pipeline as the live camera's frames; with --sequence they
-are frames of one steady camera in the order given, so that the table's pose is averaged and frames at
-rest are fused. Lengths are in mm, angles in degrees, in the frame `table`. Exit status 1 if the object
-was found in none.
+Every image is judged by itself, by the same pipeline as the live camera's frames; with --sequence
+they are frames of one steady camera in the order given, so that the table's pose is averaged and
+frames at rest are fused. Lengths are in mm, angles in degrees, in the frame `table`. Exit status 1
+if the object was found in none.
 
   python -m tapping_cell locate shot1.png shot2.png --camera config/camera_info.yaml \\
       --table config/table.yaml --object config/objects/aluminium_disk.yaml --annotate pictures

@@ -1,8 +1,8 @@
 """Flat printed things of the rendered scene: pre-filtered textures sampled where a pixel looks.
 
 A layer is drawn once, at several texels a pixel, with exact coverage at its edges, and then blurred
-by the camera's point spread. Sampling it at the centre of a pixel is then an area sample of the true
-pattern: an edge lies where it lies, without the bias that comes from sampling sharp patterns.
+by the camera's point spread. Sampling it at the centre of a pixel is then an area sample of the
+true pattern: an edge lies where it lies, without the bias that comes from sampling sharp patterns.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ INK = 0.06
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """A texture (rows, columns, 2) of reflectance times coverage, and coverage; around its middle."""
+    """A texture (rows, columns, 2) of reflectance times coverage, and coverage; around its
+    middle."""
 
     texture: Array32
     texel: float
@@ -44,13 +45,14 @@ class Layer:
             middle - v * scale,
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT,
-            borderValue=0,
+            borderValue=(0.0, 0.0, 0.0, 0.0),
         )
         return np.asarray(found[..., 0]), np.asarray(found[..., 1])
 
 
 def marker_layer(dictionary: str, marker_id: int, size: float, pixel: float, blur: float) -> Layer:
-    """A marker of side ``size`` with one module of white around; ``pixel`` and ``blur`` (sigma) in m."""
+    """A marker of side ``size`` with one module of white around; ``pixel`` and ``blur`` (sigma) in
+    m."""
     pattern = np.pad(marker_pattern(dictionary, marker_id), 1, constant_values=True)
     module = size / (pattern.shape[0] - 2)
     # About eight texels a pixel; module edges fall on texel edges, so coverage is exact.
@@ -75,7 +77,8 @@ def outline_layer(outline: ArrayLike, reflectance: float, pixel: float, blur: fl
 def convex_coverage(points: ArrayLike, cells: int, rows_each: int = 4) -> NDArray[np.float64]:
     """Share of every cell of a (cells, cells) grid that a convex polygon covers.
 
-    ``points`` (N, 2) count in cells, row index along y. Exact along x, ``rows_each`` samples along y.
+    ``points`` (N, 2) count in cells, row index along y. Exact along x, ``rows_each`` samples along
+    y.
     """
     p = np.asarray(points, dtype=float)
     y = (np.arange(cells * rows_each) + 0.5) / rows_each
@@ -89,7 +92,8 @@ def convex_coverage(points: ArrayLike, cells: int, rows_each: int = 4) -> NDArra
             right[first:last] = np.maximum(right[first:last], x)
     edge = np.arange(cells)
     share = np.minimum(right[:, None], edge + 1.0) - np.maximum(left[:, None], edge)
-    return np.clip(share, 0.0, 1.0).reshape(cells, rows_each, cells).mean(axis=1)
+    covered = np.clip(share, 0.0, 1.0).reshape(cells, rows_each, cells)
+    return np.asarray(covered.mean(axis=1), dtype=float)
 
 
 def _blurred(

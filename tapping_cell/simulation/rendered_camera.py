@@ -32,8 +32,8 @@ _FRACTION = 16
 @dataclass(frozen=True, slots=True)
 class SceneSettings:
     """Light and sensor. ``light_falloff`` is the share of the light lost from the brightest side to
-    the darkest, towards ``light_direction`` (rad, in table); ``noise`` one standard deviation in grey
-    levels; ``blur`` the point spread's sigma in pixels, the pixel's own area included.
+    the darkest, towards ``light_direction`` (rad, in table); ``noise`` one standard deviation in
+    grey levels; ``blur`` the point spread's sigma in pixels, the pixel's own area included.
     """
 
     noise: float = 2.0
@@ -118,8 +118,8 @@ class SceneRenderer:
                 cv2.fillPoly(clean, [corners], (level,), shift=4)
         if light != 1.0:
             clean = np.asarray(clean * light, dtype=np.int16)
-        noisy = cv2.add(clean, self._noise_field())
-        return np.asarray(cv2.convertScaleAbs(cv2.max(noisy, 0.0), alpha=1.0 / _FRACTION), np.uint8)
+        noisy = np.maximum(cv2.add(clean, self._noise_field()), 0)
+        return np.asarray(cv2.convertScaleAbs(noisy, alpha=1.0 / _FRACTION), dtype=np.uint8)
 
     def _light_map(self, ground: NDArray[np.float64]) -> NDArray[np.float64]:
         """Share of the full light at every pixel, 1 at the brightest."""
@@ -144,7 +144,9 @@ class SceneRenderer:
         reflectance = np.full(ground.shape[:2], TABLE_REFLECTANCE, dtype=np.float32)
         # A faint grain of the table, a centimetre wide.
         grain = self._random.standard_normal((64, 80)).astype(np.float32) * 0.006
-        reflectance += cv2.resize(grain, ground.shape[1::-1], interpolation=cv2.INTER_CUBIC)
+        size = (ground.shape[1], ground.shape[0])
+        smooth = cv2.resize(grain, size, interpolation=cv2.INTER_CUBIC)
+        reflectance += np.asarray(smooth, dtype=np.float32)
         for marker in references.markers:
             layer = marker_layer(references.dictionary, marker.id, marker.size, pixel, blur)
             pose = np.array([marker.x, marker.y, marker.theta])
@@ -210,7 +212,10 @@ class SceneRenderer:
         fine = 4
         origin = np.array([window[1].start, window[0].start])
         corners = ((hull - origin + 0.5) * fine - 0.5) * 16.0
-        shape = ((window[0].stop - window[0].start) * fine, (window[1].stop - window[1].start) * fine)
+        shape = (
+            (window[0].stop - window[0].start) * fine,
+            (window[1].stop - window[1].start) * fine,
+        )
         mask = np.zeros(shape, dtype=np.uint8)
         cv2.fillConvexPoly(mask, np.round(corners).astype(np.int32), (255,), shift=4)
         small = cv2.resize(mask, (shape[1] // fine, shape[0] // fine), interpolation=cv2.INTER_AREA)
@@ -244,7 +249,8 @@ def _fixed_point(image: Array32) -> NDArray[np.int16]:
 
 
 def _ray_map(camera: CameraModel) -> NDArray[np.float64]:
-    """Directions (height, width, 2) of all pixels: exact on a grid of 16 pixels, splines between."""
+    """Directions (height, width, 2) of all pixels: exact on a grid of 16 pixels, splines
+    between."""
     step = 16
     x = np.arange(-step, camera.width + 2 * step, step)
     y = np.arange(-step, camera.height + 2 * step, step)

@@ -33,8 +33,8 @@ def annotate(
 ) -> NDArray[np.uint8]:
     """A colour picture (BGR, uint8, height x width x 3) of one frame and its observation.
 
-    ``outline`` (N, 2) is the object's in its own frame, in m, ``height`` (m) that of its top; ``goal``
-    the pose in table where it should be. Text is in mm and degrees.
+    ``outline`` (N, 2) is the object's in its own frame, in m, ``height`` (m) that of its top;
+    ``goal`` the pose in table where it should be. Text is in mm and degrees.
     """
     picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     points = np.asarray(outline, dtype=float)
@@ -79,7 +79,7 @@ def _axes(
 
 
 def _fixed(pixels: Array) -> NDArray[np.int32]:
-    return np.round(np.clip(pixels, -4000, 8000) * 2**_FINE).astype(np.int32)
+    return np.asarray(np.round(np.clip(pixels, -4000, 8000) * 2**_FINE), dtype=np.int32)
 
 
 def _caption(picture: NDArray[np.uint8], observation: Observation, goal: Pose | None) -> None:

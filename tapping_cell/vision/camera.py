@@ -1,4 +1,5 @@
-"""The camera: pinhole with lens distortion, its pose over the table, rays met with planes of the table.
+"""The camera: pinhole with lens distortion, its pose over the table, rays met with planes of the
+table.
 
 Model and coefficients are OpenCV's and ROS's ``camera_info`` (``plumb_bob``: k1 k2 p1 p2 k3;
 ``rational_polynomial``: k1 k2 p1 p2 k3 k4 k5 k6 and, if there, thin prism and tilt). Pixels count
@@ -53,7 +54,9 @@ class CameraModel:
             )
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.all(np.isfinite(numbers)):
-            raise CameraError("the camera matrix or the distortion holds a number that is not finite")
+            raise CameraError(
+                "the camera matrix or the distortion holds a number that is not finite"
+            )
         if self.width < 16 or self.height < 16:
             raise CameraError(f"an image of {self.width} x {self.height} pixels is too small")
         if self.fx <= 0 or self.fy <= 0:
@@ -110,7 +113,8 @@ class CameraModel:
         return np.asarray(pixels, dtype=float).reshape(*p.shape[:-1], 2)
 
     def rays(self, pixels: ArrayLike) -> Array:
-        """Directions (x / z, y / z), shape (..., 2), of pixels of shape (..., 2): distortion undone."""
+        """Directions (x / z, y / z), shape (..., 2), of pixels of shape (..., 2): distortion
+        undone."""
         p = np.asarray(pixels, dtype=float)
         flat = np.ascontiguousarray(p.reshape(-1, 1, 2))
         if flat.size == 0:
@@ -129,8 +133,8 @@ class CameraModel:
             )
         if image.shape != (self.height, self.width):
             return (
-                f"the image is {image.shape[1]} x {image.shape[0]} pixels but the calibration is for "
-                f"{self.width} x {self.height}; calibrate at this size or set the camera to that one"
+                f"the image is {image.shape[1]} x {image.shape[0]} pixels but the calibration is "
+                f"for {self.width} x {self.height}; calibrate at this size or set the camera so"
             )
         return None
 
@@ -172,12 +176,14 @@ class CameraPose:
         return np.asarray(np.asarray(points, dtype=float) @ self.rotation.T + self.translation)
 
     def plane(self, height: float) -> Array:
-        """Matrix (3, 3) that takes (x, y, 1) of the plane at ``height`` over the table to the camera."""
+        """Matrix (3, 3) that takes (x, y, 1) of the plane at ``height`` over the table to the
+        camera."""
         third = self.rotation[:, 2] * height + self.translation
         return np.column_stack([self.rotation[:, 0], self.rotation[:, 1], third])
 
     def moved(self, step: ArrayLike) -> CameraPose:
-        """This pose after a small motion (rotation vector in rad, translation in m; camera axes)."""
+        """This pose after a small motion (rotation vector in rad, translation in m; camera
+        axes)."""
         s = np.asarray(step, dtype=float)
         turn, _ = cv2.Rodrigues(s[:3])
         return CameraPose(turn @ self.rotation, turn @ self.translation + s[3:])

@@ -1,9 +1,9 @@
 """Sub-pixel edges of square markers whose place is known to a few pixels.
 
 Every pixel row (or column, whichever crosses the edge more steeply) that meets a side of the black
-square gives one crossing: between the levels of black and white beside the edge, the grey values sum
-to the area that is black, and so to the place of the edge. Nothing is interpolated, so nothing is
-biased by where the edge lies between pixels, and any symmetric blur cancels.
+square gives one crossing: between the levels of black and white beside the edge, the grey values
+sum to the area that is black, and so to the place of the edge. Nothing is interpolated, so nothing
+is biased by where the edge lies between pixels, and any symmetric blur cancels.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from tapping_cell.vision.camera import Array, Image
 
 BINS = 8
-"""Points that a side is condensed to: enough for the slight curve that a lens gives a straight side."""
+"""Points that a side is condensed to: enough for the slight curve that a lens gives a straight
+side."""
 
 _LEAST_CONTRAST = 12.0
 """Grey levels between black and white below which a side is not trusted (six times usual noise)."""
@@ -28,9 +29,10 @@ _LEAST_SHARE = 0.7
 class MarkerEdges:
     """Sides of M markers: side k runs from corner k to corner k + 1.
 
-    ``points`` (M, 4, BINS, 2) in pixels, ``weights`` (M, 4, BINS) rows behind each, ``corners``
-    (M, 4, 2) where the sides meet, in pixels, ``spread`` (M,) standard deviation of one row across the
-    side in pixels, ``black`` and ``white`` (M,) grey levels, ``good`` (M,) all four sides are whole.
+    ``points`` (M, 4, BINS, 2) in pixels, ``weights`` (M, 4, BINS) rows behind each, ``corners`` (M,
+    4, 2) where the sides meet, in pixels, ``spread`` (M,) standard deviation of one row across the
+    side in pixels, ``black`` and ``white`` (M,) grey levels, ``good`` (M,) all four sides are
+    whole.
     """
 
     points: Array
@@ -52,7 +54,7 @@ def refine(image: Image, quads: Array, modules: int) -> MarkerEdges:
     found = _edges(image, quads, half_width)
     for _ in range(2):
         shift = np.abs(found.corners - quads).max(axis=(1, 2))
-        redo = found.good & (shift > 0.6) & (shift < 8.0)
+        redo = found.good & (shift > 1.0) & (shift < 8.0)
         if not redo.any():
             break
         quads = np.where(redo[:, None, None], found.corners, quads)
@@ -111,7 +113,9 @@ def _edges(image: Image, quads: Array, half_width: int) -> MarkerEdges:
     points, weights = _condense(p, q, kept, low, high, steep)
     # q = offset + slope p, written as normal . (x, y) = value
     normal = np.where(
-        steep[:, None], np.stack([np.ones_like(slope), -slope], 1), np.stack([-slope, np.ones_like(slope)], 1)
+        steep[:, None],
+        np.stack([np.ones_like(slope), -slope], 1),
+        np.stack([-slope, np.ones_like(slope)], 1),
     )
     corners = _meet(normal.reshape(count, 4, 2), offset.reshape(count, 4))
     spread = np.sqrt((squares / steepness**2).reshape(count, 4).mean(axis=1))
@@ -130,7 +134,8 @@ def _edges(image: Image, quads: Array, half_width: int) -> MarkerEdges:
 
 
 def _levels(grey: NDArray[np.float32], p: Array, mask: Array) -> tuple[Array, Array]:
-    """Black and white beside every row: straight lines along the side through the outermost pixels."""
+    """Black and white beside every row: straight lines along the side through the outermost
+    pixels."""
     sides = []
     for columns in (grey[..., :2], grey[..., -2:]):
         level = columns.mean(axis=2, dtype=float)
@@ -163,7 +168,7 @@ def _condense(
     mean_q = (np.bincount(flat, (weight * q).ravel(), size) / divisor).reshape(sides, BINS)
     upright = steep[:, None]
     points = np.stack([np.where(upright, mean_q, mean_p), np.where(upright, mean_p, mean_q)], -1)
-    return points, number.reshape(sides, BINS)
+    return points, np.asarray(number, dtype=float).reshape(sides, BINS)
 
 
 def _meet(normal: Array, value: Array) -> Array:
@@ -188,3 +193,43 @@ def straight_corners(points: Array, weights: Array) -> Array:
     angle = 0.5 * np.arctan2(2.0 * sxy, sxx - syy)
     normal = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
     return _meet(normal, (normal * mean).sum(axis=-1))
+
+
+def take(edges: MarkerEdges, rows: NDArray[np.intp]) -> MarkerEdges:
+    """Only these markers, in this order."""
+    return MarkerEdges(
+        edges.points[rows],
+        edges.weights[rows],
+        edges.corners[rows],
+        edges.spread[rows],
+        edges.black[rows],
+        edges.white[rows],
+        edges.good[rows],
+    )
+
+
+def join(first: MarkerEdges, second: MarkerEdges) -> MarkerEdges:
+    """The markers of both."""
+    return MarkerEdges(
+        np.concatenate([first.points, second.points]),
+        np.concatenate([first.weights, second.weights]),
+        np.concatenate([first.corners, second.corners]),
+        np.concatenate([first.spread, second.spread]),
+        np.concatenate([first.black, second.black]),
+        np.concatenate([first.white, second.white]),
+        np.concatenate([first.good, second.good]),
+    )
+
+
+def no_edges() -> MarkerEdges:
+    """No markers."""
+    none = np.zeros(0)
+    return MarkerEdges(
+        np.zeros((0, 4, 1, 2)),
+        np.zeros((0, 4, 1)),
+        np.zeros((0, 4, 2)),
+        none,
+        none,
+        none,
+        none.astype(bool),
+    )

@@ -27,7 +27,8 @@ class MarkerError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection:
-    """One marker found: its id and its corners in pixels, shape (4, 2), good to about half a pixel."""
+    """One marker found: its id and its corners in pixels, shape (4, 2), good to about half a
+    pixel."""
 
     id: int
     corners: Array
@@ -107,8 +108,8 @@ def find_markers(
 class ObjectMarker:
     """The marker on an object's top: where it is on the object and how high over the table.
 
-    ``size`` is the side of the black square in m, ``offset`` the marker's pose in the object's frame
-    (m, m, rad), ``height`` that of the printed face over the table in m.
+    ``size`` is the side of the black square in m, ``offset`` the marker's pose in the object's
+    frame (m, m, rad), ``height`` that of the printed face over the table in m.
     """
 
     dictionary: str

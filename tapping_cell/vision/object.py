@@ -14,8 +14,8 @@ from tapping_cell.vision.markers import UNIT_CORNERS, ObjectMarker
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseFit:
-    """A pose (x, y, theta) of the *marker* in table, its covariance (3, 3) from pixel noise, and the
-    side that the marker seems to have (m).
+    """A pose (x, y, theta) of the *marker* in table, its covariance (3, 3) from pixel noise, and
+    the side that the marker seems to have (m).
     """
 
     pose: Array
@@ -23,8 +23,8 @@ class PoseFit:
     size: float
 
 
-# Least squares of points on four sides; the levels beside an edge come from the same rows as the edge
-# and add noise that all points of a side share: measured factor on the variance.
+# Least squares of points on four sides; the levels beside an edge come from the same rows as the
+# edge and add noise that all points of a side share: measured factor on the variance.
 _LEVEL_NOISE = 2.0
 
 

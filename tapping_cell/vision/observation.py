@@ -31,10 +31,11 @@ class Problem(enum.Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """One frame's answer. ``pose`` and ``covariance`` (3, 3; m, m, rad) of the object in ``table`` are
-    there exactly when ``visible``; they come from ``frames_fused`` frames while the object is at rest
-    (since ``at_rest_since``, s) and from this frame while it moves at ``velocity`` (m/s, m/s, rad/s).
-    ``sentence`` explains ``problem``, or warns of something that was put right when there is none.
+    """One frame's answer. ``pose`` and ``covariance`` (3, 3; m, m, rad) of the object in ``table``
+    are there exactly when ``visible``; they come from ``frames_fused`` frames while the object is
+    at rest (since ``at_rest_since``, s) and from this frame while it moves at ``velocity`` (m/s,
+    m/s, rad/s). ``sentence`` explains ``problem``, or warns of something that was put right when
+    there is none.
     """
 
     stamp: float

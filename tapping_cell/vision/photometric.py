@@ -1,10 +1,10 @@
 """Photometric alignment of a marker at rest: every pixel of the pattern says where it is.
 
-The grey values are explained by the printed pattern, blurred, seen through the known camera from the
-known height: three unknowns of the pose; light and ink enter linearly (a gain and an offset, each with
-a gradient across the marker), and so does, to first order, what the blur differs from the assumed one.
-Gauss-Newton from the pose that the edges gave (Lucas and Kanade 1981; Baker and Matthews 2004 for the
-family). A symmetric blur moves no edge, so the answer has no bias from it.
+The grey values are explained by the printed pattern, blurred, seen through the known camera from
+the known height: three unknowns of the pose; light and ink enter linearly (a gain and an offset,
+each with a gradient across the marker), and so does, to first order, what the blur differs from the
+assumed one. Gauss-Newton from the pose that the edges gave (Lucas and Kanade 1981; Baker and
+Matthews 2004 for the family). A symmetric blur moves no edge, so the answer has no bias from it.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _SMALLEST_STEP = 0.002
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Template:
-    """The pattern around its middle, blurred: value (0 black, 1 white), its derivatives along u and v
-    and its Laplacian (per m, per m^2), texture (n, n, 4); ``blur`` is the Gaussian's sigma in m.
+    """The pattern around its middle, blurred: value (0 black, 1 white), its derivatives along u and
+    v and its Laplacian (per m, per m^2), texture (n, n, 4); ``blur`` is the Gaussian's sigma in m.
     """
 
     texture: NDArray[np.float32]
@@ -109,7 +109,7 @@ def align(
     noise = max(math.sqrt(float((weight * residual**2).sum() / weight.sum())), spread, 0.3)
     if contrast < 12.0 or noise > 0.12 * contrast:
         return None
-    covariance = np.linalg.inv(information)[7:, 7:] * noise**2
+    covariance = np.asarray(np.linalg.inv(information)[7:, 7:] * noise**2, dtype=float)
     softening = template.blur**2 + 2.0 * float(answer[6])
     blur = math.sqrt(max(softening, (0.3 * pixel) ** 2))
     return Alignment(pose, covariance, noise, blur)
@@ -186,6 +186,10 @@ def window_rays(camera: CameraModel, x0: int, y0: int, x1: int, y1: int) -> Arra
     grid = np.stack(np.meshgrid(mid_x + half_x * nodes, mid_y + half_y * nodes), axis=-1)
     known = camera.rays(grid)
     inverse = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
-    at_x = np.polynomial.chebyshev.chebvander((np.arange(x0, x1) - mid_x) / half_x, degree) @ inverse
-    at_y = np.polynomial.chebyshev.chebvander((np.arange(y0, y1) - mid_y) / half_y, degree) @ inverse
+    at_x = (
+        np.polynomial.chebyshev.chebvander((np.arange(x0, x1) - mid_x) / half_x, degree) @ inverse
+    )
+    at_y = (
+        np.polynomial.chebyshev.chebvander((np.arange(y0, y1) - mid_y) / half_y, degree) @ inverse
+    )
     return np.stack([at_y @ known[..., i] @ at_x.T for i in (0, 1)], axis=-1)

@@ -23,8 +23,8 @@ class RestSettings:
 
     ``confidence`` standard deviations of safety; windows of ``shortest`` to ``longest`` frames;
     ``memory`` frames fused at most; ``leave`` is the squared Mahalanobis distance (3 degrees of
-    freedom) at which a frame at rest is no longer at the same place; ``gap`` (s) without a pose after
-    which what was known is forgotten.
+    freedom) at which a frame at rest is no longer at the same place; ``gap`` (s) without a pose
+    after which what was known is forgotten.
     """
 
     speed: float = 0.0005

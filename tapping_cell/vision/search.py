@@ -43,7 +43,8 @@ def _apart(first: Detection, second: Detection) -> bool:
 
 
 def near(image: Image, dictionary: str, marker_id: int, quad: Array) -> Array | None:
-    """Corners of a marker searched within one marker's width around a quad (4, 2); None if not once."""
+    """Corners of a marker searched within one marker's width around a quad (4, 2); None if not
+    once."""
     reach = 1.0 * float(np.linalg.norm(quad[2] - quad[0]))
     low = np.floor(quad.min(axis=0) - reach).astype(int)
     high = np.ceil(quad.max(axis=0) + reach).astype(int)
@@ -80,7 +81,8 @@ def patterns_agree(
 
 
 def _within(corners: Array, u: Array, v: Array) -> Array:
-    """Points at shares u (right) and v (down) of a square seen in perspective as ``corners`` (4, 2).
+    """Points at shares u (right) and v (down) of a square seen in perspective as ``corners`` (4,
+    2).
 
     Heckbert 1989, "Fundamentals of texture mapping", square to quadrilateral.
     """
@@ -96,4 +98,3 @@ def _within(corners: Array, u: Array, v: Array) -> Array:
     return np.asarray(
         (along * u[..., None] + down * v[..., None] + p0) / scale[..., None], dtype=float
     )
-

@@ -1,10 +1,10 @@
 """Where the camera is over the table: from the reference markers, averaged while it is steady.
 
-While nothing moves, each marker's corners are averaged over the frames and the pose is fitted to the
-averages. Every frame is compared with the averages, marker by marker: when most of the markers of
-several frames in a row lie elsewhere, the camera or the table was moved; the averages start anew and
-the move is reported. What the markers still disagree about after averaging is no noise but lens and
-printing, and says how wrong a pose measured on this table may be.
+While nothing moves, each marker's corners are averaged over the frames and the pose is fitted to
+the averages. Every frame is compared with the averages, marker by marker: when most of the markers
+of several frames in a row lie elsewhere, the camera or the table was moved; the averages start anew
+and the move is reported. What the markers still disagree about after averaging is no noise but lens
+and printing, and says how wrong a pose measured on this table may be.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from tapping_cell.se2 import transform_points
 from tapping_cell.vision.camera import Array, CameraModel, CameraPose, View
 from tapping_cell.vision.edges import MarkerEdges, straight_corners
+from tapping_cell.vision.field import ErrorField, condition, lens_shifts
 from tapping_cell.vision.markers import ReferenceMap
 
-_EDGE_BIAS = 0.0015
+_EDGE_BIAS = 0.001
 """Pixels that averaged edges may be off by where the edge lies in a pixel and by uneven light."""
 
 
@@ -29,11 +30,11 @@ _EDGE_BIAS = 0.0015
 class TableSettings:
     """``least_references`` markers must be seen; ``memory`` frames are averaged at most.
 
-    A marker that lies more than ``suspect_shift`` pixels from its average was disturbed; when half of
-    a frame's are, the frame is suspect, and after ``confirm_frames`` of them the camera counts as
-    moved. ``largest_move`` (m, seen at the references, all moves together) is how far it may be before
-    the table is refused. A marker that disagrees with the rest of the map by more than ``displaced``
-    pixels is left out.
+    A marker that lies more than ``suspect_shift`` pixels from its average was disturbed; when half
+    of a frame's are, the frame is suspect, and after ``confirm_frames`` of them the camera counts
+    as moved. ``largest_move`` (m, seen at the references, all moves together) is how far it may be
+    before the table is refused. A marker that disagrees with the rest of the map by more than
+    ``displaced`` pixels is left out.
     """
 
     least_references: int = 2
@@ -58,13 +59,16 @@ class TableState(enum.Enum):
 @dataclass(frozen=True, slots=True, eq=False)
 class TableFit:
     """A pose of the camera, its covariance (6, 6) for steps of ``CameraPose.moved``, which markers
-    agree (``used``, (M,)), and what is left of their corners, as directions (M, 4, 2).
+    agree (``used``, (M,)), what is left of the corners of these, as directions (U, 4, 2), how those
+    answer a step of the pose (8 U, 6) and the step that the fit makes of them (6, 8 U).
     """
 
     pose: CameraPose
     covariance: Array
     used: NDArray[np.bool_]
     residuals: Array
+    jacobian: Array
+    gain: Array
 
 
 def initial_pose(camera: CameraModel, points: ArrayLike, corners: ArrayLike) -> CameraPose | None:
@@ -77,7 +81,7 @@ def initial_pose(camera: CameraModel, points: ArrayLike, corners: ArrayLike) -> 
     rays = camera.rays(np.asarray(corners, dtype=float).reshape(-1, 2))
     eye = np.eye(3)
     number, turns, shifts, _ = cv2.solvePnPGeneric(
-        flat, rays[:, None], eye, None, flags=cv2.SOLVEPNP_IPPE
+        flat, rays[:, None], eye, np.zeros(5), flags=cv2.SOLVEPNP_IPPE
     )
     best, least = None, np.inf
     for turn, shift in zip(turns[:number], shifts[:number], strict=True):
@@ -102,15 +106,20 @@ def reference_rays(camera: CameraModel, edges: MarkerEdges) -> Array:
 def corner_noise(edges: MarkerEdges, focal: float) -> Array:
     """Standard deviation (M,) of a corner's direction.
 
-    The end of a line through n points has 4 / n of the variance of one of them; the levels beside the
-    edge, estimated from the same rows, add about as much again (measured).
+    The end of a line through n points has 4 / n of the variance of one of them; the levels beside
+    the edge, estimated from the same rows, add about as much again (measured).
     """
     number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
     return np.asarray(np.sqrt(8.0 / number) * np.maximum(edges.spread, 0.01) / focal)
 
 
 def fit_table(
-    pose: CameraPose, points: Array, rays: Array, noise: Array, settings: TableSettings, focal: float
+    pose: CameraPose,
+    points: Array,
+    rays: Array,
+    noise: Array,
+    settings: TableSettings,
+    focal: float,
 ) -> TableFit | None:
     """The pose near ``pose`` that brings table points (M, 4, 2) onto the directions (M, 4, 2).
 
@@ -121,7 +130,7 @@ def fit_table(
     count = points.shape[0]
     flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1).reshape(-1, 3)
     used = np.ones(count, dtype=bool)
-    covariance = np.zeros((6, 6))
+    covariance: Array = np.zeros((6, 6))
     while used.sum() >= settings.least_references:
         for _ in range(2):
             jacobian, residual = _linearised(pose, flat, rays.reshape(-1, 2))
@@ -141,7 +150,10 @@ def fit_table(
         if used.sum() >= 3 and error[worst] > limit:
             used = others
             continue
-        return TableFit(pose, covariance, used, left)
+        taken = np.repeat(used, 8)
+        kept = jacobian[taken]
+        gain = covariance @ (kept * weight[taken, None]).T
+        return TableFit(pose, np.asarray(covariance), used, left[used], kept, gain)
     return None
 
 
@@ -169,11 +181,11 @@ class TableTracker:
         self.points = references.corners()
         self.ids = np.array([marker.id for marker in references.markers])
         self.pose: CameraPose | None = None
-        self.covariance = np.zeros((6, 6))
-        self.systematic = np.zeros((3, 3))
+        self.covariance: Array = np.zeros((6, 6))
         self.used: tuple[int, ...] = ()
         self.displaced: tuple[int, ...] = ()
         self.move = 0.0
+        self.field_number = 0
         self._first: CameraPose | None = None
         self._suspects = 0
         self._restart()
@@ -185,9 +197,12 @@ class TableTracker:
         self._rays = np.zeros((count, 4, 2))
         self._noise = np.zeros(count)
         self._strayed = np.zeros(count, dtype=int)
+        self._field: ErrorField | None = None
+        self._field_frames = 0.0
 
     def update(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
-        """Take one frame's references: ``rows`` (M,) of the map that ``edges`` (good ones) belong to."""
+        """Take one frame's references: ``rows`` (M,) of the map that ``edges`` (good ones) belong
+        to."""
         s = self.settings
         if len(rows) < s.least_references:
             return TableState.UNKNOWN if self.pose is None else TableState.UNSEEN
@@ -245,10 +260,14 @@ class TableTracker:
         )
         if fit is None:
             return False
+        before = self.used
         self.pose, self.covariance = fit.pose, fit.covariance
         self.used = tuple(int(i) for i in self.ids[have[fit.used]])
         self.displaced = tuple(int(i) for i in self.ids[have[~fit.used]])
-        self.systematic = self._systematic(fit, self.points[have], noise)
+        frames = float(self._seen.sum())
+        if self._field is None or frames >= 1.5 * self._field_frames or self.used != before:
+            self._field, self._field_frames = self._condition(fit, self.points[have], noise), frames
+            self.field_number += 1
         return True
 
     def _shift(self, before: CameraPose, after: CameraPose) -> float:
@@ -256,58 +275,69 @@ class TableTracker:
         flat = np.concatenate([self.points, np.zeros((*self.points.shape[:2], 1))], axis=-1)
         return float(np.linalg.norm(after.apply(flat) - before.apply(flat), axis=-1).max())
 
-    def _systematic(self, fit: TableFit, points: Array, noise: Array) -> Array:
-        """Covariance (3, 3) of a pose on the table by what the references disagree about.
-
-        Each reference, measured as if it were the object, misses its place in the map; the share of
-        the noise is taken off, and as they are few and 6 unknowns of the camera are fitted to them,
-        the spread is inflated as Student's distribution asks.
-        """
-        number = int(fit.used.sum())
-        if number < 3:
-            return np.zeros((3, 3))
+    def _condition(self, fit: TableFit, points: Array, noise: Array) -> ErrorField:
+        """The error of the lens over the table, from what the markers still disagree about."""
         scale = float(fit.pose.translation[2])
-        left = fit.residuals[fit.used] * scale @ fit.pose.rotation[:2, :2]
-        arm = points[fit.used] - points[fit.used].mean(axis=1, keepdims=True)
-        inertia = (arm**2).sum(axis=(1, 2))
-        turn = (arm[..., 0] * left[..., 1] - arm[..., 1] * left[..., 0]).sum(axis=(1)) / inertia
-        shift = left.mean(axis=1)
-        variance = (noise[fit.used] * scale) ** 2
-        freedom = max(2.0 * number - 5.0, 1.0)
-        place = float((shift**2).sum()) / freedom - float(variance.mean()) / 4.0
-        angle = float((turn**2).sum()) / (number - 1.0) - float((variance / inertia).mean())
-        heavy_tails = freedom / max(freedom - 2.0, 1.0)
-        floor = (_EDGE_BIAS * scale / self.camera.fx) ** 2
-        # A turn of the object comes from the lens alone, which bends over the distance between the
-        # references; that of a printed marker also from printing: the smaller of both is meant.
-        spacing = float(np.ptp(points[fit.used].mean(axis=1), axis=0).max()) / 3.0
-        place = max(place, 0.0) * heavy_tails + floor
-        angle = min(max(angle, 0.0) * heavy_tails, place / spacing**2)
-        return np.diag([place, place, angle])
+        # Directions to lengths on the table, which lies nearly square to the optical axis.
+        to_table = scale * fit.pose.rotation[:2, :2].T
+        count = int(fit.used.sum())
+        block = np.kron(np.eye(4 * count), to_table)
+        _, shifts = lens_shifts(View(self.camera, fit.pose), points[fit.used], 0.0)
+        return condition(
+            points[fit.used],
+            fit.residuals @ to_table.T,
+            noise[fit.used] * scale,
+            block @ shifts.reshape(8 * count, -1),
+            block @ fit.jacobian,
+            fit.gain @ np.linalg.inv(block),
+        )
+
+    def judge(self, pose: ArrayLike, height: float) -> tuple[Array, Array]:
+        """Likely error (3,) of a pose (x, y, theta) measured at ``height``, and covariance (3, 3)
+        of what remains of it: the camera's pose, lens, printing; not the noise of the object's
+        marker.
+        """
+        assert self.pose is not None and self._field is not None
+        place = np.asarray(pose, dtype=float)
+        view = View(self.camera, self.pose)
+        response = -pose_jacobian(view, place, height)
+        points = transform_points(place, CROSS)
+        rays, shifts = lens_shifts(view, points, height)
+        shifted = view.rays_on_plane(np.moveaxis(rays[..., None] + shifts, -1, 0), height)
+        lens = pose_changes(points, shifted - points).T
+        error, covariance = self._field.at(response, lens)
+        pixel = float(self.pose.translation[2]) / self.camera.fx
+        floor = (_EDGE_BIAS * pixel) ** 2
+        return error, covariance + np.diag([floor, floor, 0.0])
+
+
+CROSS = 0.02 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+"""Points (4, 2) in m around an object's middle that stand for its marker where it is shifted,
+turned and sheared: a fit to all sides of a square turns by the mean of what its sides turn."""
+
+
+def pose_changes(points: Array, shifts: Array) -> Array:
+    """Change (..., 3) of the pose (x, y, theta) fitted to points (N, 2) that shift by (..., N,
+    2)."""
+    arm = points - points.mean(axis=0)
+    turn = (arm[:, 0] * shifts[..., 1] - arm[:, 1] * shifts[..., 0]).sum(axis=-1)
+    return np.concatenate([shifts.mean(axis=-2), (turn / (arm**2).sum())[..., None]], axis=-1)
 
 
 def pose_jacobian(view: View, object_pose: ArrayLike, height: float) -> Array:
-    """How a measured pose (x, y, theta) of the plane at ``height`` answers a step of the camera's pose.
+    """How a measured pose (x, y, theta) of the plane at ``height`` answers a step of the camera's
+    pose.
 
     Shape (3, 6); by differences of 1e-6 in steps of rotation (rad) and translation (m).
     """
-    arm = np.array([[0.0, 0.0], [0.02, 0.0]])
-    seen = view.pose.apply(
-        np.column_stack([transform_points(object_pose, arm), np.full(2, height)])
-    )
+    points = transform_points(object_pose, CROSS)
+    seen = view.pose.apply(np.column_stack([points, np.full(len(points), height)]))
     rays = seen[:, :2] / seen[:, 2:]
-    columns = []
-    for k in range(6):
-        step = np.zeros(6)
-        step[k] = 1e-6
-        ends = [
+    shifts = []
+    for step in 1e-6 * np.eye(6):
+        ahead, back = (
             View(view.camera, view.pose.moved(sign * step)).rays_on_plane(rays, height)
             for sign in (1.0, -1.0)
-        ]
-        change = (ends[0] - ends[1]) / 2e-6
-        direction = transform_points(object_pose, arm[1]) - transform_points(object_pose, arm[0])
-        turned = change[1] - change[0]
-        angle = (direction[0] * turned[1] - direction[1] * turned[0]) / (direction @ direction)
-        columns.append([change[0, 0], change[0, 1], angle])
-    return np.array(columns).T
-
+        )
+        shifts.append((ahead - back) / 2e-6)
+    return pose_changes(points, np.stack(shifts)).T

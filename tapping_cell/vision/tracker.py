@@ -8,32 +8,41 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.se2 import Pose, wrap_angle
+from tapping_cell.se2 import Pose, transform_points, wrap_angle
 from tapping_cell.vision.camera import Array, CameraModel, Image, View
-from tapping_cell.vision.edges import MarkerEdges, refine
+from tapping_cell.vision.edges import MarkerEdges, join, no_edges, refine, take
+from tapping_cell.vision.gate import FrameGate
 from tapping_cell.vision.markers import UNIT_CORNERS, ObjectMarker, ReferenceMap, marker_pattern
 from tapping_cell.vision.object import PoseFit, fit_marker, marker_pose, object_pose
 from tapping_cell.vision.observation import Observation, Problem
 from tapping_cell.vision.photometric import Template, align, make_template
 from tapping_cell.vision.rest import Motion, RestSettings, Track
 from tapping_cell.vision.search import Census, census, near, patterns_agree
-from tapping_cell.vision.table import TableSettings, TableState, TableTracker, pose_jacobian
+from tapping_cell.vision.table import (
+    CROSS,
+    TableSettings,
+    TableState,
+    TableTracker,
+    pose_changes,
+)
 
 _SLOW = 0.0001
 _SLOW_TURN = 0.002
 """Motion between frames (m, rad) below which the photometric alignment is worth its time."""
-_ARM = 0.02
-"""Half of the line, in m, that carries a pose from one view to another."""
+_JUDGED_AGAIN = 0.003
+"""Motion (m, rad) after which the error field of the table is asked again."""
 _USUAL_BLUR = 0.65
-"""Sigma in pixels of a well focused lens with the pixel's own area; the first alignment corrects it."""
+"""Sigma in pixels of a well focused lens with the pixel's own area; the first alignment corrects
+it."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrackerSettings:
-    """``audit_period`` (s) between full searches while all is well; ``lost_period`` (s) between them
-    while the object or the table is not seen; ``references_each`` reference markers measured in a frame;
-    ``references_timeout`` (s) that the table may go unseen; ``size_tolerance``: share that the marker's
-    apparent side may differ from the configured one; ``dark`` and ``bright`` grey levels.
+    """``audit_period`` (s) between full searches while all is well; ``lost_period`` (s) between
+    them while the object or the table is not seen; ``references_each`` reference markers measured
+    in a frame; ``references_timeout`` (s) that the table may go unseen; ``size_tolerance``: share
+    that the marker's apparent side may differ from the configured one; ``dark`` and ``bright`` grey
+    levels.
     """
 
     audit_period: float = 1.0
@@ -59,8 +68,8 @@ class _Found:
 class PoseTracker:
     """Follows one object on the table.
 
-    ``camera`` is the calibrated camera, ``table`` the map of reference markers, ``object_marker`` what
-    to look for. Frames go to :meth:`update` in the order in which they were taken.
+    ``camera`` is the calibrated camera, ``table`` the map of reference markers, ``object_marker``
+    what to look for. Frames go to :meth:`update` in the order in which they were taken.
     """
 
     def __init__(
@@ -79,14 +88,13 @@ class PoseTracker:
         self._patterns = [marker_pattern(table.dictionary, m.id) for m in table.markers]
         self._pattern = marker_pattern(object_marker.dictionary, object_marker.id)
         self._modules = max(p.shape[0] for p in [*self._patterns, self._pattern])
-        self._stamp = -math.inf
-        self._signature: Image | None = None
+        self._gate = FrameGate(camera, self.settings.dark, self.settings.bright)
         self._group = 0
         self._last_search = -math.inf
         self._search_next = True
         self._references_seen = -math.inf
         self._object: tuple[float, Array, Array] | None = None
-        self._jacobian: tuple[Array, Array] | None = None
+        self._judged: tuple[int, Array, Array, Array] | None = None
         self._template: Template | None = None
         # Objects are followed through one frozen view, so that the improving average of the table's
         # pose does not look like motion; what is published is seen through the newest one.
@@ -108,9 +116,9 @@ class PoseTracker:
 
         Never raises for what a camera may deliver: every trouble is a problem and a sentence.
         """
-        refusal = self._refuse(image, stamp)
+        refusal = self._gate.refuse(image, stamp)
         if refusal is not None:
-            return refusal
+            return self._nothing(stamp, *refusal)
         seen, object_quad, trouble = self._look(image, stamp)
         found = self._measure(image, seen, object_quad)
         if found.object_row is None and trouble is None and self.view is not None:
@@ -123,52 +131,13 @@ class PoseTracker:
             return self._nothing(stamp, *trouble)
         return self._observe(image, found, stamp)
 
-    # -- what may be wrong with a frame before anything is looked for
-
-    def _refuse(self, image: Image, stamp: float) -> Observation | None:
-        sentence = self.camera.check_image(image)
-        if sentence is not None:
-            return self._nothing(stamp, Problem.WRONG_IMAGE, sentence)
-        if not math.isfinite(stamp) or stamp <= self._stamp:
-            late = (self._stamp - stamp) * 1e3
-            return self._nothing(
-                stamp,
-                Problem.LATE_FRAME,
-                f"the frame is {late:.0f} ms older than one already used; it is left out",
-            )
-        self._stamp = stamp
-        signature = image[:: max(1, self.camera.height // 64)]
-        frozen = self._signature is not None and np.array_equal(signature, self._signature)
-        if frozen:
-            return self._nothing(
-                stamp,
-                Problem.FROZEN_FRAME,
-                "the frame equals the one before, down to the noise: the camera repeats itself",
-            )
-        self._signature = signature.copy()
-        sample = image[::16, ::16]
-        if float(np.percentile(sample, 98)) < self.settings.dark:
-            return self._nothing(
-                stamp,
-                Problem.DARK,
-                f"the image is dark (98 % of it below grey level {self.settings.dark:.0f}); "
-                "turn on the light or lengthen the exposure",
-            )
-        if float(np.percentile(sample, 30)) > self.settings.bright:
-            return self._nothing(
-                stamp,
-                Problem.OVEREXPOSED,
-                f"the image is overexposed (70 % of it above grey level "
-                f"{self.settings.bright:.0f}); shorten the exposure",
-            )
-        return None
-
     # -- where to look
 
     def _look(
         self, image: Image, stamp: float
     ) -> tuple[dict[int, Array], Array | None, tuple[Problem, str] | None]:
-        """Quads of the reference markers to measure by row of the map, of the object, and trouble."""
+        """Quads of the reference markers to measure by row of the map, of the object, and
+        trouble."""
         s = self.settings
         lost = self._object is None or self.view is None or self._search_next
         period = s.lost_period if lost else s.audit_period
@@ -208,13 +177,17 @@ class PoseTracker:
                 self._reference_quads[row] = quad
         if self.marker.id in objects.repeated:
             self._object = None
-            return quads, None, (
-                Problem.DUPLICATE_MARKER,
-                f"marker {self.marker.id} of the object is in view more than once; cover the others",
+            return (
+                quads,
+                None,
+                (
+                    Problem.DUPLICATE_MARKER,
+                    f"marker {self.marker.id} of the object is seen more than once; cover others",
+                ),
             )
-        quad = objects.single.get(self.marker.id)
-        if quad is not None:
-            return quads, quad, None
+        found = objects.single.get(self.marker.id)
+        if found is not None:
+            return quads, found, None
         return quads, None, self._explain(image, objects, set(rows) if same else set())
 
     def _explain(
@@ -225,7 +198,7 @@ class PoseTracker:
         if self.marker.id in mirrored.single:
             return (
                 Problem.MIRRORED_MARKER,
-                f"marker {self.marker.id} is seen mirrored; turn off the camera's mirroring or print "
+                f"marker {self.marker.id} is seen mirrored; turn off mirroring or print "
                 "the marker again",
             )
         others = sorted(set(objects.single) - expected - {self.marker.id})
@@ -243,7 +216,7 @@ class PoseTracker:
         rows = list(quads)
         stack = [quads[r] for r in rows] + ([] if object_quad is None else [object_quad])
         if not stack:
-            return _Found(_no_edges(), np.array([], dtype=np.intp), None)
+            return _Found(no_edges(), np.array([], dtype=np.intp), None)
         edges = refine(image, np.stack(stack), self._modules)
         patterns = [self._patterns[r] for r in rows]
         if object_quad is not None:
@@ -252,8 +225,8 @@ class PoseTracker:
         kept = np.flatnonzero(right[: len(rows)])
         chosen = np.array(rows, dtype=np.intp)[kept]
         if object_quad is None or not right[-1]:
-            return _Found(_take(edges, kept), chosen, None)
-        return _Found(_take(edges, np.append(kept, len(rows))), chosen, len(kept))
+            return _Found(take(edges, kept), chosen, None)
+        return _Found(take(edges, np.append(kept, len(rows))), chosen, len(kept))
 
     def _search_object(self, image: Image, stamp: float, found: _Found) -> _Found:
         """The object is not where it was expected: search around, then everywhere."""
@@ -268,12 +241,12 @@ class PoseTracker:
         if fresh.object_row is None:
             self._search_next = True
             return found
-        return _Found(_join(found.edges, fresh.edges), found.rows, len(found.rows))
+        return _Found(join(found.edges, fresh.edges), found.rows, len(found.rows))
 
     # -- the table
 
     def _update_table(self, found: _Found, stamp: float) -> TableState:
-        references = _take(found.edges, np.arange(len(found.rows)))
+        references = take(found.edges, np.arange(len(found.rows)))
         state = self.table.update(references, found.rows)
         if state in (TableState.STEADY, TableState.MOVED, TableState.TOO_FAR):
             self._references_seen = stamp
@@ -288,7 +261,6 @@ class PoseTracker:
         if state is TableState.MOVED:
             self._track.clear()
             self._working = view
-            self._jacobian = None
             self._warning = (
                 stamp,
                 f"the camera or the table moved by {self.table.move * 1e3:.1f} mm; corrected",
@@ -353,16 +325,17 @@ class PoseTracker:
                 stamp,
                 Problem.MISSHAPEN_MARKER,
                 f"the object's marker looks {stretch * 100:+.1f} % larger than its "
-                f"{self.marker.size * 1e3:.1f} mm (limit {self.settings.size_tolerance * 100:.0f} %): "
-                "lifted, tilted or not the size and height of the object file",
+                f"{self.marker.size * 1e3:.1f} mm "
+                f"(limit {self.settings.size_tolerance * 100:.0f} %): "
+                "lifted, tilted or not of the object file's size and height",
             )
         pose, covariance = self._measured(image, view, fit)
         if self._references_seen < stamp and not self._track.stays(pose, covariance):
             return self._nothing(
                 stamp,
                 Problem.REFERENCES_HIDDEN,
-                "no reference markers are seen in this frame and the object seems to have moved: it "
-                "may be the camera that did",
+                "no reference markers are seen in this frame and the object seems to have moved: "
+                "it may be the camera that did",
             )
         motion = self._track.add(stamp, pose, covariance)
         self._object = (stamp, pose, motion.velocity)
@@ -387,6 +360,8 @@ class PoseTracker:
 
     def _good(self, motion: Motion, stamp: float) -> Observation:
         pose = self._through_newest(motion.pose)
+        error, shared = self._calibration(pose)
+        pose = pose - error
         since, sentence = self._warning
         if self.table.displaced:
             names = ", ".join(map(str, self.table.displaced))
@@ -397,7 +372,7 @@ class PoseTracker:
             stamp=stamp,
             visible=True,
             pose=Pose(*pose.tolist()),
-            covariance=motion.covariance + self._calibration_covariance(pose),
+            covariance=motion.covariance + shared,
             at_rest=motion.rest_since is not None,
             at_rest_since=motion.rest_since,
             frames_fused=motion.frames,
@@ -410,22 +385,22 @@ class PoseTracker:
         """A pose measured through the working view, as the newest view of the table has it."""
         view, working = self.view, self._working
         assert view is not None and working is not None
-        arm = _ARM * np.array([[math.cos(pose[2]), math.sin(pose[2])]])
-        points = np.concatenate([pose[None, :2] - arm, pose[None, :2] + arm])
-        height = np.full((2, 1), self.marker.height)
-        seen = working.pose.apply(np.hstack([points, height]))
-        ends = view.rays_on_plane(seen[:, :2] / seen[:, 2:], self.marker.height)
-        middle, along = ends.mean(axis=0), ends[1] - ends[0]
-        return np.array([middle[0], middle[1], math.atan2(along[1], along[0])])
+        points = transform_points(pose, CROSS)
+        seen = working.pose.apply(np.column_stack([points, np.full(4, self.marker.height)]))
+        newest = view.rays_on_plane(seen[:, :2] / seen[:, 2:], self.marker.height)
+        moved = pose + pose_changes(points, newest - points)
+        moved[2] = wrap_angle(moved[2])
+        return moved
 
-    def _calibration_covariance(self, pose: Array) -> Array:
-        """What all frames share: the table's pose, lens and printing as the references show them."""
-        view = self.view
-        assert view is not None
-        if self._jacobian is None or np.abs(self._jacobian[0] - pose).max() > 0.002:
-            self._jacobian = (pose, pose_jacobian(view, pose, self.marker.height))
-        jacobian = self._jacobian[1]
-        return np.asarray(jacobian @ self.table.covariance @ jacobian.T + self.table.systematic)
+    def _calibration(self, pose: Array) -> tuple[Array, Array]:
+        """What all frames share: likely error (3,) and covariance (3, 3) of table, lens and
+        printing."""
+        key = self.table.field_number
+        known = self._judged
+        if known is None or known[0] != key or np.abs(known[1] - pose).max() > _JUDGED_AGAIN:
+            known = (key, pose, *self.table.judge(pose, self.marker.height))
+            self._judged = known
+        return known[2], known[3]
 
     def _nothing(self, stamp: float, problem: Problem, sentence: str) -> Observation:
         return Observation(
@@ -437,40 +412,3 @@ def _square(pose: Array, size: float) -> Array:
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     turn = np.array([[cos, sin], [-sin, cos]])
     return np.asarray(UNIT_CORNERS * size @ turn + pose[:2])
-
-
-def _take(edges: MarkerEdges, rows: NDArray[np.intp]) -> MarkerEdges:
-    return MarkerEdges(
-        edges.points[rows],
-        edges.weights[rows],
-        edges.corners[rows],
-        edges.spread[rows],
-        edges.black[rows],
-        edges.white[rows],
-        edges.good[rows],
-    )
-
-
-def _join(first: MarkerEdges, second: MarkerEdges) -> MarkerEdges:
-    return MarkerEdges(
-        np.concatenate([first.points, second.points]),
-        np.concatenate([first.weights, second.weights]),
-        np.concatenate([first.corners, second.corners]),
-        np.concatenate([first.spread, second.spread]),
-        np.concatenate([first.black, second.black]),
-        np.concatenate([first.white, second.white]),
-        np.concatenate([first.good, second.good]),
-    )
-
-
-def _no_edges() -> MarkerEdges:
-    none = np.zeros(0)
-    return MarkerEdges(
-        np.zeros((0, 4, 1, 2)),
-        np.zeros((0, 4, 1)),
-        np.zeros((0, 4, 2)),
-        none,
-        none,
-        none,
-        none.astype(bool),
-    )

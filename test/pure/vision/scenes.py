@@ -1,4 +1,4 @@
-"""Scenes for the tests of the vision room: a camera over a table, a disk, and an own area sampler."""
+"""Scenes for the tests of vision: a camera over a table, a disk, and an own area sampler."""
 
 from __future__ import annotations
 
@@ -17,9 +17,7 @@ from tapping_cell.vision import (
 )
 from tapping_cell.vision.markers import marker_pattern
 
-CAMERA = CameraModel(
-    1280, 1024, 1150.0, 1150.0, 639.5, 511.5, (-0.12, 0.08, 0.0004, -0.0003, 0.0)
-)
+CAMERA = CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5, (-0.12, 0.08, 0.0004, -0.0003, 0.0))
 POSE = CameraPose.above((0.03, -0.02, 0.7), spin=0.02)
 MARKER = ObjectMarker("apriltag_36h11", 3, 0.05, 0.012)
 REFERENCES = ReferenceMap(
@@ -67,7 +65,7 @@ def area_sampled_marker(
     white: float = 200.0,
     around: float = 110.0,
 ) -> np.ndarray:
-    """An image with one marker, by brute force: every pixel is the mean of samples x samples points.
+    """An image with one marker by brute force: a pixel is the mean of samples x samples points.
 
     One module of white around the marker, grey ``around`` elsewhere. Independent of the renderer.
     """
@@ -95,7 +93,9 @@ def area_sampled_marker(
     count = pattern.shape[0]
     on = (column >= 0) & (column < count) & (row >= 0) & (row < count)
     value = np.where(
-        on, np.where(pattern[row.clip(0, count - 1), column.clip(0, count - 1)], white, black), around
+        on,
+        np.where(pattern[row.clip(0, count - 1), column.clip(0, count - 1)], white, black),
+        around,
     )
     mean = value.reshape(y1 - y0, samples, x1 - x0, samples).mean(axis=(1, 3))
     image[y0:y1, x0:x1] = mean

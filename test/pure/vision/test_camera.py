@@ -58,7 +58,9 @@ def test_a_ray_meets_the_plane_where_the_point_was(position, spin, x, y, height)
 
 
 def test_a_higher_plane_is_seen_further_out():
-    view = View(CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5), CameraPose.above((0, 0, 0.7)))
+    view = View(
+        CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5), CameraPose.above((0, 0, 0.7))
+    )
     low, high = (view.on_plane(view.project([0.3, 0.0], h), 0.0)[0] for h in (0.0, 0.07))
     assert low == pytest.approx(0.3)
     assert high == pytest.approx(0.3 * 0.7 / 0.63)

@@ -1,10 +1,11 @@
-"""Edges and photometric alignment on brute-force images that the project's renderer did not make."""
+"""Edges and photometric alignment on brute-force images, not the project's renderer's."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 import pytest
+from scenes import CAMERA, MARKER, POSE, area_sampled_marker
 
 from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.vision import CameraModel, CameraPose, MarkerError, ObjectMarker, View
@@ -12,8 +13,6 @@ from tapping_cell.vision.edges import refine
 from tapping_cell.vision.markers import UNIT_CORNERS, dictionary_name, find_markers, marker_pattern
 from tapping_cell.vision.object import fit_marker, object_pose
 from tapping_cell.vision.photometric import align, make_template, window_rays
-
-from scenes import CAMERA, MARKER, POSE, area_sampled_marker
 
 VIEW = View(CAMERA, POSE)
 PIXEL = 0.7 / 1150.0
@@ -67,7 +66,7 @@ def test_alignment_refuses_what_the_pattern_does_not_explain():
     template = make_template(other, PIXEL, 0.35 * PIXEL)
     assert align(image, VIEW, template, other, fit.pose) is None
     template = make_template(MARKER, PIXEL, 0.35 * PIXEL)
-    assert align(image, VIEW, template, MARKER, pose + [0.003, 0.0, 0.0]) is None
+    assert align(image, VIEW, template, MARKER, pose + np.array([0.003, 0.0, 0.0])) is None
 
 
 def test_blur_moves_nothing_and_is_estimated():
@@ -138,9 +137,7 @@ def test_markers_that_do_not_exist_are_refused():
 
 
 def test_rays_of_a_window_are_the_cameras():
-    strong = CameraModel(
-        1280, 1024, 800.0, 800.0, 639.5, 511.5, (-0.3, 0.12, 1e-3, -1e-3, -0.02)
-    )
+    strong = CameraModel(1280, 1024, 800.0, 800.0, 639.5, 511.5, (-0.3, 0.12, 1e-3, -1e-3, -0.02))
     window = window_rays(strong, 900, 700, 1100, 880)
     y, x = np.mgrid[700:880:20, 900:1100:20]
     exact = strong.rays(np.stack([x, y], axis=-1).astype(float))

@@ -1,4 +1,4 @@
-"""Rest is declared soon and never while moving; fusion is the weighted mean and survives outliers."""
+"""Rest is declared soon and never while moving; fusion is a mean that survives outliers."""
 
 from __future__ import annotations
 
@@ -78,13 +78,15 @@ def test_rest_ends_at_the_first_frame_elsewhere_and_one_glitch_spoils_nothing():
     for k in range(40):
         motion = track.add(k * FRAME, measured(random, home), COVARIANCE)
     assert motion.frames == 40
-    glitch = track.add(40 * FRAME, home + [0.0005, 0.0, 0.0], COVARIANCE)
+    glitch = track.add(40 * FRAME, home + np.array([0.0005, 0.0, 0.0]), COVARIANCE)
     assert glitch.rest_since is None
     back = track.add(41 * FRAME, measured(random, home), COVARIANCE)
     assert back.rest_since == 0.0
     assert back.frames == 41
     for k in range(42, 50):
-        gone = track.add(k * FRAME, measured(random, home + [0.0005, 0.0, 0.0]), COVARIANCE)
+        gone = track.add(
+            k * FRAME, measured(random, home + np.array([0.0005, 0.0, 0.0])), COVARIANCE
+        )
     assert gone.rest_since >= 42 * FRAME
     assert gone.pose[0] == pytest.approx(0.0005, abs=1e-5)
 
