@@ -20,9 +20,9 @@ START, REST, GOAL, STRIKE = "#555555", "#1f77b4", "#2ca02c", "#d62728"
 
 def draw_cell(run: Run, path: Path) -> None:
     """Write the picture of a run (PNG)."""
-    figure = Figure(figsize=(13.0, 6.2), dpi=110, layout="constrained")
+    figure = Figure(figsize=(14.0, 5.4), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(2, 3, width_ratios=(1.5, 1.0, 0.9))
+    grid = figure.add_gridspec(2, 3, width_ratios=(1.45, 1.1, 0.8))
     _draw_table(figure.add_subplot(grid[:, 0]), run)
     _draw_close_up(figure.add_subplot(grid[:, 1]), run)
     _draw_residuals(figure.add_subplot(grid[0, 2]), figure.add_subplot(grid[1, 2]), run)
@@ -105,8 +105,8 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
     axes.add_patch(Circle(_mm(run.goal), tolerance, facecolor=GOAL, alpha=0.2, edgecolor=GOAL))
     axes.plot(*_mm(run.goal), marker="+", color=GOAL, ms=14, mew=2)
     axes.plot(*_mm(run.start), marker="o", color=START, ms=6)
-    axes.annotate("start", _mm(run.start), (6, 6), textcoords="offset points", color=START)
-    axes.annotate("goal", _mm(run.goal), (8, -14), textcoords="offset points", color=GOAL)
+    axes.annotate("start", _mm(run.start), (-4, 10), textcoords="offset points", color=START)
+    axes.annotate("goal", _mm(run.goal), (-8, -26), textcoords="offset points", color=GOAL)
     for tap in run.taps:
         axes.annotate(
             "",
@@ -115,15 +115,21 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
             arrowprops={"arrowstyle": "-|>", "color": REST, "lw": 1.5, "shrinkA": 0, "shrinkB": 0},
         )
         axes.plot(*_mm(tap.predicted), marker="x", color="#888888", ms=6)
+        turned = math.degrees(tap.before.rotation_to(tap.measured))
         axes.annotate(
-            str(tap.number), _mm(tap.measured), (5, 5), textcoords="offset points", color=REST
+            f"{tap.number}: {1000 * tap.before.distance_to(tap.measured):.1f} mm, {turned:+.1f} deg",
+            _mm(tap.measured),
+            (5, 6 if tap.number % 2 else -14),
+            textcoords="offset points",
+            color=REST,
+            fontsize=8,
         )
     axes.plot([], [], marker="x", ls="", color="#888888", label="predicted end of a tap")
     axes.plot([], [], color=REST, label="measured move of a tap")
     axes.legend(loc="best", fontsize=8)
     points = np.array([_mm(run.start), _mm(run.goal), *(_mm(tap.measured) for tap in run.taps)])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    half = max(float(np.max(np.ptp(points, axis=0))) / 2 * 1.25, 4 * tolerance)
+    half = max(float(np.max(np.ptp(points, axis=0))) / 2 * 1.35, 4 * tolerance)
     axes.set_xlim(middle[0] - half, middle[0] + half)
     axes.set_ylim(middle[1] - half, middle[1] + half)
     axes.set(
