@@ -232,6 +232,11 @@ class Impact:
         if open_ended.any():
             other = np.where(open_ended, np.copysign(LARGEST_INCIDENCE, -e_straight), other)
             e_other = np.where(open_ended, error(other), e_other)
+        # Far off a polygon's normal the slope may fall with the incidence: look on that side too.
+        wrong_side = e_other * e_straight > 0
+        if wrong_side.any():
+            other = np.where(wrong_side, np.copysign(LARGEST_INCIDENCE, e_straight), other)
+            e_other = np.where(wrong_side, error(other), e_other)
         missing = (e_other * e_straight > 0) | beyond
         root = _bracketed_root(error, straight, other, e_straight, e_other)
         return np.where(missing, np.nan, root)
