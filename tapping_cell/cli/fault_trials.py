@@ -22,7 +22,13 @@ from tapping_cell.hardware.marlin_dialect import MarlinDialect
 from tapping_cell.hardware.motion import MotionSettings, strike_path, withdraw_path
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
 from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
-from tapping_cell.simulation.fault_layer import Direction, FaultKind, FaultLayer, random_fault
+from tapping_cell.simulation.fault_layer import (
+    Direction,
+    FaultKind,
+    FaultLayer,
+    LineFault,
+    random_fault,
+)
 from tapping_cell.simulation.grbl_emulator import GrblEmulator, GrblMachine
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
@@ -131,6 +137,14 @@ class TrialCell:
 
     def _draw(self, below: int) -> int:
         return int(self.rng.integers(below))
+
+    def lines(self) -> list[tuple[tuple[str, Direction], FaultLayer]]:
+        """Both lines, by name and direction."""
+        return [
+            ((name, direction), line)
+            for name, line in (("arm", self.arm_line), ("tapper", self.tapper_line))
+            for direction in Direction
+        ]
 
     def plan_faults(self) -> None:
         """Draw this tap's faults."""
@@ -275,6 +289,41 @@ class TrialCell:
     def _note(self, text: str) -> None:
         if len(self.tally.notes) < 20:
             self.tally.notes.append(text)
+
+
+def bytes_of_a_tap(dialect: Dialect) -> dict[tuple[str, Direction], int]:
+    """How many bytes one tap without faults sends on each line each way."""
+    cell = TrialCell(dialect, 0)
+    cell.recover()
+    before = {key: line.count(key[1]) for key, line in cell.lines()}
+    cell.tap()
+    return {key: line.count(key[1]) - before[key] for key, line in cell.lines()}
+
+
+def run_sweep(
+    dialect: Dialect, kind: FaultKind, line: str, direction: Direction, places: range
+) -> Tally:
+    """One tap for each place, with a fault at that byte of it, and one clean tap after it."""
+    total = Tally()
+    for place in places:
+        cell = TrialCell(dialect, 0)
+        try:
+            cell.recover()
+            chosen = cell.arm_line if line == "arm" else cell.tapper_line
+            at = chosen.count(direction) + place
+            chosen.add(LineFault(kind, direction, at, duration=0.4))
+            outcome = cell.tap()
+            cell.tally.by_fault.setdefault(kind.value, Counter())[outcome.value] += 1
+            cell.tap()
+            cell.tally.taps += 2
+        except HangError as hang:
+            cell.tally.hangs += 1
+            cell.tally.notes.append(f"{kind.value} at byte {place} {direction.value}: {hang}")
+        cell.check_reports()
+        cell.tally.faults_struck = len(cell.arm_line.happened) + len(cell.tapper_line.happened)
+        cell.tally.cell_seconds = cell.clock.now
+        total.add(cell.tally)
+    return total
 
 
 def run_taps(

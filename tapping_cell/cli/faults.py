@@ -7,6 +7,7 @@ did.
 
     python -m tapping_cell faults --taps 10000 --seed 1
     python -m tapping_cell faults --taps 500 --dialect marlin --json
+    python -m tapping_cell faults --every-byte
 
 Exit status 0 only if nothing was fired twice or unsafely, nothing hung and every report was true.
 """
@@ -18,9 +19,18 @@ import json
 import os
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 
-from tapping_cell.cli.fault_trials import Dialect, Tally, run_taps
+from tapping_cell.cli.fault_trials import (
+    Dialect,
+    Tally,
+    bytes_of_a_tap,
+    run_sweep,
+    run_taps,
+)
+from tapping_cell.simulation.fault_layer import FaultKind
 
 CHUNK = 100
 """Taps of one cell from its start: the unit that a process works on; results do not depend on how
@@ -39,6 +49,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--jobs", type=int, default=os.cpu_count() or 1, help="processes; default: the cores"
     )
+    parser.add_argument(
+        "--every-byte",
+        action="store_true",
+        help="instead of random faults, a restart and an unplug at every byte of one tap",
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
@@ -50,15 +65,15 @@ def run(arguments: argparse.Namespace) -> int:
     dialects = [Dialect(arguments.dialect)] if arguments.dialect else list(Dialect)
     began = time.monotonic()
     total = Tally()
-    chunks = []
-    for number, first in enumerate(range(0, arguments.taps, CHUNK)):
-        taps = min(CHUNK, arguments.taps - first)
-        chunks.append((dialects[number % len(dialects)], taps, arguments.seed * 1_000_000 + number))
+    if arguments.every_byte:
+        chunks = _sweep(dialects)
+    else:
+        chunks = _random(dialects, arguments.taps, arguments.seed)
     with ProcessPoolExecutor(min(arguments.jobs, len(chunks))) as pool:
-        for future in as_completed([pool.submit(run_taps, *chunk) for chunk in chunks]):
+        for future in as_completed([pool.submit(chunk) for chunk in chunks]):
             total.add(future.result())
             if not arguments.json and sys.stderr.isatty():
-                print(f"\r{total.taps} of {arguments.taps} taps", end="", file=sys.stderr)
+                print(f"\r{total.taps} taps", end="", file=sys.stderr)
     result = {
         "taps": total.taps,
         "dialects": [dialect.value for dialect in dialects],
@@ -79,6 +94,30 @@ def run(arguments: argparse.Namespace) -> int:
     }
     print(json.dumps(result, indent=2) if arguments.json else _in_words(result))
     return 0 if total.clean else 1
+
+
+def _random(dialects: list[Dialect], taps: int, seed: int) -> list[Callable[[], Tally]]:
+    """The run in pieces, each with a seed of its own."""
+    return [
+        partial(
+            run_taps,
+            dialects[number % len(dialects)],
+            min(CHUNK, taps - first),
+            seed * 1_000_000 + number,
+        )
+        for number, first in enumerate(range(0, taps, CHUNK))
+    ]
+
+
+def _sweep(dialects: list[Dialect]) -> list[Callable[[], Tally]]:
+    """A restart and an unplug at every byte of one tap, both lines, both ways."""
+    return [
+        partial(run_sweep, dialect, kind, *place, range(first, min(first + CHUNK, count)))
+        for dialect in dialects
+        for place, count in bytes_of_a_tap(dialect).items()
+        for kind in (FaultKind.RESET, FaultKind.HANG_UP)
+        for first in range(0, count, CHUNK)
+    ]
 
 
 def _in_words(result: dict[str, object]) -> str:
