@@ -1,7 +1,7 @@
 """Many positioning trials of a planning method, without ROS: how many taps, how many truly inside.
 
 example:
-  python -m tapping_cell evaluate --planner optimal --goal 10 0 10 --camera-noise 0.1 0.1 --gain-bias 6 10 --adapt
+  python -m tapping_cell evaluate --planner optimal --goal 10 0 10 --camera-noise 0.1 0.1
 
 Lengths are in mm, angles in degrees, shares in percent. The model "abstract" answers a tap with the
 wanted displacement and its scatter; "physics" strikes, collides and slides by true parameters that
@@ -87,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(0.0, 0.0),
         metavar=("D", "R"),
-        help="steady errors of distance and rotation in percent, of random sign in each trial (0 0)",
+        help="steady errors of distance and rotation in percent, signs random in each trial (0 0)",
     )
     parser.add_argument("--adapt", action="store_true", help="learn the gains tap by tap")
     numbers(
@@ -164,10 +164,9 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
     """The evaluation that the options ask for, SI."""
     from tapping_cell.planning import PlanningError
     from tapping_cell.planning.evaluation import Evaluation
-    from tapping_cell.planning.evaluation.worlds import AbstractWorld
 
     settings = _settings(arguments)
-    world: Any = AbstractWorld(settings.scatter)
+    world: PhysicsWorld | None = None
     space = None
     if arguments.model == "physics" or arguments.table:
         from tapping_cell.configuration.assembly import make_tap

@@ -60,10 +60,7 @@ class FreeSpace:
         self.workable: BoolArray = self._tappable & fits
         self.centres: Array = centres
         self._graph = _neighbour_graph(self.workable)
-        nearest = distance_transform_edt(
-            ~self.workable, return_distances=False, return_indices=True
-        )
-        self._nearest = np.ravel_multi_index(tuple(nearest), self._shape).reshape(-1)
+        self._nearest = _nearest_cells(self.workable)
 
     def contains(self, points: ArrayLike) -> BoolArray:
         """Whether the object can be worked on at the points (..., 2)."""
@@ -205,6 +202,14 @@ def _neighbour_graph(workable: BoolArray) -> coo_array:
         (np.concatenate(weights), (np.concatenate(starts), np.concatenate(ends))),
         shape=(workable.size, workable.size),
     ).tocsr()
+
+
+def _nearest_cells(workable: BoolArray) -> NDArray[np.intp]:
+    """Flat index of the workable cell nearest to each cell; 0 where there is none."""
+    if not np.any(workable):
+        return np.zeros(workable.size, dtype=np.intp)
+    nearest = distance_transform_edt(~workable, return_distances=False, return_indices=True)
+    return np.asarray(np.ravel_multi_index(tuple(nearest), workable.shape).reshape(-1))
 
 
 def _hull_mask(workable: BoolArray) -> BoolArray:

@@ -32,7 +32,7 @@ from scipy.special import ndtr, ndtri
 
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.nominal import nominal_taps
-from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.settings import PlannerSettings, Scatter
 
 RATIO = 1.08
 """Ratio of neighbouring grid values far from the box, for states and for taps."""
@@ -48,6 +48,10 @@ SMALL_TURNS = 14
 
 LATERAL_NODES = 8
 """Nodes of the quadrature over the error of direction (half of it, by symmetry)."""
+
+LEAST_SCATTER = Scatter(0.02, 0.04, 0.0)
+"""Plans allow for at least this much: without scatter they would aim at the very edge of the cone,
+between two points of the grid."""
 
 IMPROVEMENTS = 12
 EVALUATIONS = 25
@@ -127,11 +131,13 @@ class _Problem:
         )
 
         floor_r, floor_t = LEAST_DEVIATION * box.distance, LEAST_DEVIATION * box.rotation
+        distance_share = max(scatter.distance, LEAST_SCATTER.distance)
+        rotation_share = max(scatter.rotation, LEAST_SCATTER.rotation)
         look_r, look_t = 2.0 * camera.position**2, 2.0 * camera.angle**2
-        along = np.sqrt((scatter.distance * self.taps) ** 2 + look_r + floor_r**2)
+        along = np.sqrt((distance_share * self.taps) ** 2 + look_r + floor_r**2)
         aside = np.sqrt((scatter.direction * self.taps) ** 2 + look_r)
         self.p_r = _radial_weights(self.r, self.r[:, None] - self.taps, along, aside)
-        spread = np.sqrt((scatter.rotation * self.turns) ** 2 + look_t + floor_t**2)
+        spread = np.sqrt((rotation_share * self.turns) ** 2 + look_t + floor_t**2)
         self.p_t = _folded_weights(self.theta, self.theta[:, None] - self.turns, spread)
 
     def improve(self, value: Values) -> _Improvement:

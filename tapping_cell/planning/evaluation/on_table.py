@@ -72,7 +72,7 @@ def _run_one(
     seen = pose + look * rng.standard_normal(3)
     decision = session.decide(seen)
     while isinstance(decision, Strike):
-        moved = evaluation.world.answer(pose[None, :], np.array([decision.commanded]), gain, rng)[0]
+        moved = evaluation.answer(pose[None, :], np.array([decision.commanded]), gain, rng)[0]
         pose = pose + moved
         pose[2] = wrap_angle(pose[2])
         before, seen = seen, pose + look * rng.standard_normal(3)

@@ -57,7 +57,7 @@ def run_open_trials(
         distance, turn, heading = known.to_plan(left)
         tap = planner.choose(distance, turn)
         commanded = known.command(tap.distance, tap.rotation, heading + aside[running])
-        moved = evaluation.world.answer(pose[running], commanded, true_gains[running], rng)
+        moved = evaluation.answer(pose[running], commanded, true_gains[running], rng)
         pose[running] += moved
         before = seen[running]
         seen[running] = pose[running] + look * rng.standard_normal((running.size, 3))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.planning.errors import PlanningError
-from tapping_cell.planning.evaluation.worlds import AbstractWorld, PhysicsWorld
+from tapping_cell.planning.evaluation.worlds import AbstractWorld, World
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.strike import StrikeSpace
@@ -31,6 +31,7 @@ class Evaluation:
     """One evaluation: a method, a task, and the world that answers. Lengths in m, angles in rad.
 
     goal: dx, dy and rotation from the start.
+    world: what answers a tap; None for the abstract one with the scatter that the planner is told.
     random_tasks: largest distance and rotation of tasks drawn anew for each trial; replaces goal.
     gain_bias: steady errors of the object's distance and rotation gains, as shares; each trial has
         them with its own random signs.
@@ -43,7 +44,7 @@ class Evaluation:
     trials: int = 2000
     goal: tuple[float, float, float] = (0.010, 0.0, 0.17453292519943295)
     random_tasks: tuple[float, float] | None = None
-    world: AbstractWorld | PhysicsWorld = field(default_factory=AbstractWorld)
+    world: World | None = None
     gain_bias: tuple[float, float] = (0.0, 0.0)
     adapt: bool = False
     seed: int = 0
@@ -64,6 +65,13 @@ class Evaluation:
             raise PlanningError(
                 f"the gain bias {self.gain_bias} is too large: at most 0.4 (40 %) either way"
             )
+
+    def answer(
+        self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator
+    ) -> Array:
+        """True displacements (n, 3) of taps commanded at poses (n, 3) with true gains (n, 2)."""
+        world = AbstractWorld(self.settings.scatter) if self.world is None else self.world
+        return world.answer(poses, commanded, gains, rng)
 
 
 class Results(NamedTuple):

@@ -77,6 +77,9 @@ def scattered(moved: Array, gains: Array, scatter: Scatter, rng: np.random.Gener
     )
 
 
+World = AbstractWorld | PhysicsWorld
+
+
 START_REACH = 0.1
 """Starts on the open table are spread over a square of twice this size in m, at any angle."""
 

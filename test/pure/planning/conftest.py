@@ -1,0 +1,48 @@
+"""The paper's disk, a striker, a table, and solved plans kept in a folder of the test run."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from tapping_cell.mechanics import Disk, Impact, Sliding, Striker, Tap
+from tapping_cell.planning import FreeSpace, PlannerSettings, StrikeSpace, Workspace
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_folders(tmp_path_factory):
+    kept = {name: os.environ.get(name) for name in ("XDG_CACHE_HOME", "XDG_STATE_HOME")}
+    for name in kept:
+        os.environ[name] = str(tmp_path_factory.mktemp(name.lower()))
+    yield
+    for name, value in kept.items():
+        if value is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = value
+
+
+@pytest.fixture(scope="session")
+def tap():
+    disk = Disk(radius=0.048, mass=0.2455, height=0.012)
+    striker = Striker(mass=0.1, tip_radius=0.0054)
+    return Tap(
+        sliding=Sliding(disk, friction=0.17, torque_factor=3.64, gravity=9.81),
+        impact=Impact(disk, striker, restitution=0.86, friction=0.20),
+    )
+
+
+@pytest.fixture(scope="session")
+def settings(tap):
+    return PlannerSettings.for_tap(tap)
+
+
+@pytest.fixture(scope="session")
+def space(tap):
+    return StrikeSpace(tap, Workspace())
+
+
+@pytest.fixture(scope="session")
+def free(space):
+    return FreeSpace(space)

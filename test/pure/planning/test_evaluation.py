@@ -1,0 +1,211 @@
+import json
+import math
+
+import numpy as np
+import pytest
+
+from tapping_cell.cli import main
+from tapping_cell.planning import CameraNoise, PlannerSettings, PlanningError
+from tapping_cell.planning.evaluation import Evaluation, Results, evaluate, summarise
+from tapping_cell.planning.evaluation.task import End
+
+LOOK = CameraNoise(1e-4, math.radians(0.1))
+
+
+def figures(planner, trials=4000, settings=None, **others):
+    settings = settings or PlannerSettings()
+    return summarise(evaluate(Evaluation(planner, settings, trials=trials, **others), processes=1))
+
+
+@pytest.mark.parametrize(
+    ("planner", "variant", "mean"),
+    [
+        ("exact", "retreat", 3.68),
+        ("exact", "overshoot", 3.12),
+        ("conservative", "retreat", 3.18),
+        ("conservative", "overshoot", 3.18),
+        ("multi", "overshoot", 2.91),
+        ("optimal", "overshoot", 2.22),
+    ],
+)
+def test_the_papers_task_takes_no_more_taps_than_the_reference(planner, variant, mean):
+    found = figures(planner, settings=PlannerSettings(variant=variant), seed=5)
+    assert found["taps"]["mean"] <= mean
+    assert found["success_rate"] == 1.0 and found["truly_inside_rate"] == 1.0
+
+
+def test_multi_keeps_its_plan_of_five_taps():
+    results = evaluate(Evaluation("multi", PlannerSettings(), seed=8), processes=1)
+    assert summarise(results, planned_taps=5)["within_planned_rate"] > 0.98
+
+
+def test_optimal_with_camera_noise_bias_and_adaptation():
+    found = figures(
+        "optimal", 20_000, PlannerSettings(camera=LOOK), gain_bias=(0.06, 0.10), adapt=True
+    )
+    assert found["taps"]["mean"] <= 2.55 and found["taps"]["p99"] <= 6
+    assert found["truly_inside_rate"] >= 0.995 and found["success_rate"] == 1.0
+
+
+def test_on_random_tasks_optimal_is_below_every_other_method():
+    common = {"gain_bias": (0.06, 0.10), "adapt": True, "random_tasks": (0.04, 0.35)}
+    settings = PlannerSettings(camera=LOOK)
+    best = figures("optimal", 8000, settings, **common)["taps"]["mean_interval"][1]
+    for name in ("exact", "conservative", "multi"):
+        assert figures(name, 4000, settings, **common)["taps"]["mean_interval"][0] > best
+
+
+def test_adaptation_helps_against_bias():
+    biased = {"gain_bias": (0.15, 0.15)}
+    assert (
+        figures("exact", adapt=True, **biased)["taps"]["mean"]
+        < figures("exact", **biased)["taps"]["mean"]
+    )
+
+
+def test_the_result_depends_on_the_seed_and_not_on_the_processes():
+    task = Evaluation("exact", PlannerSettings(), trials=12_500, seed=3)
+    one, two = evaluate(task, processes=1), evaluate(task, processes=2)
+    assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
+    other = evaluate(Evaluation("exact", PlannerSettings(), trials=12_500, seed=4), processes=1)
+    assert not np.array_equal(one.taps, other.taps)
+
+
+def test_summary_counts_what_it_says():
+    results = Results(
+        taps=np.array([2, 3, 100, 0, 4]),
+        end=np.array([End.DONE, End.DONE, End.ENDLESS, End.REFUSED_BEFORE, End.REFUSED_LATER]),
+        inside=np.array([True, False, False, False, True]),
+        distance=np.full(5, 0.0005),
+        rotation=np.full(5, -0.01),
+    )
+    found = summarise(results)
+    assert found["success_rate"] == 0.5 and found["truly_inside_rate"] == 0.5
+    assert (found["endless"], found["refused_before"], found["refused_later"]) == (1, 1, 1)
+    assert found["taps"]["histogram"] == {"2": 1, "3": 1, "4": 1, "100": 1}
+    assert found["taps"]["mean"] == pytest.approx(109 / 4)
+
+
+def run_json(capsys, *words):
+    status = main(["evaluate", *words, "--json"])
+    captured = capsys.readouterr()
+    assert status == 0, captured.err
+    return json.loads(captured.out)
+
+
+@pytest.mark.parametrize("planner", ["exact", "conservative", "multi", "optimal"])
+@pytest.mark.parametrize("rounding", [("10", "5"), ("15", "10")])
+def test_a_rounded_striker_still_brings_every_object_to_the_goal(capsys, planner, rounding):
+    found = run_json(
+        capsys,
+        "--planner",
+        planner,
+        "--model",
+        "physics",
+        "--trials",
+        "1000",
+        "--round-position",
+        rounding[0],
+        "--round-angle",
+        rounding[1],
+    )
+    assert found["success_rate"] == 1.0 and found["truly_inside_rate"] == 1.0
+    assert found["taps"]["mean"] <= 6.0
+
+
+def test_the_command_line_answers_in_mm_and_degrees(capsys):
+    found = run_json(
+        capsys,
+        "--planner",
+        "optimal",
+        "--trials",
+        "500",
+        "--goal",
+        "-20",
+        "5",
+        "-30",
+        "--tolerance",
+        "2",
+        "3",
+        "--scatter",
+        "4",
+        "10",
+        "2",
+        "--camera-noise",
+        "0.05",
+        "0.1",
+        "--gain-bias",
+        "6",
+        "10",
+        "--adapt",
+        "--box",
+        "0.8",
+        "--seed",
+        "3",
+    )
+    assert found["trials"] == 500 and found["inputs"]["goal"] == [-20.0, 5.0, -30.0]
+    assert found["box"]["distance_mm"] == pytest.approx(1.6)
+    assert sum(found["taps"]["histogram"].values()) == 500
+    assert set(found["taps"]) >= {"mean", "p50", "p90", "p99", "max", "histogram"}
+
+
+def test_goals_all_over_the_table_end_at_the_goal_or_are_refused_at_once(capsys):
+    found = run_json(
+        capsys,
+        "--planner",
+        "exact",
+        "--table",
+        "--random-tasks",
+        "300",
+        "180",
+        "--gain-bias",
+        "15",
+        "15",
+        "--adapt",
+        "--trials",
+        "25",
+    )
+    assert found["success_rate"] == 1.0
+    assert found["endless"] == found["refused_later"] == 0
+    assert 0 < found["refused_before"] < 25
+
+
+def test_the_report_has_a_table_and_plots(capsys, tmp_path):
+    folder = tmp_path / "new" / "report"
+    assert main(["evaluate", "--all", "--trials", "200", "--report", str(folder)]) == 0
+    shown = capsys.readouterr().out
+    assert "| optimal |" in shown and "| multi 60 % |" in shown
+    for name in (
+        "comparison.md",
+        "comparison.json",
+        "planning_taps.png",
+        "planning_success.png",
+        "planning_cones.png",
+        "planning_fans.png",
+    ):
+        assert (folder / name).stat().st_size > 200, name
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--planner", "exakt"], "known are exact"),
+        (["--trials", "0"], "0 trials"),
+        (["--goal", "nan", "0", "0"], "finite"),
+        (["--box", "3"], "box is 3.0"),
+        (["--round-position", "15"], "--model physics"),
+        (["--random-tasks", "40"], "two"),
+        (["--report", "x"], "--all"),
+        (["--gain-bias", "90", "0"], "40 %"),
+        (["--scatter", "500", "0", "0"], "distance is 5.0"),
+        (["--model", "physics", "--truth", "/no/such/file.yaml"], "no/such/file"),
+    ],
+)
+def test_bad_options_are_refused_in_words(capsys, words, sentence):
+    assert main(["evaluate", *words]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_evaluations_out_of_range_are_refused():
+    with pytest.raises(PlanningError, match="random tasks"):
+        Evaluation("exact", PlannerSettings(), random_tasks=(-1.0, 0.0))

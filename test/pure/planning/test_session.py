@@ -1,0 +1,204 @@
+import math
+
+import numpy as np
+import pytest
+
+from tapping_cell.planning import (
+    CameraNoise,
+    CircleArea,
+    Done,
+    FreeSpace,
+    Gains,
+    PlannerSettings,
+    PositioningSession,
+    Refusal,
+    RefusalReason,
+    Strike,
+    StrikeSpace,
+    Workspace,
+    check_goal,
+    make_planner,
+)
+from tapping_cell.se2 import wrap_angle
+
+FINE = np.diag([1e-10, 1e-10, 1e-10])
+
+
+@pytest.fixture(scope="module")
+def planner(settings):
+    return make_planner("exact", settings)
+
+
+def slide(strike, pose, rng, gain=(1.0, 1.0), scatter=(0.05, 0.15, 0.017)):
+    """An object that answers with its own gains and scatter."""
+    command = strike.commanded
+    noise = rng.standard_normal(3) * scatter
+    length = math.hypot(command.x, command.y) * gain[0] * (1 + noise[0])
+    heading = math.atan2(command.y, command.x) + noise[2]
+    turn = command.theta * gain[1] * (1 + noise[1])
+    step = np.array([length * math.cos(heading), length * math.sin(heading), turn])
+    after = np.asarray(pose) + step
+    after[2] = wrap_angle(after[2])
+    return after
+
+
+def run(session, pose, rng, gain=(1.0, 1.0), most=60):
+    for _ in range(most):
+        decision = session.decide(pose, FINE)
+        if not isinstance(decision, Strike):
+            return decision, pose
+        after = slide(decision, pose, rng, gain)
+        session.observe(decision, pose, after, FINE)
+        pose = after
+    return decision, pose
+
+
+@pytest.mark.parametrize("name", ["exact", "conservative", "multi", "optimal"])
+def test_random_goals_with_biased_gains_end_at_the_goal(name, settings, space, free):
+    planner = make_planner(name, settings)
+    rng = np.random.default_rng(11)
+    for _ in range(12):
+        goal = rng.uniform([-0.24, -0.16, -3.1], [0.24, 0.16, 3.1])
+        pose = rng.uniform([-0.24, -0.16, -3.1], [0.24, 0.16, 3.1])
+        session = PositioningSession(goal, planner, space, free)
+        decision, end = run(session, pose, rng, rng.choice([0.85, 1.15], 2))
+        assert isinstance(decision, Done), decision
+        assert math.hypot(*(goal - end)[:2]) <= 0.001
+        assert abs(float(wrap_angle(goal[2] - end[2]))) <= math.radians(1.0)
+
+
+def test_deciding_twice_is_deciding_once(planner, space, free):
+    session = PositioningSession((0.05, 0.02, 1.0), planner, space, free)
+    assert session.decide((0.0, 0.0, 0.0)) == session.decide((0.0, 0.0, 0.0))
+
+
+def test_done_only_where_the_covariance_allows_it(planner, space, free):
+    session = PositioningSession((0.0, 0.0, 0.0), planner, space, free)
+    pose = (0.0009, 0.0, 0.0)
+    assert isinstance(session.decide(pose, FINE), Done)
+    coarse = np.diag([1e-8, 1e-8, 1e-6])
+    assert isinstance(session.decide(pose, coarse), Strike)
+    assert isinstance(session.decide((0.0005, 0.0, 0.0), coarse), Done)
+    blind = np.diag([1e-6, 1e-6, 1e-4])
+    refusal = session.decide(pose, blind)
+    assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.CAMERA_TOO_COARSE
+    assert isinstance(session.decide((0.02, 0.0, 0.0), blind), Strike)
+
+
+def test_the_covariance_of_the_worse_axis_counts_whatever_its_direction(planner, space, free):
+    session = PositioningSession((0.0, 0.0, 0.0), planner, space, free)
+    cos, sin = math.cos(0.7), math.sin(0.7)
+    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    along = np.diag([1e-8, 1e-12, 1e-8])
+    assert session.stopping(turn @ along @ turn.T) == pytest.approx(session.stopping(along))
+
+
+@pytest.mark.parametrize(
+    ("goal", "reason", "words"),
+    [
+        ((math.nan, 0, 0), RefusalReason.GOAL_NOT_FINITE, "not three finite numbers"),
+        ((0.0, math.inf, 0), RefusalReason.GOAL_NOT_FINITE, "not three finite numbers"),
+        ((0.28, 0, 0), RefusalReason.GOAL_OFF_TABLE, r"20\.0 mm.*53\.0 mm.*247\.0 mm in x"),
+        ((0.1, 0.04, 0), RefusalReason.GOAL_IN_KEEP_OUT, "keep-out"),
+    ],
+)
+def test_bad_goals_are_refused_before_the_first_tap(tap, planner, goal, reason, words):
+    space = StrikeSpace(tap, Workspace(keep_outs=(CircleArea(0.1, 0.05, 0.02),)))
+    session = PositioningSession(goal, planner, space)
+    refusal = session.decide((-0.1, 0.0, 0.0))
+    assert isinstance(refusal, Refusal) and refusal.reason is reason
+    assert refusal == check_goal(goal, space)
+    import re
+
+    assert re.search(words, refusal.sentence)
+
+
+def test_a_goal_behind_a_wall_is_refused_before_the_first_tap(tap, planner):
+    wall = tuple(CircleArea(0.0, y, 0.02) for y in np.arange(-0.22, 0.23, 0.03))
+    session = PositioningSession((0.2, 0, 0), planner, StrikeSpace(tap, Workspace(keep_outs=wall)))
+    refusal = session.decide((-0.2, 0, 0))
+    assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.NO_PATH_TO_GOAL
+
+
+def test_the_way_around_a_keep_out_is_found(tap, settings):
+    wall = tuple(CircleArea(0.0, y, 0.02) for y in np.arange(-0.22, 0.0, 0.03))
+    space = StrikeSpace(tap, Workspace(keep_outs=wall))
+    free = FreeSpace(space)
+    rng = np.random.default_rng(2)
+    for name in ("exact", "optimal"):
+        session = PositioningSession((0.2, -0.1, 0.5), make_planner(name, settings), space, free)
+        decision, _ = run(session, np.array([-0.2, -0.1, 0.0]), rng)
+        assert isinstance(decision, Done)
+
+
+def test_an_object_at_the_edge_is_tapped_away_from_it(planner, space, free):
+    rng = np.random.default_rng(3)
+    session = PositioningSession((0.0, 0.0, 0.0), planner, space, free)
+    pose = np.array([0.249, 0.0, 0.0])
+    strike = session.decide(pose)
+    assert isinstance(strike, Strike) and strike.wanted.x < 0
+    decision, _ = run(session, pose, rng)
+    assert isinstance(decision, Done)
+
+
+def test_an_object_that_has_fallen_off_or_is_not_known_is_refused(planner, space, free):
+    session = PositioningSession((0.0, 0.0, 0.0), planner, space, free)
+    off = session.decide((0.31, 0.0, 0.0))
+    assert isinstance(off, Refusal) and off.reason is RefusalReason.OBJECT_OFF_TABLE
+    unknown = session.decide((math.nan, 0.0, 0.0))
+    assert isinstance(unknown, Refusal)
+    assert unknown.reason is RefusalReason.OBJECT_POSE_NOT_FINITE
+
+
+def test_an_object_that_cannot_be_struck_anywhere_is_refused(tap, planner):
+    """The arm reaches the goal's surroundings but nothing near the object."""
+    space = StrikeSpace(
+        tap, Workspace(), lambda poses: np.hypot(poses[..., 0] - 0.15, poses[..., 1]) < 0.12
+    )
+    refusal = PositioningSession((0.15, 0, 0), planner, space).decide((-0.2, 0.0, 0.0))
+    assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.NO_STRIKE
+    assert "by hand" in refusal.sentence
+
+
+def test_after_a_miss_the_next_tap_is_another(planner, space, free):
+    session = PositioningSession((0.05, 0.0, 0.0), planner, space, free)
+    first = session.decide((0.0, 0.0, 0.0))
+    session.observe(first, (0, 0, 0), (0.00001, 0, 0))
+    second = session.decide((0.00001, 0.0, 0.0))
+    between = math.atan2(second.commanded.y, second.commanded.x)
+    assert abs(between) > math.radians(15.0) and second.detour
+    session.observe(second, (0, 0, 0), second.predicted)
+    assert session.gains.outliers == 1
+
+
+def test_taps_have_an_end(planner, space, free):
+    session = PositioningSession((0.05, 0.0, 0.0), planner, space, free, most_taps=3)
+    rng = np.random.default_rng(0)
+    decision, _ = run(session, np.zeros(3), rng, gain=(0.02, 0.0))
+    assert isinstance(decision, Refusal) and decision.reason is RefusalReason.TOO_MANY_TAPS
+    assert session.taps == 3
+
+
+def test_without_adaptation_nothing_is_learnt(planner, space, free):
+    rng = np.random.default_rng(0)
+    session = PositioningSession((0.05, 0, 0.3), planner, space, free, adapt=False)
+    run(session, np.zeros(3), rng, gain=(1.15, 0.9))
+    assert np.array_equal(session.gains.value, Gains.start().value)
+
+
+def test_gains_of_an_earlier_run_are_used_at_once(planner, space, free):
+    gains = Gains.start()
+    gains.value[:] = (1.25, 0.8, 0.1)
+    session = PositioningSession((0.05, 0.0, 0.1), planner, space, free, gains)
+    strike = session.decide((0.0, 0.0, 0.0))
+    assert math.hypot(strike.commanded.x, strike.commanded.y) == pytest.approx(0.04)
+    assert math.atan2(strike.commanded.y, strike.commanded.x) == pytest.approx(-0.1)
+    assert strike.commanded.theta == pytest.approx(0.125)
+    assert np.allclose(strike.predicted, (0.05, 0.0, 0.1))
+
+
+def test_plans_are_made_for_the_box_that_stops(tap, space, free):
+    settings = PlannerSettings.for_tap(tap, camera=CameraNoise(1e-4, math.radians(0.1)))
+    session = PositioningSession((0.0, 0.0, 0.0), make_planner("exact", settings), space, free)
+    assert session.stopping(None) == settings.stopping
+    assert settings.stopping.distance == pytest.approx(0.00087, abs=1e-5)
