@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tapping_cell.mechanics import Disk, Polygon, Sliding
+from tapping_cell.mechanics import Disk, Impact, Polygon, Sliding, Striker, Tap
 from tapping_cell.mechanics.slide_table import SlideTable
 
 _DISK = Disk(radius=0.048, mass=0.2455, height=0.012)
@@ -22,6 +22,7 @@ _KAPPA = 3.64
 _MANY = 1_000_000
 _ONE = 20_000
 _POLYGONS = 2_000
+_TAPS = 100_000
 _LAUNCHES = 12
 _MUJOCO_LAUNCHES = 4
 _MUJOCO_FEET = 61
@@ -36,6 +37,7 @@ def measure() -> dict:
     report = {
         "table_build_s": _best(lambda: SlideTable("disk", _KAPPA * _DISK.gamma), 5),
         **_rates(sliding),
+        **_tap_rates(sliding),
         "polygon_per_s": _polygon_rate(),
     }
     report["solve_ivp"] = _against_solve_ivp(sliding, report["forward_per_s"])
@@ -54,6 +56,8 @@ def lines(report: dict) -> list[str]:
         f"{1e6 * report['inverse_one_s']:.2f} us for one; round trip to "
         f"{report['round_trip_error']:.1e}",
         f"forward error: {peer['table_error']:.1e} of distance and rotation",
+        f"whole taps: plan {report['plan_per_s']:.3g} taps/s, outcome "
+        f"{report['outcome_per_s']:.3g} taps/s",
         f"polygon (no table): {report['polygon_per_s']:.3g} taps/s",
         f"solve_ivp: {1e3 * peer['seconds']:.1f} ms a tap at an error of {peer['error']:.1e}; "
         f"the table is {peer['ratio']:.3g} times as fast in a million",
@@ -103,6 +107,22 @@ def _rates(sliding: Sliding) -> dict:
         "round_trip_error": float(
             max(np.abs(back[0] / distance - 1).max(), np.abs(back[1] / rotation - 1).max())
         ),
+    }
+
+
+def _tap_rates(sliding: Sliding) -> dict:
+    tap = Tap(sliding, Impact(_DISK, Striker(0.05, 0.0054), restitution=0.86, friction=0.20))
+    generator = np.random.default_rng(5)
+    distance, direction = generator.uniform(0.002, 0.1, _TAPS), generator.uniform(-3, 3, _TAPS)
+    rotation = generator.uniform(-1, 1, _TAPS) * tap.cone_slope * distance
+    wanted = np.stack(
+        [distance * np.cos(direction), distance * np.sin(direction), rotation], axis=1
+    )
+    plan = tap.plan(wanted)
+    poses, speeds = plan.strike_pose, plan.striker_speed
+    return {
+        "plan_per_s": _TAPS / _best(lambda: tap.plan(wanted), 2),
+        "outcome_per_s": _TAPS / _best(lambda: tap.outcome((0, 0, 0), poses, speeds), 3),
     }
 
 

@@ -52,7 +52,13 @@ def test_sensitivity_refuses_a_tap_outside_the_cone(capsys):
 
 
 def test_bench_measures_speed_beside_accuracy(capsys, monkeypatch):
-    for name, value in (("_MANY", 20_000), ("_ONE", 200), ("_POLYGONS", 20), ("_LAUNCHES", 2)):
+    for name, value in (
+        ("_MANY", 20_000),
+        ("_ONE", 200),
+        ("_POLYGONS", 20),
+        ("_TAPS", 100),
+        ("_LAUNCHES", 2),
+    ):
         monkeypatch.setattr(benchmark, name, value)
     assert main(["bench", "--section", "mechanics", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)["mechanics"]
