@@ -29,7 +29,8 @@ from tapping_cell.simulation.fault_layer import (
     LineFault,
     random_fault,
 )
-from tapping_cell.simulation.grbl_emulator import GrblEmulator, GrblMachine
+from tapping_cell.simulation.grbl_emulator import GrblEmulator
+from tapping_cell.simulation.grbl_machine import GrblMachine
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.virtual_line import HangError, VirtualClock, VirtualTransport

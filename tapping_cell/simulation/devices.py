@@ -8,12 +8,8 @@ from pathlib import Path
 
 from tapping_cell.configuration.cell import ArmSection, Cell
 from tapping_cell.se2 import Pose
-from tapping_cell.simulation.grbl_emulator import (
-    TO_UNITS,
-    GrblEmulator,
-    GrblMachine,
-    default_settings,
-)
+from tapping_cell.simulation.grbl_emulator import GrblEmulator
+from tapping_cell.simulation.grbl_machine import TO_UNITS, GrblMachine, default_settings
 from tapping_cell.simulation.joint_motion import AxisErrors
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.tapper_emulator import TapperEmulator

@@ -9,16 +9,17 @@ taken.
 
 from __future__ import annotations
 
-import math
 import re
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from tapping_cell.simulation.device_emulator import OutputQueue
-from tapping_cell.simulation.joint_motion import Array, AxisErrors, AxisTrack
+from tapping_cell.simulation.grbl_machine import AXES, TO_UNITS, GrblMachine
+from tapping_cell.simulation.grbl_program import Line, Modal, Refused, read_line
+from tapping_cell.simulation.joint_motion import Array, AxisTrack
 
 RECEIVE_BUFFER = 128
 """Bytes that the controller can hold; more are lost (Grbl's RX_BUFFER_SIZE)."""
@@ -29,66 +30,7 @@ LINE_TIME = 0.001
 """What reading a line costs the processor, s."""
 SLIP = 0.3
 """Standard deviation of the steps lost by a reset in motion, in axis units."""
-AXES = 4
-
 BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
-TO_UNITS = np.array([180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi])
-"""Joint values (rad, rad, m, rad) to axis units (deg, deg, mm, deg)."""
-
-
-def default_settings() -> dict[int, float]:
-    """``$$`` of the simulated arm; rates in units/min, accelerations in units/s2, travels in
-    units."""
-    return {
-        0: 10,
-        1: 255,
-        10: 1,
-        11: 0.01,
-        12: 0.002,
-        13: 0,
-        20: 0,
-        21: 1,
-        22: 1,
-        23: 0,
-        24: 600,
-        25: 3600,
-        27: 1,
-        **{100 + axis: value for axis, value in enumerate((200.0, 200.0, 400.0, 100.0))},
-        **{110 + axis: value for axis, value in enumerate((6900.0, 8600.0, 15000.0, 20700.0))},
-        **{120 + axis: value for axis, value in enumerate((458.0, 573.0, 2000.0, 1720.0))},
-        **{130 + axis: value for axis, value in enumerate((265.0, 300.0, 150.0, 410.0))},
-    }
-
-
-@dataclass(frozen=True, slots=True)
-class GrblMachine:
-    """The arm behind the controller; joints in rad, rad, m, rad."""
-
-    letters: str = "XYZA"
-    axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
-    start_joints: tuple[float, float, float, float] = (0.6, 0.9, -0.030, 0.2)
-    """Where the arm stands when power comes."""
-    home_joints: tuple[float, float, float, float] = (0.0, 1.5708, 0.0, 0.0)
-    """Where homing ends, by the drawing; the errors say where it truly ends."""
-    errors: AxisErrors = field(default_factory=AxisErrors)
-    settings: dict[int, float] = field(default_factory=default_settings)
-    reply_latency: float = 0.002
-    """USB adapter and processor, s."""
-    baud: int = 115200
-
-
-@dataclass(slots=True)
-class _Modal:
-    """The parser's state; a reset brings it back to this."""
-
-    motion: int = 0
-    plane: int = 17
-    inches: bool = False
-    incremental: bool = False
-    inverse_time: bool = False
-    system: int = 54
-    feed: float = 0.0
-    tool: int = 0
 
 
 @dataclass(slots=True)
@@ -99,17 +41,6 @@ class _Block:
     speed: float
     acceleration: float
     jog: bool
-
-
-_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
-
-
-class _Refused(Exception):
-    """A line refused with Grbl's error number."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(code)
-        self.code = code
 
 
 class GrblEmulator:
@@ -216,7 +147,7 @@ class GrblEmulator:
         self._received = bytearray()
         self._blocks: deque[_Block] = deque()
         self._parser_position = self._machine_position(now)
-        self._modal = _Modal()
+        self._modal = Modal()
         self._shift = np.zeros(AXES)
         self._held = False
         self._busy = ""
@@ -313,9 +244,9 @@ class GrblEmulator:
             del self._received[: end + 1]
             try:
                 if len(line) > LINE_LENGTH:
-                    raise _Refused(14)
+                    raise Refused(14)
                 self._take(line.decode("ascii", "replace"), now)
-            except _Refused as refused:
+            except Refused as refused:
                 self._output.put(b"error:%d\r\n" % refused.code, now + LINE_TIME)
 
     def _ok(self, now: float) -> None:
@@ -328,7 +259,7 @@ class GrblEmulator:
         elif text.startswith("$"):
             self._system(text, now)
         elif self._state in ("Alarm", "Sleep"):
-            raise _Refused(9)
+            raise Refused(9)
         else:
             self._gcode(text, now, jog=False)
 
@@ -343,13 +274,7 @@ class GrblEmulator:
         elif text == "$I":
             say(b"[VER:1.1h.20190825:]\r\n[OPT:V,15,128]\r\n", now)
         elif text == "$G":
-            m = self._modal
-            words = (
-                f"G{m.motion} G{m.system} G{m.plane} G{20 if m.inches else 21}"
-                f" G{91 if m.incremental else 90} G{93 if m.inverse_time else 94}"
-                f" M5 M9 T{m.tool} F{m.feed:g} S0"
-            )
-            say(f"[GC:{words}]\r\n".encode(), now)
+            say(f"[GC:{self._modal}]\r\n".encode(), now)
         elif text == "$#":
             for system, place in self._systems.items():
                 say(f"[G{system}:{','.join(f'{v:.3f}' for v in place)}]\r\n".encode(), now)
@@ -360,95 +285,43 @@ class GrblEmulator:
                 say(b"[MSG:Caution: Unlocked]\r\n", now)
         elif text == "$H":
             if not self._settings[22]:
-                raise _Refused(5)
+                raise Refused(5)
             if not idle:
-                raise _Refused(8)
+                raise Refused(8)
             self._home(now)
             return
         elif text == "$SLP":
             self._state = "Sleep"
         elif text.startswith("$J="):
             if self._shown_state(now) not in ("Idle", "Jog"):
-                raise _Refused(9)
+                raise Refused(9)
             self._gcode(text[3:], now, jog=True)
             return
         elif found := re.fullmatch(r"\$(\d{1,3})=(-?[\d.]+)", text):
             if not idle:
-                raise _Refused(8)
+                raise Refused(8)
             if int(found[1]) not in self._settings:
-                raise _Refused(3)
+                raise Refused(3)
             try:
                 self._settings[int(found[1])] = float(found[2])
             except ValueError:
-                raise _Refused(2) from None
+                raise Refused(2) from None
         else:
-            raise _Refused(3)
+            raise Refused(3)
         self._ok(now)
 
-    def _words(self, text: str) -> list[tuple[str, float]]:
-        words: list[tuple[str, float]] = []
-        place = 0
-        while place < len(text):
-            found = _WORD.match(text, place)
-            if found is None:
-                raise _Refused(2 if text[place].isalpha() else 1)
-            words.append((found[1], float(found[2])))
-            place = found.end()
-        return words
-
     def _gcode(self, text: str, now: float, jog: bool) -> None:
-        modal = _Modal(**{name: getattr(self._modal, name) for name in _Modal.__slots__})
-        action: float | None = None
-        axes: dict[int, float] = {}
-        pause = 0.0
-        feed: float | None = None
-        for letter, value in self._words(text):
-            if letter == "G":
-                if value in (0, 1):
-                    modal.motion = int(value)
-                elif value in (17, 18, 19):
-                    modal.plane = int(value)
-                elif value in (20, 21):
-                    modal.inches = value == 20
-                elif value in (90, 91):
-                    modal.incremental = value == 91
-                elif value in (93, 94):
-                    modal.inverse_time = value == 93
-                elif value in (54, 55, 56, 57, 58, 59):
-                    modal.system = int(value)
-                elif value in (4, 53, 92, 92.1):
-                    action = value
-                elif value not in (40, 49, 80, 91.1):
-                    raise _Refused(20)
-            elif letter == "M":
-                if value not in (0, 2, 3, 4, 5, 7, 8, 9, 30):
-                    raise _Refused(20)
-            elif letter in self.machine.letters:
-                axis = self.machine.letters.index(letter)
-                if axis in axes:
-                    raise _Refused(25)
-                axes[axis] = value * (25.4 if modal.inches else 1.0)
-            elif letter == "F":
-                if value < 0:
-                    raise _Refused(4)
-                feed = value * (25.4 if modal.inches and not modal.inverse_time else 1.0)
-            elif letter == "P":
-                pause = value
-            elif letter == "T":
-                modal.tool = int(value)
-            elif letter not in "NS":
-                raise _Refused(20)
-        if feed is not None:
-            modal.feed = feed
-        if jog and (action is not None or not axes or feed is None):
-            raise _Refused(16)
-        if action == 4:
+        line = read_line(text, self.machine.letters, self._modal)
+        modal, axes = line.modal, line.axes
+        if jog and (line.action is not None or not axes or line.feed is None):
+            raise Refused(16)
+        if line.action == 4:
             self._modal = modal
-            self._when_still(now, lambda at: self._dwell(pause, at))
+            self._when_still(now, lambda at: self._dwell(line.pause, at))
             return
-        if action == 92:
+        if line.action == 92:
             if not axes:
-                raise _Refused(26)
+                raise Refused(26)
             for axis, place in axes.items():
                 self._shift[axis] = (
                     self._parser_position[axis] - self._systems[modal.system][axis] - place
@@ -457,42 +330,35 @@ class GrblEmulator:
             self._reports = 0
             self._ok(now)
             return
-        if action == 92.1:
+        if line.action == 92.1:
             self._shift = np.zeros(AXES)
             self._reports = 0
         if axes:
-            machine_frame = action == 53
-            self._plan(modal, axes, machine_frame, jog, feed, now)
+            self._plan(line, jog, now)
             return
         if modal.system != self._modal.system:
             self._reports = 0
         self._modal = modal
         self._ok(now)
 
-    def _plan(
-        self,
-        modal: _Modal,
-        axes: dict[int, float],
-        machine_frame: bool,
-        jog: bool,
-        feed: float | None,
-        now: float,
-    ) -> None:
+    def _plan(self, line: Line, jog: bool, now: float) -> None:
         """A straight move; waits for room in the planner."""
+        modal, axes, feed = line.modal, line.axes, line.feed
+        machine_frame = line.action == 53
         target = self._parser_position.copy()
         offset = np.zeros(AXES) if machine_frame else self._systems[modal.system] + self._shift
         for axis, value in axes.items():
             target[axis] = target[axis] + value if modal.incremental else value + offset[axis]
         rapid = modal.motion == 0 and not jog
         if not rapid and (modal.feed <= 0 or (modal.inverse_time and feed is None)):
-            raise _Refused(22)
+            raise Refused(22)
         if self._settings[20]:
-            travels = np.array([self._settings[130 + axis] for axis in range(AXES)])
+            travels = self._per_axis(130)
             if np.any(target > 1e-9) or np.any(target < -travels - 1e-9):
                 if jog:
-                    raise _Refused(15)
+                    raise Refused(15)
                 self._alarm(2, now)
-                raise _Refused(9)
+                raise Refused(9)
         block = self._block(modal, target, rapid, jog)
         if not jog:
             self._modal = modal
@@ -512,7 +378,7 @@ class GrblEmulator:
         else:
             enqueue(now)
 
-    def _block(self, modal: _Modal, target: Array, rapid: bool, jog: bool) -> _Block | None:
+    def _block(self, modal: Modal, target: Array, rapid: bool, jog: bool) -> _Block | None:
         """Speeds of a block: the programmed feed within every axis's rate and acceleration."""
         start = self._parser_position
         delta = target - start
@@ -520,8 +386,8 @@ class GrblEmulator:
         if length == 0:
             return None
         unit = np.abs(delta) / length
-        rates = np.array([self._settings[110 + axis] for axis in range(AXES)]) / 60
-        pulls = np.array([self._settings[120 + axis] for axis in range(AXES)])
+        rates = self._per_axis(110) / 60
+        pulls = self._per_axis(120)
         used = unit > 1e-12
         speed = float(np.min(rates[used] / unit[used]))
         if not rapid:
@@ -535,7 +401,7 @@ class GrblEmulator:
         block = self._blocks[0]
         self._busy = "Jog" if block.jog else "Run"
         self._present_acceleration = block.acceleration
-        steps = np.array([self._settings[100 + axis] for axis in range(AXES)])
+        steps = self._per_axis(100)
         target = np.round(block.target * steps) / steps
         self._due = self._track.move(target + self._reference, now, block.speed, block.acceleration)
         self._after = self._finish_block
@@ -596,20 +462,14 @@ class GrblEmulator:
         def following(at: float) -> None:
             while steps:
                 target, speed = steps.pop(0)
-                acceleration = min(self._settings[120 + axis] for axis in range(AXES))
+                acceleration = float(np.min(self._per_axis(120)))
                 end = self._track.move(target, at, speed, acceleration)
                 if end > at:
                     self._present_acceleration = acceleration
                     self._due, self._after = end, following
                     return
-            mask = int(self._settings[23])
-            homed = np.array(
-                [
-                    pull_off - self._settings[130 + axis] if mask >> axis & 1 else -pull_off
-                    for axis in range(AXES)
-                ],
-                dtype=float,
-            )
+            toward_low = (int(self._settings[23]) >> np.arange(AXES)) & 1 == 1
+            homed = np.where(toward_low, pull_off - self._per_axis(130), -pull_off)
             self._reference = self._track.motors(at) - homed
             self._parser_position = homed
             self._busy = ""
@@ -620,13 +480,17 @@ class GrblEmulator:
 
     # Small things.
 
+    def _per_axis(self, first: int) -> Array:
+        """Four settings in a row, one an axis."""
+        return np.array([self._settings[first + axis] for axis in range(AXES)], dtype=float)
+
     def _units(self, joints: tuple[float, float, float, float]) -> Array:
         """Joint values in the axes' units and senses."""
         units: Array = np.asarray(joints, dtype=float) * TO_UNITS * self._sign
         return units
 
     def _machine_position(self, now: float) -> Array:
-        steps = np.array([self._settings[100 + axis] for axis in range(AXES)])
+        steps = self._per_axis(100)
         counts = np.round((self._track.motors(now) - self._reference) * steps)
         return np.asarray(counts / steps, dtype=float)
 

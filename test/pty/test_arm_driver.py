@@ -16,7 +16,8 @@ from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
 from tapping_cell.hardware.motion import MotionSettings, path_duration, strike_path
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
 from tapping_cell.hardware.serial_transport import SerialTransport
-from tapping_cell.simulation.grbl_emulator import GrblEmulator, GrblMachine
+from tapping_cell.simulation.grbl_emulator import GrblEmulator
+from tapping_cell.simulation.grbl_machine import GrblMachine
 from tapping_cell.simulation.joint_motion import AxisErrors
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from tapping_cell.simulation.grbl_emulator import GrblEmulator, GrblMachine, default_settings
+from tapping_cell.simulation.grbl_emulator import GrblEmulator
+from tapping_cell.simulation.grbl_machine import GrblMachine, default_settings
 from tapping_cell.simulation.joint_motion import AxisErrors
 
 UNLOCKED = default_settings() | {22: 0.0}

@@ -1,0 +1,55 @@
+"""The emulated Grbl controller's ``$$`` settings and the arm behind it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tapping_cell.simulation.joint_motion import AxisErrors
+
+AXES = 4
+TO_UNITS = np.array([180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi])
+"""Joint values (rad, rad, m, rad) to axis units (deg, deg, mm, deg)."""
+
+
+def default_settings() -> dict[int, float]:
+    """``$$`` of the simulated arm; rates in units/min, accelerations in units/s2, travels in
+    units."""
+    return {
+        0: 10,
+        1: 255,
+        10: 1,
+        11: 0.01,
+        12: 0.002,
+        13: 0,
+        20: 0,
+        21: 1,
+        22: 1,
+        23: 0,
+        24: 600,
+        25: 3600,
+        27: 1,
+        **{100 + axis: value for axis, value in enumerate((200.0, 200.0, 400.0, 100.0))},
+        **{110 + axis: value for axis, value in enumerate((6900.0, 8600.0, 15000.0, 20700.0))},
+        **{120 + axis: value for axis, value in enumerate((458.0, 573.0, 2000.0, 1720.0))},
+        **{130 + axis: value for axis, value in enumerate((265.0, 300.0, 150.0, 410.0))},
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class GrblMachine:
+    """The arm behind the controller; joints in rad, rad, m, rad."""
+
+    letters: str = "XYZA"
+    axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
+    start_joints: tuple[float, float, float, float] = (0.6, 0.9, -0.030, 0.2)
+    """Where the arm stands when power comes."""
+    home_joints: tuple[float, float, float, float] = (0.0, 1.5708, 0.0, 0.0)
+    """Where homing ends, by the drawing; the errors say where it truly ends."""
+    errors: AxisErrors = field(default_factory=AxisErrors)
+    settings: dict[int, float] = field(default_factory=default_settings)
+    reply_latency: float = 0.002
+    """USB adapter and processor, s."""
+    baud: int = 115200
