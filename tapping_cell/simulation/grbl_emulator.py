@@ -2,9 +2,8 @@
 
 Written from Grbl's documentation and independent of the driver's codec: lines are read with a
 parser of its own. Real-time bytes act at once; lines wait for room in the planner; each move is a
-trapezoid within the axes' rates and accelerations; every block ends at rest, as Grbl does when its
-queue holds one block. What is not emulated is refused with Grbl's error number, never silently
-taken.
+trapezoid within the axes' rates and accelerations; every block ends at rest. What is not emulated
+is refused with Grbl's error number, never silently taken.
 """
 
 from __future__ import annotations
@@ -477,8 +476,6 @@ class GrblEmulator:
             self._ok(at)
 
         following(now)
-
-    # Small things.
 
     def _per_axis(self, first: int) -> Array:
         """Four settings in a row, one an axis."""
