@@ -48,6 +48,7 @@ def energy(impact, result, speed=1.0):
     return after / 2, striker.mass * speed**2 / 2
 
 
+@settings(deadline=None)
 @given(constraints, masses, restitutions, frictions, incidences, contacts)
 def test_energy_is_never_gained_and_the_impulse_lies_in_the_cone(
     constraint, mass, restitution, friction, incidence, contact
@@ -82,6 +83,7 @@ def test_the_cases_agree_with_small_steps(constraint):
     assert endings == {"stuck", "slid", "reversed"}
 
 
+@settings(deadline=None)
 @given(constraints, masses, restitutions, frictions, incidences, contacts)
 def test_mirror_image(constraint, mass, restitution, friction, incidence, contact):
     impact = Impact(STICK, Striker(mass, 0.005, constraint), restitution, friction)
@@ -92,6 +94,7 @@ def test_mirror_image(constraint, mass, restitution, friction, incidence, contac
     assert there.spin == pytest.approx(-here.spin, rel=1e-9, abs=1e-12)
 
 
+@settings(deadline=None)
 @given(constraints, masses, frictions, incidences, contacts)
 def test_poisson_scales_the_normal_impulse(constraint, mass, friction, incidence, contact):
     striker = Striker(mass, 0.005, constraint)
@@ -101,6 +104,7 @@ def test_poisson_scales_the_normal_impulse(constraint, mass, friction, incidence
     assert hard.normal_impulse == pytest.approx(1.6 * soft.normal_impulse, rel=1e-12)
 
 
+@settings(deadline=None)
 @given(masses, restitutions)
 def test_a_central_impact_is_the_textbooks(mass, restitution):
     impact = Impact(DISK, Striker(mass, 0.005), restitution, 0.2)
@@ -113,6 +117,7 @@ def test_a_central_impact_is_the_textbooks(mass, restitution):
     assert result.spin == 0
 
 
+@settings(deadline=None)
 @given(constraints, masses, restitutions, frictions, st.floats(-1, 1))
 def test_incidence_for_finds_the_impulse(constraint, mass, restitution, friction, share):
     impact = Impact(DISK, Striker(mass, 0.005, constraint), restitution, friction)

@@ -38,6 +38,7 @@ def test_rest_agrees_with_a_tight_integration(body, kappa):
     assert np.abs(many / expected - 1).max() < 1e-8
 
 
+@settings(deadline=None)
 @given(bodies, kappas, either, either)
 def test_launch_undoes_rest(body, kappa, speed, spin):
     slide = Sliding(body, 0.17, kappa)
@@ -45,6 +46,7 @@ def test_launch_undoes_rest(body, kappa, speed, spin):
     assert slide.launch(distance, rotation) == pytest.approx((speed, spin), rel=1e-9)
 
 
+@settings(deadline=None)
 @given(bodies, kappas, st.lists(st.tuples(either, either), min_size=1, max_size=20))
 def test_rest_undoes_launch_for_arrays(body, kappa, wanted):
     slide = Sliding(body, 0.17, kappa)
@@ -66,6 +68,7 @@ def test_round_trip_from_pure_sliding_to_pure_spinning(body, kappa):
         assert np.allclose(again.rotation, rotation, rtol=1e-9, atol=0)
 
 
+@settings(deadline=None)
 @given(bodies, kappas, either, either)
 def test_one_and_many_agree(body, kappa, speed, spin):
     slide = Sliding(body, 0.17, kappa)
@@ -77,6 +80,7 @@ def test_one_and_many_agree(body, kappa, speed, spin):
     )
 
 
+@settings(deadline=None)
 @given(bodies, kappas, either, either, st.floats(0.01, 100))
 def test_velocities_times_c_go_c_squared_as_far(body, kappa, speed, spin, c):
     slide = Sliding(body, 0.17, kappa)
@@ -85,6 +89,7 @@ def test_velocities_times_c_go_c_squared_as_far(body, kappa, speed, spin, c):
     assert far == pytest.approx(expected, rel=1e-9)
 
 
+@settings(deadline=None)
 @given(bodies, kappas, sizes, sizes, st.floats(0.01, 2), st.floats(0.01, 2), st.floats(0.1, 20))
 def test_mass_size_and_friction_scale_out(body, kappa, speed, rim, mass, radius, friction):
     other = type(body)(radius, mass, 0.01)
@@ -96,6 +101,7 @@ def test_mass_size_and_friction_scale_out(body, kappa, speed, rim, mass, radius,
     assert there.duration == pytest.approx(here.duration * ratio, rel=1e-9)
 
 
+@settings(deadline=None)
 @given(bodies, kappas, sizes, sizes)
 def test_mirror_images(body, kappa, speed, spin):
     slide = Sliding(body, 0.17, kappa)
@@ -119,6 +125,7 @@ def test_more_speed_or_spin_goes_and_turns_farther(body, kappa):
         assert (np.diff(distance) > 0).all() and (np.diff(rotation) > 0).all()
 
 
+@settings(deadline=None)
 @given(bodies, kappas, either)
 def test_no_spin_is_a_straight_slide(body, kappa, speed):
     distance, rotation, duration = Sliding(body, 0.17, kappa).rest(speed, 0.0)
@@ -128,6 +135,7 @@ def test_no_spin_is_a_straight_slide(body, kappa, speed):
     assert duration == pytest.approx(abs(speed) / g, rel=1e-12)
 
 
+@settings(deadline=None)
 @given(kappas, either)
 def test_no_speed_is_a_spin_on_the_spot(kappa, spin):
     slide = Sliding(DISK, 0.17, kappa)
