@@ -60,7 +60,9 @@ HOMES = {
     "serial": {"hardware"},
     "matplotlib": {"report"},
     "rich": {"cli", "report"},
-    "mujoco": {"cli"},  # a benchmark's peer, where it is installed
+    # peers of benchmarks, where they are installed
+    "mujoco": {"cli"},
+    "pupil_apriltags": {"cli"},
 }
 # These open real ports; the simulated world must never do that, so it gets none of them.
 DRIVERS = {"serial_transport", "arm", "tapper"}
