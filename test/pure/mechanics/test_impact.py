@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tapping_cell.mechanics import Disk, Impact, InvalidParameterError, Ring, Striker
