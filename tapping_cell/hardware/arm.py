@@ -285,7 +285,11 @@ class ArmDriver:
                 self._confirmed = None
                 self._dialect.clear(self._transport.now() + timeout)
         except HardwareFault as fault:
-            raise self._noted(fault) from fault.__cause__
+            noted = self._noted(fault)
+            if must_unlock:
+                # What could not be cleared stays latched.
+                self._fault = self._fault or noted
+            raise noted from fault.__cause__
         self._fault = None
 
     def _move(self, goal: Joints, speed: float, deadline: float | None) -> ArmReading:

@@ -28,6 +28,8 @@ POLL_PERIOD = 0.02
 """Between position questions while the last steps are made, s."""
 FIRST_NUMBERS = (1000, 100_000_000)
 """Range of the number at which counting starts: a board that was reset counts from 0 instead."""
+RESET_PAUSE = 0.2
+"""The port stays closed for this long, so that its DTR line resets a halted board, s."""
 RECOVERIES = 8
 """Rounds of sending again before a line counts as dead."""
 
@@ -138,6 +140,8 @@ class MarlinDialect:
         except HardwareFault as fault:
             if fault.reason not in (FaultReason.TIMEOUT, FaultReason.UNKNOWN_FIRMWARE):
                 raise
+            self._transport.close()
+            self._transport.sleep(RESET_PAUSE)
             self._transport.open(max(deadline - self._transport.now(), 0.1))
             self._buffer = b""
             try:
