@@ -54,7 +54,7 @@ def refine(image: Image, quads: Array, modules: int) -> MarkerEdges:
     found = _edges(image, quads, half_width)
     for _ in range(2):
         shift = np.abs(found.corners - quads).max(axis=(1, 2))
-        redo = found.good & (shift > 1.0) & (shift < 8.0)
+        redo = found.good & (shift > 0.6) & (shift < 8.0)
         if not redo.any():
             break
         quads = np.where(redo[:, None, None], found.corners, quads)

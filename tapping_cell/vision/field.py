@@ -33,9 +33,6 @@ _FIELD = np.geomspace(0.002, 12.0, 12)
 _PRINT = np.geomspace(2e-7, 6e-4, 8)
 """Amplitudes that are weighed: of the lens errors, in these deviations; of a marker's misplacement,
 m."""
-_SHEAR = 2.2e-5
-"""rad, for lens errors of their usual size: they also shear the marker, and a pattern whose edges
-are not as many along as across takes part of a shear for a turn (measured with errors of k1)."""
 _LEAST_WEIGHT = 0.02
 """Of the likeliest pair of amplitudes, below which a pair is not carried on."""
 
@@ -71,7 +68,6 @@ class ErrorField:
         reference markers, not that of the object's own.
         """
         own, cross = lens @ lens.T, lens @ self.lens.T
-        own[2, 2] += _SHEAR**2
         projected, pulled = cross @ self.basis, cross @ self.gain.T @ response.T
         mean, second = np.zeros(3), np.zeros((3, 3))
         for m in self.members:

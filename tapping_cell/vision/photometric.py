@@ -88,7 +88,7 @@ def align(
             answer = np.linalg.solve(information, weighted.T @ grey)
         except np.linalg.LinAlgError:
             return None
-        step = answer[7:]
+        step = answer[10:]
         pose = pose + step
         gain = fixed @ answer[:3]
         size = max(math.hypot(step[0], step[1]), abs(step[2]) * 0.5 * marker.size) / pixel
@@ -109,7 +109,7 @@ def align(
     noise = max(math.sqrt(float((weight * residual**2).sum() / weight.sum())), spread, 0.3)
     if contrast < 12.0 or noise > 0.12 * contrast:
         return None
-    covariance = np.asarray(np.linalg.inv(information)[7:, 7:] * noise**2, dtype=float)
+    covariance = np.asarray(np.linalg.inv(information)[10:, 10:] * noise**2, dtype=float)
     softening = template.blur**2 + 2.0 * float(answer[6])
     blur = math.sqrt(max(softening, (0.3 * pixel) ** 2))
     return Alignment(pose, covariance, noise, blur)
@@ -146,8 +146,8 @@ def _pixels(
 def _columns(
     template: Template, marker: ObjectMarker, x: Array, y: Array, pose: Array, gain: Array
 ) -> tuple[Array, Array]:
-    """Design matrix (N, 10): gain and gradients, offset and gradients, blur, x, y, theta; and the
-    columns (N, 3) that a gain's values multiply.
+    """Design matrix (N, 13): gain and gradients, offset and gradients, blur, two stretches and a
+    shear, x, y, theta; and the columns (N, 3) that a gain's values multiply.
     """
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = x - pose[0], y - pose[1]
@@ -163,13 +163,16 @@ def _columns(
     by_u, by_v = gain * found[:, 1], gain * found[:, 2]
     across, up = u / marker.size, v / marker.size
     fixed = np.stack([np.ones_like(u), across, up], axis=-1)
-    columns = np.empty((len(u), 10))
+    columns = np.empty((len(u), 13))
     columns[:, :3] = fixed * value[:, None]
     columns[:, 3:6] = fixed
     columns[:, 6] = gain * found[:, 3]
-    columns[:, 7] = -cos * by_u + sin * by_v
-    columns[:, 8] = -sin * by_u - cos * by_v
-    columns[:, 9] = v * by_u - u * by_v
+    columns[:, 7] = u * by_u
+    columns[:, 8] = v * by_v
+    columns[:, 9] = v * by_u + u * by_v
+    columns[:, 10] = -cos * by_u + sin * by_v
+    columns[:, 11] = -sin * by_u - cos * by_v
+    columns[:, 12] = v * by_u - u * by_v
     return columns, fixed
 
 

@@ -12,6 +12,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -75,9 +76,9 @@ def _measure() -> dict[str, Any]:
         true = random.uniform([-0.25, -0.17, -math.pi], [0.25, 0.17, math.pi])
         image = scene.render(true)
         for name, method in methods.items():
-            begin = time.perf_counter()
+            begin = time.process_time()
             found = method(image, true)
-            spent = (time.perf_counter() - begin) * 1e3
+            spent = (time.process_time() - begin) * 1e3
             if found is None:
                 missed[name] = missed.get(name, 0) + 1
                 continue
@@ -179,15 +180,22 @@ def _aruco(
     return method
 
 
+@lru_cache(maxsize=1)
+def _pupil_detector() -> Any:
+    """Made once and never given up: the package's destructor crashes the interpreter."""
+    from pupil_apriltags import Detector
+
+    Detector.__del__ = lambda self: None
+    return Detector(families="tag36h11", nthreads=1, quad_decimate=1.0)
+
+
 def _pupil(
     view: View,
     marker: ObjectMarker,
     region: Callable[[np.ndarray], tuple[int, int, int, int]] | None,
 ) -> Callable[[np.ndarray, np.ndarray], Pose]:
     """The AprilTag library through pupil-apriltags, one thread, no decimation."""
-    from pupil_apriltags import Detector
-
-    detector = Detector(families="tag36h11", nthreads=1, quad_decimate=1.0)
+    detector = _pupil_detector()
 
     def method(image: np.ndarray, true: np.ndarray) -> Pose:
         part, origin = _cut(image, region, true)
@@ -232,9 +240,9 @@ def _tracker(scene: SceneRenderer, marker: ObjectMarker) -> dict[str, float]:
         if k >= FRAMES:
             pose = pose + step
         image = scene.render(pose)
-        begin = time.perf_counter()
+        begin = time.process_time()
         tracker.update(image, k / 30.0)
-        (moving if k >= FRAMES else still).append((time.perf_counter() - begin) * 1e3)
+        (moving if k >= FRAMES else still).append((time.process_time() - begin) * 1e3)
     return {
         "first_ms": still[0],
         "rest_median_ms": statistics.median(still[5:]),
@@ -247,12 +255,13 @@ def lines(report: dict[str, Any]) -> list[str]:
     width = max(len(name) for name in report["methods"])
     rows = [
         f"{report['scenes']} scenes, one frame each, known camera and table",
-        f"{'':<{width}}  {'mm median':>9} {'p95':>7}  {'deg median':>10} {'p95':>7}  {'ms':>6}  missed",
+        f"{'':<{width}}  {'mm median':>9} {'p95':>7}  {'deg median':>10} {'p95':>7}  {'ms':>6}"
+        "  missed",
     ]
     for name, f in report["methods"].items():
         rows.append(
-            f"{name:<{width}}  {f['median_mm']:>9.4f} {f['p95_mm']:>7.4f}  {f['median_deg']:>10.4f} "
-            f"{f['p95_deg']:>7.4f}  {f['median_ms']:>6.2f}  {f['missed']:>6}"
+            f"{name:<{width}}  {f['median_mm']:>9.4f} {f['p95_mm']:>7.4f}  "
+            f"{f['median_deg']:>10.4f} {f['p95_deg']:>7.4f}  {f['median_ms']:>6.2f}  {f['missed']:>6}"
         )
     t = report["tracker"]
     rows.append(
