@@ -15,6 +15,7 @@ from types import TracebackType
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -88,6 +89,7 @@ class GoalClient:
         self._events: queue.Queue[Event] = queue.Queue()
         self._taps_heard = 0
         self._phase = ""
+        self._handle: ClientGoalHandle | None = None
         self._action = ActionClient(self.node, PositionObject, "position_object")
         subscribe = self.node.create_subscription
         subscribe(ObjectState, "object_state", self._on_object_state, 10)
@@ -153,16 +155,25 @@ class GoalClient:
         message.goal_pose.pose = to_message(goal)
         message.position_tolerance, message.angle_tolerance = tolerance
         self._taps_heard, self._phase = 0, ""
+        # Sent from the executor's thread: from another one the response can overtake rclpy's own
+        # note of the request, and is then dropped.
+        self._executor.create_task(self._send, message)
+
+    def _send(self, message: PositionObject.Goal) -> None:
         future = self._action.send_goal_async(message, feedback_callback=self._on_feedback)
         future.add_done_callback(self._on_response)
 
     def cancel(self, patience: float = 5.0) -> None:
         """Cancel the goal and wait until the cell has taken that in."""
-        handle = getattr(self, "_handle", None)
+        handle = self._handle
         if handle is None:
             return
         done = threading.Event()
-        handle.cancel_goal_async().add_done_callback(lambda _: done.set())
+
+        def ask() -> None:
+            handle.cancel_goal_async().add_done_callback(lambda _: done.set())
+
+        self._executor.create_task(ask)
         done.wait(patience)
 
     def events(self, poll: float = 0.2) -> Iterator[Event | None]:
