@@ -22,6 +22,7 @@ from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.hardware.arm import ArmDriver, ArmSettings, HomingStrategy
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.grbl_dialect import GrblDialect
+from tapping_cell.hardware.marlin_dialect import MarlinDialect
 from tapping_cell.hardware.motion import Waypoint, move_duration, strike_path, withdraw_path
 from tapping_cell.hardware.scara import Joints, TipPose
 from tapping_cell.hardware.serial_transport import SerialTransport
@@ -31,6 +32,7 @@ from tapping_cell.nodes.error_codes import of_arm
 from tapping_cell.nodes.worker import Worker
 from tapping_cell.se2 import Pose
 
+DIALECTS = {"grbl": GrblDialect, "marlin": MarlinDialect}
 RELEASE_GUARD_S = 0.1
 """From saying that it withdraws to moving: longer than arm_state takes to the tapper and a release
 takes to end."""
@@ -95,9 +97,8 @@ class ScaraArm(CellNode[Parameters]):
         arm = cell.file.arm
         port = str(Path(self.settings.port or arm.port).expanduser())
         transport = SerialTransport(port, arm.baud)
-        driver = ArmDriver(
-            transport, GrblDialect(transport), arm.geometry(), ArmSettings(home_joints=arm.home)
-        )
+        dialect = DIALECTS[arm.dialect](transport)
+        driver = ArmDriver(transport, dialect, arm.geometry(), ArmSettings(home_joints=arm.home))
         try:
             driver.connect(timeout=1.0)
         except HardwareFault as fault:

@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from tapping_cell.report.run import Run
 from tapping_cell.se2 import Array, Pose, transform_points
 
+MOST_IN_WORDS = 6
 START, REST, GOAL, STRIKE = "#555555", "#1f77b4", "#2ca02c", "#d62728"
 
 
@@ -26,6 +27,7 @@ def draw_cell(run: Run, path: Path) -> None:
     _draw_table(figure.add_subplot(grid[:, 0]), run)
     _draw_close_up(figure.add_subplot(grid[:, 1]), run)
     _draw_residuals(figure.add_subplot(grid[0, 2]), figure.add_subplot(grid[1, 2]), run)
+    figure.supxlabel(_moves(run), fontsize=9)
     figure.suptitle(_headline(run), fontsize=13, fontweight="bold")
     figure.savefig(path)
 
@@ -37,6 +39,16 @@ def _headline(run: Run) -> str:
     task = f"{math.hypot(dx, dy):.1f} mm and {turn:+.1f} deg to go"
     result = f"goal reached in {taps}" if run.reached else f"goal not reached after {taps}"
     return f"{task}: {result}"
+
+
+def _moves(run: Run) -> str:
+    """What each tap did, in words; of a long run the last ones."""
+    parts = [
+        f"tap {tap.number}: {1000 * tap.before.distance_to(tap.measured):.1f} mm, "
+        f"{math.degrees(tap.before.rotation_to(tap.measured)):+.1f} deg"
+        for tap in run.taps[-MOST_IN_WORDS:]
+    ]
+    return "     ".join(parts)
 
 
 def _mm(pose: Pose) -> tuple[float, float]:
@@ -115,14 +127,8 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
             arrowprops={"arrowstyle": "-|>", "color": REST, "lw": 1.5, "shrinkA": 0, "shrinkB": 0},
         )
         axes.plot(*_mm(tap.predicted), marker="x", color="#888888", ms=6)
-        turned = math.degrees(tap.before.rotation_to(tap.measured))
         axes.annotate(
-            f"{tap.number}: {1000 * tap.before.distance_to(tap.measured):.1f} mm, {turned:+.1f} deg",
-            _mm(tap.measured),
-            (5, 6 if tap.number % 2 else -14),
-            textcoords="offset points",
-            color=REST,
-            fontsize=8,
+            str(tap.number), _mm(tap.measured), (5, 6), textcoords="offset points", color=REST
         )
     axes.plot([], [], marker="x", ls="", color="#888888", label="predicted end of a tap")
     axes.plot([], [], color=REST, label="measured move of a tap")

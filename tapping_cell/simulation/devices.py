@@ -11,6 +11,7 @@ from tapping_cell.se2 import Pose
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.grbl_machine import TO_UNITS, GrblMachine, default_settings
 from tapping_cell.simulation.joint_motion import AxisErrors
+from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import ArmTruth
@@ -42,7 +43,7 @@ class SimulatedDevices:
         self._curve = cell.file.tapper.curve()
         self._on_strike = on_strike
         now = time.monotonic()
-        self._arm = GrblEmulator(arm_machine(cell.file.arm, truth), seed, now)
+        self._arm = arm_emulator(cell.file.arm, truth, seed, now)
         # A world that is started anew is a board that was switched on anew: another boot number.
         boot = int(time.time()) % LARGEST_BOOT + 1
         self._tapper = TapperEmulator(on_fire=self._fire, boot=boot, now=now)
@@ -75,21 +76,34 @@ class SimulatedDevices:
         return speed
 
 
-def arm_machine(arm: ArmSection, truth: ArmTruth) -> GrblMachine:
-    """The emulated controller set up for this arm: units/min and units/s^2."""
+def arm_emulator(
+    arm: ArmSection, truth: ArmTruth, seed: int, now: float
+) -> GrblEmulator | MarlinEmulator:
+    """The emulated controller of the cell's dialect, set up for the cell's arm."""
+    errors = AxisErrors(
+        offset=truth.joint_offset, backlash=truth.backlash, repeatability=truth.repeatability
+    )
+    rates = [float(scale * speed) for scale, speed in zip(TO_UNITS, arm.max_speed, strict=True)]
+    pulls = [
+        float(scale * pull) for scale, pull in zip(TO_UNITS, arm.max_acceleration, strict=True)
+    ]
+    if arm.dialect == "marlin":
+        machine = MarlinMachine(
+            start_joints=arm.park,
+            home_joints=arm.home,
+            errors=errors,
+            max_rate=(rates[0], rates[1], rates[2], rates[3]),
+            acceleration=(pulls[0], pulls[1], pulls[2], pulls[3]),
+        )
+        return MarlinEmulator(machine, seed, now)
     settings = default_settings()
-    for axis in range(len(TO_UNITS)):
-        scale = float(TO_UNITS[axis])
-        settings[110 + axis] = 60 * scale * arm.max_speed[axis]
-        settings[120 + axis] = scale * arm.max_acceleration[axis]
-        settings[130 + axis] = scale * (arm.upper[axis] - arm.lower[axis])
-    return GrblMachine(
-        start_joints=arm.park,
-        home_joints=arm.home,
-        errors=AxisErrors(
-            offset=truth.joint_offset,
-            backlash=truth.backlash,
-            repeatability=truth.repeatability,
-        ),
-        settings=settings,
+    for axis, (rate, pull) in enumerate(zip(rates, pulls, strict=True)):
+        # Grbl's rates are in units/min.
+        settings[110 + axis] = 60 * rate
+        settings[120 + axis] = pull
+        settings[130 + axis] = float(TO_UNITS[axis]) * (arm.upper[axis] - arm.lower[axis])
+    return GrblEmulator(
+        GrblMachine(start_joints=arm.park, home_joints=arm.home, errors=errors, settings=settings),
+        seed,
+        now,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,12 +20,14 @@ from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import from_message, to_message
 from tapping_cell.nodes.scara_arm import ScaraArm
 from tapping_cell.se2 import Pose
-from tapping_cell.simulation.devices import arm_machine
+from tapping_cell.simulation.devices import arm_emulator
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
+from tapping_cell.simulation.marlin_emulator import MarlinEmulator
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.truth import ArmTruth
 
@@ -37,7 +40,7 @@ class Cell:
     """The node, its emulated controller, and hands to play the planner."""
 
     bench: Bench
-    device: GrblEmulator
+    device: GrblEmulator | MarlinEmulator
     terminal: PseudoTerminal
     states: list[ArmState]
     joints: list[JointState]
@@ -85,13 +88,18 @@ class Cell:
 
 
 @pytest.fixture
-def cell(tmp_path: Path) -> Iterator[Cell]:
-    settings = load_cell().file.arm
-    device = GrblEmulator(arm_machine(settings, ArmTruth()), 1, time.monotonic())
+def cell(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Cell]:
+    dialect = getattr(request, "param", "grbl")
+    folder = tmp_path / "config"
+    shutil.copytree(shared_folder(), folder)
+    cell_file = folder / "cell.yaml"
+    cell_file.write_text(cell_file.read_text().replace("dialect: grbl", f"dialect: {dialect}"))
+    settings = load_cell(cell_file).file.arm
+    device = arm_emulator(settings, ArmTruth(), 1, time.monotonic())
     path = tmp_path / "arm"
     with (
         PseudoTerminal(device, path) as terminal,
-        bench(lambda: [ScaraArm()], {"scara_arm": {"port": path}}) as b,
+        bench(lambda: [ScaraArm()], {"scara_arm": {"port": path, "cell_file": cell_file}}) as b,
     ):
         made = Cell(
             b,
@@ -115,6 +123,7 @@ def test_it_homes_by_itself_and_reports_joints_only_then(cell: Cell) -> None:
     assert list(cell.joints[-1].position) == pytest.approx(park, abs=2e-3)
 
 
+@pytest.mark.parametrize("cell", ["grbl", "marlin"], indirect=True)
 def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) -> None:
     cell.command(100)
     cell.wait_state(ArmState.IN_POSITION)
@@ -183,6 +192,7 @@ def test_a_tap_id_is_served_once(cell: Cell) -> None:
     assert not cell.moves(0.5)
 
 
+@pytest.mark.parametrize("cell", ["grbl", "marlin"], indirect=True)
 def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> None:
     cell.command(100, Pose(0.15, -0.1, 0.0))
     time.sleep(0.8)
