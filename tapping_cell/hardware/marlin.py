@@ -71,6 +71,8 @@ class Position:
 
     commanded: Mapping[str, float]
     counts: Mapping[str, int]
+    with_ok: bool = False
+    """True where the firmware writes its ``ok`` on the same line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +171,7 @@ def decode_line(line: bytes) -> Frame:
     text = line.decode("ascii")
     if _OK.match(text):
         return Ok()
-    if text.startswith("echo:busy:"):
+    if text.startswith(("echo:busy:", "busy:")):
         return Busy()
     if text == "start":
         return Start()
@@ -181,10 +183,12 @@ def decode_line(line: bytes) -> Frame:
         return Halted(text[6:])
     if found := re.match(r'^echo:Unknown command: "(.{0,96})"$', text):
         return Unknown(found[1])
-    if found := _POSITION.match(text):
-        commanded = text.partition("Count")[0].strip()
+    place = text.removeprefix("ok ")
+    if found := _POSITION.match(place):
+        commanded = place.partition("Count")[0].strip()
         counts = {axis: int(count) for axis, count in _COUNT.findall(found[1] or "")}
-        return Position({a: float(v) for a, v in _AXIS.findall(commanded)}, counts)
+        values = {axis: float(value) for axis, value in _AXIS.findall(commanded)}
+        return Position(values, counts, place is not text)
     if found := _STEPS.match(text):
         return Steps({word[0]: float(word[1:]) for word in found[1].split()})
     if found := _FIRMWARE.match(text):

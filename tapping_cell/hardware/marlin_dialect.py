@@ -229,6 +229,8 @@ class MarlinDialect:
                     raise self._restarted()
             elif not isinstance(frame, marlin.Busy):
                 heard.append(frame)
+                if isinstance(frame, marlin.Position) and frame.with_ok:
+                    return wanted
 
     def _is_taken(self, number: int, deadline: float) -> bool:
         """After silence: send the line again, and if that is met with silence too, ask with the

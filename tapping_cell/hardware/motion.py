@@ -149,8 +149,10 @@ def check_limits(geometry: ScaraGeometry, joints: Sequence[float]) -> None:
 
 
 def _travel_quill(geometry: ScaraGeometry, settings: MotionSettings, least: float) -> float:
-    high = max(settings.travel_height - geometry.tip_height, least)
-    if high > geometry.upper[2] + 1e-9:
+    wanted = settings.travel_height - geometry.tip_height
+    # An arm read back a hair above its upper limit stays as high as it may.
+    high = max(wanted, min(least, geometry.upper[2]))
+    if wanted > geometry.upper[2] + 1e-9:
         raise HardwareFault(
             FaultReason.OUT_OF_RANGE,
             f"travel height {settings.travel_height * 1e3:.1f} mm needs the quill at"

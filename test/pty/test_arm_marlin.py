@@ -6,13 +6,14 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tapping_cell.hardware.arm import ArmDriver, ArmSettings, HomingStrategy
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.marlin_dialect import MarlinDialect
+from tapping_cell.hardware.marlin_dialect import MarlinDialect, MarlinSettings
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
@@ -139,8 +140,9 @@ def test_a_restart_during_a_move_is_noticed(plug: Plug) -> None:
 class OctoPrintPort:
     """OctoPrint's virtual printer as a device on our pseudo-terminal.
 
-    It is a peer written by others, not a real board: it answers a repeated line number with ``ok``
-    where real Marlin stays silent, and it has an axis E instead of a fourth arm axis.
+    It is a peer written by others, not a real board: it answers a repeated line number with
+    ``Resend`` and ``ok`` where real Marlin stays silent, it has an axis E instead of a fourth arm
+    axis, its step counts are not steps, and the ``ok`` of ``M114`` stands on the position's line.
     """
 
     def __init__(self, printer: object) -> None:
@@ -159,7 +161,8 @@ class OctoPrintPort:
     def take_output(self, now: float) -> bytes:
         out = b""
         while not self._printer.outgoing.empty():  # type: ignore[attr-defined]
-            out += self._printer.readline()  # type: ignore[attr-defined]
+            line: bytes = self._printer.readline()  # type: ignore[attr-defined]
+            out += line.rstrip(b"\n") + b"\n"
         return out
 
     def next_event(self) -> float | None:
@@ -168,25 +171,25 @@ class OctoPrintPort:
     def power_cycle(self, now: float) -> None: ...
 
 
-def test_the_dialect_against_octoprints_virtual_printer(plug: Plug, tmp_path: object) -> None:
-    virtual = pytest.importorskip(
-        "octoprint.plugins.virtual_printer.virtual", reason="OctoPrint is not installed here"
-    )
+def test_the_dialect_against_octoprints_virtual_printer(plug: Plug, tmp_path: Path) -> None:
+    pytest.importorskip("octoprint", reason="OctoPrint is not installed here")
+    from octoprint.plugin import PluginSettings, plugin_manager
+    from octoprint.plugins.virtual_printer import VirtualPrinterPlugin
+    from octoprint.plugins.virtual_printer.virtual import VirtualPrinter
+    from octoprint.printer.profile import PrinterProfileManager
     from octoprint.settings import settings
 
-    chosen = settings(init=True, basedir=str(tmp_path))
-    plugin = pytest.importorskip("octoprint.plugins.virtual_printer").VirtualPrinterPlugin()
-    from octoprint.plugin import PluginSettings
-
+    plugin_manager(init=True, plugin_folders=[], plugin_bases=[], plugin_entry_points=[])
+    defaults = VirtualPrinterPlugin().get_settings_defaults()
     own = PluginSettings(
-        chosen,
+        settings(init=True, basedir=str(tmp_path)),
         "virtual_printer",
-        defaults={"plugins": {"virtual_printer": plugin.get_settings_defaults()}},
+        defaults=defaults,
     )
     own.set(["firmwareName"], "Marlin 2.1.2 (peer)")
-    printer = virtual.VirtualPrinter(own, str(tmp_path), read_timeout=0.01, write_timeout=1.0)
-    from tapping_cell.hardware.marlin_dialect import MarlinSettings
-
+    printer = VirtualPrinter(
+        own, PrinterProfileManager(), str(tmp_path), read_timeout=0.01, write_timeout=1.0
+    )
     port = plug(OctoPrintPort(printer))
     transport = SerialTransport(str(port.path))
     dialect = MarlinDialect(transport, MarlinSettings(letters="XYZE"))
@@ -195,7 +198,7 @@ def test_the_dialect_against_octoprints_virtual_printer(plug: Plug, tmp_path: ob
     )
     try:
         firmware = driver.connect(timeout=20)
-        assert firmware.name == "Marlin"
+        assert firmware.name == "Marlin" and "2.1.2 (peer)" in firmware.version
         driver.home(HomingStrategy.MANUAL_POSE)
         for goal in ((0.3, 0.5, -0.02, 0.4), (0.1, 0.2, -0.01, 0.1)):
             reading = driver.move_to(goal)

@@ -41,6 +41,12 @@ from tapping_cell.hardware import marlin
             ),
         ),
         (
+            b"ok X:0.0 Y:0.0 Z:0.0 E:0.0 Count: A:0 B:0 C:0",
+            marlin.Position(
+                {"X": 0.0, "Y": 0.0, "Z": 0.0, "E": 0.0}, {"A": 0, "B": 0, "C": 0}, with_ok=True
+            ),
+        ),
+        (
             b"FIRMWARE_NAME:Marlin 2.1.2 (Jun  5 2023 12:00:00) SOURCE_CODE_URL:github.com/x"
             b" PROTOCOL_VERSION:1.0",
             marlin.FirmwareName("Marlin 2.1.2 (Jun  5 2023 12:00:00)"),
