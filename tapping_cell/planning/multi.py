@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.interface import Array, Taps
+from tapping_cell.planning.lookup import bracket
 from tapping_cell.planning.settings import PlannerSettings
 
 ERROR_LINE = 0.6
@@ -68,8 +69,10 @@ class MultiPlanner:
         )
         box = self.settings.stopping
         level = np.ones(r.shape, dtype=int)
+        index, share = bracket(self.distances, r)
         for opening in self.cones[:-1]:
-            outside = np.interp(r, self.distances, opening) < theta
+            low = opening[index]
+            outside = low + share * (opening[index + 1] - low) < theta
             if not np.any(outside):
                 break
             level += outside

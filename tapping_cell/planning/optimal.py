@@ -5,15 +5,14 @@ from __future__ import annotations
 import threading
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tapping_cell.planning.exact import ExactPlanner
 from tapping_cell.planning.interface import Array, Planner, Taps
+from tapping_cell.planning.lookup import Indices, bracket
 from tapping_cell.planning.policy_cache import keep_policy, load_policy
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.value_iteration import Solution, solve
-
-Indices = NDArray[np.intp]
 
 ALIKE = 0.35
 """Neighbouring taps are interpolated when they differ by less than this share of the larger one."""
@@ -64,8 +63,8 @@ class OptimalPolicy:
         r, signed = np.broadcast_arrays(
             np.asarray(distance, dtype=float), np.asarray(rotation, dtype=float)
         )
-        i, u = _bracket(self._solution.distances, r)
-        j, v = _bracket(self._solution.rotations, np.abs(signed))
+        i, u = bracket(self._solution.distances, r)
+        j, v = bracket(self._solution.rotations, np.abs(signed))
         return i, u, j, v, np.where(signed < 0.0, -1.0, 1.0)
 
 
@@ -136,15 +135,6 @@ class OptimalPlanner:
             self._failure = error
         finally:
             self._ready.set()
-
-
-def _bracket(grid: Array, values: Array) -> tuple[Indices, Array]:
-    """Index of the grid's cell of each value and the share of the way through it, in [0, 1]."""
-    index = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, grid.size - 2).astype(
-        np.intp
-    )
-    share = (values - grid[index]) / (grid[index + 1] - grid[index])
-    return index, np.clip(share, 0.0, 1.0)
 
 
 def _blend(table: Array, i: Indices, u: Array, j: Indices, v: Array) -> Array:

@@ -34,10 +34,10 @@ from tapping_cell.planning.interface import Array
 from tapping_cell.planning.nominal import nominal_taps
 from tapping_cell.planning.settings import PlannerSettings, Scatter
 
-RATIO = 1.08
+RATIO = 1.1
 """Ratio of neighbouring grid values far from the box, for states and for taps."""
 
-FINE_STEPS = 6
+FINE_STEPS = 5
 """Grid steps from the goal to the edge of the box."""
 
 FARTHEST = 0.35

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -19,8 +20,8 @@ OPEN_CHUNK = 4000
 
 TABLE_CHUNK = 50
 
-WORTH_PROCESSES = 3
-"""Chunks from which starting processes (about a second) pays."""
+WORTH_PROCESSES = 4.0
+"""Work in s from which starting processes, which takes a second or two, pays."""
 
 Progress = Callable[[int], None]
 
@@ -45,21 +46,21 @@ def evaluate(
     if evaluation.trials % chunk:
         sizes.append(evaluation.trials % chunk)
     seeds = np.random.SeedSequence(evaluation.seed).spawn(len(sizes))
-    workers = min(processes or os.cpu_count() or 1, len(sizes))
     note = progress or (lambda count: None)
-    if workers == 1 or len(sizes) < WORTH_PROCESSES:
-        parts = []
-        for size, seed in zip(sizes, seeds, strict=True):
+    began = time.perf_counter()
+    parts = [run_chunk(evaluation, sizes[0], seeds[0])]
+    note(sizes[0])
+    rest = list(zip(sizes[1:], seeds[1:], strict=True))
+    expected = (time.perf_counter() - began) * len(rest)
+    workers = min(processes or os.cpu_count() or 1, len(rest))
+    if workers <= 1 or expected < WORTH_PROCESSES:
+        for size, seed in rest:
             parts.append(run_chunk(evaluation, size, seed))
             note(size)
         return join(parts)
-    parts = []
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        futures = [
-            pool.submit(run_chunk, evaluation, size, seed)
-            for size, seed in zip(sizes, seeds, strict=True)
-        ]
-        for size, future in zip(sizes, futures, strict=True):
+        futures = [pool.submit(run_chunk, evaluation, size, seed) for size, seed in rest]
+        for (size, _), future in zip(rest, futures, strict=True):
             parts.append(future.result())
             note(size)
     return join(parts)
