@@ -85,7 +85,8 @@ def run(arguments: argparse.Namespace) -> int:
     domain = own_domain()
     # The client below runs in this process and must meet the nodes.
     os.environ["ROS_DOMAIN_ID"] = str(domain.number)
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    # Whatever the shell says: a demo is nobody else's business on the network.
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     console.print(f"run folder {folder}; watch it with ROS_DOMAIN_ID={domain.number}")
     try:
         with (

@@ -14,9 +14,12 @@ from tapping_cell.nodes.goals import REFUSALS, Refused, read_goal, read_toleranc
 from tapping_cell.nodes.tap_task import Task
 from tapping_cell.planning import (
     FreeSpace,
+    Gains,
     Planner,
     PositioningSession,
     check_goal,
+    keep_gains,
+    load_gains,
     make_planner,
 )
 
@@ -36,11 +39,16 @@ class GoalDesk:
     """Turns requests into tasks.
 
     Raises:
-        tapping_cell.planning.PlanningError: the planning method is not known.
+        tapping_cell.planning.PlanningError: the planning method is not known, or what was learnt
+            in earlier runs cannot be read.
     """
 
-    def __init__(self, cell: Cell, planner: str) -> None:
+    def __init__(self, cell: Cell, planner: str, *, adapt: bool, keep: bool) -> None:
+        """``adapt``: learn from taps; ``keep``: remember what was learnt between runs."""
         self.cell = cell
+        self._adapt = adapt
+        self._keep = keep
+        self._gains = load_gains(cell.object.name) if keep else Gains.start()
         self._planner = planner or cell.file.goal.planner
         self._space = assembly.make_strike_space(cell)
         self._free = FreeSpace(self._space)
@@ -60,6 +68,12 @@ class GoalDesk:
         except ValueError:
             self._planner = before
             raise
+
+    def learn(self, task: Task) -> None:
+        """Remember what a goal's taps taught about the object, for the goals that follow."""
+        self._gains = task.session.gains
+        if self._keep and task.records:
+            keep_gains(self.cell.object.name, self._gains)
 
     def accept(self, request: Request, now: float) -> Task | Refused:
         """A task for a request, or why there is none. ``now`` is ROS time in s."""
@@ -83,7 +97,13 @@ class GoalDesk:
             return Refused(REFUSALS[unreachable.reason], unreachable.sentence)
         max_taps = request.max_taps or limit
         session = PositioningSession(
-            goal, self._planner_for(tolerance), self._space, self._free, most_taps=max_taps
+            goal,
+            self._planner_for(tolerance),
+            self._space,
+            self._free,
+            self._gains,
+            adapt=self._adapt,
+            most_taps=max_taps,
         )
         return Task(request.message, goal, tolerance, max_taps, session, request.handle)
 

@@ -53,6 +53,8 @@ class Parameters:
     cell_file: str = text("path of the cell file; empty for the package's own", default="")
     object_file: str = text("path of the object file; empty for the cell file's", default="")
     planner: str = text("planning method; empty for the cell file's", default="")
+    adapt: bool = text("learn from every tap how the object answers", default=True)
+    keep_gains: bool = text("remember what was learnt of an object between runs", default=False)
     frames_needed: int = quantity(
         "pictures at rest that a look must be fused of", "", 1, 1000, default=10
     )
@@ -124,9 +126,14 @@ class TapPlanner(CellNode[Parameters]):
         """Read the files, make the method and the map of the table."""
         cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
         try:
-            self._desk = GoalDesk(cell, self.settings.planner)
+            self._desk = GoalDesk(
+                cell,
+                self.settings.planner,
+                adapt=self.settings.adapt,
+                keep=self.settings.keep_gains,
+            )
         except PlanningError as error:
-            raise ConfigurationError(f"{cell.path}: goal.planner: {error}") from error
+            raise ConfigurationError(f"{cell.path}: {error}") from error
 
     def change(self, name: str, value: object) -> None:
         """Take another planning method at run time."""
@@ -443,6 +450,11 @@ class TapPlanner(CellNode[Parameters]):
         self._phase = phase
         self._say(code, sentence)
         self._task = self._shot = None
+        assert self._desk is not None
+        try:
+            self._desk.learn(task)
+        except OSError as error:
+            self.get_logger().warning(f"what was learnt of the object was not kept: {error}")
         if code:
             self.get_logger().error(f"goal ended ({code}): {sentence}")
         else:
