@@ -23,10 +23,10 @@ class Census:
     repeated: tuple[int, ...]
 
 
-def census(image: Image, dictionary: str) -> Census:
+def census(image: Image, dictionary: str, thorough: bool = False) -> Census:
     """Every marker of a dictionary in the whole image; nested doubles of one square count once."""
     by_id: dict[int, list[Detection]] = {}
-    for found in find_markers(image, dictionary):
+    for found in find_markers(image, dictionary, thorough=thorough):
         others = by_id.setdefault(found.id, [])
         if all(_apart(found, other) for other in others):
             others.append(found)

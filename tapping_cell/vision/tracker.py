@@ -29,8 +29,8 @@ from tapping_cell.vision.table import (
 _SLOW = 0.0001
 _SLOW_TURN = 0.002
 """Motion between frames (m, rad) below which the photometric alignment is worth its time."""
-_JUDGED_AGAIN = 0.003
-"""Motion (m, rad) after which the error field of the table is asked again."""
+_JUDGED_AGAIN = 0.003, 0.03
+"""Motion (m) of an object at rest and of a moving one after which the lens error is asked again."""
 _USUAL_BLUR = 0.65
 """Sigma in pixels of a well focused lens with the pixel's own area; the first alignment corrects
 it."""
@@ -166,10 +166,14 @@ class PoseTracker:
     ) -> tuple[dict[int, Array], Array | None, tuple[Problem, str] | None]:
         self._last_search = stamp
         self._search_next = False
-        table = census(image, self._map.dictionary)
         same = self._map.dictionary == self.marker.dictionary
-        objects = table if same else census(image, self.marker.dictionary)
         rows = {int(i): row for row, i in enumerate(self.table.ids)}
+        for thorough in (False, True):
+            table = census(image, self._map.dictionary, thorough)
+            objects = table if same else census(image, self.marker.dictionary, thorough)
+            enough = len(rows.keys() & table.single) >= self.settings.table.least_references
+            if enough and self.marker.id in {*objects.single, *objects.repeated}:
+                break
         quads = {rows[i]: quad for i, quad in table.single.items() if i in rows}
         if self._reference_quads is not None:
             # Whatever the table's pose was: the next frames look where the markers are now.
@@ -360,7 +364,7 @@ class PoseTracker:
 
     def _good(self, motion: Motion, stamp: float) -> Observation:
         pose = self._through_newest(motion.pose)
-        error, shared = self._calibration(pose)
+        error, shared = self._calibration(pose, _JUDGED_AGAIN[int(motion.rest_since is None)])
         pose = pose - error
         since, sentence = self._warning
         if self.table.displaced:
@@ -392,12 +396,12 @@ class PoseTracker:
         moved[2] = wrap_angle(moved[2])
         return moved
 
-    def _calibration(self, pose: Array) -> tuple[Array, Array]:
+    def _calibration(self, pose: Array, again: float) -> tuple[Array, Array]:
         """What all frames share: likely error (3,) and covariance (3, 3) of table, lens and
         printing."""
         key = self.table.field_number
         known = self._judged
-        if known is None or known[0] != key or np.abs(known[1] - pose).max() > _JUDGED_AGAIN:
+        if known is None or known[0] != key or np.abs(known[1] - pose)[:2].max() > again:
             known = (key, pose, *self.table.judge(pose, self.marker.height))
             self._judged = known
         return known[2], known[3]
