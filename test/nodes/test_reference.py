@@ -1,0 +1,78 @@
+"""docs/nodes.md tells of every parameter, topic, service and error code, and of no other."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+from harness import bench
+from tapping_cell_msgs.msg import ErrorCode
+
+from tapping_cell.nodes.error_codes import NAMES
+from tapping_cell.nodes.overhead_camera import OverheadCamera
+from tapping_cell.nodes.scara_arm import ScaraArm
+from tapping_cell.nodes.sim_world import SimWorld
+from tapping_cell.nodes.tap_planner import TapPlanner
+from tapping_cell.nodes.tapper_trigger import TapperTrigger
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "nodes.md").read_text(encoding="utf-8")
+NODES = (
+    "overhead_camera",
+    "camera_pose",
+    "tap_planner",
+    "scara_arm",
+    "tapper_trigger",
+    "sim_world",
+)
+
+
+def section(title: str) -> str:
+    """The text under a heading, up to the next heading."""
+    found = re.search(rf"^#+ {re.escape(title)}$(.*?)(?=^#|\Z)", PAGE, re.MULTILINE | re.DOTALL)
+    assert found, f"docs/nodes.md has no heading '{title}'"
+    return found[1]
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_every_parameter_stands_in_the_page_with_its_text_and_range(node: str) -> None:
+    rows = section(f"`{node}`")
+    parameters = importlib.import_module(f"tapping_cell.nodes.{node}").Parameters
+    fields = dataclasses.fields(parameters)
+    for entry in fields:
+        limits = entry.metadata["limits"]
+        row = next((line for line in rows.splitlines() if f"| `{entry.name}` |" in line), "")
+        assert limits.description in row, f"{node}.{entry.name}"
+        if limits.minimum > -1e300 and limits.maximum < 1e300:
+            assert limits.range_text() in row, f"{node}.{entry.name}"
+    named = set(re.findall(r"^\| `(\w+)` \|", rows, re.MULTILINE))
+    assert named == {entry.name for entry in fields}
+
+
+def test_every_error_code_stands_in_the_page() -> None:
+    rows = re.findall(r"^\| (\d+) \| (\w+) \| .+ \|$", section("Error codes"), re.MULTILINE)
+    assert {int(number): name for number, name in rows} == NAMES
+    assert NAMES[ErrorCode.NONE] == "NONE"
+
+
+def test_every_topic_and_service_of_the_nodes_stands_in_the_page() -> None:
+    from tapping_cell.nodes.camera_pose import CameraPose
+
+    kinds = (OverheadCamera, CameraPose, TapPlanner, ScaraArm, TapperTrigger, SimWorld)
+    still = {name: {"autostart": False} for name in NODES}
+    with bench(lambda: [kind() for kind in kinds], still) as b:
+        node = b.probe
+        assert node is not None
+        b.wait(lambda: set(NODES) <= set(node.get_node_names()), "every node is seen")
+        topics = {name for name, _ in node.get_topic_names_and_types()}
+        services = {name for name, _ in node.get_service_names_and_types()}
+    told = set(re.findall(r"^\| `/?([\w/]+)` \|", section("Topics"), re.MULTILINE))
+    ours = {name.lstrip("/") for name in topics if not re.search(r"/_|rosout|_event", name)}
+    ours -= {"probe", "parameter_events"}
+    assert ours == told - {"position_object", "reset_world"}
+    private = {name for name in services if re.search(r"/(home|stop|clear_\w+|press_\w+)$", name)}
+    for name in private:
+        assert f"`~/{name.rsplit('/', 1)[1]}`" in PAGE, name
+    assert "/reset_world" in services and "`reset_world`" in PAGE
