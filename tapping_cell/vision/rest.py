@@ -63,6 +63,7 @@ class Track:
         self._resting: deque[tuple[Array, Array]] = deque(maxlen=self.settings.memory)
         self._rest_since: float | None = None
         self._strayed = 0
+        self._fused: tuple[Array, Array] = (np.zeros(3), np.zeros((3, 3)))
 
     def add(self, stamp: float, pose: Array, covariance: Array) -> Motion:
         """Take the pose of a frame taken at ``stamp`` (s, increasing) and judge."""
@@ -73,7 +74,7 @@ class Track:
             self._strayed = 0
             self._recent.append((stamp, pose, covariance))
             self._resting.append((pose, covariance))
-            fused, spread = self._fused()
+            fused, spread = self._fuse()
             return Motion(fused, spread, len(self._resting), np.zeros(3), self._rest_since)
         if self._rest_since is not None:
             # One frame off its place is not fused and not trusted; a second one ends the rest.
@@ -88,20 +89,21 @@ class Track:
             chosen = list(self._recent)[-window:]
             self._rest_since = chosen[0][0]
             self._resting.extend((p, c) for _, p, c in chosen)
-            fused, spread = self._fused()
+            fused, spread = self._fuse()
             return Motion(fused, spread, window, np.zeros(3), self._rest_since)
         velocity, _ = self._velocity(min(3, len(self._recent)))
         return Motion(pose, covariance, 1, velocity, None)
 
-    def _fused(self) -> tuple[Array, Array]:
+    def _fuse(self) -> tuple[Array, Array]:
         poses, covariances = zip(*self._resting, strict=True)
-        return fuse(np.stack(poses), np.stack(covariances))
+        self._fused = fuse(np.stack(poses), np.stack(covariances))
+        return self._fused
 
     def stays(self, pose: Array, covariance: Array) -> bool:
         """Does this pose agree with the object still resting where it was?"""
         if self._rest_since is None:
             return False
-        fused, spread = self._fused()
+        fused, spread = self._fused
         if _distance(pose, covariance, fused, spread) > self.settings.leave:
             return False
         # A creep slower than one frame shows: the mean of the last few against that of all.

@@ -261,7 +261,8 @@ def lines(report: dict[str, Any]) -> list[str]:
     for name, f in report["methods"].items():
         rows.append(
             f"{name:<{width}}  {f['median_mm']:>9.4f} {f['p95_mm']:>7.4f}  "
-            f"{f['median_deg']:>10.4f} {f['p95_deg']:>7.4f}  {f['median_ms']:>6.2f}  {f['missed']:>6}"
+            f"{f['median_deg']:>10.4f} {f['p95_deg']:>7.4f}  "
+            f"{f['median_ms']:>6.2f}  {f['missed']:>6}"
         )
     t = report["tracker"]
     rows.append(

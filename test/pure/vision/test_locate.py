@@ -1,0 +1,98 @@
+"""The verb ``locate``: files in, numbers out, and refusals in words."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from scenes import CAMERA, MARKER, REFERENCES, renderer
+
+from tapping_cell.cli import main
+
+PLACES = (np.array([0.11, -0.07, 2.0]), np.array([-0.2, 0.12, -0.4]))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("locate")
+    scene = renderer()
+    for k, place in enumerate(PLACES):
+        cv2.imwrite(str(folder / f"shot{k}.png"), scene.render(place))
+    for k in range(6):
+        cv2.imwrite(str(folder / f"film{k}.png"), scene.render(PLACES[0]))
+    cv2.imwrite(str(folder / "empty.png"), scene.render([5.0, 5.0, 0.0]))
+    (folder / "text.png").write_text("no image")
+    camera = {
+        "image_width": CAMERA.width,
+        "image_height": CAMERA.height,
+        "distortion_model": "plumb_bob",
+        "distortion_coefficients": {"rows": 1, "cols": 5, "data": list(CAMERA.distortion)},
+        "camera_matrix": {"rows": 3, "cols": 3, "data": CAMERA.matrix.ravel().tolist()},
+    }
+    table = {
+        "dictionary": REFERENCES.dictionary,
+        "markers": [
+            {"id": m.id, "size": m.size, "x": m.x, "y": m.y, "theta": m.theta}
+            for m in REFERENCES.markers
+        ],
+    }
+    seen = {
+        "shape": {"kind": "disk", "radius": 0.048},
+        "height": MARKER.height,
+        "marker": {"dictionary": MARKER.dictionary, "id": MARKER.id, "size": MARKER.size},
+    }
+    for name, content in (("camera", camera), ("table", table), ("object", seen)):
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump(content))
+    return folder
+
+
+def locate(folder: Path, *names: str) -> int:
+    files = [str(folder / n) if n.endswith(".png") else n for n in names]
+    options = [f"--{kind}={folder / f'{kind}.yaml'}" for kind in ("camera", "table", "object")]
+    return main(["locate", *files, *options])
+
+
+def test_poses_in_mm_and_degrees(folder, capsys):
+    assert locate(folder, "shot0.png", "shot1.png", "empty.png", "--json") == 0
+    results = json.loads(capsys.readouterr().out)
+    for result, place in zip(results, PLACES, strict=False):
+        assert result["visible"]
+        assert result["x"] == pytest.approx(place[0] * 1e3, abs=0.03)
+        assert result["y"] == pytest.approx(place[1] * 1e3, abs=0.03)
+        assert result["theta"] == pytest.approx(math.degrees(place[2]), abs=0.03)
+        assert abs(result["x"] - place[0] * 1e3) < 5 * result["sd_x"]
+        assert result["references"] == list(range(101, 109))
+        assert result["milliseconds"] > 0
+    assert not results[2]["visible"] and results[2]["x"] is None
+    assert results[2]["problem"] == "object_hidden"
+
+
+def test_a_sequence_is_fused(folder, capsys):
+    names = [f"film{k}.png" for k in range(6)]
+    assert locate(folder, *names, "--sequence", "--json") == 0
+    results = json.loads(capsys.readouterr().out)
+    assert results[-1]["at_rest"] and results[-1]["frames_fused"] == 6
+    assert results[-1]["sd_x"] < results[0]["sd_x"]
+
+
+def test_nothing_found_is_exit_status_1(folder, capsys):
+    assert locate(folder, "empty.png", "text.png") == 1
+    text = capsys.readouterr().out
+    assert "not found" in text and "cannot be read" in text
+
+
+def test_pictures_are_written(folder, capsys):
+    assert locate(folder, "shot0.png", "--annotate", str(folder / "out")) == 0
+    assert cv2.imread(str(folder / "out" / "shot0.png")).shape == (1024, 1280, 3)
+
+
+def test_a_bad_file_is_named(folder, capsys):
+    bad = folder / "bad.yaml"
+    bad.write_text("dictionary: nonsense_9x9\nmarkers: [{id: 1, size: 0.04, x: 0, y: 0}]\n")
+    assert main(["locate", str(folder / "shot0.png"), f"--table={bad}"]) == 2
+    assert "nonsense_9x9" in capsys.readouterr().err
