@@ -95,7 +95,7 @@ class PositioningSession:
         self.planner = planner
         self.gains = Gains.start() if gains is None else gains
         self.taps = 0
-        self._missed: float | None = None  # heading of the last tap if it did not move the object
+        self._missed: tuple[float, ...] = ()  # headings of taps since the object last moved
         self._space = space
         self._adapt = adapt
         self._most_taps = most_taps
@@ -142,7 +142,7 @@ class PositioningSession:
         distance = math.hypot(left[0], left[1])
         if distance <= box.distance and abs(left[2]) <= box.rotation and box.camera_suffices:
             return Done(Pose(*left.tolist()), box)
-        return self._refusal_before_tap(pose, left, box) or self._strike(pose, left)
+        return self._refusal_before_tap(pose, left, box) or self._strike(pose, left, self._missed)
 
     def observe(
         self,
@@ -161,7 +161,8 @@ class PositioningSession:
         moved[2] = wrap_angle(moved[2])
         asked = math.hypot(strike.wanted.x, strike.wanted.y)
         missed = math.hypot(moved[0], moved[1]) < MISSED * asked
-        self._missed = math.atan2(strike.commanded.y, strike.commanded.x) if missed else None
+        heading = math.atan2(strike.commanded.y, strike.commanded.x)
+        self._missed = (*self._missed, heading) if missed else ()
         if not self._adapt:
             return
         noise = settings.camera if covariance is None else noise_of(covariance)
@@ -202,11 +203,11 @@ class PositioningSession:
             )
         return None
 
-    def _strike(self, pose: Array, left: Array) -> Strike | Refusal:
+    def _strike(self, pose: Array, left: Array, missed: tuple[float, ...]) -> Strike | Refusal:
         distance, turn, heading = self.gains.to_plan(left)
         tap = self.planner.choose(distance, turn)
         first = self.gains.command(tap.distance, tap.rotation, heading)
-        detour = self._obstacle(pose, first)
+        detour = self._obstacle(pose, first, missed)
         if not detour:
             found = self._space.first_strike(Pose(*pose.tolist()), first[None, :])
             if found is not None:
@@ -215,12 +216,14 @@ class PositioningSession:
         for candidates in alternative_taps(
             pose, self.goal, first, self.gains, self.planner, self._paths, self._space.tap
         ):
-            safe = candidates[self._elsewhere(candidates) & self._ends_well(pose, candidates)]
+            safe = candidates[_elsewhere(candidates, missed) & self._ends_well(pose, candidates)]
             if safe.shape[0] == 0:
                 continue
             found = self._space.first_strike(Pose(*pose.tolist()), safe)
             if found is not None:
                 return self._made(pose, left, safe[found[0]], found[1], detour)
+        if missed:
+            return self._strike(pose, left, missed=())
         return Refusal(
             RefusalReason.NO_STRIKE,
             f"no tap is possible with the object at {place_text(pose)}: every one would leave the "
@@ -239,16 +242,9 @@ class PositioningSession:
             workable = nominal  # an escape: better than here, its footprint cannot be asked for
         return np.asarray(workable & nominal & self._space.slide_is_safe(pose, expected))
 
-    def _elsewhere(self, commanded: Array) -> BoolArray:
-        """Which displacements (..., 3) differ in direction from a tap that just missed."""
-        if self._missed is None:
-            return np.ones(commanded.shape[:-1], dtype=bool)
-        heading = np.arctan2(commanded[..., 1], commanded[..., 0])
-        return np.asarray(np.abs(wrap_angle(heading - self._missed)) >= ELSEWHERE)
-
-    def _obstacle(self, pose: Array, commanded: Array) -> str:
+    def _obstacle(self, pose: Array, commanded: Array, missed: tuple[float, ...]) -> str:
         """Why the slide of a displacement (3,) is not acceptable, or an empty text."""
-        if not bool(self._elsewhere(commanded)):
+        if not bool(_elsewhere(commanded, missed)):
             return "the last tap in this direction did not move the object"
         straight = math.hypot(self.goal[0] - pose[0], self.goal[1] - pose[1])
         if float(self._paths.length(pose[:2])) > BLOCKED * straight + 1e-9:
@@ -272,6 +268,13 @@ class PositioningSession:
             method=self.planner.name,
             detour=detour,
         )
+
+
+def _elsewhere(commanded: Array, missed: tuple[float, ...]) -> BoolArray:
+    """Which displacements (..., 3) differ in direction from every tap that just missed."""
+    heading = np.arctan2(commanded[..., 1], commanded[..., 0])
+    between = np.abs(wrap_angle(heading[..., None] - np.array(missed)))
+    return np.asarray(np.all(between >= ELSEWHERE, axis=-1))
 
 
 def noise_of(covariance: ArrayLike) -> CameraNoise:

@@ -6,8 +6,7 @@ import pytest
 
 from tapping_cell.cli import main
 from tapping_cell.planning import CameraNoise, PlannerSettings, PlanningError
-from tapping_cell.planning.evaluation import Evaluation, Results, evaluate, summarise
-from tapping_cell.planning.evaluation import parallel
+from tapping_cell.planning.evaluation import Evaluation, Results, evaluate, parallel, summarise
 from tapping_cell.planning.evaluation.task import End
 
 LOOK = CameraNoise(1e-4, math.radians(0.1))

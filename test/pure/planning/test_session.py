@@ -171,6 +171,21 @@ def test_after_a_miss_the_next_tap_is_another(planner, space, free):
     assert session.gains.outliers == 1
 
 
+def test_misses_are_not_repeated_until_every_direction_was_tried(planner, space, free):
+    session = PositioningSession((0.05, 0.0, 0.0), planner, space, free)
+    headings = []
+    for _ in range(6):
+        strike = session.decide((0.0, 0.0, 0.0))
+        headings.append(math.atan2(strike.commanded.y, strike.commanded.x))
+        session.observe(strike, (0, 0, 0), (0, 0, 0))
+    between = wrap_angle(np.subtract.outer(headings, headings))[np.triu_indices(6, 1)]
+    assert np.min(np.abs(between)) > math.radians(15.0)
+    for _ in range(30):
+        strike = session.decide((0.0, 0.0, 0.0))
+        assert isinstance(strike, Strike)
+        session.observe(strike, (0, 0, 0), (0, 0, 0))
+
+
 def test_taps_have_an_end(planner, space, free):
     session = PositioningSession((0.05, 0.0, 0.0), planner, space, free, most_taps=3)
     rng = np.random.default_rng(0)
