@@ -1,0 +1,44 @@
+import argparse
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tapping_cell.cli import evaluate
+from tapping_cell.planning import RefusalReason, planner_names
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "planning.md"
+
+
+@pytest.fixture(scope="module")
+def page():
+    return PAGE.read_text(encoding="utf-8")
+
+
+def test_every_reason_and_every_method_stands_in_the_page(page):
+    for name in [reason.name for reason in RefusalReason] + planner_names():
+        assert f"`{name}`" in page, name
+
+
+def test_every_picture_is_there(page):
+    pictures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", page)
+    assert len(pictures) == 4
+    for picture in pictures:
+        assert (PAGE.parent / picture).is_file(), picture
+
+
+def test_every_command_and_every_row_of_options_is_understood(page):
+    commands = re.findall(r"^python -m tapping_cell evaluate (.+)$", page, re.MULTILINE)
+    rows = re.findall(r"^\| `(--[^`]+)`", page, re.MULTILINE)
+    assert len(commands) == 2 and len(rows) == 5
+    for words in commands + rows:
+        parser = argparse.ArgumentParser()
+        evaluate.add_arguments(parser)
+        parser.parse_args(shlex.split(words))
+
+
+def test_every_option_is_explained():
+    parser = argparse.ArgumentParser()
+    evaluate.add_arguments(parser)
+    assert all(action.help for action in parser._actions)
