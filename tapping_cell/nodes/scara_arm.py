@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,10 +25,10 @@ from tapping_cell.hardware.marlin_dialect import MarlinDialect
 from tapping_cell.hardware.motion import Waypoint, move_duration, strike_path, withdraw_path
 from tapping_cell.hardware.scara import Joints, TipPose
 from tapping_cell.hardware.serial_transport import SerialTransport
-from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, NotReady, run
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED, run
 from tapping_cell.nodes.conversions import from_message, is_finite, to_message
+from tapping_cell.nodes.driver_node import DriverNode, answer
 from tapping_cell.nodes.error_codes import of_arm
-from tapping_cell.nodes.worker import Worker
 from tapping_cell.se2 import Pose
 
 DIALECTS = {"grbl": GrblDialect, "marlin": MarlinDialect}
@@ -65,28 +64,26 @@ class Snapshot:
     error_msg: str = "the arm is not connected yet"
 
 
-class ScaraArm(CellNode[Parameters]):
+class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
     """See the module's docstring."""
 
-    actor = True
+    stopped_state = ArmState.STOPPED
+    stopped_trouble = (
+        ErrorCode.ARM_STOPPED,
+        "the arm was stopped; make the cell safe, call clear_fault, then home",
+    )
+    idle_period = READ_PERIOD_S
 
     def __init__(self) -> None:
-        super().__init__("scara_arm", Parameters)
+        super().__init__("scara_arm", Parameters, Snapshot())
         self._cell: Cell | None = None
-        self._driver: ArmDriver | None = None
-        self._worker: Worker | None = None
-        self._lock = threading.Lock()
-        self._snapshot = Snapshot()
         self._published = Snapshot()
         self._last_tap_id = 0
-        self._abandoned = threading.Event()
         self._state_publisher = self.create_publisher(ArmState, "arm_state", LATCHED)
         self._joint_publisher = self.create_publisher(JointState, "joint_states", 10)
         self.create_subscription(TapCommand, "tap_command", self._on_tap_command, COMMAND)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, COMMAND)
         self.create_service(Trigger, "~/home", self._on_home)
-        self.create_service(Trigger, "~/stop", self._on_stop)
-        self.create_service(Trigger, "~/clear_fault", self._on_clear_fault)
         self.create_timer(1.0 / self.settings.state_rate, self._publish)
 
     # Life cycle
@@ -99,54 +96,30 @@ class ScaraArm(CellNode[Parameters]):
         transport = SerialTransport(port, arm.baud)
         dialect = DIALECTS[arm.dialect](transport)
         driver = ArmDriver(transport, dialect, arm.geometry(), ArmSettings(home_joints=arm.home))
-        try:
-            driver.connect(timeout=1.0)
-        except HardwareFault as fault:
-            self._set(error_code=of_arm(fault), error_msg=fault.sentence)
-            raise NotReady(fault.sentence) from fault
-        self._cell, self._driver = cell, driver
+        self._cell = cell
+        self.connect(driver)
         self._set_standing()
-        self._worker = Worker("arm", self._idle, READ_PERIOD_S)
-        self._worker.start()
 
     def activate(self) -> None:
         """Home where that needs no person."""
         assert self._cell is not None
         strategy = HomingStrategy(self._cell.file.arm.homing)
         if self.settings.home_on_activate and strategy is not HomingStrategy.MANUAL_POSE:
-            self._submit(self._home)
+            self.submit(self._home)
 
     def deactivate(self) -> None:
         """Abandon what is under way; the arm stays where it comes to a stand."""
-        self._abandoned.set()
+        self.abandoned.set()
 
-    def cleanup(self) -> None:
-        """Close the port."""
-        self._abandoned.set()
-        if self._worker is not None:
-            self._worker.close()
-        if self._driver is not None:
-            self._driver.close()
-        self._worker = self._driver = None
-        with self._lock:
-            self._snapshot = Snapshot()
-
-    def stop_now(self) -> None:
-        """Stop on the wire, at once."""
-        self._abandoned.set()
-        if self._driver is not None:
-            self._driver.stop()
-        self._set(
-            state=ArmState.STOPPED,
-            error_code=ErrorCode.ARM_STOPPED,
-            error_msg="the arm was stopped; make the cell safe, call clear_fault, then home",
-        )
+    def code_of(self, fault: HardwareFault) -> int:
+        """The ErrorCode of a fault of the arm."""
+        return of_arm(fault)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Port, firmware, homing and counters."""
-        driver = self._driver
+        driver, now = self.driver, self.snapshot
         if driver is None:
-            return DiagnosticStatus.WARN, self._snapshot.error_msg, {}
+            return DiagnosticStatus.WARN, now.error_msg, {}
         values: dict[str, object] = {
             "hardware_id": driver.firmware.name if driver.firmware else "",
             "firmware": f"{driver.firmware.name} {driver.firmware.version}"
@@ -159,37 +132,37 @@ class ScaraArm(CellNode[Parameters]):
             "stops": driver.counters.stops,
             "last error": driver.counters.last_error,
         }
-        if self._worker is not None and self._worker.error is not None:
-            return DiagnosticStatus.ERROR, f"defect: {self._worker.error!r}", values
-        if self._snapshot.error_code:
-            return DiagnosticStatus.ERROR, self._snapshot.error_msg, values
+        if self.defect is not None:
+            return DiagnosticStatus.ERROR, f"defect: {self.defect!r}", values
+        if now.error_code:
+            return DiagnosticStatus.ERROR, now.error_msg, values
         return DiagnosticStatus.OK, "ok", values
 
     # Commands
 
     def _on_tap_command(self, command: TapCommand) -> None:
         if command.request == TapCommand.WITHDRAW:
-            if command.tap_id == self._snapshot.tap_id and self._driver is not None:
-                self._abandoned.set()
-                self._submit(self._withdraw)
+            if command.tap_id == self.snapshot.tap_id and self.driver is not None:
+                self.abandoned.set()
+                self.submit(self._withdraw)
             return
         refusal = self._refusal(command)
         if refusal:
             self.get_logger().error(f"tap {command.tap_id} refused: {refusal}")
             return
         self._last_tap_id = command.tap_id
-        self._abandoned.clear()
-        self._set(state=ArmState.MOVING, tap_id=command.tap_id, error_code=0, error_msg="")
+        self.abandoned.clear()
+        self.set(state=ArmState.MOVING, tap_id=command.tap_id, error_code=0, error_msg="")
         pose = from_message(command.strike_pose)
         expiry = Time.from_msg(command.expiry)
-        self._submit(lambda: self._place(pose, command.tap_id, expiry))
+        self.submit(lambda: self._place(pose, command.tap_id, expiry))
 
     def _refusal(self, command: TapCommand) -> str:
         """Why a tap command is not taken; empty when it is."""
         if not self.active:
             return "the node is not active; activate it first"
-        if self.stopped or self._snapshot.state != ArmState.IDLE:
-            return f"the arm is not idle ({self._snapshot.error_msg or 'it is busy'})"
+        if self.stopped or self.snapshot.state != ArmState.IDLE:
+            return f"the arm is not idle ({self.snapshot.error_msg or 'it is busy'})"
         if command.tap_id <= self._last_tap_id:
             return (
                 f"tap ids rise, and {self._last_tap_id} was served already; a tap is never served "
@@ -205,9 +178,9 @@ class ScaraArm(CellNode[Parameters]):
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         names = list(Joints._fields)
-        if not self.active or self._snapshot.state != ArmState.IDLE:
+        if not self.active or self.snapshot.state != ArmState.IDLE:
             self.get_logger().error(
-                f"trajectory refused: the arm is not idle ({self._snapshot.error_msg or 'busy'})"
+                f"trajectory refused: the arm is not idle ({self.snapshot.error_msg or 'busy'})"
             )
             return
         if sorted(message.joint_names) != sorted(names) or not message.points:
@@ -227,42 +200,26 @@ class ScaraArm(CellNode[Parameters]):
                 return
             seconds = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
             targets.append((Joints(*(point.positions[index] for index in order)), seconds))
-        self._abandoned.clear()
-        self._set(state=ArmState.MOVING, clear_of_camera=False)
-        self._submit(lambda: self._follow_trajectory(targets))
+        self.abandoned.clear()
+        self.set(state=ArmState.MOVING, clear_of_camera=False)
+        self.submit(lambda: self._follow_trajectory(targets))
 
     def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if not self.active or self._driver is None:
-            return _answer(response, False, "the node is not active; activate it first")
-        if self._snapshot.state not in (ArmState.NOT_HOMED, ArmState.IDLE):
-            return _answer(
-                response, False, f"the arm cannot home now: {self._snapshot.error_msg or 'busy'}"
+        if not self.active or self.driver is None:
+            return answer(response, False, "the node is not active; activate it first")
+        if self.snapshot.state not in (ArmState.NOT_HOMED, ArmState.IDLE):
+            return answer(
+                response, False, f"the arm cannot home now: {self.snapshot.error_msg or 'busy'}"
             )
-        self._submit(self._home)
-        return _answer(response, True, "homing has begun; arm_state tells when it is done")
-
-    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.stopped = True
-        self.stop_now()
-        return _answer(response, True, "stopped; clear_fault ends the stop")
-
-    def _on_clear_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._driver is None:
-            return _answer(response, False, self._snapshot.error_msg)
-        self.stopped = False
-        self._submit(self._clear)
-        return _answer(response, True, "clearing; home the arm when arm_state says NOT_HOMED")
+        self.submit(self._home)
+        return answer(response, True, "homing has begun; arm_state tells when it is done")
 
     # Jobs of the worker's thread
 
-    def _submit(self, job: object) -> None:
-        if self._worker is not None:
-            self._worker.submit(job)  # type: ignore[arg-type]
-
     def _home(self) -> None:
-        driver, cell = self._require()
-        self._abandoned.clear()
-        self._set(state=ArmState.HOMING, error_code=0, error_msg="")
+        driver, cell = self.require(), self._require_cell()
+        self.abandoned.clear()
+        self.set(state=ArmState.HOMING, error_code=0, error_msg="")
         try:
             driver.home(HomingStrategy(cell.file.arm.homing))
             self._park()
@@ -270,7 +227,7 @@ class ScaraArm(CellNode[Parameters]):
             self._fail(fault)
 
     def _place(self, strike: Pose, tap_id: int, expiry: Time) -> None:
-        driver, cell = self._require()
+        driver, cell = self.require(), self._require_cell()
         arm = cell.file.arm
         tip = cell.arm_base.inverse() @ strike
         try:
@@ -280,18 +237,18 @@ class ScaraArm(CellNode[Parameters]):
                 TipPose(tip.x, tip.y, arm.strike_height, tip.theta),
                 arm.motion(),
             )
-            self._set(clear_of_camera=False)
+            self.set(clear_of_camera=False)
             if self._move_along(path, expiry):
                 self._read()
-                self._set(state=ArmState.IN_POSITION, expiry=expiry)
-            elif not self._abandoned.is_set():
+                self.set(state=ArmState.IN_POSITION, expiry=expiry)
+            elif not self.abandoned.is_set():
                 self._withdraw()
         except HardwareFault as fault:
             self._fail(fault)
 
     def _withdraw(self) -> None:
-        self._abandoned.clear()
-        self._set(state=ArmState.WITHDRAWING, expiry=None)
+        self.abandoned.clear()
+        self.set(state=ArmState.WITHDRAWING, expiry=None)
         # A release that was commanded just before is over when the arm begins to move.
         time.sleep(RELEASE_GUARD_S)
         try:
@@ -300,14 +257,14 @@ class ScaraArm(CellNode[Parameters]):
             self._fail(fault)
 
     def _park(self) -> None:
-        driver, cell = self._require()
+        driver, cell = self.require(), self._require_cell()
         path = withdraw_path(cell.file.arm.geometry(), driver.read_joints(), cell.file.arm.motion())
         if self._move_along(path):
             self._read()
-            self._set(state=ArmState.IDLE, tap_id=0, clear_of_camera=True, expiry=None)
+            self.set(state=ArmState.IDLE, tap_id=0, clear_of_camera=True, expiry=None)
 
     def _follow_trajectory(self, targets: Sequence[tuple[Joints, float]]) -> None:
-        driver, cell = self._require()
+        driver, cell = self.require(), self._require_cell()
         geometry = cell.file.arm.geometry()
         try:
             here, before = driver.read_joints(), 0.0
@@ -318,23 +275,24 @@ class ScaraArm(CellNode[Parameters]):
                     break
                 here, before = target, at
             self._read()
-            self._set(state=ArmState.IDLE)
+            self.set(state=ArmState.IDLE)
         except HardwareFault as fault:
             self._fail(fault)
 
     def _move_along(self, path: Sequence[Waypoint], expiry: Time | None = None) -> bool:
         """Take the waypoints; False where the move was abandoned between two of them."""
-        driver, _ = self._require()
+        driver = self.require()
         for waypoint in path:
-            if self._abandoned.is_set() or (expiry and self.get_clock().now() > expiry):
+            if self.abandoned.is_set() or (expiry and self.get_clock().now() > expiry):
                 return False
             driver.move_to(waypoint.joints, waypoint.speed)
             self._read()
         driver.follow(())
-        return not self._abandoned.is_set()
+        return not self.abandoned.is_set()
 
-    def _clear(self) -> None:
-        driver, _ = self._require()
+    def clear(self) -> None:
+        """End a stop or a fault; the arm must be homed afterwards."""
+        driver = self.require()
         try:
             driver.clear_fault()
         except HardwareFault as fault:
@@ -342,17 +300,17 @@ class ScaraArm(CellNode[Parameters]):
             return
         self._set_standing()
 
-    def _idle(self) -> None:
+    def idle(self) -> None:
         """Between jobs: read back, notice a lost line, open it again."""
-        driver, _ = self._require()
-        if self._snapshot.state == ArmState.STOPPED:
+        driver = self.require()
+        if self.snapshot.state == ArmState.STOPPED:
             return
         try:
             if not driver.connected:
                 driver.connect(timeout=1.0)
                 self._set_standing()
             self._read()
-            expiry = self._snapshot.expiry
+            expiry = self.snapshot.expiry
             if expiry is not None and self.get_clock().now() > expiry:
                 # Nobody came back for this tap: the planner may be gone.
                 self._withdraw()
@@ -360,19 +318,19 @@ class ScaraArm(CellNode[Parameters]):
             self._fail(fault)
 
     def _read(self) -> None:
-        driver, _ = self._require()
+        driver = self.require()
         before = self.get_clock().now()
         reading = driver.read()
         if driver.homed:
-            self._set(joints=reading.joints, read_at=before)
+            self.set(joints=reading.joints, read_at=before)
 
     def _set_standing(self) -> None:
         """The state of an arm that was just connected or cleared."""
-        assert self._driver is not None
-        if self._driver.homed:
-            self._set(state=ArmState.IDLE, tap_id=0, error_code=0, error_msg="")
+        assert self.driver is not None
+        if self.driver.homed:
+            self.set(state=ArmState.IDLE, tap_id=0, error_code=0, error_msg="")
         else:
-            self._set(
+            self.set(
                 state=ArmState.NOT_HOMED,
                 tap_id=0,
                 joints=None,
@@ -391,26 +349,18 @@ class ScaraArm(CellNode[Parameters]):
             FaultReason.HOMING_FAILED: ArmState.NOT_HOMED,
         }
         state = states.get(fault.reason, ArmState.FAULT)
-        if self._snapshot.error_msg != fault.sentence:
+        if self.snapshot.error_msg != fault.sentence:
             self.get_logger().error(fault.sentence)
-        self._set(state=state, error_code=of_arm(fault), error_msg=fault.sentence)
+        self.set(state=state, error_code=of_arm(fault), error_msg=fault.sentence)
 
-    def _require(self) -> tuple[ArmDriver, Cell]:
-        assert self._driver is not None and self._cell is not None
-        return self._driver, self._cell
+    def _require_cell(self) -> Cell:
+        assert self._cell is not None
+        return self._cell
 
     # State
 
-    def _set(self, **changes: object) -> None:
-        with self._lock:
-            values = {name: getattr(self._snapshot, name) for name in Snapshot.__slots__}
-            if values["state"] == ArmState.STOPPED and self.stopped:
-                return
-            self._snapshot = Snapshot(**{**values, **changes})  # type: ignore[arg-type]
-
     def _publish(self) -> None:
-        with self._lock:
-            now = self._snapshot
+        now = self.snapshot
         message = ArmState(
             state=now.state,
             tap_id=now.tap_id,
@@ -431,11 +381,6 @@ class ScaraArm(CellNode[Parameters]):
             joints.header.stamp = message.header.stamp
             self._joint_publisher.publish(joints)
         self._published = now
-
-
-def _answer(response: Trigger.Response, success: bool, sentence: str) -> Trigger.Response:
-    response.success, response.message = success, sentence
-    return response
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

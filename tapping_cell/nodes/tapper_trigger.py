@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +11,6 @@ from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.time import Time
-from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand, TapperState
 
 from tapping_cell.configuration.cell import load_cell
@@ -22,9 +20,9 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
 from tapping_cell.hardware.tapper_protocol import Reply
-from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, NotReady, run
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED, run
+from tapping_cell.nodes.driver_node import DriverNode
 from tapping_cell.nodes.error_codes import of_tapper
-from tapping_cell.nodes.worker import Worker
 
 READ_PERIOD_S = 0.1
 OUTCOMES = {
@@ -71,28 +69,25 @@ class Pending:
     expiry: Time
 
 
-class TapperTrigger(CellNode[Parameters]):
+class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
     """See the module's docstring."""
 
-    actor = True
+    stopped_state = TapperState.STOPPED
+    stopped_trouble = (
+        ErrorCode.TAPPER_STOPPED,
+        "the tapper was stopped; make the cell safe, then call clear_fault",
+    )
+    idle_period = READ_PERIOD_S
 
     def __init__(self) -> None:
-        super().__init__("tapper_trigger", Parameters)
-        self._driver: TapperDriver | None = None
+        super().__init__("tapper_trigger", Parameters, Snapshot())
         self._curve: EnergyCurve | None = None
-        self._worker: Worker | None = None
-        self._lock = threading.Lock()
-        self._snapshot = Snapshot()
         self._pending: Pending | None = None
-        self._arm: ArmState | None = None
-        self._arm_heard = 0.0
+        self._heard: tuple[ArmState | None, float] = (None, 0.0)
         self._last_tap_id = 0
-        self._abandoned = threading.Event()
         self._publisher = self.create_publisher(TapperState, "tapper_state", LATCHED)
         self.create_subscription(TapCommand, "tap_command", self._on_tap_command, COMMAND)
         self.create_subscription(ArmState, "arm_state", self._on_arm_state, LATCHED)
-        self.create_service(Trigger, "~/stop", self._on_stop)
-        self.create_service(Trigger, "~/clear_fault", self._on_clear_fault)
         self.create_timer(1.0 / self.settings.state_rate, self._tick)
 
     # Life cycle
@@ -102,52 +97,29 @@ class TapperTrigger(CellNode[Parameters]):
         cell = load_cell(self.settings.cell_file or None)
         tapper = cell.file.tapper
         port = str(Path(self.settings.port or tapper.port).expanduser())
-        driver = TapperDriver(SerialTransport(port, tapper.baud))
-        try:
-            reply = driver.connect(timeout=1.0)
-        except HardwareFault as fault:
-            driver.close()
-            self._set(error_code=of_tapper(fault), error_msg=fault.sentence)
-            raise NotReady(fault.sentence) from fault
-        self._driver, self._curve = driver, tapper.curve()
+        reply = self.connect(TapperDriver(SerialTransport(port, tapper.baud)))
+        self._curve = tapper.curve()
         self._set_safe(reply)
-        self._worker = Worker("tapper", self._idle, READ_PERIOD_S)
-        self._worker.start()
 
     def deactivate(self) -> None:
         """Give up the tap under way, unless it was fired."""
         self._abandon("the node was deactivated", ErrorCode.NOT_ACTIVE)
 
-    def cleanup(self) -> None:
-        """Close the port; the tapper disarms itself by the silence."""
-        self._abandoned.set()
-        if self._worker is not None:
-            self._worker.close()
-        if self._driver is not None:
-            self._driver.close()
-        self._worker = self._driver = None
-        with self._lock:
-            self._snapshot = Snapshot()
+    def code_of(self, fault: HardwareFault) -> int:
+        """The ErrorCode of a fault of the tapper."""
+        return of_tapper(fault)
 
-    def stop_now(self) -> None:
-        """Stop on the wire, at once."""
-        self._abandoned.set()
-        if self._driver is not None:
-            self._driver.stop()
+    def give_up(self) -> None:
+        """A stop ends the tap that waits."""
         pending, self._pending = self._pending, None
-        self._set(
-            state=TapperState.STOPPED,
-            error_code=ErrorCode.TAPPER_STOPPED,
-            error_msg="the tapper was stopped; make the cell safe, then call clear_fault",
-        )
         if pending is not None:
-            self._set(outcome=TapperState.NOT_FIRED)
+            self.set(outcome=TapperState.NOT_FIRED)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Port, firmware and counters."""
-        driver = self._driver
+        driver, now = self.driver, self.snapshot
         if driver is None:
-            return DiagnosticStatus.WARN, self._snapshot.error_msg, {}
+            return DiagnosticStatus.WARN, now.error_msg, {}
         counters = driver.counters
         values: dict[str, object] = {
             "hardware_id": "tapper",
@@ -161,17 +133,17 @@ class TapperTrigger(CellNode[Parameters]):
             "stops": counters.stops,
             "last error": counters.last_error,
         }
-        if self._worker is not None and self._worker.error is not None:
-            return DiagnosticStatus.ERROR, f"defect: {self._worker.error!r}", values
-        if self._snapshot.error_code:
-            return DiagnosticStatus.ERROR, self._snapshot.error_msg, values
+        if self.defect is not None:
+            return DiagnosticStatus.ERROR, f"defect: {self.defect!r}", values
+        if now.error_code:
+            return DiagnosticStatus.ERROR, now.error_msg, values
         return DiagnosticStatus.OK, "ok", values
 
     # Commands
 
     def _on_tap_command(self, command: TapCommand) -> None:
         if command.request == TapCommand.WITHDRAW:
-            if command.tap_id == self._snapshot.tap_id:
+            if command.tap_id == self.snapshot.tap_id:
                 self._abandon("the tap was abandoned", ErrorCode.NONE)
             return
         refusal = self._refusal(command)
@@ -180,7 +152,7 @@ class TapperTrigger(CellNode[Parameters]):
             self.get_logger().error(f"tap {command.tap_id} refused: {sentence}")
             if command.tap_id > self._last_tap_id:
                 self._last_tap_id = command.tap_id
-                self._set(
+                self.set(
                     tap_id=command.tap_id,
                     outcome=TapperState.NOT_FIRED,
                     error_code=code,
@@ -189,13 +161,13 @@ class TapperTrigger(CellNode[Parameters]):
             return
         assert self._curve is not None
         self._last_tap_id = command.tap_id
-        self._abandoned.clear()
+        self.abandoned.clear()
         self._pending = Pending(
             command.tap_id,
             self._curve.energy_for(command.striker_speed),
             Time.from_msg(command.expiry),
         )
-        self._set(
+        self.set(
             tap_id=command.tap_id,
             outcome=TapperState.NONE,
             measured_speed=math.nan,
@@ -207,8 +179,8 @@ class TapperTrigger(CellNode[Parameters]):
         """Why a tap command is not taken; None when it is."""
         if not self.active or self._curve is None:
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
-        if self.stopped or self._snapshot.state != TapperState.SAFE or self._pending is not None:
-            reason = self._snapshot.error_msg or "it serves another tap"
+        if self.stopped or self.snapshot.state != TapperState.SAFE or self._pending is not None:
+            reason = self.snapshot.error_msg or "it serves another tap"
             return ErrorCode.TAPPER_BUSY, f"the tapper is not at rest: {reason}"
         if command.tap_id <= self._last_tap_id:
             return (
@@ -228,42 +200,25 @@ class TapperTrigger(CellNode[Parameters]):
         return None
 
     def _on_arm_state(self, message: ArmState) -> None:
-        with self._lock:
-            self._arm, self._arm_heard = message, time.monotonic()
+        # One assignment, because the worker reads it in the moment before it fires.
+        self._heard = (message, time.monotonic())
         pending = self._pending
         if pending is not None and self._arm_refusal(pending.tap_id) is None:
             self._pending = None
-            if self._worker is not None:
-                self._worker.submit(lambda: self._shoot(pending))
+            self.submit(lambda: self._shoot(pending))
 
     def _abandon(self, why: str, code: int) -> None:
         """Give up the tap that waits; one under way in the worker sees the flag before it fires."""
-        self._abandoned.set()
+        self.abandoned.set()
         pending, self._pending = self._pending, None
         if pending is not None:
-            self._set(outcome=TapperState.NOT_FIRED, error_code=code, error_msg=why if code else "")
-
-    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self.stopped = True
-        self.stop_now()
-        response.success, response.message = True, "stopped; clear_fault ends the stop"
-        return response
-
-    def _on_clear_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._worker is None:
-            response.success, response.message = False, self._snapshot.error_msg
-            return response
-        self.stopped = False
-        self._worker.submit(self._clear)
-        response.success, response.message = True, "clearing; tapper_state tells the result"
-        return response
+            self.set(outcome=TapperState.NOT_FIRED, error_code=code, error_msg=why if code else "")
 
     # The interlock with the arm
 
     def _arm_refusal(self, tap_id: int) -> str | None:
         """Why the arm does not allow to fire this tap now; None when it does."""
-        with self._lock:
-            arm, heard = self._arm, self._arm_heard
+        arm, heard = self._heard
         limit = self.settings.arm_freshness
         if arm is None:
             return "the arm has not reported yet"
@@ -279,27 +234,27 @@ class TapperTrigger(CellNode[Parameters]):
     # Jobs of the worker's thread
 
     def _shoot(self, tap: Pending) -> None:
-        driver = self._require()
+        driver = self.require()
         try:
-            self._set(state=TapperState.DRAWING)
+            self.set(state=TapperState.DRAWING)
             driver.arm(tap.tap_id, tap.energy)
-            self._set(state=TapperState.READY)
+            self.set(state=TapperState.READY)
             refusal = self._last_check(tap)
             if refusal is not None:
                 driver.disarm()
                 code, sentence = refusal
-                self._set(
+                self.set(
                     state=TapperState.SAFE,
                     outcome=TapperState.NOT_FIRED,
                     error_code=code,
                     error_msg=sentence,
                 )
                 return
-            self._set(state=TapperState.FIRING)
+            self.set(state=TapperState.FIRING)
             result = driver.fire(tap.tap_id)
         except HardwareFault as fault:
             # Every fault that is raised was met before FIRE went out.
-            self._set(outcome=TapperState.NOT_FIRED)
+            self.set(outcome=TapperState.NOT_FIRED)
             self._fail(fault)
             return
         code = ErrorCode.NONE
@@ -308,11 +263,11 @@ class TapperTrigger(CellNode[Parameters]):
         elif result.outcome is FireOutcome.UNKNOWN:
             code = ErrorCode.TAPPER_OUTCOME_UNKNOWN
         self._read()
-        self._set(outcome=OUTCOMES[result.outcome], error_code=code, error_msg=result.sentence)
+        self.set(outcome=OUTCOMES[result.outcome], error_code=code, error_msg=result.sentence)
 
     def _last_check(self, tap: Pending) -> tuple[int, str] | None:
         """What forbids to fire, looked at in the last moment; None when nothing does."""
-        if self._abandoned.is_set() or self.stopped or not self.active:
+        if self.abandoned.is_set() or self.stopped or not self.active:
             return ErrorCode.NONE, ""
         if self.get_clock().now() > tap.expiry:
             return ErrorCode.TAPPER_COMMAND_EXPIRED, "the tap's expiry passed while it was drawn"
@@ -321,17 +276,18 @@ class TapperTrigger(CellNode[Parameters]):
             return ErrorCode.TAPPER_ARM_NOT_IN_POSITION, sentence
         return None
 
-    def _clear(self) -> None:
-        driver = self._require()
+    def clear(self) -> None:
+        """End a stop or a fault; after a stop the tapper wants a person at the cell as well."""
+        driver = self.require()
         try:
             self._set_safe(driver.clear())
         except HardwareFault as fault:
             self._fail(fault)
 
-    def _idle(self) -> None:
+    def idle(self) -> None:
         """Between taps: read the state, notice a lost line, open it again."""
-        driver = self._require()
-        if self._snapshot.state == TapperState.STOPPED:
+        driver = self.require()
+        if self.snapshot.state == TapperState.STOPPED:
             return
         try:
             if not driver.connected:
@@ -342,30 +298,30 @@ class TapperTrigger(CellNode[Parameters]):
             self._fail(fault)
 
     def _read(self) -> None:
-        driver = self._require()
+        driver = self.require()
         reply = driver.status()
         if reply.stop_latched:
-            self._set(
+            self.set(
                 state=TapperState.STOPPED,
                 error_code=ErrorCode.TAPPER_STOPPED,
                 error_msg="the tapper's stop is latched; make the cell safe, then call clear_fault",
             )
             return
         self._report(reply)
-        self._set(state=TapperState.SAFE)
+        self.set(state=TapperState.SAFE)
 
     def _report(self, reply: Reply) -> None:
-        ours = reply.last_fired == self._snapshot.tap_id and reply.speed is not None
-        self._set(
+        ours = reply.last_fired == self.snapshot.tap_id and reply.speed is not None
+        self.set(
             measured_speed=reply.speed if ours else math.nan,
-            shots_fired=self._require().counters.fired,
+            shots_fired=self.require().counters.fired,
             boot_number=reply.boot,
             interlock_closed=reply.interlock_closed,
         )
 
     def _set_safe(self, reply: Reply) -> None:
         self._report(reply)
-        self._set(state=TapperState.SAFE, error_code=0, error_msg="")
+        self.set(state=TapperState.SAFE, error_code=0, error_msg="")
 
     def _fail(self, fault: HardwareFault) -> None:
         if fault.reason is FaultReason.STOPPED and self.stopped:
@@ -380,22 +336,9 @@ class TapperTrigger(CellNode[Parameters]):
             FaultReason.NEEDS_PERSON: TapperState.STOPPED,
         }
         state = states.get(fault.reason, TapperState.FAULT)
-        if self._snapshot.error_msg != fault.sentence:
+        if self.snapshot.error_msg != fault.sentence:
             self.get_logger().error(fault.sentence)
-        self._set(state=state, error_code=of_tapper(fault), error_msg=fault.sentence)
-
-    def _require(self) -> TapperDriver:
-        assert self._driver is not None
-        return self._driver
-
-    # State
-
-    def _set(self, **changes: object) -> None:
-        with self._lock:
-            values = {name: getattr(self._snapshot, name) for name in Snapshot.__slots__}
-            if values["state"] == TapperState.STOPPED and self.stopped:
-                changes = {key: value for key, value in changes.items() if key == "outcome"}
-            self._snapshot = Snapshot(**{**values, **changes})  # type: ignore[arg-type]
+        self.set(state=state, error_code=of_tapper(fault), error_msg=fault.sentence)
 
     def _tick(self) -> None:
         pending = self._pending
@@ -404,8 +347,7 @@ class TapperTrigger(CellNode[Parameters]):
                 "the tap's expiry passed before the arm was in position",
                 ErrorCode.TAPPER_COMMAND_EXPIRED,
             )
-        with self._lock:
-            now = self._snapshot
+        now = self.snapshot
         message = TapperState(
             state=now.state,
             tap_id=now.tap_id,

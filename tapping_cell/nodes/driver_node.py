@@ -1,0 +1,169 @@
+"""What the nodes of the two serial devices share: a worker thread, a snapshot, stop and clear."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Generic, Protocol, TypeVar
+
+from std_srvs.srv import Trigger
+
+from tapping_cell.hardware.faults import HardwareFault
+from tapping_cell.nodes.cell_node import CellNode, NotReady
+from tapping_cell.nodes.worker import Worker
+
+CONNECT_PATIENCE_S = 1.0
+
+
+class DeviceDriver(Protocol):
+    """What both drivers can do."""
+
+    def connect(self, timeout: float) -> object:
+        """Open the line and identify who answers."""
+
+    def stop(self) -> bool:
+        """Stop on the wire, at once; from any thread."""
+
+    def close(self) -> None:
+        """Close the line."""
+
+
+Parameters = TypeVar("Parameters")
+Driver = TypeVar("Driver", bound=DeviceDriver)
+Snapshot = TypeVar("Snapshot")
+
+
+class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
+    """A node whose driver's blocking calls run in one worker thread.
+
+    The worker writes a snapshot (a frozen dataclass with the fields ``state``, ``error_code`` and
+    ``error_msg``), the executor reads and publishes it. A subclass gives ``stopped_state`` and
+    ``code_of``, and overrides :meth:`idle`, :meth:`clear` and :meth:`give_up`.
+    """
+
+    actor = True
+    stopped_state: int
+    """The snapshot's state after a stop."""
+    stopped_trouble: tuple[int, str]
+    """Code and sentence after a stop."""
+    idle_period: float
+    """Between two calls of :meth:`idle`, s."""
+
+    def __init__(self, name: str, parameters: type[Parameters], unconnected: Snapshot) -> None:
+        super().__init__(name, parameters)
+        self.driver: Driver | None = None
+        self.abandoned = threading.Event()
+        """Set while what is under way must not go on."""
+        self._unconnected = unconnected
+        self._snapshot: Any = unconnected
+        self._lock = threading.Lock()
+        self._worker: Worker | None = None
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.create_service(Trigger, "~/clear_fault", self._on_clear_fault)
+
+    # What a subclass overrides
+
+    def code_of(self, fault: HardwareFault) -> int:
+        """The ErrorCode of a fault."""
+        raise NotImplementedError
+
+    def idle(self) -> None:
+        """Between jobs, in the worker's thread."""
+
+    def clear(self) -> None:
+        """End a stop or a fault, in the worker's thread."""
+
+    def give_up(self) -> None:
+        """What a stop ends besides the driver's motion; in the executor's thread."""
+
+    # The driver and its worker
+
+    def connect(self, driver: Driver) -> Any:
+        """Connect, keep the driver and start the worker; returns what ``connect`` answers.
+
+        Raises:
+            NotReady: the device is not there or not understood; tried again by the life cycle.
+        """
+        try:
+            answer = driver.connect(timeout=CONNECT_PATIENCE_S)
+        except HardwareFault as fault:
+            driver.close()
+            self.set(error_code=self.code_of(fault), error_msg=fault.sentence)
+            raise NotReady(fault.sentence) from fault
+        self.driver = driver
+        self._worker = Worker(self.get_name(), self.idle, self.idle_period)
+        self._worker.start()
+        return answer
+
+    def submit(self, job: Callable[[], None]) -> None:
+        """Queue a job for the worker; nothing without one."""
+        if self._worker is not None:
+            self._worker.submit(job)
+
+    def require(self) -> Driver:
+        """The driver, where there surely is one."""
+        assert self.driver is not None
+        return self.driver
+
+    @property
+    def defect(self) -> BaseException | None:
+        """What ended the worker, if anything did."""
+        return self._worker.error if self._worker is not None else None
+
+    def cleanup(self) -> None:
+        """Close the port."""
+        self.abandoned.set()
+        if self._worker is not None:
+            self._worker.close()
+        if self.driver is not None:
+            self.driver.close()
+            with self._lock:
+                self._snapshot = self._unconnected
+        self._worker = self.driver = None
+
+    # The snapshot
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """What was last known."""
+        with self._lock:
+            known: Snapshot = self._snapshot
+        return known
+
+    def set(self, **changes: object) -> None:
+        """Change fields of the snapshot; a latched stop keeps its state and words."""
+        with self._lock:
+            if self._snapshot.state == self.stopped_state and self.stopped:
+                for name in ("state", "error_code", "error_msg"):
+                    changes.pop(name, None)
+            self._snapshot = replace(self._snapshot, **changes)
+
+    # Stop and clear
+
+    def stop_now(self) -> None:
+        """Stop on the wire, at once."""
+        self.abandoned.set()
+        if self.driver is not None:
+            self.driver.stop()
+        self.give_up()
+        code, sentence = self.stopped_trouble
+        self.set(state=self.stopped_state, error_code=code, error_msg=sentence)
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.stopped = True
+        self.stop_now()
+        return answer(response, True, "stopped; clear_fault ends the stop")
+
+    def _on_clear_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self.driver is None:
+            return answer(response, False, self._snapshot.error_msg)
+        self.stopped = False
+        self.submit(self.clear)
+        return answer(response, True, "clearing; the node's state tells the result")
+
+
+def answer(response: Trigger.Response, success: bool, sentence: str) -> Trigger.Response:
+    """Fill the response of a Trigger service."""
+    response.success, response.message = success, sentence
+    return response
