@@ -11,7 +11,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from numpy.typing import NDArray
-from rclpy.qos import qos_profile_sensor_data
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 from tapping_cell_msgs.msg import ErrorCode, ObjectState, PlanState
@@ -96,12 +95,12 @@ class CameraPose(CellNode[Parameters]):
         self._pose_publisher = self.create_publisher(PoseWithCovarianceStamped, "object_pose", 10)
         self._state_publisher = self.create_publisher(ObjectState, "object_state", LATCHED)
         self._picture_publisher = self.create_publisher(
-            Image, "camera/image_annotated", qos_profile_sensor_data
+            Image, "camera/image_annotated", images.PICTURES
         )
         self.create_subscription(
-            CameraInfo, "camera/camera_info", self._on_camera_info, qos_profile_sensor_data
+            CameraInfo, "camera/camera_info", self._on_camera_info, images.PICTURES
         )
-        self.create_subscription(Image, "camera/image_raw", self._on_image, qos_profile_sensor_data)
+        self.create_subscription(Image, "camera/image_raw", self._on_image, images.PICTURES)
         self.create_subscription(PlanState, "plan_state", self._on_plan_state, LATCHED)
         self.create_timer(0.25, self._watch)
 

@@ -6,9 +6,15 @@ import array
 
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image
 
 from tapping_cell.vision import CameraModel
+
+PICTURES = QoSProfile(
+    depth=15, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+)
+"""Sensor data with a queue of half a second: a busy machine delays pictures, but loses none."""
 
 CHANNELS = {"mono8": 1, "8UC1": 1, "bgr8": 3, "rgb8": 3}
 """Encodings that a camera may send, with their bytes a pixel."""

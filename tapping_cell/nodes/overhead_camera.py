@@ -9,7 +9,6 @@ from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
-from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from tapping_cell.configuration.cell import load_cell
@@ -60,11 +59,9 @@ class OverheadCamera(CellNode[Parameters]):
         self._info = CameraInfo()
         self._frames = 0
         self._problem = ""
-        self._image_publisher = self.create_publisher(
-            Image, "camera/image_raw", qos_profile_sensor_data
-        )
+        self._image_publisher = self.create_publisher(Image, "camera/image_raw", images.PICTURES)
         self._info_publisher = self.create_publisher(
-            CameraInfo, "camera/camera_info", qos_profile_sensor_data
+            CameraInfo, "camera/camera_info", images.PICTURES
         )
 
     def configure(self) -> None:

@@ -13,7 +13,6 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.duration import Duration
-from rclpy.qos import qos_profile_sensor_data
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
@@ -64,11 +63,9 @@ class SimWorld(CellNode[Parameters]):
         self._lock = threading.Lock()
         self._late: deque[tuple[float, Image]] = deque()
         self._frames = 0
-        self._image_publisher = self.create_publisher(
-            Image, "camera/image_raw", qos_profile_sensor_data
-        )
+        self._image_publisher = self.create_publisher(Image, "camera/image_raw", images.PICTURES)
         self._info_publisher = self.create_publisher(
-            CameraInfo, "camera/camera_info", qos_profile_sensor_data
+            CameraInfo, "camera/camera_info", images.PICTURES
         )
         self._truth_publisher = self.create_publisher(PoseStamped, "ground_truth", 10)
         self.create_service(ResetWorld, "reset_world", self._on_reset)
