@@ -1,9 +1,10 @@
 """The cell on hardware: camera, arm and tapper as the cell file describes them."""
 
+from launch_ros.actions import Node
+
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 
 ARGUMENTS = {
     "namespace": ("", "namespace of every node, one for each cell"),

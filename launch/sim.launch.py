@@ -1,9 +1,10 @@
 """The simulated cell: the world with its camera and devices, and the four nodes of the cell."""
 
+from launch_ros.actions import Node
+
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
 
 ARGUMENTS = {
     "namespace": ("", "namespace of every node, one for each cell"),
