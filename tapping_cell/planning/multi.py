@@ -29,7 +29,7 @@ ERROR_LINE = 0.6
 AIM = 0.3
 """The last tap must aim within this share of the box's distance from the goal."""
 
-FARTHEST = 0.35
+FARTHEST = 1.0
 """Distance in m up to which cones are chained."""
 
 MOST_CONES = 200
@@ -57,7 +57,7 @@ class MultiPlanner:
         sizes = np.append(least * TAP_RATIO ** np.arange(steps + 1), most)
         self._taps = np.concatenate([sizes, -sizes])
         near = np.arange(0.0, 4.0 * least, least / 20.0)
-        far = np.geomspace(4.0 * least, max(FARTHEST, 2.0 * most), 220)
+        far = np.geomspace(4.0 * least, max(FARTHEST, 4.0 * most), 220)
         self.distances: Array = np.concatenate([near, far])
         self.cones: Array = self._chain()
         """Half openings h_i (rad) at ``distances``, one row a cone from cone 1; -1 where empty."""

@@ -18,6 +18,9 @@ SECOND_TAP_MARGIN = 1.4
 """Least second tap over the smallest tap. A subgoal exactly one smallest tap away would be lost in
 half of the runs to the scatter of the first tap; measured in docs/planning.md."""
 
+ROUNDING = 1e-6
+"""What the edge of the cone forgives: an exact plan without errors ends right on it."""
+
 
 def two_tap_choice(
     distance: ArrayLike, rotation: ArrayLike, settings: PlannerSettings, error_line: float
@@ -43,7 +46,7 @@ def two_tap_choice(
     least_second = SECOND_TAP_MARGIN * least
     theta = np.abs(signed)
     sense = np.where(signed < 0.0, -1.0, 1.0)
-    direct = (r >= least) & (theta <= k * r)
+    direct = (r >= least * (1.0 - ROUNDING)) & (theta <= k * r * (1.0 + ROUNDING))
 
     shortfall = 1.0 - error_line
     if settings.variant == "retreat":
@@ -58,8 +61,8 @@ def two_tap_choice(
 
     # A plan that needs larger taps than there are: turn as much as a tap can, stay near the goal.
     too_large = ~direct & (np.maximum(np.abs(first), second) > most)
-    tap = np.where(direct, np.minimum(r, most), np.where(too_large, most, first))
-    turn = np.where(direct, theta * np.minimum(1.0, most / np.maximum(r, most)), turn)
+    tap = np.where(direct, np.clip(r, least, most), np.where(too_large, most, first))
+    turn = np.where(direct, np.minimum(theta, k * r) * most / np.maximum(r, most), turn)
     turn = np.where(too_large, np.minimum(k * most, theta), turn)
     return Taps(tap, sense * turn)
 

@@ -40,7 +40,7 @@ RATIO = 1.1
 FINE_STEPS = 5
 """Grid steps from the goal to the edge of the box."""
 
-FARTHEST = 0.35
+FARTHEST = 1.0
 """Distance in m beyond which the plan does not change."""
 
 SMALL_TURNS = 14
@@ -116,7 +116,7 @@ class _Problem:
         least, most, k = settings.smallest_distance, settings.largest_distance, settings.cone_slope
         scatter, camera = settings.scatter, settings.camera
         self.slope = k
-        self.r, self.box_r = state_grid(box.distance, least, max(FARTHEST, 2.0 * most))
+        self.r, self.box_r = state_grid(box.distance, least, max(FARTHEST, 4.0 * most))
         self.theta, self.box_t = state_grid(box.rotation, k * least, math.pi)
 
         sizes = least * RATIO ** np.arange(math.ceil(math.log(most / least) / math.log(RATIO)) + 1)
