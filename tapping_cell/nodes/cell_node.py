@@ -7,6 +7,7 @@ readable, nothing moves; active = may move.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -247,6 +248,9 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
         print(f"error: {error}", file=sys.stderr)
         return 1
     finally:
+        # A launcher sends its own signal after the terminal's: one is enough to end in order.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
         if node is not None:
             node.cleanup()
             executor.remove_node(node)
