@@ -21,6 +21,11 @@ side."""
 
 _LEAST_CONTRAST = 12.0
 """Grey levels between black and white below which a side is not trusted (six times usual noise)."""
+_SOFT = 0.015
+"""Change at the ends of a window, per pixel and contrast, from which the levels beside the edge are
+not clean: the answer is then drawn towards the middle of the window, and the look repeated until
+they meet."""
+_MOST_LOOKS = 8
 _LEAST_SHARE = 0.7
 """Share of a side's rows that must agree with a straight line."""
 
@@ -51,18 +56,19 @@ def refine(image: Image, quads: Array, modules: int) -> MarkerEdges:
     """
     side = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).mean()
     half_width = int(np.clip(0.65 * side / modules, 2, 4))
-    found = _edges(image, quads, half_width)
-    for _ in range(2):
+    found, soft = _edges(image, quads, half_width)
+    for _ in range(_MOST_LOOKS):
         shift = np.abs(found.corners - quads).max(axis=(1, 2))
-        redo = found.good & (shift > 0.6) & (shift < 8.0)
+        redo = found.good & (shift > np.where(soft > _SOFT, 0.04, 0.6)) & (shift < 8.0)
         if not redo.any():
             break
         quads = np.where(redo[:, None, None], found.corners, quads)
-        found = _edges(image, quads, half_width)
+        found, soft = _edges(image, quads, half_width)
     return found
 
 
-def _edges(image: Image, quads: Array, half_width: int) -> MarkerEdges:
+def _edges(image: Image, quads: Array, half_width: int) -> tuple[MarkerEdges, Array]:
+    """One look; and how much of the contrast (M,) still changes at the ends of the windows."""
     count = quads.shape[0]
     start = quads.reshape(-1, 2)
     end = np.roll(quads, -1, axis=1).reshape(-1, 2)
@@ -120,7 +126,7 @@ def _edges(image: Image, quads: Array, half_width: int) -> MarkerEdges:
     corners = _meet(normal.reshape(count, 4, 2), offset.reshape(count, 4))
     spread = np.sqrt((squares / steepness**2).reshape(count, 4).mean(axis=1))
     total = np.maximum(mask.sum(axis=1), 1.0)
-    return MarkerEdges(
+    edges = MarkerEdges(
         points=points.reshape(count, 4, BINS, 2),
         weights=weights.reshape(count, 4, BINS),
         corners=corners,
@@ -131,13 +137,18 @@ def _edges(image: Image, quads: Array, half_width: int) -> MarkerEdges:
         & (spread < 0.6)
         & np.isfinite(corners).all(axis=(1, 2)),
     )
+    ends = 0.5 * (grey[..., 1] - grey[..., 0] + grey[..., -1] - grey[..., -2])
+    change = (ends * usable).sum(axis=1) / np.maximum((contrast * usable).sum(axis=1), 1e-9)
+    return edges, change.reshape(count, 4).max(axis=1)
 
 
 def _levels(grey: NDArray[np.float32], p: Array, mask: Array) -> tuple[Array, Array]:
     """Black and white beside every row: straight lines along the side through the outermost
     pixels."""
     sides = []
-    for columns in (grey[..., :2], grey[..., -2:]):
+    # Of a narrow window the second pixel from the end already belongs to the edge.
+    end = 1 if grey.shape[2] <= 5 else 2
+    for columns in (grey[..., :end], grey[..., -end:]):
         level = columns.mean(axis=2, dtype=float)
         offset, slope, _ = _line(p, level, mask)
         sides.append(offset[:, None] + slope[:, None] * p)

@@ -33,6 +33,12 @@ _FIELD = np.geomspace(0.002, 12.0, 12)
 _PRINT = np.geomspace(2e-7, 6e-4, 8)
 """Amplitudes that are weighed: of the lens errors, in these deviations; of a marker's misplacement,
 m."""
+_TURNS = (0.1, 1.0)
+"""Misplacement of a marker's corners by its turn, per shift: printed on one sheet, or glued one by
+one."""
+_PRIOR = (0.3, 2e-5, 1.5)
+"""What the two amplitudes usually are, and the logarithmic standard deviation of that: it decides
+where two or three references cannot."""
 _LEAST_WEIGHT = 0.02
 """Of the likeliest pair of amplitudes, below which a pair is not carried on."""
 
@@ -81,34 +87,44 @@ class ErrorField:
 
 
 def condition(
-    points: Array, residuals: Array, noise: Array, lens: Array, trend: Array, gain: Array
+    points: Array,
+    residuals: Array,
+    noise: Array,
+    lens: Array,
+    trend: Array,
+    gain: Array,
 ) -> ErrorField:
     """Condition the field on the references.
 
     ``points`` (M, 4, 2) are the corners in the map, ``residuals`` (M, 4, 2) by how much they are
-    seen elsewhere (both in m), ``noise`` (M,) the standard deviation of a corner in m; ``lens`` (8
-    M, 8) and ``trend`` (8 M, 6) are how the corners, seen on the table, answer the lens and a step
-    of the camera's pose, ``gain`` (6, 8 M) the step that the fit makes of their misplacements. Rows
-    count x and y of corner after corner.
+    seen elsewhere (both in m), ``noise`` (M,) the standard deviation of a corner in m, ``pixel``
+    the size of one there; ``lens`` (8 M, 8) and ``trend`` (8 M, 6) are how the corners, seen on the
+    table, answer the lens and a step of the camera's pose, ``gain`` (6, 8 M) the step that the fit
+    makes of their misplacements. Rows count x and y of corner after corner.
     """
-    full, _ = np.linalg.qr(trend, mode="complete")
-    basis = full[:, 6:]
+    # Only where each marker is and how it is turned counts: ink, bloom and blur make it seem
+    # larger, smaller or stretched, and a lens that explains that is a wrong one.
+    poses = _poses_of(points)
+    full, _ = np.linalg.qr(poses @ trend, mode="complete")
+    basis = poses.T @ full[:, 6:]
     data = basis.T @ residuals.reshape(-1)
-    parts = (lens @ lens.T, _single(points), np.diag(np.repeat(noise**2, 8)))
-    smooth, single, still = (basis.T @ part @ basis for part in parts)
-    s, p = (a.ravel() for a in np.meshgrid(_FIELD**2, _PRINT**2))
-    total = s[:, None, None] * smooth + p[:, None, None] * single + still
+    still = np.diag(np.repeat(noise**2, 8))
+    parts = np.stack([lens @ lens.T, *_misplaced(points), still])
+    s, p, turn = (a.ravel() for a in np.meshgrid(_FIELD**2, _PRINT**2, np.square(_TURNS)))
+    amounts = np.stack([s, p, p * turn, np.ones_like(s)], axis=-1)
+    total = np.einsum("ka,aij->kij", amounts, basis.T @ parts @ basis)
     root = np.linalg.cholesky(total)
     white = np.linalg.solve(root, np.broadcast_to(data[:, None], (len(s), data.size, 1)))[..., 0]
     likelihood = -0.5 * (white**2).sum(axis=1)
     likelihood -= np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+    for amplitude, usual in ((s, _PRIOR[0]), (p, _PRIOR[1])):
+        likelihood -= 0.5 * (np.log(amplitude / usual**2) / (2.0 * _PRIOR[2])) ** 2
     weight = np.exp(likelihood - likelihood.max())
     weight[weight < _LEAST_WEIGHT] = 0.0
     weight /= weight.sum()
     members = []
     for k in np.flatnonzero(weight):
-        covariance = s[k] * parts[0] + p[k] * parts[1] + parts[2]
-        moved = gain @ covariance
+        moved = gain @ np.tensordot(amounts[k], parts, 1)
         members.append(
             _Member(
                 float(weight[k]),
@@ -121,15 +137,31 @@ def condition(
     return ErrorField(lens, gain, basis, data, tuple(members))
 
 
-def _single(points: Array) -> Array:
-    """Covariance (8 M, 8 M) of corners of markers glued down wrong by 1: shifted, and turned by as
-    much."""
+def _misplaced(points: Array) -> tuple[Array, Array]:
+    """Covariances (8 M, 8 M) of corners of markers printed or glued wrong by 1: shifted; turned."""
+    turned = _turned(points)
+    same = np.eye(points.shape[0])
+    shifted = np.kron(same, np.kron(np.ones((4, 4)), np.eye(2)))
+    return shifted, np.kron(same, np.ones((8, 8))) * np.outer(turned, turned)
+
+
+def _poses_of(points: Array) -> Array:
+    """Matrix (3 M, 8 M): mean x, mean y and turn (times the corners' distance) of every marker."""
+    count = points.shape[0]
+    turned = _turned(points).reshape(count, 8)
+    rows = np.zeros((count, 3, count, 8))
+    for k in range(count):
+        rows[k, 0, k, 0::2] = 0.25
+        rows[k, 1, k, 1::2] = 0.25
+        rows[k, 2, k] = 0.25 * turned[k]
+    return rows.reshape(3 * count, 8 * count)
+
+
+def _turned(points: Array) -> Array:
+    """Shifts (8 M,) of all corners when each marker turns by one over its corners' distance."""
     arm = points - points.mean(axis=1, keepdims=True)
     reach = np.sqrt((arm**2).sum(axis=-1).mean())
-    turned = np.stack([-arm[..., 1], arm[..., 0]], axis=-1).reshape(-1) / reach
-    same = np.kron(np.eye(points.shape[0]), np.ones((4, 4)))
-    shifts = np.kron(same, np.eye(2))
-    return np.asarray(shifts + np.kron(same, np.ones((2, 2))) * np.outer(turned, turned))
+    return np.asarray(np.stack([-arm[..., 1], arm[..., 0]], axis=-1).reshape(-1) / reach)
 
 
 def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]:
