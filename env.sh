@@ -20,6 +20,8 @@
 #                                  before it sources this file.
 #   FASTRTPS_DEFAULT_PROFILES_FILE config/fastdds_profile.xml unless set: without its large shared-memory
 #                                  segment most camera images are lost between processes.
+#   OPENBLAS_NUM_THREADS           1 unless set: the matrices here are small, and threads of several
+#                                  nodes on few cores only hold each other up.
 
 if [ -z "${BASH_VERSION:-}" ]; then
     echo "tapping cell: env.sh works in bash: start bash, then source it there." >&2
@@ -108,6 +110,7 @@ _tapping_cell_activate() {
             ;;
     esac
     export ROS_AUTOMATIC_DISCOVERY_RANGE=$range
+    export OPENBLAS_NUM_THREADS=${OPENBLAS_NUM_THREADS:-1}
     export FASTRTPS_DEFAULT_PROFILES_FILE=${FASTRTPS_DEFAULT_PROFILES_FILE:-$root/config/fastdds_profile.xml}
     hash -r
 }

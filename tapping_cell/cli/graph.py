@@ -58,7 +58,9 @@ class Graph:
         self._nodes = tuple(nodes)
         self._parameters = parameters
         self._log_folder = log_folder
-        self._environment = {**os.environ, **(environment or {})}
+        # The nodes' matrices are small: threads of the linear algebra only get in each other's way.
+        one_thread = {"OPENBLAS_NUM_THREADS": "1"}
+        self._environment = {**one_thread, **os.environ, **(environment or {})}
         self._namespace = namespace
         self._children: list[Child] = []
 
