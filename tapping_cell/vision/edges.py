@@ -49,13 +49,27 @@ class MarkerEdges:
     good: NDArray[np.bool_]
 
 
-def refine(image: Image, quads: Array, modules: int) -> MarkerEdges:
+def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> MarkerEdges:
     """Edges of markers near ``quads`` (M, 4, 2), corners in pixels good to about 3 pixels.
 
-    ``modules`` counts the black square's modules along a side: the search stays within one of them.
+    ``modules`` (one for all, or (M,)) counts the black square's modules along a side: the search
+    stays within one of them.
     """
-    side = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).mean()
-    half_width = int(np.clip(0.65 * side / modules, 2, 4))
+    side = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).mean(axis=1)
+    widths = np.clip(0.65 * side / modules, 2, 4).astype(int)
+    kinds = np.unique(widths)
+    if len(kinds) == 1:
+        return _refine(image, quads, int(kinds[0]))
+    order = np.concatenate([np.flatnonzero(widths == kind) for kind in kinds])
+    whole = no_edges()
+    for kind in kinds:
+        part = _refine(image, quads[widths == kind], int(kind))
+        whole = part if not len(whole.good) else join(whole, part)
+    return take(whole, np.argsort(order))
+
+
+def _refine(image: Image, quads: Array, half_width: int) -> MarkerEdges:
+    """Looks at the edges with windows of one width until the windows lie on them."""
     found, soft = _edges(image, quads, half_width)
     for _ in range(_MOST_LOOKS):
         shift = np.abs(found.corners - quads).max(axis=(1, 2))

@@ -87,7 +87,6 @@ class PoseTracker:
         self._track = Track(self.settings.rest)
         self._patterns = [marker_pattern(table.dictionary, m.id) for m in table.markers]
         self._pattern = marker_pattern(object_marker.dictionary, object_marker.id)
-        self._modules = max(p.shape[0] for p in [*self._patterns, self._pattern])
         self._gate = FrameGate(camera, self.settings.dark, self.settings.bright)
         self._group = 0
         self._last_search = -math.inf
@@ -221,10 +220,11 @@ class PoseTracker:
         stack = [quads[r] for r in rows] + ([] if object_quad is None else [object_quad])
         if not stack:
             return _Found(no_edges(), np.array([], dtype=np.intp), None)
-        edges = refine(image, np.stack(stack), self._modules)
         patterns = [self._patterns[r] for r in rows]
         if object_quad is not None:
             patterns.append(self._pattern)
+        modules = np.array([pattern.shape[0] for pattern in patterns])
+        edges = refine(image, np.stack(stack), modules)
         right = patterns_agree(image, edges, patterns)
         kept = np.flatnonzero(right[: len(rows)])
         chosen = np.array(rows, dtype=np.intp)[kept]

@@ -287,6 +287,23 @@ def test_another_dictionary_and_size_for_the_object():
     assert np.all(np.abs(error(seen, HOME)) < [0.01, 0.01, 0.02])
 
 
+def test_a_small_marker_among_larger_references():
+    marker = ObjectMarker("apriltag_36h11", 5, 0.016, 0.012)
+    scene = renderer(marker=marker)
+    seen = Film(PoseTracker(CAMERA, REFERENCES, marker)).rest(scene, 12)
+    assert seen.visible
+    assert np.all(np.abs(error(seen, HOME)) < [0.02, 0.02, 0.3])
+
+
+def test_a_soft_lens_moves_nothing():
+    scene = renderer(blur=1.8)
+    film = Film()
+    for place in (HOME, HOME + np.array([-0.3, 0.05, 1.0])):
+        seen = film.rest(scene, 12, place)
+        assert seen.at_rest
+        assert np.all(np.abs(error(seen, place)) < 0.03)
+
+
 def test_the_camera_pose_is_found_from_the_map(scene):
     film = Film()
     film.rest(scene, 20)
