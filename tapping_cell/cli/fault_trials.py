@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cache
 
 import numpy as np
 
@@ -45,8 +46,6 @@ RECOVERIES = 40
 """Rounds of recovering after which the cell counts as hanging."""
 FAULT_COUNTS = (0.35, 0.35, 0.2, 0.1)
 """Shares of taps with 0, 1, 2 and 3 faults planned."""
-BYTES_PER_TAP = {"arm": (600, 2600), "tapper": (250, 500)}
-"""About how many bytes one tap sends to the device and to the host."""
 
 
 class Dialect(Enum):
@@ -106,6 +105,7 @@ class TrialCell:
     """Two emulated devices behind bad lines, their drivers, and a witness of the truth."""
 
     def __init__(self, dialect: Dialect, seed: int) -> None:
+        self.dialect = dialect
         self.rng = np.random.default_rng([seed, list(Dialect).index(dialect)])
         self.clock = VirtualClock()
         self.geometry = ScaraGeometry()
@@ -150,11 +150,8 @@ class TrialCell:
     def plan_faults(self) -> None:
         """Draw this tap's faults."""
         for _ in range(int(self.rng.choice(len(FAULT_COUNTS), p=FAULT_COUNTS))):
-            name = "arm" if self.rng.random() < 0.5 else "tapper"
-            line = self.arm_line if name == "arm" else self.tapper_line
-            toward = int(self.rng.integers(2))
-            direction = list(Direction)[toward]
-            span = BYTES_PER_TAP[name][toward]
+            (name, direction), line = self.lines()[int(self.rng.integers(4))]
+            span = bytes_of_a_tap(self.dialect)[name, direction]
             line.add(random_fault(self.rng, direction, line.count(direction), span))
 
     def tap(self) -> FireOutcome:
@@ -292,6 +289,7 @@ class TrialCell:
             self.tally.notes.append(text)
 
 
+@cache
 def bytes_of_a_tap(dialect: Dialect) -> dict[tuple[str, Direction], int]:
     """How many bytes one tap without faults sends on each line each way."""
     cell = TrialCell(dialect, 0)

@@ -198,8 +198,9 @@ class ArmDriver:
         self._confirmed = None
         try:
             if strategy is HomingStrategy.FIRMWARE:
-                self._dialect.home(self._transport.now() + self.settings.homing_timeout)
-            joints = self._declare(strategy)
+                joints = self._home_by_firmware()
+            else:
+                joints = self._declare(strategy)
         except HardwareFault as fault:
             raise self._noted(fault) from fault.__cause__
         self._confirmed = joints
@@ -252,9 +253,12 @@ class ArmDriver:
         self._require_ready(homed=True)
         try:
             self._wait(self.settings.settle_time)
-            reading = self._read()
-            if last is not None and (reading.moving or not self._agrees(last, reading.joints)):
-                raise self._mismatch(last, reading.joints)
+            reading = self._arrive(self._transport.now(), self._reply_deadline())
+            if last is not None and not self._agrees(last, reading.joints):
+                # One garbled report must not count: this asks until two agree.
+                reading = self._read()
+                if reading.moving or not self._agrees(last, reading.joints):
+                    raise self._mismatch(last, reading.joints)
         except HardwareFault as fault:
             raise self._noted(fault) from fault.__cause__
         return reading
@@ -380,6 +384,17 @@ class ArmDriver:
         """Wait for rest; the time of asking is the time of the reading."""
         reading = self._dialect.finish_move(expected_end, deadline)
         return self._in_joints(reading, self._transport.now())
+
+    def _home_by_firmware(self) -> Joints:
+        home = None if self.settings.home_joints is None else Joints(*self.settings.home_joints)
+        axes = None if home is None else self._to_axes(home)
+        self._dialect.home(axes, self._transport.now() + self.settings.homing_timeout)
+        joints = self._read().joints
+        if home is None:
+            check_limits(self.geometry, joints)
+        elif not self._agrees(home, joints):
+            raise self._mismatch(home, joints)
+        return joints
 
     def _declare(self, strategy: HomingStrategy) -> Joints:
         reading = self._read()

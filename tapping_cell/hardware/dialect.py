@@ -79,8 +79,11 @@ class ArmDialect(Protocol):
     def idle(self, duration: float) -> None:
         """Listen for up to ``duration`` s without asking anything."""
 
-    def home(self, deadline: float) -> None:
-        """Run the firmware's own homing cycle."""
+    def home(self, axes: AxisValues | None, deadline: float) -> None:
+        """Run the firmware's own homing cycle, prove that it ran, declare its end to be ``axes``.
+
+        ``axes`` None keeps the firmware's own values. Raises HOMING_FAILED.
+        """
 
     def set_position(self, axes: AxisValues, deadline: float) -> None:
         """Declare where the axes stand."""

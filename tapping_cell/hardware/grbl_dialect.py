@@ -30,6 +30,10 @@ LOCKED = {
     "Check": "in check mode",
 }
 """States in which no motion is taken until the controller is cleared."""
+HOMING_SETTINGS = (23, 27, 130, 131, 132, 133)
+"""What says where a homing ends: directions, pull-off, travels."""
+HOMED_TOLERANCE = 0.05
+"""Difference forgiven between the machine position after homing and the expected one, units."""
 RESETS = 3
 """Soft resets sent until the banner comes."""
 DRAIN_SILENCE = 0.05
@@ -51,6 +55,8 @@ class GrblSettings:
     """Settings that must hold, number to value; 13 = 0 means reports in mm and degrees."""
     tolerance: float = 1e-3
     """Relative difference forgiven in a setting."""
+    home_place: tuple[float, float, float, float] | None = None
+    """Machine position after homing, in degrees and mm; None: as Grbl computes it from ``$$``."""
 
     def __post_init__(self) -> None:
         if len(set(self.letters)) != AXIS_COUNT or not set(self.letters) <= set("XYZABCUVW"):
@@ -71,6 +77,7 @@ class GrblDialect:
         self._offset: tuple[float, ...] | None = None
         self._known = False
         self._marked = False
+        self._homed_place: tuple[float, ...] = ()
 
     @property
     def stop_bytes(self) -> bytes:
@@ -137,8 +144,12 @@ class GrblDialect:
         self._pump(duration)
         self._frames.clear()
 
-    def home(self, deadline: float) -> None:
-        """Run ``$H``."""
+    def home(self, axes: AxisValues | None, deadline: float) -> None:
+        """Run ``$H``; the machine position afterwards proves that it ran.
+
+        Neither the line nor its ``ok`` has a checksum: one wrong bit makes ``$X`` of it, which is
+        answered with ``ok`` as well.
+        """
         try:
             self._command(b"$H\n", deadline)
         except HardwareFault as fault:
@@ -149,6 +160,21 @@ class GrblDialect:
                 ) from fault
             raise
         self._offset = None
+        while _moving(status := self._ask_status(deadline)):
+            self._pump(POLL_PERIOD)
+        place = status.machine or ()
+        if len(place) < AXIS_COUNT or any(
+            abs(found - wanted) > HOMED_TOLERANCE
+            for found, wanted in zip(place, self._homed_place, strict=False)
+        ):
+            raise HardwareFault(
+                FaultReason.HOMING_FAILED,
+                f"after homing the controller stands at {place}, not at {self._homed_place}, where"
+                " its settings $23, $27 and $130 to $133 end a homing: home again; if it stays so,"
+                " set home_place",
+            )
+        if axes is not None:
+            self.set_position(axes, deadline)
 
     def set_position(self, axes: AxisValues, deadline: float) -> None:
         """``G92``, which a reset forgets; then the mark that proves no reset happened."""
@@ -342,6 +368,14 @@ class GrblDialect:
     def _check_settings(self, deadline: float) -> None:
         heard = self._retried(b"$$\n", deadline)
         found = {frame.number: frame.value for frame in heard if isinstance(frame, grbl.Setting)}
+        missing = [f"${number}" for number in HOMING_SETTINGS if number not in found]
+        if self._settings.home_place is None and missing:
+            raise HardwareFault(
+                FaultReason.SETTINGS_MISMATCH,
+                f"the controller does not list {', '.join(missing)} in its $$: connect again; if it"
+                " stays so, set home_place",
+            )
+        self._homed_place = self._settings.home_place or _homed_place(found)
         wrong = [
             f"${number} is {found.get(number, 'missing')}, must be {value:g}"
             for number, value in self._settings.expected.items()
@@ -401,6 +435,17 @@ class GrblDialect:
             f"alarm{number} of the arm's controller: {meaning}: make the cell safe, clear the fault"
             " and home again",
         )
+
+
+def _homed_place(settings: Mapping[int, float]) -> tuple[float, ...]:
+    """Where Grbl says the axes are after homing: pulled off ($27) from the end that $23 names."""
+    if any(number not in settings for number in HOMING_SETTINGS):
+        return ()
+    mask, pull_off = int(settings[23]), settings[27]
+    return tuple(
+        pull_off - settings[130 + axis] if mask >> axis & 1 else -pull_off
+        for axis in range(AXIS_COUNT)
+    )
 
 
 def _moving(status: grbl.Status) -> bool:

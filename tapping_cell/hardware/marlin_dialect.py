@@ -64,6 +64,7 @@ class MarlinDialect:
         self._buffer = b""
         self._frames: deque[marlin.Frame] = deque()
         self._number = 0
+        self._beginnings = 0
         self._sent: dict[int, bytes] = {}
         self._known = False
         self._emergency_parser = False
@@ -114,16 +115,30 @@ class MarlinDialect:
         """Listen; a restart or a halt that comes is raised."""
         self._pump(duration)
 
-    def home(self, deadline: float) -> None:
-        """``G28``."""
+    def home(self, axes: AxisValues | None, deadline: float) -> None:
+        """``G28`` and ``G92``: the board takes a line number only after the one before it.
+
+        So the position that is read at the end proves that ``G28`` ran, unless the counting had to
+        begin anew meanwhile.
+        """
+        beginnings = self._beginnings
         try:
             self._order("G28", deadline)
+            if axes is not None:
+                self.set_position(axes, deadline)
+            self.read(deadline)
         except HardwareFault as fault:
             if fault.reason in (FaultReason.ALARM, FaultReason.REJECTED):
                 raise HardwareFault(
                     FaultReason.HOMING_FAILED, f"homing failed: {fault}: check the end stops"
                 ) from fault
             raise
+        if self._beginnings != beginnings:
+            raise HardwareFault(
+                FaultReason.HOMING_FAILED,
+                "the controller lost count of its lines while homing, so that nobody knows whether"
+                " it homed: home again",
+            )
 
     def set_position(self, axes: AxisValues, deadline: float) -> None:
         """``G92``."""
@@ -254,7 +269,8 @@ class MarlinDialect:
         outcome = self._await(number + 1, SILENCE, deadline, heard)
         if outcome is None or outcome == number + 2:
             return True
-        self._number = number
+        # The number of this question is used up, whether it arrived or is still on the line: another
+        # line under the same number would be dropped as its duplicate.
         return outcome == number + 1
 
     def _next(self, until: float) -> marlin.Frame | None:
@@ -305,6 +321,7 @@ class MarlinDialect:
     def _begin_numbers(self, deadline: float) -> None:
         """``M110``: count from a number of our own choice; repeated until answered."""
         low, high = FIRST_NUMBERS
+        self._beginnings += 1
         self._number = low + self._draw_number(high - low)
         self._sent = {}
         line = marlin.numbered(self._number, f"M110 N{self._number}")
