@@ -90,6 +90,8 @@ class PoseTracker:
         self._gate = FrameGate(camera, self.settings.dark, self.settings.bright)
         self._group = 0
         self._last_search = -math.inf
+        self._last_thorough = -math.inf
+        self._trouble: tuple[Problem, str] | None = None
         self._search_next = True
         self._references_seen = -math.inf
         self._object: tuple[float, Array, Array] | None = None
@@ -167,7 +169,11 @@ class PoseTracker:
         self._search_next = False
         same = self._map.dictionary == self.marker.dictionary
         rows = {int(i): row for row, i in enumerate(self.table.ids)}
-        for thorough in (False, True):
+        # The thorough search and its explanations take several frames' time: once in a while.
+        slow = stamp - self._last_thorough >= self.settings.audit_period
+        for thorough in (False, True) if slow else (False,):
+            if thorough:
+                self._last_thorough = stamp
             table = census(image, self._map.dictionary, thorough)
             objects = table if same else census(image, self.marker.dictionary, thorough)
             enough = len(rows.keys() & table.single) >= self.settings.table.least_references
@@ -190,8 +196,11 @@ class PoseTracker:
             )
         found = objects.single.get(self.marker.id)
         if found is not None:
+            self._trouble = None
             return quads, found, None
-        return quads, None, self._explain(image, objects, set(rows) if same else set())
+        if slow:
+            self._trouble = self._explain(image, objects, set(rows) if same else set())
+        return quads, None, self._trouble
 
     def _explain(
         self, image: Image, objects: Census, expected: set[int]
