@@ -77,6 +77,7 @@ class GrblDialect:
         self._offset: tuple[float, ...] | None = None
         self._known = False
         self._marked = False
+        self._frozen = False
         self._homed_place: tuple[float, ...] = ()
 
     @property
@@ -86,6 +87,7 @@ class GrblDialect:
 
     def connect(self, deadline: float) -> Firmware:
         """Find out who is there: status, version, settings; refuses what it does not understand."""
+        offset = self._offset if self._frozen else None
         self._forget()
         self._known = False
         banner = self._drain() or self._await_first_status(deadline)
@@ -95,6 +97,8 @@ class GrblDialect:
         self._check_settings(deadline)
         continued = self._marked and banner is None and self._mark_is_there(deadline)
         self._marked = continued
+        if continued and offset is not None:
+            self._offset, self._frozen = offset, True
         self._known = True
         return Firmware("Grbl", version, continued)
 
@@ -159,7 +163,7 @@ class GrblDialect:
                     f"homing failed: {fault}: check the home switches and $22 to $27",
                 ) from fault
             raise
-        self._offset = None
+        self._offset, self._frozen = None, False
         while _moving(status := self._ask_status(deadline)):
             self._pump(POLL_PERIOD)
         place = status.machine or ()
@@ -178,9 +182,14 @@ class GrblDialect:
 
     def set_position(self, axes: AxisValues, deadline: float) -> None:
         """``G92``, which a reset forgets; then the mark that proves no reset happened."""
-        self._offset = None
+        self._offset, self._frozen = None, False
         self._command(grbl.set_position_line(self._settings.letters, axes), deadline)
         self._command(MARK_LINE, deadline)
+        while self._offset is None:
+            self._ask_status(deadline)
+        # From here on only the machine position counts: a line that a wrong bit turns into another
+        # G92 then shows as an arm that is not where it was sent.
+        self._frozen = True
         self._marked = True
 
     def clear(self, deadline: float) -> None:
@@ -203,7 +212,7 @@ class GrblDialect:
     def _forget(self) -> None:
         self._buffer = b""
         self._frames.clear()
-        self._offset = None
+        self._offset, self._frozen = None, False
 
     def _pump(self, wait: float) -> bool:
         """Read for up to ``wait`` s and decode what came; False when nothing came."""
@@ -220,7 +229,7 @@ class GrblDialect:
         if isinstance(frame, grbl.Bad):
             self.counters.bad_lines += 1
             return
-        if isinstance(frame, grbl.Status) and frame.offset is not None:
+        if isinstance(frame, grbl.Status) and frame.offset is not None and not self._frozen:
             self._offset = frame.offset
         if self._known and isinstance(frame, grbl.Banner):
             self._known = False

@@ -269,8 +269,8 @@ class MarlinDialect:
         outcome = self._await(number + 1, SILENCE, deadline, heard)
         if outcome is None or outcome == number + 2:
             return True
-        # The number of this question is used up, whether it arrived or is still on the line: another
-        # line under the same number would be dropped as its duplicate.
+        # The number of this question is used up, whether it arrived or is still on the line:
+        # another line under the same number would be dropped as its duplicate.
         return outcome == number + 1
 
     def _next(self, until: float) -> marlin.Frame | None:

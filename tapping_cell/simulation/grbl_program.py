@@ -69,9 +69,11 @@ def read_line(text: str, letters: str, before: Modal) -> Line:
     """Read a line without spaces or comments, in capitals; raises Refused."""
     modal = replace(before)
     line = Line(modal, None, {}, 0.0, None)
+    motions = 0
     for letter, value in _words(text):
         if letter == "G":
             _take_g(value, line)
+            motions += value in (0, 1)
         elif letter == "M":
             if value not in (0, 2, 3, 4, 5, 7, 8, 9, 30):
                 raise Refused(20)
@@ -90,6 +92,9 @@ def read_line(text: str, letters: str, before: Modal) -> Line:
             modal.tool = int(value)
         elif letter not in "NS":
             raise Refused(20)
+    if motions and line.action == 92:
+        # Both want the axis words.
+        raise Refused(24)
     if line.feed is not None:
         modal.feed = line.feed
     return line
