@@ -271,6 +271,24 @@ def test_unknown_firmware_is_refused(plug: Callable[..., PseudoTerminal]) -> Non
     assert caught.value.reason is FaultReason.UNKNOWN_FIRMWARE
 
 
+def test_a_homing_that_did_not_run_is_not_believed(plug: Callable[..., PseudoTerminal]) -> None:
+    """One wrong bit makes $X of $H, which an unlocked Grbl answers with ok."""
+    cell = Cell(plug)
+    cell.driver.connect()
+    cell.driver.clear_fault()
+    original = cell.emulator.receive
+
+    def garbled(data: bytes, now: float) -> None:
+        original(data.replace(b"$H", b"$X"), now)
+
+    with cell.port.lock:
+        cell.emulator.receive = garbled  # type: ignore[method-assign]
+    with pytest.raises(HardwareFault, match="after homing the controller stands at") as caught:
+        cell.driver.home(HomingStrategy.FIRMWARE)
+    assert caught.value.reason is FaultReason.HOMING_FAILED
+    assert not cell.driver.homed
+
+
 @pytest.mark.parametrize("strategy", [HomingStrategy.MANUAL_POSE, HomingStrategy.NONE])
 def test_homing_without_switches(
     plug: Callable[..., PseudoTerminal], strategy: HomingStrategy

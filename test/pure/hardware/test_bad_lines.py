@@ -29,6 +29,17 @@ def test_random_faults(dialect: Dialect) -> None:
     assert tally.fired > 75
 
 
+@pytest.mark.parametrize(
+    ("dialect", "seed"), [(Dialect.MARLIN, 1_000_003), (Dialect.GRBL, 1_000_048)]
+)
+def test_seeds_that_once_led_to_a_homing_or_an_offset_that_was_not_true(
+    dialect: Dialect, seed: int
+) -> None:
+    """A line number used for two lines; a move line that one wrong bit turned into G92."""
+    tally = run_taps(dialect, 100, seed)
+    assert tally.clean, tally.notes
+
+
 @pytest.mark.parametrize("dialect", Dialect)
 @pytest.mark.parametrize("kind", [FaultKind.RESET, FaultKind.HANG_UP])
 def test_a_reset_or_an_unplug_within_a_tap(dialect: Dialect, kind: FaultKind) -> None:
