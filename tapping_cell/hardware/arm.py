@@ -29,6 +29,8 @@ MOVE_ATTEMPTS = 3
 
 FRESHNESS = 0.05
 """A reading younger than this is not asked for again before a move, s."""
+TO_UNITS = (180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi)
+"""Joint values (rad, rad, m, rad) to the controller's units (deg, deg, mm, deg)."""
 LEAST_FEED = 0.001
 """The slowest feed that a line can carry, units/min."""
 
@@ -232,17 +234,14 @@ class ArmDriver:
         """
         goal = Joints(*joints)
         if not 0 < speed <= 1:
-            raise HardwareFault(
-                FaultReason.OUT_OF_RANGE, f"speed {speed:g} must be a fraction in (0, 1]"
-            )
+            sentence = f"speed {speed:g} must be a fraction in (0, 1]"
+            raise HardwareFault(FaultReason.OUT_OF_RANGE, sentence)
         check_limits(self.geometry, goal)
         self._require_ready(homed=True)
         try:
-            reading = self._move(goal, speed, deadline)
+            return self._move(goal, speed, deadline)
         except HardwareFault as fault:
             raise self._noted(fault) from fault.__cause__
-        self.counters.moves += 1
-        return reading
 
     def follow(self, path: Iterable[Waypoint]) -> ArmReading:
         """Take the waypoints one by one, settle, and read back once more; raises as ``move_to``."""
@@ -341,6 +340,7 @@ class ArmDriver:
                 if not reading.moving and self._agrees(goal, reading.joints):
                     self._confirmed = reading.joints
                     self._fresh = reading
+                    self.counters.moves += 1
                     return reading
                 # A garbled line was refused or lost: while the arm stands it may be sent again.
                 if reading.moving or not self._agrees(start.joints, reading.joints):
@@ -434,22 +434,12 @@ class ArmDriver:
             self._dialect.idle(left)
 
     def _to_axes(self, joints: Joints) -> AxisValues:
-        a, b, c, d = self.settings.axis_sign
-        return AxisValues(
-            a * math.degrees(joints.shoulder),
-            b * math.degrees(joints.elbow),
-            c * joints.quill * 1e3,
-            d * math.degrees(joints.tool),
-        )
+        scales = zip(self.settings.axis_sign, TO_UNITS, joints, strict=True)
+        return AxisValues(*(sign * unit * value for sign, unit, value in scales))
 
     def _to_joints(self, axes: AxisValues) -> Joints:
-        a, b, c, d = self.settings.axis_sign
-        return Joints(
-            a * math.radians(axes.shoulder),
-            b * math.radians(axes.elbow),
-            c * axes.quill * 1e-3,
-            d * math.radians(axes.tool),
-        )
+        scales = zip(self.settings.axis_sign, TO_UNITS, axes, strict=True)
+        return Joints(*(sign * value / unit for sign, unit, value in scales))
 
     def _agrees(self, first: Joints, second: Joints) -> bool:
         angle, quill = self.settings.tolerance_angle, self.settings.tolerance_quill
