@@ -92,7 +92,10 @@ static void obey(const char *line)
         set_pin('D', 3, value);
     else if (sscanf(line, "clear %d", &value) == 1)
         set_pin('B', 0, !value);
-    else if (strncmp(line, "reset", 5) == 0) {
+    else if (strncmp(line, "time", 4) == 0) {
+        printf("TIME %llu\n", (unsigned long long)(avr->cycle / 16));
+        fflush(stdout);
+    } else if (strncmp(line, "reset", 5) == 0) {
         avr_reset(avr);
         inputs();
     }

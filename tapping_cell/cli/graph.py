@@ -90,7 +90,7 @@ class Graph:
             text = str(value).lower() if isinstance(value, bool) else str(value)
             command += ["-p", f"{key}:={text}"]
         log = self._log_folder / f"{name}.log"
-        stream = log.open("wb")
+        stream = log.open("ab")
         process = subprocess.Popen(
             command,
             env=self._environment,
@@ -114,6 +114,18 @@ class Graph:
             if status is not None:
                 words = last_words(child.log)
                 raise NodeDied(f"the node {child.name} ended with status {status}: {words}")
+
+    def restart(self, name: str) -> None:
+        """Start a node again that has ended, or was killed.
+
+        Raises:
+            KeyError: the graph has no such node.
+        """
+        index = {child.name: index for index, child in enumerate(self._children)}[name]
+        old = self._children[index]
+        old.process.wait()
+        old.stream.close()
+        self._children[index] = self._start(name)
 
     @property
     def process_ids(self) -> dict[str, int]:

@@ -8,10 +8,10 @@ known is looked at, and nothing is fired twice.
 from __future__ import annotations
 
 import math
+import os
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
@@ -30,60 +30,21 @@ from tapping_cell_msgs.msg import (
 )
 
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.configuration.schema import ConfigurationError, quantity, text
+from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes.cell_monitor import CellMonitor
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import from_message
 from tapping_cell.nodes.goal_desk import GoalDesk, Request
+from tapping_cell.nodes.goal_memory import GoalMemory
 from tapping_cell.nodes.goals import REFUSALS, Refused
 from tapping_cell.nodes.plan_reporter import PlanReporter
+from tapping_cell.nodes.planner_parameters import Parameters
 from tapping_cell.nodes.tap_task import LEAST_EFFECT, Shot, Task
 from tapping_cell.planning import Done, PlanningError, Refusal, RefusalReason, Strike
 from tapping_cell.se2 import Pose
 
 TICK_S = 0.02
 REPORT_PERIOD_S = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class Parameters:
-    """Parameters of tap_planner."""
-
-    autostart: bool = text("configure and activate without being asked", default=True)
-    cell_file: str = text("path of the cell file; empty for the package's own", default="")
-    object_file: str = text("path of the object file; empty for the cell file's", default="")
-    planner: str = text("planning method; empty for the cell file's", default="")
-    adapt: bool = text("learn from every tap how the object answers", default=True)
-    keep_gains: bool = text("remember what was learnt of an object between runs", default=False)
-    frames_needed: int = quantity(
-        "pictures at rest that a look must be fused of", "", 1, 1000, default=10
-    )
-    ready_deadline: float = quantity(
-        "longest wait for arm, tapper and camera", "s", 1.0, 3600.0, default=30.0
-    )
-    look_deadline: float = quantity(
-        "longest wait for the object at rest and seen", "s", 0.5, 600.0, default=10.0
-    )
-    place_deadline: float = quantity(
-        "longest time to bring the striker to its place", "s", 1.0, 600.0, default=20.0
-    )
-    fire_deadline: float = quantity("longest time to draw and fire", "s", 0.5, 60.0, default=8.0)
-    withdraw_deadline: float = quantity(
-        "longest time to withdraw the arm", "s", 1.0, 600.0, default=20.0
-    )
-    silence_limit: float = quantity(
-        "greatest age of what arm, tapper and camera say", "s", 0.1, 60.0, default=1.0
-    )
-    moved_limit: float = quantity(
-        "distance by which the object may differ from where the tap was planned",
-        "m",
-        0.0001,
-        0.1,
-        default=0.002,
-    )
-    attempts: int = quantity(
-        "taps in a row that may end without a release or without an effect", "", 1, 100, default=3
-    )
 
 
 class TapPlanner(CellNode[Parameters]):
@@ -94,7 +55,12 @@ class TapPlanner(CellNode[Parameters]):
     def __init__(self) -> None:
         super().__init__("tap_planner", Parameters)
         self._desk: GoalDesk | None = None
+        self._memory = GoalMemory(
+            f"{os.environ.get('ROS_DOMAIN_ID', '0')}{self.get_namespace()}",
+            self.settings.resume_within,
+        )
         self._monitor = CellMonitor(self.settings.silence_limit)
+        self._left: Request | None = None
         self._task: Task | None = None
         self._shot: Shot | None = None
         self._phase = PlanState.IDLE
@@ -134,6 +100,14 @@ class TapPlanner(CellNode[Parameters]):
             )
         except PlanningError as error:
             raise ConfigurationError(f"{cell.path}: {error}") from error
+
+    def activate(self) -> None:
+        """Go on with the goal of a planner that crashed a moment ago."""
+        self._left = self._memory.recall()
+
+    def cleanup(self) -> None:
+        """An orderly end is an end of the goal, too."""
+        self._memory.forget()
 
     def change(self, name: str, value: object) -> None:
         """Take another planning method at run time."""
@@ -214,6 +188,10 @@ class TapPlanner(CellNode[Parameters]):
                 PlanState.CANCELED, ErrorCode.GOAL_REPLACED, "a newer goal took this one's place"
             )
         self._task = task
+        try:
+            self._memory.keep(task)
+        except OSError as error:
+            self.get_logger().warning(f"a crash would lose this goal: {error}")
         self.get_logger().info(
             f"goal x {1000 * task.goal.x:.1f} mm, y {1000 * task.goal.y:.1f} mm, "
             f"{math.degrees(task.goal.theta):.1f} deg"
@@ -232,6 +210,10 @@ class TapPlanner(CellNode[Parameters]):
     def _tick(self) -> None:
         if not self.active:
             return
+        if self._left is not None:
+            request, self._left = self._left, None
+            self.get_logger().warning("going on with the goal of a planner that crashed")
+            self._take(request)
         if self._task is not None:
             if self._task.canceled:
                 self._abandon()
@@ -245,6 +227,7 @@ class TapPlanner(CellNode[Parameters]):
                     PlanState.SETTLING: self._wait_for_withdrawal,
                 }[self._phase]()
         if self._reporter.age() > REPORT_PERIOD_S:
+            self._memory.touch()
             self._say(self._reporter.last.error_code, self._reporter.last.error_msg)
 
     def _wait_for_cell(self) -> None:
@@ -450,6 +433,7 @@ class TapPlanner(CellNode[Parameters]):
         self._phase = phase
         self._say(code, sentence)
         self._task = self._shot = None
+        self._memory.forget()
         assert self._desk is not None
         try:
             self._desk.learn(task)

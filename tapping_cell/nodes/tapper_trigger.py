@@ -262,8 +262,14 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
             code = ErrorCode.TAPPER_FAULT
         elif result.outcome is FireOutcome.UNKNOWN:
             code = ErrorCode.TAPPER_OUTCOME_UNKNOWN
-        self._read()
-        self.set(outcome=OUTCOMES[result.outcome], error_code=code, error_msg=result.sentence)
+        try:
+            # The measured speed belongs to the same report as the outcome.
+            self._read()
+        except HardwareFault as fault:
+            self._fail(fault)
+        self.set(outcome=OUTCOMES[result.outcome])
+        if code != ErrorCode.NONE:
+            self.set(error_code=code, error_msg=result.sentence)
 
     def _last_check(self, tap: Pending) -> tuple[int, str] | None:
         """What forbids to fire, looked at in the last moment; None when nothing does."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
 import shutil
 import threading
 import time
@@ -289,6 +291,42 @@ def test_a_tap_left_behind_by_a_dead_planner_is_withdrawn(actors: Actors) -> Non
     assert actors.commands[0].request == TapCommand.WITHDRAW
     assert actors.commands[0].tap_id == 77
     assert actors.end().state == PlanState.REACHED
+
+
+@pytest.mark.parametrize("age", [1.0, 100.0], ids=["a moment ago", "long ago"])
+def test_only_a_goal_that_a_crash_left_a_moment_ago_is_gone_on_with(
+    age: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    folder = tmp_path / ".ros" / "tapping_cell"
+    folder.mkdir(parents=True)
+    left = folder / f"goal-{os.environ['ROS_DOMAIN_ID']}_.json"
+    content = {"goal": list(GOAL), "tolerance": [0.001, 0.0175], "max_taps": 10}
+    left.write_text(json.dumps(content))
+    then = time.time() - age
+    os.utime(left, (then, then))
+    with acted() as made:
+        made.bench.wait(lambda: made.plans, "the planner is up")
+        if age < 15:
+            assert made.end().state == PlanState.REACHED
+        else:
+            time.sleep(1.0)
+            assert made.taps() == []
+    assert not left.exists()
+
+
+def test_a_goal_under_way_is_kept_for_a_crash_and_forgotten_at_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    with acted() as made:
+        made.arm_arrives = False
+        made.send()
+        made.bench.wait(made.taps, "a tap")
+        (kept,) = (tmp_path / ".ros" / "tapping_cell").glob("goal-*.json")
+        assert json.loads(kept.read_text())["goal"] == pytest.approx(list(GOAL))
+        made.end()
+        assert not kept.exists()
 
 
 def test_the_residual_is_reported(actors: Actors) -> None:

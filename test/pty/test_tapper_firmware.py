@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import binascii
 import ctypes
+import queue
 import shutil
 import subprocess
 import threading
@@ -173,6 +174,7 @@ class Board:
         lines = iter(self.process.stdout.readline, "")
         self.port = next(line.split()[1] for line in lines if line.startswith("PORT"))
         self.edges: list[tuple[int, int]] = []
+        self.times: queue.Queue[int] = queue.Queue()
         self._reader = threading.Thread(target=self._read)
         self._reader.start()
 
@@ -182,11 +184,24 @@ class Board:
             if line.startswith("RELEASE"):
                 _, level, at = line.split()
                 self.edges.append((int(level), int(at)))
+            elif line.startswith("TIME"):
+                self.times.put(int(line.split()[1]))
 
     def tell(self, order: str) -> None:
         assert self.process.stdin is not None
         self.process.stdin.write(order + "\n")
         time.sleep(0.1)
+
+    def clock(self) -> float:
+        """The board's own time, s: behind the wall's where the machine is busy."""
+        self.tell("time")
+        return self.times.get(timeout=10.0) * 1e-6
+
+    def rest(self, duration: float) -> None:
+        """Wait until so much of the board's own time has passed, s."""
+        end = self.clock() + duration
+        while self.clock() < end:
+            pass
 
     def pulses(self) -> list[int]:
         """Lengths of the release pulses, us."""
@@ -224,16 +239,16 @@ def test_the_driver_fires_the_real_firmware_once(board: Board) -> None:
     assert driver.version == "1.0.0"
     assert driver.arm(5, 0.002).state is State.DRAWN
     assert driver.fire(5).outcome is FireOutcome.FIRED
-    time.sleep(0.2)
+    board.rest(0.2)
     (pulse,) = board.pulses()
     assert pulse == pytest.approx(20_000, abs=100)
     with pytest.raises(HardwareFault) as caught:
         driver.fire(5)
     assert caught.value.reason is FaultReason.SHOT_SPENT
-    time.sleep(1.0)
+    board.rest(1.0)
     driver.arm(6, 0.002)
     assert driver.fire(6).outcome is FireOutcome.FIRED
-    time.sleep(0.2)
+    board.rest(0.2)
     assert len(board.pulses()) == 2
 
 
@@ -243,13 +258,13 @@ def test_the_real_firmware_disarms_stops_and_remembers(board: Board) -> None:
     driver = TapperDriver(transport)
     first = driver.connect().boot
     driver.arm(5, 0.002)
-    time.sleep(0.8)
+    board.rest(0.8)
     assert driver.fire(5).outcome is FireOutcome.NOT_FIRED
     driver.arm(6, 0.002)
     board.tell("interlock 0")
     assert driver.fire(6).outcome is FireOutcome.NOT_FIRED
     board.tell("interlock 1")
-    time.sleep(0.8)
+    board.rest(0.8)
     driver.arm(7, 0.002)
     assert driver.stop()
     with pytest.raises(HardwareFault) as caught:
@@ -258,7 +273,7 @@ def test_the_real_firmware_disarms_stops_and_remembers(board: Board) -> None:
     board.tell("clear 1")
     board.tell("clear 0")
     driver.clear()
-    time.sleep(0.8)
+    board.rest(0.8)
     driver.arm(8, 0.002)
     board.tell("reset")
     assert driver.fire(8).outcome is FireOutcome.UNKNOWN
