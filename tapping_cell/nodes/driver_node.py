@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from std_srvs.srv import Trigger
 
-from tapping_cell.hardware.faults import HardwareFault
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.nodes.cell_node import CellNode, NotReady
 from tapping_cell.nodes.worker import Worker
 
@@ -47,6 +47,10 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
     """The snapshot's state after a stop."""
     stopped_trouble: tuple[int, str]
     """Code and sentence after a stop."""
+    fault_states: ClassVar[Mapping[FaultReason, int]]
+    """The snapshot's state after a fault ..."""
+    fault_state: int
+    """... and after any other fault."""
     idle_period: float
     """Between two calls of :meth:`idle`, s."""
 
@@ -92,14 +96,34 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
             self.set(error_code=self.code_of(fault), error_msg=fault.sentence)
             raise NotReady(fault.sentence) from fault
         self.driver = driver
-        self._worker = Worker(self.get_name(), self.idle, self.idle_period)
+        self._worker = Worker(self.get_name(), lambda: self._guarded(self.idle), self.idle_period)
         self._worker.start()
         return answer
 
     def submit(self, job: Callable[[], None]) -> None:
-        """Queue a job for the worker; nothing without one."""
+        """Queue a job for the worker; nothing without one. Its HardwareFault becomes the state."""
         if self._worker is not None:
-            self._worker.submit(job)
+            self._worker.submit(lambda: self._guarded(job))
+
+    def _guarded(self, job: Callable[[], None]) -> None:
+        try:
+            job()
+        except HardwareFault as fault:
+            self.fail(fault)
+
+    def fail(self, fault: HardwareFault) -> None:
+        """Say a fault once, in the log, and keep saying it in the state."""
+        own_stop = fault.reason is FaultReason.STOPPED
+        if own_stop and (self.stopped or fault.reason not in self.fault_states):
+            # The fault that stopped the device was said before, and says more.
+            return
+        if self._snapshot.error_msg != fault.sentence:
+            self.get_logger().error(fault.sentence)
+        self.set(
+            state=self.fault_states.get(fault.reason, self.fault_state),
+            error_code=self.code_of(fault),
+            error_msg=fault.sentence,
+        )
 
     def require(self) -> Driver:
         """The driver, where there surely is one."""

@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.time import Time
@@ -72,6 +73,14 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         ErrorCode.ARM_STOPPED,
         "the arm was stopped; make the cell safe, call clear_fault, then home",
     )
+    fault_states: ClassVar[dict[FaultReason, int]] = {
+        FaultReason.DISCONNECTED: ArmState.DISCONNECTED,
+        FaultReason.PORT_MISSING: ArmState.DISCONNECTED,
+        FaultReason.PORT_BUSY: ArmState.DISCONNECTED,
+        FaultReason.NOT_HOMED: ArmState.NOT_HOMED,
+        FaultReason.HOMING_FAILED: ArmState.NOT_HOMED,
+    }
+    fault_state = ArmState.FAULT
     idle_period = READ_PERIOD_S
 
     def __init__(self) -> None:
@@ -220,41 +229,32 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         driver, cell = self.require(), self._require_cell()
         self.abandoned.clear()
         self.set(state=ArmState.HOMING, error_code=0, error_msg="")
-        try:
-            driver.home(HomingStrategy(cell.file.arm.homing))
-            self._park()
-        except HardwareFault as fault:
-            self._fail(fault)
+        driver.home(HomingStrategy(cell.file.arm.homing))
+        self._park()
 
     def _place(self, strike: Pose, tap_id: int, expiry: Time) -> None:
         driver, cell = self.require(), self._require_cell()
         arm = cell.file.arm
         tip = cell.arm_base.inverse() @ strike
-        try:
-            path = strike_path(
-                arm.geometry(),
-                driver.read_joints(),
-                TipPose(tip.x, tip.y, arm.strike_height, tip.theta),
-                arm.motion(),
-            )
-            self.set(clear_of_camera=False)
-            if self._move_along(path, expiry):
-                self._read()
-                self.set(state=ArmState.IN_POSITION, expiry=expiry)
-            elif not self.abandoned.is_set():
-                self._withdraw()
-        except HardwareFault as fault:
-            self._fail(fault)
+        path = strike_path(
+            arm.geometry(),
+            driver.read_joints(),
+            TipPose(tip.x, tip.y, arm.strike_height, tip.theta),
+            arm.motion(),
+        )
+        self.set(clear_of_camera=False)
+        if self._move_along(path, expiry):
+            self._read()
+            self.set(state=ArmState.IN_POSITION, expiry=expiry)
+        elif not self.abandoned.is_set():
+            self._withdraw()
 
     def _withdraw(self) -> None:
         self.abandoned.clear()
         self.set(state=ArmState.WITHDRAWING, expiry=None)
         # A release that was commanded just before is over when the arm begins to move.
         time.sleep(RELEASE_GUARD_S)
-        try:
-            self._park()
-        except HardwareFault as fault:
-            self._fail(fault)
+        self._park()
 
     def _park(self) -> None:
         driver, cell = self.require(), self._require_cell()
@@ -266,18 +266,15 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
     def _follow_trajectory(self, targets: Sequence[tuple[Joints, float]]) -> None:
         driver, cell = self.require(), self._require_cell()
         geometry = cell.file.arm.geometry()
-        try:
-            here, before = driver.read_joints(), 0.0
-            for target, at in targets:
-                fastest = move_duration(geometry, here, target, 1.0)
-                speed = min(1.0, fastest / (at - before)) if at > before else 1.0
-                if speed > 0 and not self._move_along((Waypoint(target, speed, "trajectory"),)):
-                    break
-                here, before = target, at
-            self._read()
-            self.set(state=ArmState.IDLE)
-        except HardwareFault as fault:
-            self._fail(fault)
+        here, before = driver.read_joints(), 0.0
+        for target, at in targets:
+            fastest = move_duration(geometry, here, target, 1.0)
+            speed = min(1.0, fastest / (at - before)) if at > before else 1.0
+            if speed > 0 and not self._move_along((Waypoint(target, speed, "trajectory"),)):
+                break
+            here, before = target, at
+        self._read()
+        self.set(state=ArmState.IDLE)
 
     def _move_along(self, path: Sequence[Waypoint], expiry: Time | None = None) -> bool:
         """Take the waypoints; False where the move was abandoned between two of them."""
@@ -293,11 +290,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
     def clear(self) -> None:
         """End a stop or a fault; the arm must be homed afterwards."""
         driver = self.require()
-        try:
-            driver.clear_fault()
-        except HardwareFault as fault:
-            self._fail(fault)
-            return
+        driver.clear_fault()
         self._set_standing()
 
     def idle(self) -> None:
@@ -305,17 +298,14 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         driver = self.require()
         if self.snapshot.state == ArmState.STOPPED:
             return
-        try:
-            if not driver.connected:
-                driver.connect(timeout=1.0)
-                self._set_standing()
-            self._read()
-            expiry = self.snapshot.expiry
-            if expiry is not None and self.get_clock().now() > expiry:
-                # Nobody came back for this tap: the planner may be gone.
-                self._withdraw()
-        except HardwareFault as fault:
-            self._fail(fault)
+        if not driver.connected:
+            driver.connect(timeout=1.0)
+            self._set_standing()
+        self._read()
+        expiry = self.snapshot.expiry
+        if expiry is not None and self.get_clock().now() > expiry:
+            # Nobody came back for this tap: the planner may be gone.
+            self._withdraw()
 
     def _read(self) -> None:
         driver = self.require()
@@ -337,21 +327,6 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
                 error_code=ErrorCode.ARM_NOT_HOMED,
                 error_msg="the arm is not homed; call the service home",
             )
-
-    def _fail(self, fault: HardwareFault) -> None:
-        if fault.reason is FaultReason.STOPPED:
-            return
-        states = {
-            FaultReason.DISCONNECTED: ArmState.DISCONNECTED,
-            FaultReason.PORT_MISSING: ArmState.DISCONNECTED,
-            FaultReason.PORT_BUSY: ArmState.DISCONNECTED,
-            FaultReason.NOT_HOMED: ArmState.NOT_HOMED,
-            FaultReason.HOMING_FAILED: ArmState.NOT_HOMED,
-        }
-        state = states.get(fault.reason, ArmState.FAULT)
-        if self.snapshot.error_msg != fault.sentence:
-            self.get_logger().error(fault.sentence)
-        self.set(state=state, error_code=of_arm(fault), error_msg=fault.sentence)
 
     def _require_cell(self) -> Cell:
         assert self._cell is not None

@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.time import Time
@@ -77,6 +78,16 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         ErrorCode.TAPPER_STOPPED,
         "the tapper was stopped; make the cell safe, then call clear_fault",
     )
+    fault_states: ClassVar[dict[FaultReason, int]] = {
+        FaultReason.DISCONNECTED: TapperState.DISCONNECTED,
+        FaultReason.PORT_MISSING: TapperState.DISCONNECTED,
+        FaultReason.PORT_BUSY: TapperState.DISCONNECTED,
+        FaultReason.TIMEOUT: TapperState.DISCONNECTED,
+        FaultReason.BOARD_RESET: TapperState.DISCONNECTED,
+        FaultReason.STOPPED: TapperState.STOPPED,
+        FaultReason.NEEDS_PERSON: TapperState.STOPPED,
+    }
+    fault_state = TapperState.FAULT
     idle_period = READ_PERIOD_S
 
     def __init__(self) -> None:
@@ -255,7 +266,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         except HardwareFault as fault:
             # Every fault that is raised was met before FIRE went out.
             self.set(outcome=TapperState.NOT_FIRED)
-            self._fail(fault)
+            self.fail(fault)
             return
         code = ErrorCode.NONE
         if result.outcome is FireOutcome.NOT_FIRED:
@@ -266,7 +277,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
             # The measured speed belongs to the same report as the outcome.
             self._read()
         except HardwareFault as fault:
-            self._fail(fault)
+            self.fail(fault)
         self.set(outcome=OUTCOMES[result.outcome])
         if code != ErrorCode.NONE:
             self.set(error_code=code, error_msg=result.sentence)
@@ -285,23 +296,17 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
     def clear(self) -> None:
         """End a stop or a fault; after a stop the tapper wants a person at the cell as well."""
         driver = self.require()
-        try:
-            self._set_safe(driver.clear())
-        except HardwareFault as fault:
-            self._fail(fault)
+        self._set_safe(driver.clear())
 
     def idle(self) -> None:
         """Between taps: read the state, notice a lost line, open it again."""
         driver = self.require()
         if self.snapshot.state == TapperState.STOPPED:
             return
-        try:
-            if not driver.connected:
-                self._set_safe(driver.connect(timeout=1.0))
-            else:
-                self._read()
-        except HardwareFault as fault:
-            self._fail(fault)
+        if not driver.connected:
+            self._set_safe(driver.connect(timeout=1.0))
+        else:
+            self._read()
 
     def _read(self) -> None:
         driver = self.require()
@@ -328,23 +333,6 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
     def _set_safe(self, reply: Reply) -> None:
         self._report(reply)
         self.set(state=TapperState.SAFE, error_code=0, error_msg="")
-
-    def _fail(self, fault: HardwareFault) -> None:
-        if fault.reason is FaultReason.STOPPED and self.stopped:
-            return
-        states = {
-            FaultReason.DISCONNECTED: TapperState.DISCONNECTED,
-            FaultReason.PORT_MISSING: TapperState.DISCONNECTED,
-            FaultReason.PORT_BUSY: TapperState.DISCONNECTED,
-            FaultReason.TIMEOUT: TapperState.DISCONNECTED,
-            FaultReason.BOARD_RESET: TapperState.DISCONNECTED,
-            FaultReason.STOPPED: TapperState.STOPPED,
-            FaultReason.NEEDS_PERSON: TapperState.STOPPED,
-        }
-        state = states.get(fault.reason, TapperState.FAULT)
-        if self.snapshot.error_msg != fault.sentence:
-            self.get_logger().error(fault.sentence)
-        self.set(state=state, error_code=of_tapper(fault), error_msg=fault.sentence)
 
     def _tick(self) -> None:
         pending = self._pending
