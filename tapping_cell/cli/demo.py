@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import math
 import os
-import signal
 import tempfile
 import time
 from dataclasses import dataclass
@@ -74,7 +73,7 @@ class _Heard:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb; 0 reached, 1 not reached, 2 wrong input, 130 interrupted."""
     console = Console()
-    signal.signal(signal.SIGTERM, session.interrupt)
+    session.end_on_signals()
     began = time.monotonic()
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import signal
 
 from rich.console import Console
 
@@ -38,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb; 0 reached, 1 not reached, 130 canceled."""
     console = Console()
-    signal.signal(signal.SIGTERM, session.interrupt)
+    session.end_on_signals()
     goal = Pose(arguments.x / 1000, arguments.y / 1000, math.radians(arguments.theta))
     distance, angle = arguments.tolerance
     with GoalClient("goal", arguments.namespace) as client:

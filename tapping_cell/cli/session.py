@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
+import signal
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -30,8 +31,17 @@ class Followed:
     finished: Finished | None = None
 
 
-def interrupt(*_: object) -> None:
-    """Signal handler: a termination request ends the verb like Ctrl-C."""
+def end_on_signals() -> None:
+    """Make Ctrl-C and a termination request end the verb in order, as a KeyboardInterrupt.
+
+    Both are set, because a shell starts background jobs with the interrupt signal ignored, and
+    Python leaves it so.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
+
+
+def _interrupt(*_: object) -> None:
     raise KeyboardInterrupt
 
 

@@ -9,14 +9,13 @@ Ends every node on Ctrl-C, and when one of them dies. Goals come from another te
 from __future__ import annotations
 
 import argparse
-import signal
 import time
 from pathlib import Path
 
 from rich.console import Console
 
 from tapping_cell.cli.graph import HARDWARE, SIMULATED, Graph, NodeDied
-from tapping_cell.cli.session import interrupt
+from tapping_cell.cli.session import end_on_signals
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError
 
@@ -45,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb; 0 ended by Ctrl-C, 1 a node died, 2 wrong input."""
     console = Console()
-    signal.signal(signal.SIGTERM, interrupt)
+    end_on_signals()
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)
     except ConfigurationError as error:

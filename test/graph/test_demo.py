@@ -77,8 +77,14 @@ def test_the_demo_reaches_a_goal_and_tells_the_truth(folder: Path) -> None:
     assert "goal reached" in output and "tap 1" in output
 
 
-def test_ctrl_c_ends_every_node(folder: Path) -> None:
-    process = start(folder, "--move", "100", "0", "90")
+@pytest.mark.parametrize("inherited", [signal.SIG_DFL, signal.SIG_IGN], ids=["terminal", "job"])
+def test_ctrl_c_ends_every_node(folder: Path, inherited: signal.Handlers) -> None:
+    """Also as a background job of a shell, which starts with the signal ignored."""
+    before = signal.signal(signal.SIGINT, inherited)
+    try:
+        process = start(folder, "--move", "100", "0", "90")
+    finally:
+        signal.signal(signal.SIGINT, before)
     wait_for_nodes(folder, process)
     time.sleep(3.0)
     process.send_signal(signal.SIGINT)
