@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from importlib import metadata
 
 from rich.console import Console
+from tapping_cell_msgs.msg import TapperState
 
 from tapping_cell import __version__
 from tapping_cell.nodes.conversions import from_message
@@ -118,8 +119,8 @@ def tap_row(event: TapDone) -> TapRow:
     )
 
 
-OUTCOMES = {1: "fired", 2: "not fired", 3: "unknown"}
-"""Words for the outcome constants of TapperState."""
+OUTCOMES = {TapperState.FIRED: "fired", TapperState.NOT_FIRED: "not fired"}
+"""Words for the tapper's outcomes; any other is unknown."""
 
 
 def tap_text(row: TapRow, event: TapDone) -> str:

@@ -78,13 +78,6 @@ def section(description: str, default: Any = MISSING) -> Any:
     return field(default=default, metadata={"limits": Limits(description)})
 
 
-def limits_of(owner: type, name: str) -> Limits:
-    """The declared limits of a field of a section class."""
-    fields = {entry.name: entry for entry in dataclasses.fields(owner)}
-    limits: Limits = fields[name].metadata["limits"]
-    return limits
-
-
 class _StrictLoader(yaml.SafeLoader):
     """YAML as people expect it: `1e-3` is a number, and a key written twice is an error."""
 

@@ -10,11 +10,9 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import rclpy
-from ament_index_python.packages import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.msg import State as LifecycleState
 from rcl_interfaces.msg import SetParametersResult
@@ -27,6 +25,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Bool
 
+from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes import parameters
 
@@ -46,13 +45,8 @@ class NotReady(RuntimeError):
     """The node cannot be configured or activated yet; the sentence says why. Tried again."""
 
 
-def shared_file(name: str) -> str:
-    """Path of a file in the package's installed ``config`` folder."""
-    return str(Path(get_package_share_directory("tapping_cell")) / "config" / name)
-
-
 class CellNode(LifecycleNode, Generic[Parameters]):
-    """A life-cycle node with parameters from one dataclass.
+    """A life-cycle node with parameters from one dataclass, which has a field ``autostart``.
 
     A subclass creates its publishers and subscriptions in its constructor, so that the graph shows
     them at once, and overrides :meth:`configure`, :meth:`activate`, :meth:`deactivate`,
@@ -79,7 +73,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         for profile in (LATCHED, COMMAND):
             self.create_subscription(Bool, "emergency_stop", self._on_emergency_stop, profile)
         self.create_timer(1.0, self._publish_diagnostics)
-        self._autostart = self.create_timer(0.05, self._start) if self._wants_autostart() else None
+        self._autostart = self.create_timer(0.05, self._start) if self.settings.autostart else None
 
     # What a subclass overrides
 
@@ -161,9 +155,6 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self.cleanup()
         return TransitionCallbackReturn.SUCCESS
 
-    def _wants_autostart(self) -> bool:
-        return bool(getattr(self.settings, "autostart", True))
-
     def _start(self) -> None:
         """Bring the node up by itself; a node that is not ready is tried again every second."""
         timer = self._autostart
@@ -229,7 +220,8 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
     """Run one node until Ctrl-C, a termination signal or a fatal error; returns the exit status."""
     # Without a shared-memory segment of several frames the transport drops nearly every image;
     # the middleware reads the variable when the first node is made.
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", shared_file("fastdds_profile.xml"))
+    profile = shared_folder() / "fastdds_profile.xml"
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.ALL)
     node: CellNode[Any] | None = None
     executor = SingleThreadedExecutor()

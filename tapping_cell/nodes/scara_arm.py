@@ -28,7 +28,7 @@ from tapping_cell.hardware.scara import Joints, TipPose
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, run
 from tapping_cell.nodes.conversions import from_message, is_finite, to_message
-from tapping_cell.nodes.driver_node import DriverNode, answer
+from tapping_cell.nodes.driver_node import CONNECT_PATIENCE_S, DriverNode, answer
 from tapping_cell.nodes.error_codes import of_arm
 from tapping_cell.se2 import Pose
 
@@ -237,7 +237,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         arm = cell.file.arm
         tip = cell.arm_base.inverse() @ strike
         path = strike_path(
-            arm.geometry(),
+            driver.geometry,
             driver.read_joints(),
             TipPose(tip.x, tip.y, arm.strike_height, tip.theta),
             arm.motion(),
@@ -258,17 +258,16 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
 
     def _park(self) -> None:
         driver, cell = self.require(), self._require_cell()
-        path = withdraw_path(cell.file.arm.geometry(), driver.read_joints(), cell.file.arm.motion())
+        path = withdraw_path(driver.geometry, driver.read_joints(), cell.file.arm.motion())
         if self._move_along(path):
             self._read()
             self.set(state=ArmState.IDLE, tap_id=0, clear_of_camera=True, expiry=None)
 
     def _follow_trajectory(self, targets: Sequence[tuple[Joints, float]]) -> None:
-        driver, cell = self.require(), self._require_cell()
-        geometry = cell.file.arm.geometry()
+        driver = self.require()
         here, before = driver.read_joints(), 0.0
         for target, at in targets:
-            fastest = move_duration(geometry, here, target, 1.0)
+            fastest = move_duration(driver.geometry, here, target, 1.0)
             speed = min(1.0, fastest / (at - before)) if at > before else 1.0
             if speed > 0 and not self._move_along((Waypoint(target, speed, "trajectory"),)):
                 break
@@ -299,7 +298,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         if self.snapshot.state == ArmState.STOPPED:
             return
         if not driver.connected:
-            driver.connect(timeout=1.0)
+            driver.connect(timeout=CONNECT_PATIENCE_S)
             self._set_standing()
         self._read()
         expiry = self.snapshot.expiry
@@ -346,9 +345,10 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         )
         message.header.frame_id = "table"
         message.header.stamp = (now.read_at or self.get_clock().now()).to_msg()
-        if now.joints is not None and self._cell is not None:
-            tip = self._cell.file.arm.geometry().forward(now.joints)
-            planar = self._cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
+        driver = self.driver
+        if now.joints is not None and driver is not None:
+            tip = driver.geometry.forward(now.joints)
+            planar = self._require_cell().arm_base @ Pose(tip.x, tip.y, tip.yaw)
             message.tip_pose = to_message(planar, tip.z)
         self._state_publisher.publish(message)
         if now.joints is not None and now.read_at != self._published.read_at:

@@ -22,7 +22,7 @@ from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
 from tapping_cell.hardware.tapper_protocol import Reply
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, run
-from tapping_cell.nodes.driver_node import DriverNode
+from tapping_cell.nodes.driver_node import CONNECT_PATIENCE_S, DriverNode
 from tapping_cell.nodes.error_codes import of_tapper
 
 READ_PERIOD_S = 0.1
@@ -304,7 +304,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         if self.snapshot.state == TapperState.STOPPED:
             return
         if not driver.connected:
-            self._set_safe(driver.connect(timeout=1.0))
+            self._set_safe(driver.connect(timeout=CONNECT_PATIENCE_S))
         else:
             self._read()
 

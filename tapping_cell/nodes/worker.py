@@ -13,7 +13,7 @@ class Worker:
     """Runs jobs one after the other and, while there are none, ``idle`` every ``period`` seconds.
 
     A job or ``idle`` that raises ends the thread; ``error`` then holds what it raised, and the node
-    must look at it: a driver's own failures are expected and caught in the jobs themselves.
+    must look at it: a failure that is to be expected is caught in the job itself.
     """
 
     def __init__(self, name: str, idle: Job, period: float) -> None:
@@ -31,11 +31,6 @@ class Worker:
     def submit(self, job: Job) -> None:
         """Queue a job; from any thread."""
         self._jobs.put(job)
-
-    @property
-    def busy(self) -> bool:
-        """True while jobs wait."""
-        return not self._jobs.empty()
 
     def close(self, patience: float = 3.0) -> None:
         """End the thread after the job under way."""
