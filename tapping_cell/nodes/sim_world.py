@@ -131,10 +131,12 @@ class SimWorld(CellNode[Parameters]):
         with self._lock:
             self._world.advance(now - camera.exposure)
             opening = self._world.pose
+            self._world.advance(now - camera.exposure / 2)
+            middle = self._world.pose
             self._world.advance(now)
             closing = self._world.pose
         stamp = self.get_clock().now() - Duration(seconds=camera.exposure / 2)
-        self._publish_truth(closing, stamp)
+        self._publish_truth(middle, stamp)
         picture = images.to_message(self._renderer.render(opening, closing), "mono8")
         picture.header.frame_id = "camera_optical"
         picture.header.stamp = stamp.to_msg()
