@@ -60,6 +60,9 @@ HOMES = {
     "serial": {"hardware"},
     "matplotlib": {"report"},
     "rich": {"cli", "report"},
+    "rosbags": {"report"},
+    "tornado": {"nodes"},
+    "argcomplete": {"cli"},
     # peers of benchmarks, where they are installed
     "mujoco": {"cli"},
     "pupil_apriltags": {"cli"},
