@@ -196,6 +196,8 @@ def _value(hint: Any, value: Any, limits: Limits, source: str, key: str) -> Any:
         return build(hint, value, source, key)  # type: ignore[arg-type]
     if origin is tuple:
         return _tuple(arguments, value, limits, source, key)
+    if origin is Mapping:
+        return _mapping(arguments[1], value, limits, source, key)
     if hint is float:
         return _number(value, limits, source, key)
     if hint is int:
@@ -231,6 +233,15 @@ def _tuple(
         _value(kind, entry, limits, source, f"{key}[{index}]")
         for index, (kind, entry) in enumerate(zip(kinds, value, strict=True))
     )
+
+
+def _mapping(kind: Any, value: Any, limits: Limits, source: str, key: str) -> dict[str, Any]:
+    """Entries with names of their own, all of one kind."""
+    if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
+        raise _wrong(source, key, value, "a mapping of names to values", limits)
+    return {
+        name: _value(kind, entry, limits, source, _join(key, name)) for name, entry in value.items()
+    }
 
 
 def _number(value: Any, limits: Limits, source: str, key: str) -> float:

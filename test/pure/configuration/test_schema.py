@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,6 +36,7 @@ class Outer:
     pair: tuple[float, float] = quantity("two numbers", "m", 0.0, 1.0, default=(0.0, 1.0))
     inner: Inner | None = section("what is inside", default=None)
     many: tuple[Inner, ...] = section("several", default=())
+    named: Mapping[str, float] | None = quantity("by name", "m", 0.0, 1.0, default=None)
 
 
 numbers = st.floats(allow_nan=True, allow_infinity=True) | st.integers(-10, 10)
@@ -44,7 +46,9 @@ values = st.recursive(
     | st.dictionaries(st.text(max_size=5), inner, max_size=3),
     max_leaves=6,
 )
-keys = st.sampled_from(["length", "count", "colour", "name", "pair", "inner", "many", "other"])
+keys = st.sampled_from(
+    ["length", "count", "colour", "name", "pair", "inner", "many", "named", "other"]
+)
 
 
 @given(document=st.dictionaries(keys, values) | values)
@@ -59,6 +63,7 @@ def test_any_document_is_read_within_its_limits_or_refused_by_name(document: obj
     assert outer.colour in ("red", "blue")
     assert all(0.0 <= value <= 1.0 for value in outer.pair)
     assert all(0.0 <= entry.depth <= 1.0 for entry in outer.many)
+    assert all(0.0 <= value <= 1.0 for value in (outer.named or {}).values())
 
 
 @pytest.mark.parametrize(
@@ -74,6 +79,8 @@ def test_any_document_is_read_within_its_limits_or_refused_by_name(document: obj
         ("length: 1\npair: [0, 7]", ("'pair[1]'", "7", "0 to 1 m")),
         ("length: 1\ninner: {deep: 1}", ("unknown key 'inner.deep'",)),
         ("length: 1\nmany: [{depth: 0}, {depth: 2}]", ("'many[1].depth'", "2")),
+        ("length: 1\nnamed: {first: 2}", ("'named.first'", "2", "0 to 1 m")),
+        ("length: 1\nnamed: [1]", ("'named'", "a list", "a mapping of names")),
         ("length: 1\nlength: 2", ("'length'", "twice", "line 2")),
         ("length: [1", ("malformed YAML", "line 1")),
         ("length: .nan", ("'length'", "nan")),

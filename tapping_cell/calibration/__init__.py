@@ -1,0 +1,1 @@
+"""From measurements to files in ``config/``: camera, table, arm, tapper and object."""

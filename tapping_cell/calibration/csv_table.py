@@ -1,0 +1,277 @@
+"""Measurements in CSV files, read strictly: what is wrong is named by file and row.
+
+The first line that is not a comment (``#``) names the columns. A column's unit is SI, or the one
+that its name ends in: ``x`` and ``x_m`` are in m, ``x_mm`` in mm, ``shoulder_deg`` in degrees. A
+row with a cell that is no number or outside the column's range is left out and named in ``faults``;
+a file in which most rows are so is refused, with the unit that would mend it. Columns that nobody
+asked for are not read. Row numbers are those of a text editor or spreadsheet: the header is 1 when
+it is the first line.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+UNITS: dict[str, dict[str, float]] = {
+    "": {},
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
+    "m/s": {"m_s": 1.0, "cm_s": 1e-2, "mm_s": 1e-3},
+    "rad/s": {"rad_s": 1.0, "deg_s": math.pi / 180.0},
+    "J": {"J": 1.0, "mJ": 1e-3, "uJ": 1e-6},
+    "kg": {"kg": 1.0, "g": 1e-3},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+}
+"""Endings of a column's name and what they multiply, by the SI unit of the quantity."""
+
+_MOST = 0.5
+"""Share of rows out of range from which the file, not a row, is wrong."""
+
+
+class RecordError(ValueError):
+    """A record that cannot be used at all; the message names file, row or column, and what to
+    do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of numbers: SI ``unit`` (a key of ``UNITS``) and the closed range, in it.
+
+    ``least_largest``: the largest magnitude of the whole column must be at least this, else the
+    unit is taken for wrong (metres in a column of millimetres).
+    """
+
+    name: str
+    unit: str = ""
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    required: bool = True
+    least_largest: float = 0.0
+
+    def headers(self) -> dict[str, float]:
+        """Names that a file may give the column, and the factor to SI of each."""
+        return {self.name: 1.0} | {
+            f"{self.name}_{ending}": factor for ending, factor in UNITS[self.unit].items()
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class RowFault:
+    """A row that was left out, and why."""
+
+    path: Path
+    row: int
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.path}, row {self.row}: {self.reason}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CsvTable:
+    """The good rows of a file: their row numbers (N,), columns (N,) in SI, texts (N of them).
+
+    An optional column that the file lacks is not in ``values``; an empty cell of one is NaN.
+    """
+
+    path: Path
+    rows: NDArray[np.intp]
+    values: dict[str, Array]
+    texts: dict[str, tuple[str, ...]]
+    faults: tuple[RowFault, ...]
+
+    def columns(self, *names: str) -> Array:
+        """Columns side by side, shape (N, len(names))."""
+        return np.stack([self.values[name] for name in names], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a column stands in the file and what makes SI of it."""
+
+    column: Column
+    index: int
+    header: str
+    factor: float
+
+
+def read_csv(
+    path: Path | str,
+    columns: Sequence[Column],
+    texts: Sequence[str] = (),
+    optional_texts: Sequence[str] = (),
+) -> CsvTable:
+    """The rows of a CSV file whose cells are all numbers within their ranges.
+
+    Raises:
+        RecordError: no file, no header, a column missing or there twice, no good row, or most rows
+            out of range: the units are wrong.
+    """
+    path = Path(path)
+    lines = _lines(path)
+    header = [name.strip() for name in lines[0][1]]
+    places = [place for column in columns if (place := _find(path, header, column))]
+    words = {name: header.index(name) for name in (*texts, *optional_texts) if name in header}
+    missing = [c.name for c in columns if c.required and c.name not in _names(places)]
+    missing += [name for name in texts if name not in words]
+    if missing:
+        wanted = ", ".join(_described(c) for c in columns if c.name in missing)
+        raise RecordError(
+            f"{path}, row {lines[0][0]}: no column {', '.join(missing)}; the header is"
+            f" {', '.join(header)}. Add {wanted or ', '.join(missing)}"
+        )
+    rows, kept, labels, faults = [], [], [], []
+    outside: dict[str, list[float]] = {}
+    for row, cells in lines[1:]:
+        numbers, reason = _row(cells, header, places, outside)
+        if reason is None:
+            rows.append(row)
+            kept.append(numbers)
+            labels.append({name: cells[index].strip() for name, index in words.items()})
+        else:
+            faults.append(RowFault(path, row, reason))
+    _check_units(path, places, outside, len(lines) - 1)
+    if not rows:
+        reasons = "; ".join(f"row {fault.row}: {fault.reason}" for fault in faults[:3])
+        raise RecordError(f"{path}: has no row that can be used ({reasons or 'it has no rows'})")
+    table = np.array(kept, dtype=float).reshape(len(rows), len(places))
+    values = {place.column.name: table[:, k] for k, place in enumerate(places)}
+    _check_size(path, places, values)
+    return CsvTable(
+        path=path,
+        rows=np.array(rows, dtype=np.intp),
+        values=values,
+        texts={name: tuple(label[name] for label in labels) for name in words},
+        faults=tuple(faults),
+    )
+
+
+def _lines(path: Path) -> list[tuple[int, list[str]]]:
+    """Row numbers and cells of the lines that are neither empty nor comments; header first."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise RecordError(
+            f"{path}: cannot be read ({error.strerror}); give the path of an existing CSV file"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise RecordError(f"{path}: is not UTF-8 text; save it as CSV in UTF-8") from error
+    found: list[tuple[int, list[str]]] = []
+    delimiter = ","
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        if not found and "," not in line:
+            delimiter = next((mark for mark in ";\t" if mark in line), ",")
+        try:
+            found.append((number, next(csv.reader([line], delimiter=delimiter, strict=True))))
+        except csv.Error as error:
+            raise RecordError(f"{path}, row {number}: is not CSV: {error}") from error
+    if not found:
+        raise RecordError(f"{path}: is empty; its first line must name the columns")
+    return found
+
+
+def _names(places: Sequence[_Place]) -> set[str]:
+    return {place.column.name for place in places}
+
+
+def _described(column: Column) -> str:
+    units = ", ".join(f"{column.name}_{ending}" for ending in UNITS[column.unit])
+    return column.name + (f" ({column.unit}; or named {units})" if units else "")
+
+
+def _find(path: Path, header: Sequence[str], column: Column) -> _Place | None:
+    """The place of a column, None if the file has none."""
+    known = column.headers()
+    found = [(index, name) for index, name in enumerate(header) if name in known]
+    if len(found) > 1:
+        raise RecordError(
+            f"{path}: the column {column.name} is there {len(found)} times"
+            f" ({', '.join(name for _, name in found)}); keep one of them"
+        )
+    if not found:
+        return None
+    index, name = found[0]
+    return _Place(column, index, name, known[name])
+
+
+def _row(
+    cells: Sequence[str],
+    header: Sequence[str],
+    places: Sequence[_Place],
+    outside: dict[str, list[float]],
+) -> tuple[list[float], str | None]:
+    """The numbers of a row, or why it cannot be used. Values out of range go into ``outside``."""
+    if len(cells) != len(header):
+        return [], f"has {len(cells)} cells where the header has {len(header)} columns"
+    numbers, reasons = [], []
+    for place in places:
+        cell, column = cells[place.index].strip(), place.column
+        if not cell and not column.required:
+            numbers.append(math.nan)
+            continue
+        try:
+            given = float(cell)
+        except ValueError:
+            reasons.append(f"{place.header} is {cell!r}, not a number")
+            continue
+        value = given * place.factor
+        if not math.isfinite(value):
+            reasons.append(f"{place.header} is {cell}, not a finite number")
+        elif not column.minimum <= value <= column.maximum:
+            outside.setdefault(column.name, []).append(value)
+            low, high = column.minimum / place.factor, column.maximum / place.factor
+            reasons.append(f"{place.header} is {given:g}, outside {low:g} to {high:g}")
+        numbers.append(value)
+    return numbers, "; ".join(reasons) or None
+
+
+def _check_units(
+    path: Path, places: Sequence[_Place], outside: dict[str, list[float]], total: int
+) -> None:
+    """Refuse a file in which most values of a column are out of its range."""
+    for place in places:
+        wrong = outside.get(place.column.name, [])
+        if len(wrong) <= _MOST * total:
+            continue
+        raise RecordError(
+            f"{path}: {len(wrong)} of {total} rows have {place.header} outside"
+            f" {place.column.minimum / place.factor:g} to"
+            f" {place.column.maximum / place.factor:g}, e.g. {wrong[0] / place.factor:g};"
+            f" {_cure(place, wrong)}"
+        )
+
+
+def _check_size(path: Path, places: Sequence[_Place], values: dict[str, Array]) -> None:
+    """Refuse a file in which all values of a column are too small to be what it says."""
+    for place in places:
+        column, found = place.column, values[place.column.name]
+        largest = float(np.max(np.abs(found[np.isfinite(found)]), initial=0.0))
+        if largest < column.least_largest:
+            raise RecordError(
+                f"{path}: no value of {place.header} is larger than"
+                f" {largest / place.factor:g}, where at least"
+                f" {column.least_largest / place.factor:g} is expected;"
+                f" {_cure(place, [largest])}"
+            )
+
+
+def _cure(place: _Place, wrong: Sequence[float]) -> str:
+    """Which other unit would make these values (SI) fit."""
+    column = place.column
+    for ending, factor in UNITS[column.unit].items():
+        scaled = [abs(value) / place.factor * factor for value in wrong]
+        limit = max(abs(column.minimum), abs(column.maximum))
+        if factor != place.factor and column.least_largest <= max(scaled) <= limit:
+            return f"name the column {column.name}_{ending} if the values are in {ending}"
+    return f"give {column.name} in {column.unit or 'the right unit'}"

@@ -1,0 +1,69 @@
+"""Where the numbers of a calibrated file come from: the section ``calibration`` of such a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tapping_cell.configuration.schema import build, quantity, read_yaml, text
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """What a calibration was made from and how good it is.
+
+    ``residual`` and ``uncertainty`` are the two numbers by which a later calibration is compared
+    with this one (see calibration/keep.py): what the fit leaves, and how well its result is known.
+    """
+
+    by: str = text("verb that wrote it, such as 'calibrate arm'")
+    made: str = text("date and time, ISO 8601")
+    inputs: tuple[str, ...] = text("files that it was made from, with the first digits of SHA-256")
+    observations: int = quantity("observations used", "", 0, 1_000_000_000)
+    left_out: int = quantity("observations left out", "", 0, 1_000_000_000)
+    residual: float = quantity("root mean square of what the fit leaves", "", 0.0, 1e12)
+    residual_of: str = text("what the residual is of, with its unit")
+    uncertainty: float = quantity("standard deviation of the result", "", 0.0, 1e12)
+    uncertainty_of: str = text("what the uncertainty is of, with its unit")
+    deviations: Mapping[str, float] = quantity(
+        "standard deviations of the values, by name, in the file's units", "", 0.0, 1e12
+    )
+    notes: tuple[str, ...] = text("what a reader should know", default=())
+
+
+def provenance_yaml(record: Provenance, indent: int = 0) -> str:
+    """The section as YAML text, key ``calibration`` included, every line indented."""
+    content = {name: _plain(value) for name, value in asdict(record).items()}
+    dumped = yaml.safe_dump(
+        {"calibration": content}, sort_keys=False, default_flow_style=None, width=96 - indent
+    )
+    return "".join(" " * indent + line + "\n" for line in dumped.splitlines())
+
+
+def _plain(value: Any) -> Any:
+    """Numbers to six digits, tuples as lists: what YAML writes well."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, Mapping):
+        return {name: _plain(entry) for name, entry in value.items()}
+    return list(value) if isinstance(value, tuple) else value
+
+
+def read_provenance(path: Path, keys: tuple[str, ...] = ("calibration",)) -> Provenance | None:
+    """The record at ``keys`` of a YAML file; None if the file holds none.
+
+    Raises:
+        ConfigurationError: the file cannot be read, or the record is not one.
+    """
+    found = read_yaml(path)
+    for key in keys:
+        if not isinstance(found, Mapping) or key not in found:
+            return None
+        found = found[key]
+    if found is None:
+        return None
+    return build(Provenance, found, str(path), ".".join(keys))
