@@ -1,0 +1,116 @@
+"""What holds for all trials of one experiment: ``experiment.yaml`` in the folder of its records."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import yaml
+
+from tapping_cell.calibration.csv_table import RecordError
+from tapping_cell.calibration.trials import LeftOut, Trial, read_trials
+from tapping_cell.configuration.objects import ObjectFile
+from tapping_cell.configuration.schema import choice, load, quantity, section, text
+from tapping_cell.mechanics import Striker
+
+HEADER_FILE = "experiment.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class StrikerSection:
+    """The striker that made the taps."""
+
+    mass: float = quantity("mass of the striker", "kg", 0.001, 10.0)
+    tip_radius: float = quantity("radius of the ball at the tip", "m", 0.0, 0.1)
+    constraint: Literal["linear_bearings", "free"] = choice(
+        "how the striker is held", "linear_bearings", "free"
+    )
+
+    def striker(self) -> Striker:
+        """The striker of the mechanics."""
+        return Striker(self.mass, self.tip_radius, self.constraint)
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentFile:
+    """The header of the records. Standard deviations hold where a row or a sample gives none."""
+
+    format: int = quantity("version of the format", "", 1, 1)
+    made: str = text("date and time, ISO 8601")
+    source: str = choice("what answered the taps", "simulated", "hardware", "other")
+    description: str = text("for people", default="")
+    striker: StrikerSection | None = section(
+        "the striker; without it the impact is not fitted", default=None
+    )
+    object: ObjectFile | None = section(
+        "the object as the planner knew it; without it fit needs --object", default=None
+    )
+    camera_rate_hz: float = quantity("poses a second", "", 1.0, 1e5, default=30.0)
+    rest_position_std: float = quantity(
+        "of one axis of the position at rest", "m", 0.0, 0.1, default=0.00005
+    )
+    rest_rotation_std: float = quantity("of the angle at rest", "rad", 0.0, 1.0, default=0.0009)
+    track_position_std: float = quantity(
+        "of one axis of one sample of a track", "m", 0.0, 0.1, default=0.0001
+    )
+    track_rotation_std: float = quantity(
+        "of the angle of one sample of a track", "rad", 0.0, 1.0, default=0.002
+    )
+    striker_speed_std: float = quantity(
+        "of a measured striker speed, relative", "", 0.0, 0.5, default=0.01
+    )
+
+
+class Experiment(NamedTuple):
+    """The records of one folder: header, trials, and the rows that cannot be read."""
+
+    folder: Path
+    header: ExperimentFile
+    trials: tuple[Trial, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+def read_experiment(place: Path | str) -> Experiment:
+    """The experiment in a folder; or of one CSV file, whose header stands beside it.
+
+    Raises:
+        RecordError: no header, or records that cannot be used at all (see ``read_trials``).
+        ConfigurationError: the header has an unknown key or a value out of range.
+    """
+    place = Path(place)
+    folder = place if place.is_dir() else place.parent
+    records = read_trials(place)
+    header = folder / HEADER_FILE
+    if not header.is_file():
+        raise RecordError(
+            f"{header}: is missing; it says what holds for all trials, at least format, made and "
+            "source (docs/calibration.md)"
+        )
+    return Experiment(folder, load(ExperimentFile, header), records.trials, records.left_out)
+
+
+def write_header(folder: Path, header: ExperimentFile) -> None:
+    """Write ``experiment.yaml`` into a folder, made if missing.
+
+    Raises:
+        RecordError: there is one already.
+        OSError: the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / HEADER_FILE
+    content = yaml.safe_dump(plain(asdict(header)), sort_keys=False, default_flow_style=None)
+    try:
+        with file.open("x", encoding="utf-8") as stream:
+            stream.write(content)
+    except FileExistsError as error:
+        raise RecordError(f"{file}: is there already; resume it or take another folder") from error
+
+
+def plain(value: Any) -> Any:
+    """A section as YAML takes it: tuples as lists, keys without a value left out."""
+    if isinstance(value, dict):
+        return {name: plain(entry) for name, entry in value.items() if entry is not None}
+    if isinstance(value, (list, tuple)):
+        return [plain(entry) for entry in value]
+    return value

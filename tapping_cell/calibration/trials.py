@@ -1,0 +1,334 @@
+"""Records of single-tap experiments: plain CSV files that other people can fill in too.
+
+A folder is one experiment::
+
+    experiment.yaml               what holds for all its trials (see ``experiment.py``)
+    run_01.csv, run_02.csv, ...   one row a trial; or one trials.csv with a column ``run``
+    tracks/run_01_trial_03.csv    poses of the object over time, one file a trial (may be missing)
+
+The first line names the columns, with their units: ``displacement_m`` or ``displacement_mm``. An
+empty cell means not measured. What each column holds is in ``docs/calibration.md``. In memory
+everything is SI and NaN means not measured.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.calibration.csv_table import Column, RecordError, read_csv
+
+Array = NDArray[np.float64]
+
+TRACK_FOLDER = "tracks"
+OUTCOMES = ("ok", "missed", "disturbed", "lost")
+"""What the recorder says of a trial: the tap hit and the object was seen before and after it; the
+striker missed; something else moved the object; the camera lost it. Only ``ok`` is used."""
+
+_TURNS = 100.0  # rad: an angle given in degrees is mostly beyond it, or off the other columns
+
+
+def _column(name: str, unit: str, low: float, high: float) -> Column:
+    return Column(name, unit, low, high, required=False)
+
+
+# Ranges are those of any tapping cell one could build; what is within them but does not fit the
+# rest of its row is found by ``screening``.
+TRIAL_COLUMNS: tuple[Column, ...] = (
+    _column("striker_speed", "m/s", 0.001, 20.0),
+    _column("striker_speed_measured", "m/s", 0.001, 20.0),
+    _column("striker_speed_std", "m/s", 0.0, 5.0),
+    _column("draw", "m", 0.0, 0.5),
+    _column("incidence", "rad", -math.pi / 2, math.pi / 2),
+    _column("contact_angle", "rad", -7.0, 7.0),
+    _column("start_x", "m", -5.0, 5.0),
+    _column("start_y", "m", -5.0, 5.0),
+    _column("start_theta", "rad", -_TURNS, _TURNS),
+    _column("end_x", "m", -5.0, 5.0),
+    _column("end_y", "m", -5.0, 5.0),
+    _column("end_theta", "rad", -_TURNS, _TURNS),
+    _column("displacement", "m", 0.0, 3.0),
+    _column("rotation", "rad", -_TURNS, _TURNS),
+    _column("direction", "rad", -7.0, 7.0),
+    _column("displacement_std", "m", 0.0, 0.1),
+    _column("rotation_std", "rad", 0.0, 1.0),
+    _column("initial_speed", "m/s", 0.0, 20.0),
+    _column("initial_speed_std", "m/s", 0.0, 5.0),
+    _column("initial_spin", "rad/s", -1000.0, 1000.0),
+    _column("initial_spin_std", "rad/s", 0.0, 100.0),
+    _column("camera_rate_hz", "", 1.0, 100000.0),
+)
+TRACK_COLUMNS: tuple[Column, ...] = (
+    Column("t", "s"),
+    Column("x", "m", -5.0, 5.0),
+    Column("y", "m", -5.0, 5.0),
+    Column("theta", "rad", -_TURNS, _TURNS),
+    Column("position_std", "m", 0.0, 0.1, required=False),
+    Column("rotation_std", "rad", 0.0, 1.0, required=False),
+)
+_POSES = ("start_x", "start_y", "start_theta", "end_x", "end_y", "end_theta")
+_COUNT = 100_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Poses of the object over time: arrays (n,) in s, m, m, rad (unwrapped), m, rad.
+
+    ``time`` is the middle of the exposure, on a clock of any origin. The standard deviations are
+    those of one axis of the position and of the angle, NaN where not known.
+    """
+
+    time: Array
+    x: Array
+    y: Array
+    theta: Array
+    position_std: Array
+    rotation_std: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One tap. SI; NaN where not measured. ``docs/calibration.md`` says what each field means.
+
+    ``striker_speed`` is the commanded one. ``incidence`` is from the contact normal (into the
+    object) to the striker's axis, ``contact_angle`` the direction of the contact point from the
+    centre of mass in the object's frame, ``direction`` that of the travel in table axes.
+    ``file`` and ``row`` say where it was read.
+    """
+
+    run: int
+    trial: int
+    outcome: str = "ok"
+    striker_speed: float = math.nan
+    striker_speed_measured: float = math.nan
+    striker_speed_std: float = math.nan
+    draw: float = math.nan
+    incidence: float = math.nan
+    contact_angle: float = math.nan
+    start_x: float = math.nan
+    start_y: float = math.nan
+    start_theta: float = math.nan
+    end_x: float = math.nan
+    end_y: float = math.nan
+    end_theta: float = math.nan
+    displacement: float = math.nan
+    rotation: float = math.nan
+    direction: float = math.nan
+    displacement_std: float = math.nan
+    rotation_std: float = math.nan
+    initial_speed: float = math.nan
+    initial_speed_std: float = math.nan
+    initial_spin: float = math.nan
+    initial_spin_std: float = math.nan
+    camera_rate_hz: float = math.nan
+    note: str = ""
+    track: Track | None = field(default=None, compare=False)
+    file: str = field(default="", compare=False)
+    row: int = field(default=0, compare=False)
+
+
+class LeftOut(NamedTuple):
+    """A row that is not used: where it stands, a word for why, and a sentence."""
+
+    file: str
+    row: int
+    reason: str
+    sentence: str
+
+    def __str__(self) -> str:
+        return f"{self.file}, row {self.row} ({self.reason}): {self.sentence}"
+
+
+class Trials(NamedTuple):
+    """The trials of one or more files, and the rows that cannot be read."""
+
+    trials: tuple[Trial, ...]
+    left_out: tuple[LeftOut, ...]
+
+
+def trial_files(place: Path) -> list[Path]:
+    """The CSV files with trials in a folder, or the file itself.
+
+    Raises:
+        RecordError: nothing there.
+    """
+    if place.is_file():
+        return [place]
+    if not place.is_dir():
+        raise RecordError(f"{place}: does not exist; give a folder of records or a CSV file")
+    found = sorted([*place.glob("run*.csv"), *place.glob("trials*.csv")])
+    if not found:
+        raise RecordError(f"{place}: holds no run_NN.csv or trials.csv")
+    return found
+
+
+def read_trials(place: Path | str) -> Trials:
+    """All trials of a folder, or of one CSV file, with their tracks where the folder has them.
+
+    Displacement, rotation and direction are filled in from the poses where only those are given.
+
+    Raises:
+        RecordError: a file or a column is missing, most rows are out of range (wrong units), or a
+            trial is there twice.
+    """
+    trials: list[Trial] = []
+    left_out: list[LeftOut] = []
+    for file in trial_files(Path(place)):
+        found = _read_file(file)
+        trials.extend(found.trials)
+        left_out.extend(found.left_out)
+    seen: dict[tuple[int, int], Trial] = {}
+    for trial in trials:
+        first = seen.setdefault((trial.run, trial.trial), trial)
+        if first is not trial:
+            raise RecordError(
+                f"{trial.file}, row {trial.row}: run {trial.run}, trial {trial.trial} stands also "
+                f"in {first.file}, row {first.row}; number the trials without repeating"
+            )
+    return Trials(tuple(trials), tuple(left_out))
+
+
+def _read_file(file: Path) -> Trials:
+    number = re.search(r"(\d+)", file.stem)
+    numbering = (
+        Column("run", "", 0, _COUNT, required=number is None),
+        Column("trial", "", 0, _COUNT),
+    )
+    table = read_csv(file, (*numbering, *TRIAL_COLUMNS), optional_texts=("outcome", "note"))
+    _check_columns(file, set(table.values))
+    left_out = [LeftOut(str(f.path), f.row, "unreadable", f.reason) for f in table.faults]
+    trials = []
+    for k, row in enumerate(table.rows.tolist()):
+        values = {name: float(column[k]) for name, column in table.values.items()}
+        run, trial = values.pop("run", math.nan), values.pop("trial")
+        if math.isnan(run):
+            run = float(number.group(1)) if number else 0.0
+        words = {name: column[k] for name, column in table.texts.items() if column[k]}
+        try:
+            record = _complete(
+                Trial(int(run), int(trial), **words, **values, file=str(file), row=row)  # type: ignore[arg-type]
+            )
+            samples = file.parent / TRACK_FOLDER / track_name(record.run, record.trial)
+            if samples.is_file():
+                record = replace(record, track=read_track(samples))
+        except RecordError as problem:
+            left_out.append(LeftOut(str(file), row, "unreadable", str(problem)))
+            continue
+        trials.append(record)
+    return Trials(tuple(trials), tuple(left_out))
+
+
+def _check_columns(file: Path, have: set[str]) -> None:
+    if have.issuperset(("displacement", "rotation")) or have.issuperset(_POSES):
+        return
+    missing = [name for name in ("displacement", "rotation") if name not in have]
+    raise RecordError(
+        f"{file}, row 1: no column {' and '.join(missing)}; add displacement_m and rotation_rad "
+        "(or _mm, _deg), or the poses start_x_m, start_y_m, start_theta_rad, end_x_m, end_y_m and "
+        "end_theta_rad"
+    )
+
+
+def _complete(trial: Trial) -> Trial:
+    """Displacement, rotation and direction from the poses where they are not given."""
+    if trial.outcome not in OUTCOMES:
+        raise RecordError(f"outcome is {trial.outcome!r}; it must be one of {', '.join(OUTCOMES)}")
+    across, up = trial.end_x - trial.start_x, trial.end_y - trial.start_y
+    turned = trial.end_theta - trial.start_theta
+    values = {
+        "displacement": math.hypot(across, up),
+        "rotation": turned if math.isnan(turned) else math.remainder(turned, math.tau),
+        "direction": math.atan2(up, across),
+    }
+    missing = {name: new for name, new in values.items() if math.isnan(getattr(trial, name))}
+    return replace(trial, **missing)  # type: ignore[arg-type]
+
+
+def read_track(file: Path) -> Track:
+    """The samples of one trial.
+
+    Raises:
+        RecordError: a column is missing, a cell is no number or out of range, or time does not
+            rise.
+    """
+    table = read_csv(file, TRACK_COLUMNS)
+    if table.faults:
+        raise RecordError(str(table.faults[0]))
+    time = table.values["t"]
+    falls = np.flatnonzero(np.diff(time) <= 0)
+    if falls.size:
+        raise RecordError(f"{file}, row {table.rows[falls[0] + 1]}: the time does not rise")
+    unknown = np.full(time.shape, math.nan)
+    return Track(
+        time=time,
+        x=table.values["x"],
+        y=table.values["y"],
+        theta=np.asarray(np.unwrap(table.values["theta"]), dtype=float),
+        position_std=table.values.get("position_std", unknown),
+        rotation_std=table.values.get("rotation_std", unknown),
+    )
+
+
+def run_name(run: int) -> str:
+    """Name of the file with the trials of a run."""
+    return f"run_{run:02d}.csv"
+
+
+def track_name(run: int, trial: int) -> str:
+    """Name, in ``TRACK_FOLDER``, of the file with the samples of a trial."""
+    return f"run_{run:02d}_trial_{trial:02d}.csv"
+
+
+def append_trial(folder: Path, trial: Trial) -> None:
+    """Add a trial to its run's file and write its track; the row comes last.
+
+    So a crash in between leaves a track without a row, which nothing reads and the repeated trial
+    writes anew. ``file`` and ``row`` of the trial are not looked at.
+
+    Raises:
+        RecordError: the trial is there already.
+        OSError: the folder cannot be written.
+    """
+    file = folder / run_name(trial.run)
+    fresh = not file.exists()
+    if not fresh:
+        for other in _read_file(file).trials:
+            if other.trial == trial.trial:
+                raise RecordError(
+                    f"{file}, row {other.row}: trial {trial.trial} is there already; give the next "
+                    "number"
+                )
+    if trial.track is not None:
+        (folder / TRACK_FOLDER).mkdir(parents=True, exist_ok=True)
+        _write_track(folder / TRACK_FOLDER / track_name(trial.run, trial.trial), trial.track)
+    with file.open("a", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        if fresh:
+            titles = [_title(column) for column in TRIAL_COLUMNS]
+            writer.writerow(["run", "trial", "outcome", *titles, "note"])
+        numbers = [_cell(getattr(trial, column.name)) for column in TRIAL_COLUMNS]
+        writer.writerow([trial.run, trial.trial, trial.outcome, *numbers, trial.note])
+
+
+def _write_track(file: Path, track: Track) -> None:
+    columns = [getattr(track, entry.name).tolist() for entry in fields(Track)]
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow([_title(column) for column in TRACK_COLUMNS])
+        writer.writerows([_cell(value) for value in row] for row in zip(*columns, strict=True))
+
+
+def _title(column: Column) -> str:
+    """The column's name with its SI unit, as it is written."""
+    return column.name + ("_" + column.unit.replace("/", "_") if column.unit else "")
+
+
+def _cell(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.9g}"
