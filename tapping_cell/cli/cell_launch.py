@@ -1,0 +1,116 @@
+"""What both files of the folder ``launch`` are made of: arguments, nodes and the arm's description.
+
+Only ``ros2 launch`` imports this; where there is none, ``python -m tapping_cell up`` does the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from launch_ros.actions import Node
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.hardware.urdf import urdf
+
+COMMON = {
+    "namespace": ("", "namespace of every node, one for each cell"),
+    "cell_file": ("", "cell file; empty for the package's own"),
+    "object_file": ("", "object file; empty for the cell file's"),
+    "planner": ("", "planning method; empty for the cell file's"),
+    "params_file": ("", "file of ROS parameters for every node; its values win over the others"),
+    "use_sim_time": ("false", "take the time from /clock, as when a bag is played"),
+    "description": ("true", "describe the arm for RViz (robot_state_publisher, where installed)"),
+}
+"""Arguments of every launch file: default and description."""
+
+
+@dataclass(frozen=True, slots=True)
+class LaunchedNode:
+    """One node of the graph: which launch argument gives which of its parameters."""
+
+    name: str
+    arguments: Mapping[str, str] = field(default_factory=dict)
+    """Parameter by launch argument."""
+    respawn: bool = False
+
+
+def cell_launch(
+    arguments: Mapping[str, tuple[str, str]], nodes: Sequence[LaunchedNode]
+) -> LaunchDescription:
+    """A launch description of the nodes, with the arguments of its own and the common ones."""
+    return LaunchDescription(
+        [
+            *(
+                DeclareLaunchArgument(name, default_value=default, description=text)
+                for name, (default, text) in {**COMMON, **arguments}.items()
+            ),
+            OpaqueFunction(function=lambda context: _start(context, nodes)),
+        ]
+    )
+
+
+def _start(context: LaunchContext, nodes: Sequence[LaunchedNode]) -> list[Node | LogInfo]:
+    """The nodes, once the arguments are known."""
+    given = context.launch_configurations
+    shared: list[dict[str, object] | str] = [{"use_sim_time": LaunchConfiguration("use_sim_time")}]
+    overrides = [given["params_file"]] if given["params_file"] else []
+    started: list[Node | LogInfo] = [
+        Node(
+            package="tapping_cell",
+            executable=node.name,
+            name=node.name,
+            namespace=given["namespace"],
+            parameters=[
+                *shared,
+                # An argument that was left empty leaves the parameter to params_file.
+                {
+                    name: LaunchConfiguration(key)
+                    for key, name in node.arguments.items()
+                    if given[key]
+                },
+                *overrides,
+            ],
+            output="screen",
+            respawn=node.respawn,
+            respawn_delay=1.0,
+        )
+        for node in nodes
+    ]
+    if given["description"].lower() == "true":
+        started += _describe_arm(given["namespace"], given["cell_file"], shared)
+    return started
+
+
+def _describe_arm(
+    namespace: str, cell_file: str, shared: list[dict[str, object] | str]
+) -> list[Node | LogInfo]:
+    """The arm's URDF and where its base stands, for RViz and Foxglove."""
+    for package in ("robot_state_publisher", "tf2_ros"):
+        try:
+            get_package_prefix(package)
+        except PackageNotFoundError:
+            return [LogInfo(msg=f"{package} is not installed: the arm is not described for RViz")]
+    cell = load_cell(cell_file or None)
+    x, y, yaw = cell.file.arm.base
+    return [
+        Node(
+            package="robot_state_publisher",
+            executable="robot_state_publisher",
+            namespace=namespace,
+            parameters=[*shared, {"robot_description": urdf(cell.file.arm.geometry())}],
+        ),
+        Node(
+            package="tf2_ros",
+            executable="static_transform_publisher",
+            namespace=namespace,
+            arguments=[
+                *("--x", str(x), "--y", str(y), "--yaw", str(yaw)),
+                *("--frame-id", "table", "--child-frame-id", "arm_base"),
+            ],
+        ),
+    ]
