@@ -16,6 +16,7 @@ from tapping_cell.planning.gains import Gains
 from tapping_cell.planning.goal import check_goal
 from tapping_cell.planning.interface import Planner, Taps
 from tapping_cell.planning.kept_gains import keep_gains, load_gains
+from tapping_cell.planning.prescribed import PrescribedSession, Prescription, cautious
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.registry import make_planner, planner_names
 from tapping_cell.planning.session import Decision, Done, PositioningSession, Strike
@@ -44,6 +45,8 @@ __all__ = [
     "PlanningError",
     "PolygonArea",
     "PositioningSession",
+    "PrescribedSession",
+    "Prescription",
     "Refusal",
     "RefusalReason",
     "Scatter",
@@ -56,6 +59,7 @@ __all__ = [
     "UnknownPlannerError",
     "Waypoint",
     "Workspace",
+    "cautious",
     "check_goal",
     "keep_gains",
     "load_gains",

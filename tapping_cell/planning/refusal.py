@@ -19,6 +19,8 @@ class RefusalReason(IntEnum):
     NO_STRIKE = 8
     CAMERA_TOO_COARSE = 9
     TOO_MANY_TAPS = 10
+    TAP_LEAVES_TABLE = 11
+    TAP_LEAVES_VIEW = 12
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,11 +36,12 @@ BLOCKED = 1.05
 class Done:
     """The object is at the goal, as far as the camera can honestly say.
 
-    residual: goal less object, (dx, dy, dtheta) in `table`, m and rad. box: where it had to be.
+    residual: goal less object, (dx, dy, dtheta) in `table`, m and rad. box: where it had to be;
+    None for a prescribed tap, which has no goal but where it was expected to end.
     """
 
     residual: Pose
-    box: StoppingBox
+    box: StoppingBox | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +104,11 @@ class PositioningSession:
         self._goal_refusal = check_goal(goal_pose, space, self._free)
         if self._goal_refusal is None:
             self._paths = self._free.to_goal(self.goal)
+
+    @property
+    def method(self) -> str:
+        """Name of the planning method, for records."""
+        return self.planner.name
 
     def residual(self, object_pose: ArrayLike) -> Array:
         """Goal less object: (dx, dy, dtheta) in `table`, the rotation the short way round."""

@@ -226,26 +226,35 @@ class StrikeSpace:
         plan = self.tap.plan(displacements[known], object_pose)
         contact = np.asarray(plan.strike_pose, dtype=float)
         speed = np.asarray(plan.striker_speed, dtype=float)
-        rest = self.rest_pose(contact)
-        elbows = self.elbows(rest)
-        usable = (
-            np.any(elbows, axis=-1)
-            & (speed >= self.settings.slowest)
-            & (speed <= self.settings.fastest)
-            & self.tool_has_room(rest)
-            & self.tool_clears_object(object_pose, rest)
-        )
+        usable = (speed >= self.settings.slowest) & (speed <= self.settings.fastest)
+        usable &= self.tool_fits(object_pose, contact)
         if not np.any(usable):
             return None
         index = int(np.argmax(usable))
-        pose = Pose(*rest[index].tolist())
+        return int(known[index]), self.plan_at(
+            float(np.asarray(plan.contact_angle)[index]), contact[index], float(speed[index])
+        )
+
+    def tool_fits(self, object_pose: ArrayLike, contact_poses: ArrayLike) -> BoolArray:
+        """Whether arm and tool have room to strike with the tip at (..., 3) at the contact."""
+        rest = self.rest_pose(contact_poses)
+        return np.asarray(
+            np.any(self.elbows(rest), axis=-1)
+            & self.tool_has_room(rest)
+            & self.tool_clears_object(object_pose, rest)
+        )
+
+    def plan_at(self, contact_angle: float, contact_pose: Array, speed: float) -> StrikePlan:
+        """The strike with the tip at (3,) at the contact; ``tool_fits`` says whether it can be."""
+        rest = self.rest_pose(contact_pose)
+        pose = Pose(*rest.tolist())
         above = Waypoint(pose, self.settings.travel_height)
-        return int(known[index]), StrikePlan(
-            contact_angle=float(np.asarray(plan.contact_angle)[index]),
-            contact_pose=Pose(*contact[index].tolist()),
+        return StrikePlan(
+            contact_angle=contact_angle,
+            contact_pose=Pose(*np.asarray(contact_pose, dtype=float).tolist()),
             strike_pose=pose,
-            striker_speed=float(speed[index]),
-            elbow=int(np.argmax(elbows[index])),
+            striker_speed=speed,
+            elbow=int(np.argmax(self.elbows(rest))),
             approach=(above, Waypoint(pose, self.settings.strike_height)),
             retreat=(above,),
         )

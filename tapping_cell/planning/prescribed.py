@@ -1,0 +1,313 @@
+"""One prescribed tap: a striker speed and an incidence are given, the side of the object is free.
+
+For experiments that measure the object, where the planner would otherwise choose the tap. The
+contact is looked for among those whose normal passes through the centre of mass (all of a round
+body's, one an edge of a polygon), so that the incidence alone decides how much the object turns.
+The object's mechanics is what the experiment is to find out: what is known of it only has to be
+good enough to keep the object on the table and in the camera's view, and the room that is asked for
+is that of a model which may well be wrong (``MODEL_DEVIATION``).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull, QhullError
+
+from tapping_cell.mechanics import Polygon, TapResult
+from tapping_cell.planning.errors import PlanningError
+from tapping_cell.planning.free_space import FreeSpace
+from tapping_cell.planning.gains import Gains
+from tapping_cell.planning.goal import place_text
+from tapping_cell.planning.interface import Array
+from tapping_cell.planning.refusal import Refusal, RefusalReason
+from tapping_cell.planning.session import Decision, Done, Strike, noise_of
+from tapping_cell.planning.settings import CameraNoise, Scatter
+from tapping_cell.planning.strike import BoolArray, StrikeSpace
+from tapping_cell.se2 import Pose, wrap_angle
+
+METHOD = "prescribed"
+
+MODEL_DEVIATION = Scatter(distance=0.10, rotation=0.20, direction=math.radians(2.0))
+"""How wrong the model may be, one standard deviation: friction, restitution and torque factor that
+are 20 % off change the distance by about 30 %, three of these."""
+
+LARGEST_INCIDENCE = math.radians(60.0)
+"""Beyond this a striker that is a little off its line grazes the object, or misses it."""
+
+CONTACTS = 72
+"""Contacts tried around a round body."""
+
+SHORT = 0.003
+"""How far before or behind the contact that is meant the striker may touch the object, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prescription:
+    """What is asked for.
+
+    striker_speed: m/s. incidence: rad, from the contact normal (into the object) to the striker's
+    axis, positive counter-clockwise. direction: wanted direction of the object's travel in `table`,
+    rad; None for towards the middle of the table. slack: how far from it the travel may be, rad;
+    the possible contact with the least deviation is taken.
+
+    Raises:
+        PlanningError: a number is not finite or out of range.
+    """
+
+    striker_speed: float
+    incidence: float
+    direction: float | None = None
+    slack: float = math.pi
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.striker_speed) and self.striker_speed > 0):
+            raise PlanningError(
+                f"the striker speed is {self.striker_speed!r} m/s; it must be above 0"
+            )
+        if not abs(self.incidence) <= LARGEST_INCIDENCE:
+            raise PlanningError(
+                f"the incidence is {math.degrees(self.incidence):.1f} deg; it must be within "
+                f"+-{math.degrees(LARGEST_INCIDENCE):.0f} deg, or the striker may graze the object"
+            )
+        if self.direction is not None and not math.isfinite(self.direction):
+            raise PlanningError("the direction is not a finite number; give it in rad, or none")
+        if not self.slack >= 0:
+            raise PlanningError(f"the slack is {self.slack!r} rad; it must be 0 or more")
+
+
+class PrescribedSession:
+    """From the look before the tap to the look after it, with the face of a positioning session."""
+
+    def __init__(
+        self,
+        prescription: Prescription,
+        space: StrikeSpace,
+        free: FreeSpace,
+        gains: Gains,
+        *,
+        adapt: bool = True,
+    ) -> None:
+        """``space``: with the scatter that the slide must be safe for (``cautious``); ``gains``:
+        what is known of the object from earlier taps; ``adapt``: learn from this one, too."""
+        self.prescription = prescription
+        self.gains = gains
+        self._space = space
+        self._free = free
+        self._adapt = adapt
+        self._tapped: Strike | None = None
+
+    @property
+    def method(self) -> str:
+        """Name of what chooses the tap, for records."""
+        return METHOD
+
+    def decide(
+        self,
+        object_pose: ArrayLike,
+        covariance: ArrayLike | None = None,
+        in_view: ArrayLike | None = None,
+    ) -> Decision:
+        """The tap, or after it Done, or why it cannot be.
+
+        Args:
+            object_pose: x, y, theta in `table`, m and rad.
+            covariance: not needed; as for a positioning session.
+            in_view: points (n, 2) of the table that the camera sees, m; the object's centre must
+                stay between them, for what lies between seen points is seen. None for no limit.
+        """
+        pose = np.asarray(object_pose, dtype=float)
+        if self._tapped is not None:
+            left = np.asarray(self._tapped.predicted) - pose
+            return Done(Pose(float(left[0]), float(left[1]), float(wrap_angle(left[2]))), None)
+        wanted = self.prescription.direction
+        if wanted is None:
+            wanted = math.atan2(-pose[1], -pose[0])
+        contacts = self._contacts(pose, wanted)
+        made = self._space.tap.strike(
+            pose, self._space.rest_pose(contacts), self.prescription.striker_speed
+        )
+        moved = self.gains.predict(made.displacement)
+        off = np.abs(wrap_angle(np.arctan2(moved[:, 1], moved[:, 0]) - wanted))
+        order = np.argsort(off, kind="stable")
+        order = order[(off <= self.prescription.slack + 1e-9)[order]]
+        problems = self._problems(pose, contacts, made, moved, in_view)
+        for index in order.tolist():
+            if not any(bool(problem[index]) for problem in problems.values()):
+                return self._made(pose, contacts[index], made.displacement[index], moved[index])
+        return self._refusal(pose, wanted, order.tolist(), problems, moved)
+
+    def observe(
+        self,
+        strike: Strike,
+        pose_before: ArrayLike,
+        pose_after: ArrayLike,
+        covariance: ArrayLike | None = None,
+    ) -> None:
+        """The tap was, or may have been, fired: learn from it; the session is over."""
+        self._tapped = strike
+        if not self._adapt:
+            return
+        moved = np.asarray(pose_after, dtype=float) - np.asarray(pose_before, dtype=float)
+        moved[2] = wrap_angle(moved[2])
+        noise = CameraNoise() if covariance is None else noise_of(covariance)
+        self.gains = self.gains.observe(strike.commanded, moved, self._space.scatter, noise)
+
+    def _contacts(self, pose: Array, wanted: float) -> Array:
+        """Poses (n, 3) of the tip at contacts with the prescribed incidence, in `table`."""
+        body = self._space.tap.body
+        if isinstance(body, Polygon):
+            points = (
+                body.edge_normals * np.einsum("ij,ij->i", body.points, body.edge_normals)[:, None]
+            )
+            inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0]) + pose[2]
+            depth = np.hypot(points[:, 0], points[:, 1])
+        else:
+            start = np.arange(CONTACTS) * (2.0 * math.pi / CONTACTS)
+            inward = wanted - self._deflection() + start
+            depth = np.full(CONTACTS, body.bounding_radius)
+        back = depth + self._space.tip_radius
+        return np.stack(
+            [
+                pose[0] - back * np.cos(inward),
+                pose[1] - back * np.sin(inward),
+                inward + self.prescription.incidence,
+            ],
+            axis=-1,
+        )
+
+    def _deflection(self) -> float:
+        """Angle from the contact normal to the travel of a round body."""
+        body = self._space.tap.body
+        back = body.bounding_radius + self._space.tip_radius
+        tip = (-back, 0.0, self.prescription.incidence)
+        moved = self.gains.predict(
+            self._space.tap.outcome((0.0, 0.0, 0.0), tip, self.prescription.striker_speed)
+        )
+        return math.atan2(float(moved[1]), float(moved[0]))
+
+    def _problems(
+        self,
+        pose: Array,
+        contacts: Array,
+        made: TapResult,
+        moved: Array,
+        in_view: ArrayLike | None,
+    ) -> dict[str, BoolArray]:
+        """What is wrong with each contact, (n,) for each kind of trouble."""
+        space = self._space
+        off_contact = (
+            made.missed
+            | (np.abs(made.travel - space.settings.standoff) > SHORT)
+            | (np.abs(made.incidence - self.prescription.incidence) > 1e-3)
+        )
+        slide = space.footprint(pose, moved)
+        unseen = np.zeros(len(contacts), dtype=bool)
+        if in_view is not None:
+            unseen = ~np.all(between(slide, in_view), axis=(-2, -1))
+        return {
+            "contact": off_contact,
+            "table": ~(
+                space.slide_is_safe(pose, moved)
+                & np.all(self._free.contains(slide[..., -1, :]), axis=-1)
+            ),
+            "view": unseen,
+            "tool": ~space.tool_fits(pose, contacts),
+        }
+
+    def _made(self, pose: Array, contact: Array, displacement: Array, moved: Array) -> Strike:
+        touch = contact[:2] + self._space.tip_radius * _unit(
+            contact[2] - self.prescription.incidence
+        )
+        angle = math.atan2(touch[1] - pose[1], touch[0] - pose[0]) - pose[2]
+        after = pose + moved
+        return Strike(
+            commanded=Pose(*displacement.tolist()),
+            wanted=Pose(*moved.tolist()),
+            predicted=Pose(float(after[0]), float(after[1]), float(wrap_angle(after[2]))),
+            residual=Pose(*moved.tolist()),
+            plan=self._space.plan_at(
+                float(wrap_angle(angle)), contact, self.prescription.striker_speed
+            ),
+            method=METHOD,
+        )
+
+    def _refusal(
+        self,
+        pose: Array,
+        wanted: float,
+        order: list[int],
+        problems: dict[str, BoolArray],
+        moved: Array,
+    ) -> Refusal:
+        """Why the possible contact nearest to the wanted direction cannot be tapped."""
+        heading = math.degrees(float(wrap_angle(wanted)))
+        place = place_text(pose)
+        hit = [index for index in order if not problems["contact"][index]]
+        if not hit:
+            return Refusal(
+                RefusalReason.NO_STRIKE,
+                f"no contact of the object at {place} with an incidence of "
+                f"{math.degrees(self.prescription.incidence):.1f} deg sends it within "
+                f"{math.degrees(min(self.prescription.slack, math.pi)):.0f} deg of the direction "
+                f"{heading:.0f} deg; allow more slack or another incidence",
+            )
+        index = hit[0]
+        distance = 1e3 * math.hypot(moved[index, 0], moved[index, 1])
+        spread = self._space.settings.footprint * self._space.scatter.distance
+        slide = (
+            f"the tap would send the object from {place} {distance:.0f} mm, at most "
+            f"{distance * (1 + spread):.0f} mm for all that is known of it,"
+        )
+        if problems["table"][index]:
+            return Refusal(
+                RefusalReason.TAP_LEAVES_TABLE,
+                f"{slide} to where it would leave the table, enter a keep-out or be out of the "
+                "arm's reach; ask for a lower striker speed or another direction, or move the "
+                "object towards the middle",
+            )
+        if problems["view"][index]:
+            return Refusal(
+                RefusalReason.TAP_LEAVES_VIEW,
+                f"{slide} out of the part of the table that the camera surely sees (between the "
+                "reference markers); ask for a lower striker speed or another direction, or move "
+                "the object towards the middle",
+            )
+        return Refusal(
+            RefusalReason.NO_STRIKE,
+            f"the arm or the tool has no room to tap the object at {place} so that it travels "
+            f"within {math.degrees(min(self.prescription.slack, math.pi)):.0f} deg of the "
+            f"direction {heading:.0f} deg; allow more slack, or move the object towards the middle",
+        )
+
+
+def cautious(space: StrikeSpace) -> Scatter:
+    """The scatter of a space's taps and of the model's error together."""
+    known, model = space.scatter, MODEL_DEVIATION
+    return Scatter(
+        math.hypot(known.distance, model.distance),
+        math.hypot(known.rotation, model.rotation),
+        math.hypot(known.direction, model.direction),
+    )
+
+
+def between(points: ArrayLike, others: ArrayLike) -> BoolArray:
+    """Whether points (..., 2) lie in the convex hull of others (n, 2); False where it has no area.
+
+    The picture of a plane is convex, so what lies between points in view is in view.
+    """
+    p, given = np.asarray(points, dtype=float), np.asarray(others, dtype=float).reshape(-1, 2)
+    try:
+        sides = ConvexHull(given).equations if len(given) > 2 else None
+    except QhullError:
+        sides = None
+    if sides is None:
+        return np.zeros(p.shape[:-1], dtype=bool)
+    return np.asarray(np.all(p @ sides[:, :2].T + sides[:, 2] <= 1e-9, axis=-1))
+
+
+def _unit(angle: float) -> Array:
+    return np.array([math.cos(angle), math.sin(angle)])
