@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist
 from numpy.typing import NDArray
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
@@ -20,6 +20,7 @@ from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.nodes import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import (
+    camera_to_message,
     covariance_to_message,
     from_message,
     seconds,
@@ -52,6 +53,9 @@ CODES = {
     Problem.MIRRORED_MARKER: ErrorCode.OBJECT_NOT_SEEN,
     Problem.MISSHAPEN_MARKER: ErrorCode.OBJECT_NOT_SEEN,
 }
+
+CAMERA_PERIOD_S = 1.0
+"""Between two reports of where the camera is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +93,13 @@ class CameraPose(CellNode[Parameters]):
         self._goal: Pose | None = None
         self._heard = time.monotonic()
         self._annotated_at = 0.0
+        self._camera_told_at = 0.0
         self._frames = 0
         self._busy_seconds = 0.0
         self._last = ObjectState()
         self._pose_publisher = self.create_publisher(PoseWithCovarianceStamped, "object_pose", 10)
         self._state_publisher = self.create_publisher(ObjectState, "object_state", LATCHED)
+        self._camera_publisher = self.create_publisher(PoseStamped, "camera/pose", LATCHED)
         self._picture_publisher = self.create_publisher(
             Image, "camera/image_annotated", images.PICTURES
         )
@@ -159,6 +165,7 @@ class CameraPose(CellNode[Parameters]):
             return
         observation = self._tracker.update(grey, seconds(message.header.stamp))
         self._publish(message, observation)
+        self._tell_camera(message)
         self._frames += 1
         self._busy_seconds += time.perf_counter() - began
         self._annotate(message, grey, observation)
@@ -185,6 +192,18 @@ class CameraPose(CellNode[Parameters]):
             self._pose_publisher.publish(pose)
         self._state_publisher.publish(state)
         self._last = state
+
+    def _tell_camera(self, picture: Image) -> None:
+        """Say where the camera is over the table: what turns a pixel into a place on it."""
+        assert self._tracker is not None
+        now, view = time.monotonic(), self._tracker.view
+        if view is None or now - self._camera_told_at < CAMERA_PERIOD_S:
+            return
+        self._camera_told_at = now
+        message = PoseStamped(pose=camera_to_message(view.pose))
+        message.header.stamp = picture.header.stamp
+        message.header.frame_id = "table"
+        self._camera_publisher.publish(message)
 
     def _state(self, picture: Image, code: int, sentence: str) -> ObjectState:
         assert self._cell is not None

@@ -1,4 +1,4 @@
-"""Between ROS messages and the library's types; no mathematics beyond a quaternion about z."""
+"""Between ROS messages and the library's types; no mathematics beyond quaternions."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import numpy as np
 from builtin_interfaces.msg import Time as TimeMessage
 from geometry_msgs.msg import Pose as PoseMessage
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from tapping_cell.se2 import Pose
+from tapping_cell.vision import CameraPose
 
 # Rows and columns of x, y and the rotation about z in a ROS 6 x 6 covariance.
 _PLANAR = (0, 1, 5)
@@ -61,6 +63,26 @@ def covariance_from_message(values: object) -> NDArray[np.float64]:
     """The 3 x 3 covariance of (x, y, theta) out of a ROS pose covariance."""
     full = np.asarray(values, dtype=float).reshape(6, 6)
     return full[np.ix_(_PLANAR, _PLANAR)]
+
+
+def camera_to_message(camera: CameraPose) -> PoseMessage:
+    """X_TC, the pose of ``camera_optical`` in ``table``, of a camera over the table."""
+    message = PoseMessage()
+    place, q = message.position, message.orientation
+    place.x, place.y, place.z = (float(value) for value in camera.position)
+    q.x, q.y, q.z, q.w = (float(v) for v in Rotation.from_matrix(camera.rotation.T).as_quat())
+    return message
+
+
+def camera_from_message(message: PoseMessage) -> CameraPose:
+    """The camera over the table of :func:`camera_to_message`.
+
+    Raises:
+        ValueError: the quaternion has no length.
+    """
+    place, q = message.position, message.orientation
+    rotation = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix().T
+    return CameraPose(rotation, -rotation @ np.array([place.x, place.y, place.z]))
 
 
 def seconds(stamp: TimeMessage) -> float:

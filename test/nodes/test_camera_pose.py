@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from harness import Bench, bench
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
@@ -19,11 +19,16 @@ from tapping_cell.configuration.cell import load_cell
 from tapping_cell.nodes import images
 from tapping_cell.nodes.camera_pose import CameraPose
 from tapping_cell.nodes.cell_node import LATCHED
-from tapping_cell.nodes.conversions import covariance_from_message, from_message
+from tapping_cell.nodes.conversions import (
+    camera_from_message,
+    covariance_from_message,
+    from_message,
+)
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.rendered_camera import SceneRenderer
 from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.truth import CameraTruth
+from tapping_cell.vision import View
 
 TRUE = Pose(0.06, -0.04, 0.8)
 
@@ -87,6 +92,17 @@ def test_a_resting_object_is_measured_and_every_picture_is_answered(cell: Cell) 
     assert abs(measured.rotation_to(TRUE)) < math.radians(0.1)
     deviation = np.sqrt(np.diag(covariance_from_message(last.pose.covariance)))
     assert np.all(deviation > 0) and deviation[0] < 0.0002
+
+
+def test_where_the_camera_is_turns_a_pixel_into_a_place_on_the_table(cell: Cell) -> None:
+    told = cell.bench.listen(PoseStamped, "camera/pose", LATCHED)
+    cell.show(20)
+    cell.bench.wait(lambda: told, "camera/pose")
+    assert told[-1].header.frame_id == "table"
+    view = View(load_cell().camera, camera_from_message(told[-1].pose))
+    height = load_cell().object.height
+    pixel = cell.renderer.view.project([TRUE.x, TRUE.y], height)
+    assert np.hypot(*(view.on_plane(pixel, height) - (TRUE.x, TRUE.y))) < 0.001
 
 
 def test_a_moving_object_is_not_called_at_rest(cell: Cell) -> None:
