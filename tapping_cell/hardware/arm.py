@@ -12,10 +12,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
+from tapping_cell.hardware.axis_units import in_words, to_axes, to_joints
 from tapping_cell.hardware.dialect import (
     ArmDialect,
     AxisReading,
-    AxisValues,
     Firmware,
     LineCounters,
 )
@@ -29,8 +29,6 @@ MOVE_ATTEMPTS = 3
 
 FRESHNESS = 0.05
 """A reading younger than this is not asked for again before a move, s."""
-TO_UNITS = (180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi)
-"""Joint values (rad, rad, m, rad) to the controller's units (deg, deg, mm, deg)."""
 LEAST_FEED = 0.001
 """The slowest feed that a line can carry, units/min."""
 
@@ -168,6 +166,7 @@ class ArmDriver:
         UNKNOWN_FIRMWARE, SETTINGS_MISMATCH, TIMEOUT.
         """
         self._connected = False
+        self._fresh = None
         deadline = self._transport.now() + timeout
         try:
             self._transport.open(timeout)
@@ -197,7 +196,7 @@ class ArmDriver:
         """
         self._require_ready(homed=False)
         self._homed = False
-        self._confirmed = None
+        self._confirmed = self._fresh = None
         try:
             if strategy is HomingStrategy.FIRMWARE:
                 joints = self._home_by_firmware()
@@ -213,14 +212,15 @@ class ArmDriver:
         """Ask the controller where the arm is; before homing the joints mean nothing."""
         self._require_line()
         try:
-            return self._read()
+            self._fresh = self._read()
         except HardwareFault as fault:
             raise self._noted(fault) from fault.__cause__
+        return self._fresh
 
     def read_joints(self) -> Joints:
         """The joints, by question to the controller; raises NOT_HOMED before homing."""
         self._require_ready(homed=True)
-        return self.read().joints
+        return (self._recent() or self.read()).joints
 
     def move_to(
         self, joints: Iterable[float], speed: float = 0.5, deadline: float | None = None
@@ -249,15 +249,20 @@ class ArmDriver:
         for waypoint in path:
             self.move_to(waypoint.joints, waypoint.speed)
             last = waypoint.joints
+        return self.settle(last)
+
+    def settle(self, goal: Joints | None) -> ArmReading:
+        """Let ``settle_time`` pass since the last move; the arm must still stand at ``goal``."""
         self._require_ready(homed=True)
+        rested = self._fresh.stamp if self._fresh is not None else self._transport.now()
         try:
-            self._wait(self.settings.settle_time)
+            self._wait(rested + self.settings.settle_time)
             reading = self._arrive(self._transport.now(), self._reply_deadline())
-            if last is not None and not self._agrees(last, reading.joints):
+            if goal is not None and not self._agrees(goal, reading.joints):
                 # One garbled report must not count: this asks until two agree.
                 reading = self._read()
-                if reading.moving or not self._agrees(last, reading.joints):
-                    raise self._mismatch(last, reading.joints)
+                if reading.moving or not self._agrees(goal, reading.joints):
+                    raise self._mismatch(goal, reading.joints)
         except HardwareFault as fault:
             raise self._noted(fault) from fault.__cause__
         return reading
@@ -296,9 +301,7 @@ class ArmDriver:
         self._fault = None
 
     def _move(self, goal: Joints, speed: float, deadline: float | None) -> ArmReading:
-        start = self._fresh
-        if start is None or self._transport.now() - start.stamp > FRESHNESS:
-            start = self._read()
+        start = self._recent() or self._read()
         self._fresh = None
         if start.alarm:
             raise HardwareFault(
@@ -308,14 +311,14 @@ class ArmDriver:
         if self._confirmed is None:
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
-                f"the arm's last move was not confirmed; it stands at {_in_words(start.joints)}:"
+                f"the arm's last move was not confirmed; it stands at {in_words(start.joints)}:"
                 " clear the fault and home again",
             )
         if not self._agrees(self._confirmed, start.joints):
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
-                f"the arm stands at {_in_words(start.joints)}, last confirmed at"
-                f" {_in_words(self._confirmed)}: it was moved or its controller restarted; clear"
+                f"the arm stands at {in_words(start.joints)}, last confirmed at"
+                f" {in_words(self._confirmed)}: it was moved or its controller restarted; clear"
                 " the fault and home again",
             )
         duration = move_duration(self.geometry, start.joints, goal, speed)
@@ -364,8 +367,8 @@ class ArmDriver:
         self, start: Joints, goal: Joints, speed: float, deadline: float
     ) -> HardwareFault | None:
         """Send the line of one move; returns the controller's refusal if it refused it."""
-        target = self._to_axes(goal)
-        length = math.dist(self._to_axes(start), target)
+        target = to_axes(self.settings.axis_sign, goal)
+        length = math.dist(to_axes(self.settings.axis_sign, start), target)
         time = max(
             abs(b - a) / (v * speed)
             for a, b, v in zip(start, goal, self.geometry.max_speed, strict=True)
@@ -382,12 +385,11 @@ class ArmDriver:
 
     def _arrive(self, expected_end: float, deadline: float) -> ArmReading:
         """Wait for rest; the time of asking is the time of the reading."""
-        reading = self._dialect.finish_move(expected_end, deadline)
-        return self._in_joints(reading, self._transport.now())
+        return self._in_joints(self._dialect.finish_move(expected_end, deadline))
 
     def _home_by_firmware(self) -> Joints:
         home = None if self.settings.home_joints is None else Joints(*self.settings.home_joints)
-        axes = None if home is None else self._to_axes(home)
+        axes = None if home is None else to_axes(self.settings.axis_sign, home)
         self._dialect.home(axes, self._transport.now() + self.settings.homing_timeout)
         joints = self._read().joints
         if home is None:
@@ -409,37 +411,38 @@ class ArmDriver:
             check_limits(self.geometry, reading.joints)
             return reading.joints
         target = Joints(*home)
-        self._dialect.set_position(self._to_axes(target), self._reply_deadline())
+        self._dialect.set_position(to_axes(self.settings.axis_sign, target), self._reply_deadline())
         reading = self._read()
         if not self._agrees(target, reading.joints):
             raise self._mismatch(target, reading.joints)
         return reading.joints
 
-    def _read(self) -> ArmReading:
-        stamp = self._transport.now()
-        return self._in_joints(self._dialect.read(self._reply_deadline()), stamp)
+    def _recent(self) -> ArmReading | None:
+        """The last reading while it is young enough to begin a move with."""
+        fresh = self._fresh
+        if fresh is None or self._transport.now() - fresh.stamp > FRESHNESS:
+            return None
+        return fresh
 
-    def _in_joints(self, reading: AxisReading, stamp: float) -> ArmReading:
+    def _read(self) -> ArmReading:
+        return self._in_joints(self._dialect.read(self._reply_deadline()))
+
+    def _in_joints(self, reading: AxisReading) -> ArmReading:
         return ArmReading(
-            self._to_joints(reading.axes), reading.moving, reading.alarm, reading.measured, stamp
+            to_joints(self.settings.axis_sign, reading.axes),
+            reading.moving,
+            reading.alarm,
+            reading.measured,
+            reading.asked,
         )
 
     def _reply_deadline(self) -> float:
         return self._transport.now() + self.settings.reply_timeout
 
-    def _wait(self, duration: float) -> None:
+    def _wait(self, until: float) -> None:
         """Rest without missing a stop; what comes on the line meanwhile belongs to the dialect."""
-        end = self._transport.now() + duration
-        while (left := end - self._transport.now()) > 0:
+        while (left := until - self._transport.now()) > 0:
             self._dialect.idle(left)
-
-    def _to_axes(self, joints: Joints) -> AxisValues:
-        scales = zip(self.settings.axis_sign, TO_UNITS, joints, strict=True)
-        return AxisValues(*(sign * unit * value for sign, unit, value in scales))
-
-    def _to_joints(self, axes: AxisValues) -> Joints:
-        scales = zip(self.settings.axis_sign, TO_UNITS, axes, strict=True)
-        return Joints(*(sign * value / unit for sign, unit, value in scales))
 
     def _agrees(self, first: Joints, second: Joints) -> bool:
         angle, quill = self.settings.tolerance_angle, self.settings.tolerance_quill
@@ -449,7 +452,7 @@ class ArmDriver:
     def _mismatch(self, goal: Joints, found: Joints) -> HardwareFault:
         return HardwareFault(
             FaultReason.POSITION_MISMATCH,
-            f"the arm stands at {_in_words(found)}, was sent to {_in_words(goal)}; more than"
+            f"the arm stands at {in_words(found)}, was sent to {in_words(goal)}; more than"
             f" {math.degrees(self.settings.tolerance_angle):.3f} deg or"
             f" {self.settings.tolerance_quill * 1e3:.2f} mm apart: look for an obstacle or a noisy"
             " line, then move again",
@@ -490,11 +493,4 @@ def _stop_fault() -> HardwareFault:
     return HardwareFault(
         FaultReason.STOPPED,
         "the arm was stopped: make the cell safe, clear the fault and home again",
-    )
-
-
-def _in_words(joints: Joints) -> str:
-    return (
-        f"({math.degrees(joints.shoulder):.3f} deg, {math.degrees(joints.elbow):.3f} deg,"
-        f" {joints.quill * 1e3:.3f} mm, {math.degrees(joints.tool):.3f} deg)"
     )

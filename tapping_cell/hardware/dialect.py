@@ -37,6 +37,8 @@ class AxisReading:
     """Empty, or why the controller refuses to move."""
     measured: bool
     """False where the controller can only say what it was commanded (Marlin's ``M114``)."""
+    asked: float
+    """Time of the transport's clock just before the question was sent, s."""
 
 
 @dataclass(slots=True)

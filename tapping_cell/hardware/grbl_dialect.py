@@ -79,6 +79,7 @@ class GrblDialect:
         self._marked = False
         self._frozen = False
         self._homed_place: tuple[float, ...] = ()
+        self._asked = 0.0
 
     @property
     def stop_bytes(self) -> bytes:
@@ -263,8 +264,9 @@ class GrblDialect:
         self._pump(0.0)
         self._frames.clear()
         while True:
+            self._asked = self._transport.now()
             self._transport.write(grbl.STATUS_QUERY)
-            until = min(deadline, self._transport.now() + REPLY_TIMEOUT)
+            until = min(deadline, self._asked + REPLY_TIMEOUT)
             try:
                 while True:
                     frame = self._next(until, "status report")
@@ -415,7 +417,8 @@ class GrblDialect:
                 f" firmware with {AXIS_COUNT} axes",
             )
         alarm = LOCKED.get(status.state, "")
-        return AxisReading(AxisValues(*position[:AXIS_COUNT]), _moving(status), alarm, True)
+        axes = AxisValues(*position[:AXIS_COUNT])
+        return AxisReading(axes, _moving(status), alarm, True, self._asked)
 
     def _agree(self, first: grbl.Status, second: grbl.Status) -> bool:
         """Whether two reports confirm each other: on the move, or at rest in the same place."""

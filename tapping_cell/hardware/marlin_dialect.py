@@ -93,9 +93,10 @@ class MarlinDialect:
     def read(self, deadline: float) -> AxisReading:
         """``M114``: the step counts where the firmware gives them, else what was commanded."""
         while True:
+            asked = self._transport.now()
             for frame in self._command("M114", deadline):
                 if isinstance(frame, marlin.Position):
-                    return self._reading(frame)
+                    return self._reading(frame, asked)
             # The answer was garbled, or a stray `ok` was taken for that of this line: begin afresh.
             self._settle(deadline)
             self.counters.retries += 1
@@ -378,7 +379,7 @@ class MarlinDialect:
                 return {axis: frame.per_unit[axis] for axis in self._settings.letters}
         return {}
 
-    def _reading(self, frame: marlin.Position) -> AxisReading:
+    def _reading(self, frame: marlin.Position, asked: float) -> AxisReading:
         letters = self._settings.letters
         missing = [letter for letter in letters if letter not in frame.commanded]
         if missing:
@@ -389,14 +390,14 @@ class MarlinDialect:
             )
         commanded = AxisValues(*(frame.commanded[letter] for letter in letters))
         if not self._steps or not set(letters) <= set(frame.counts):
-            return AxisReading(commanded, False, "", False)
+            return AxisReading(commanded, False, "", False, asked)
         actual = AxisValues(*(frame.counts[a] / self._steps[a] for a in letters))
         # Commanded values are rounded to 0.01; beyond that and one step the axes are on the way.
         moving = any(
             abs(a - c) > 0.006 + 1 / self._steps[letter]
             for a, c, letter in zip(actual, commanded, letters, strict=True)
         )
-        return AxisReading(actual, moving, "", True)
+        return AxisReading(actual, moving, "", True, asked)
 
     def _restarted(self) -> HardwareFault:
         self._known = False

@@ -53,7 +53,7 @@ class TapperSettings:
     attempts: int = 5
     draw_timeout: float = 3.0
     """Longest draw."""
-    poll_period: float = 0.01
+    poll_period: float = 0.002
     """Between status requests while drawing; far below the 500 ms silence limit."""
 
     def __post_init__(self) -> None:
