@@ -19,6 +19,7 @@ VERBS = {
     "sensitivity": "how the tap's result answers errors of the striker's pose",
     "locate": "where the object is in image files",
     "faults": "taps over bad serial lines: is anything unsafe, hanging or untrue?",
+    "urdf": "the arm of a cell file, for RViz and Foxglove",
     "bench": "benchmarks, each beside a peer measured in the same run",
 }
 

@@ -1,0 +1,30 @@
+"""Write the arm of a cell file as URDF, for RViz, Foxglove and motion planners.
+
+    python -m tapping_cell urdf --cell my_cell.yaml > arm.urdf
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.hardware.urdf import urdf
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the verb."""
+    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb; 0 written, 2 wrong input."""
+    try:
+        cell = load_cell(arguments.cell)
+    except ConfigurationError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    sys.stdout.write(urdf(cell.file.arm.geometry()))
+    return 0
