@@ -6,14 +6,17 @@ import math
 import time
 
 from rclpy.node import Node
+from std_msgs.msg import Header
 from tapping_cell_msgs.action import PositionObject
-from tapping_cell_msgs.msg import ObjectState, PlanState
+from tapping_cell_msgs.msg import GoalReport, ObjectState, PlanState
 from visualization_msgs.msg import MarkerArray
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.goal_desk import Request
 from tapping_cell.nodes.markers import cell_markers
 from tapping_cell.nodes.tap_task import Shot, Task
+from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.se2 import Pose
 
 FINAL = (PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
@@ -36,6 +39,7 @@ class PlanReporter:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._states = node.create_publisher(PlanState, "plan_state", LATCHED)
+        self._reports = node.create_publisher(GoalReport, "goal_report", LATCHED)
         self._markers = node.create_publisher(MarkerArray, "markers", LATCHED)
         self._said_at = -math.inf
         self.last = PlanState(residual_distance=math.nan, residual_rotation=math.nan)
@@ -69,10 +73,46 @@ class PlanReporter:
                 setattr(state, name, getattr(self.last, name))
         self.last = state
         self._states.publish(state)
+        if task is not None and phase in FINAL and state.planner != PRESCRIBED:
+            self._report_end(state, task)
         if cell is not None:
             strike = shot.strike if shot is not None else None
             goal = task.goal if task is not None else None
             self._markers.publish(cell_markers(cell, state, pose, goal, strike))
+
+    def refuse(self, trouble: tuple[int, str], request: Request) -> None:
+        """Report a goal that was refused."""
+        code, sentence = trouble
+        self._reports.publish(
+            GoalReport(
+                header=Header(stamp=self._node.get_clock().now().to_msg(), frame_id="table"),
+                refused=True,
+                state=PlanState.FAILED,
+                goal=request.message,
+                position_tolerance=request.position_tolerance,
+                angle_tolerance=request.angle_tolerance,
+                residual_distance=math.nan,
+                residual_rotation=math.nan,
+                error_code=code,
+                error_msg=sentence,
+            )
+        )
+
+    def _report_end(self, state: PlanState, task: Task) -> None:
+        report = GoalReport(header=state.header, state=state.state, records=task.records)
+        for name in (
+            "goal",
+            "position_tolerance",
+            "angle_tolerance",
+            "planner",
+            "taps",
+            "residual_distance",
+            "residual_rotation",
+            "error_code",
+            "error_msg",
+        ):
+            setattr(report, name, getattr(state, name))
+        self._reports.publish(report)
 
     def result(
         self, trouble: tuple[int, str], task: Task | None, seen: ObjectState | None

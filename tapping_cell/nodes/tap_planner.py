@@ -146,23 +146,25 @@ class TapPlanner(CellNode[Parameters]):
     # Goals
 
     def _on_goal_pose(self, message: PoseStamped) -> None:
-        refused = self._take(Request(message))
+        request = Request(message)
+        refused = self._take(request)
         if refused is not None:
+            self._reporter.refuse((refused.code, refused.sentence), request)
             self.get_logger().error(f"goal refused ({refused.code}): {refused.sentence}")
             self._say(refused.code, refused.sentence)
 
     def _on_action_goal(self, handle: ServerGoalHandle) -> None:
         asked = handle.request
-        refused = self._take(
-            Request(
-                asked.goal_pose,
-                asked.position_tolerance,
-                asked.angle_tolerance,
-                asked.max_taps,
-                handle,
-            )
+        request = Request(
+            asked.goal_pose,
+            asked.position_tolerance,
+            asked.angle_tolerance,
+            asked.max_taps,
+            handle,
         )
+        refused = self._take(request)
         if refused is not None:
+            self._reporter.refuse((refused.code, refused.sentence), request)
             self.get_logger().error(f"goal refused ({refused.code}): {refused.sentence}")
             trouble = (refused.code, refused.sentence)
             self._answer(handle, self._reporter.result(trouble, None, self._monitor.object))
