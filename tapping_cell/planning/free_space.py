@@ -75,6 +75,20 @@ class FreeSpace:
         room = self._space.workspace.object_room(p)
         return np.asarray(found & (room >= self._space.object_radius - 1e-9))
 
+    def outline(self) -> Array:
+        """Edges between workable cells and others, (edges, 2 ends, 2): to be drawn, m in table."""
+        padded = np.pad(self.workable, 1)
+        corner = self._origin - CELL / 2
+        edges = []
+        for axis in (0, 1):
+            i, j = np.nonzero(np.diff(padded, axis=axis))
+            # one cell of padding: the line after padded cell i is the line before cell i
+            first = np.stack([i, j], axis=-1).astype(float)
+            first[:, 1 - axis] -= 1.0
+            along = np.eye(2)[1 - axis]
+            edges.append(np.stack([first, first + along], axis=1))
+        return np.asarray(corner + CELL * np.concatenate(edges))
+
     def nearest_cells(self, points: ArrayLike) -> tuple[NDArray[np.intp], Array]:
         """The nearest workable cell of each point (flat index) and its distance; inf if none.
 

@@ -137,6 +137,21 @@ def test_paths_lead_around_a_wall(tap):
     assert not free.to_goal(np.array([0.2, -0.1])).reachable([-0.2, -0.1])
 
 
+def test_the_outline_of_the_workable_region_has_it_on_one_side_only(tap):
+    free = FreeSpace(StrikeSpace(tap, Workspace(keep_outs=(CircleArea(0.05, 0.02, 0.03),))))
+    edges = free.outline()
+    cells = {tuple(cell) for cell in np.round(free.centres[free.workable], 6)}
+    middle = edges.mean(axis=1)
+    half = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=-1, keepdims=True) / 2
+    across = np.flip(edges[:, 1] - edges[:, 0], axis=-1) / 2
+    assert np.allclose(np.linalg.norm(across, axis=-1, keepdims=True), half)
+    for one, other in zip(np.round(middle + across, 6), np.round(middle - across, 6), strict=True):
+        assert (tuple(one) in cells) != (tuple(other) in cells)
+    # closed: every corner ends an even number of edges
+    _, counts = np.unique(np.round(edges.reshape(-1, 2), 6), axis=0, return_counts=True)
+    assert np.all(counts % 2 == 0)
+
+
 def test_a_polygon_is_struck_on_its_real_edges():
     square = Polygon(
         ((-0.04, -0.04), (0.04, -0.04), (0.04, 0.04), (-0.04, 0.04)), mass=0.2, height=0.012
