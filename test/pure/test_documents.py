@@ -1,0 +1,31 @@
+"""The documents: every link leads somewhere, every room and every page is named."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_to_a_file(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+        assert (page.parent / target).exists(), f"{page.name} points at {target}"
+
+
+def test_every_page_is_pointed_at() -> None:
+    told = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    for page in (ROOT / "docs").glob("*.md"):
+        assert page.name in told, f"nothing points at docs/{page.name}"
+
+
+def test_every_room_stands_in_the_architecture_page() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    rooms = {
+        folder.name + "/"
+        for folder in (ROOT / "tapping_cell").iterdir()
+        if folder.is_dir() and (folder / "__init__.py").exists()
+    }
+    assert rooms == set(re.findall(r"^\| `(\w+/)` \|", text, re.MULTILINE))
