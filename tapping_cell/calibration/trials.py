@@ -212,7 +212,7 @@ def _read_file(file: Path) -> Trials:
             run = float(number.group(1)) if number else 0.0
         words = {name: column[k] for name, column in table.texts.items() if column[k]}
         try:
-            record = _complete(
+            record = completed(
                 Trial(int(run), int(trial), **words, **values, file=str(file), row=row)  # type: ignore[arg-type]
             )
             samples = file.parent / TRACK_FOLDER / track_name(record.run, record.trial)
@@ -236,8 +236,12 @@ def _check_columns(file: Path, have: set[str]) -> None:
     )
 
 
-def _complete(trial: Trial) -> Trial:
-    """Displacement, rotation and direction from the poses where they are not given."""
+def completed(trial: Trial) -> Trial:
+    """The trial with displacement, rotation and direction from its poses where they are NaN.
+
+    Raises:
+        RecordError: the outcome is no word of ``OUTCOMES``.
+    """
     if trial.outcome not in OUTCOMES:
         raise RecordError(f"outcome is {trial.outcome!r}; it must be one of {', '.join(OUTCOMES)}")
     across, up = trial.end_x - trial.start_x, trial.end_y - trial.start_y

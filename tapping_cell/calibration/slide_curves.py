@@ -1,0 +1,174 @@
+"""Slides in time, quick enough for a fit: where many launches are at many times.
+
+The same equations and tables as ``mechanics.sliding``, arranged for fits, which ask for few samples
+of many slides at ever other parameters. Sliding scales and the ratio of spin and speed follows one
+curve on either side of its terminal value, so one table of that curve over the time left serves all
+launches. Tables are kept on a grid of torque factors; between two of them values are interpolated,
+which gives the derivative as well.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.mechanics.slide_table import SlideTable
+
+Array = NDArray[np.float64]
+
+TORQUE_FACTORS = (0.1, 15.0)
+"""Torque factors that a fit looks for."""
+_GRID = 0.01  # in ln(torque factor): interpolation errs by 1e-5 of the rotation
+_FARTHEST = 14.0  # ln of the largest ratio of spin and speed that is told from a pure motion
+_NEAREST = -20.0  # ln of the least distance from the terminal ratio
+_KNOTS = 1000
+_SPACING = 0.02
+_LEAST_LEFT = 1e-9
+
+
+class State(NamedTuple):
+    """Arrays: distance in m and rotation in rad covered, and the velocities, m/s and rad/s."""
+
+    distance: Array
+    rotation: Array
+    speed: Array
+    spin: Array
+
+
+class Slopes(NamedTuple):
+    """Derivatives of distance and rotation by ln(torque factor)."""
+
+    distance: Array
+    rotation: Array
+
+
+class _Curve:
+    """Slides of one support at one Lambda, reduced: lengths times mu g, rim speeds."""
+
+    def __init__(self, support: str, torque_ratio: float) -> None:
+        self.table = SlideTable(support, torque_ratio)
+        terminal = -math.log(max(min(self.table.terminal_ratio, 1e9), 1e-9))
+        self._terminal = min(max(terminal, -_FARTHEST), _FARTHEST)
+        self._above = self._side(1.0)
+        self._below = self._side(-1.0)
+
+    def _side(self, sign: float) -> tuple[Array, Array]:
+        """ln(R omega / v) on one side of the terminal ratio and ln(time left), both rising."""
+        width = _FARTHEST - sign * self._terminal
+        if width < 1e-6:
+            return np.zeros(0), np.zeros(0)
+        # Dense about the terminal ratio, which takes for ever to reach, and even elsewhere.
+        close = np.exp(np.linspace(_NEAREST, math.log(width), _KNOTS))
+        away = np.union1d(close, np.arange(width, 0.0, -_SPACING))
+        ratio = self._terminal + sign * away
+        rate = sign * self.table.ratio_rate(ratio)
+        # d ln(left) = d ratio / rate, by ln(away), in which it is smooth
+        slope = away / np.maximum(rate, 1e-12)
+        steps = np.diff(np.log(away)) * (slope[1:] + slope[:-1]) / 2
+        left = np.concatenate([[0.0], np.cumsum(steps)])
+        return sign * away, left
+
+    def _ratio_after(self, start: Array, log_share: Array, rows: NDArray[np.intp]) -> Array:
+        away = np.clip(start, -_FARTHEST, _FARTHEST) - self._terminal
+        result = np.zeros(rows.shape)
+        for sign, (ratios, left) in ((1.0, self._above), (-1.0, self._below)):
+            chosen = sign * away[rows] > 0
+            if not ratios.size or not chosen.any():
+                continue
+            begin = np.interp(np.log(sign * away[rows][chosen]), np.log(sign * ratios), left)
+            result[chosen] = np.interp(begin + log_share[chosen], left, ratios)
+        return np.asarray(result + self._terminal)
+
+    def at(self, speed: Array, rim: Array, time: Array, rows: NDArray[np.intp]) -> State:
+        """States of launches (n,), both not negative, at reduced times (N,) of launches rows."""
+        total = self.table.rest_many(speed, rim)
+        left = np.maximum(total[2][rows] - time, 0.0)
+        share = np.maximum(left / np.maximum(total[2][rows], 1e-300), _LEAST_LEFT)
+        ratio = self._ratio_after(
+            np.log(np.maximum(rim, 1e-12)) - np.log(np.maximum(speed, 1e-12)), np.log(share), rows
+        )
+        unit_v, unit_s = np.exp(np.minimum(-ratio, 0.0)), np.exp(np.minimum(ratio, 0.0))
+        travel, turn, duration = self.table.rest_many(unit_v, unit_s)
+        size = left / duration
+        return State(
+            total[0][rows] - travel * size**2,
+            total[1][rows] - turn * size**2,
+            unit_v * size,
+            unit_s * size,
+        )
+
+
+@lru_cache(maxsize=512)
+def _curve(support: str, gamma: float, step: int) -> _Curve:
+    return _Curve(support, gamma * math.exp(step * _GRID))
+
+
+class SlideCurves:
+    """Slides of a support: ``support`` is "disk" or "ring", ``radius`` R in m, gamma m R^2 / I."""
+
+    def __init__(self, support: str, radius: float, gamma: float, gravity: float) -> None:
+        self._support = support
+        self._radius = radius
+        self._gamma = gamma
+        self._gravity = gravity
+
+    def at(
+        self,
+        launch: tuple[Array, Array],
+        time: Array,
+        rows: NDArray[np.intp],
+        friction: Array,
+        log_torque_factor: float,
+    ) -> tuple[State, Slopes]:
+        """States (N,) of launches (speed and spin, (n,), m/s and rad/s) at times (N,) in s.
+
+        ``rows`` (N,) says whose time it is; ``friction`` (n,) is each launch's. A time of infinity
+        asks for the end.
+        """
+        speed, spin = launch
+        rim = np.abs(spin) * self._radius
+        sign_v, sign_s = np.sign(speed)[rows], np.sign(spin)[rows]
+        pull = (friction * self._gravity)[rows]
+        place = min(max(log_torque_factor, math.log(0.05)), math.log(20.0)) / _GRID
+        step = math.floor(place)
+        states = [
+            _curve(self._support, self._gamma, step + k).at(np.abs(speed), rim, pull * time, rows)
+            for k in (0, 1)
+        ]
+        low, high = states
+        part = place - step
+        mixed = State(*(a + part * (b - a) for a, b in zip(low, high, strict=True)))
+        turned = sign_s / (pull * self._radius)
+        return (
+            State(
+                sign_v * mixed.distance / pull,
+                turned * mixed.rotation,
+                sign_v * mixed.speed,
+                sign_s * mixed.spin / self._radius,
+            ),
+            Slopes(
+                sign_v * (high.distance - low.distance) / (pull * _GRID),
+                turned * (high.rotation - low.rotation) / _GRID,
+            ),
+        )
+
+    def launch(
+        self, distance: Array, rotation: Array, friction: float, log_torque_factor: float
+    ) -> tuple[Array, Array, tuple[Array, Array]]:
+        """Speeds and spins (n,) that end there, and their derivatives by ln(torque factor)."""
+        pull = friction * self._gravity
+        place = min(max(log_torque_factor, math.log(0.05)), math.log(20.0)) / _GRID
+        step = math.floor(place)
+        (v0, s0), (v1, s1) = (
+            _curve(self._support, self._gamma, step + k).table.launch_many(
+                distance * pull, rotation * pull * self._radius
+            )
+            for k in (0, 1)
+        )
+        part = place - step
+        slopes = ((v1 - v0) / _GRID, (s1 - s0) / (_GRID * self._radius))
+        return v0 + part * (v1 - v0), (s0 + part * (s1 - s0)) / self._radius, slopes

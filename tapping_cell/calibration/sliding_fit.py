@@ -1,0 +1,433 @@
+"""Support friction and torque factor from all trials of an experiment at once, by likelihood.
+
+Every trial has a launch of its own (speed and spin) and, where it has a track, a time of impact, a
+starting pose and a little friction of its own; friction and torque factor are those of all. What is
+compared is what was measured: samples of the track, or initial velocities and displacement. So no
+velocity is formed by differences of noisy poses, frames between which the object stops cost
+nothing, and a small displacement has the weight that its noise leaves it.
+
+The solution is the least squares of all residuals over their standard deviations (Levenberg and
+Marquardt); the parameters of a trial are eliminated trial by trial, so that the work grows with the
+number of trials only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.calibration.slide_curves import TORQUE_FACTORS, SlideCurves, Slopes, State
+from tapping_cell.calibration.track import Slide
+from tapping_cell.mechanics import Body
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+# Parameters of a trial, in this order: time of impact, speed, spin, offset of the starting
+# position and angle, and ln of its friction over that of all.
+_IMPACT, _SPEED, _SPIN, _START, _ANGLE, _FRICTION = range(6)
+_LOCAL = 6
+_STEPS = 60
+_STARTS = (0.6, 1.5, 3.5)
+_FREE = 0.3  # prior of a trial's own friction where it is to be found from that trial alone
+_LEAST_SCATTER = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """What is known of one trial's slide. SI.
+
+    Either ``slide`` (a track) or measured initial velocities; displacement and rotation at rest
+    always. ``rotation`` has its sign.
+    """
+
+    displacement: float
+    rotation: float
+    displacement_std: float
+    rotation_std: float
+    slide: Slide | None = None
+    speed: float = math.nan
+    spin: float = math.nan
+    speed_std: float = math.nan
+    spin_std: float = math.nan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlideFit:
+    """The result: values in SI, arrays with one entry a trial.
+
+    ``score`` (n, 2) and ``information`` (n, 2, 2) are each trial's gradient and curvature of half
+    the sum of squares in (ln friction, ln torque factor), its own parameters eliminated: what the
+    bootstrap needs. ``speed`` and ``spin`` are measured from each trial alone, its own friction
+    free; ``own_friction`` is that, relative to ``friction``.
+    """
+
+    friction: float
+    torque_factor: float
+    score: Array
+    information: Array
+    speed: Array
+    spin: Array
+    speed_std: Array
+    spin_std: Array
+    launch_speed: Array
+    launch_spin: Array
+    impact_time: Array
+    own_friction: Array
+    own_friction_std: Array
+    friction_scatter: float
+    position_rms: float
+    rotation_rms: float
+    misfit: Array
+    evaluations: int
+
+
+class _Samples(NamedTuple):
+    """Poses to explain, of all trials in a row: (N,); ``rows`` says whose.
+
+    A time of infinity is the pose at rest, relative to the pose before the tap.
+    """
+
+    rows: Rows
+    time: Array
+    distance: Array
+    rotation: Array
+    distance_std: Array
+    rotation_std: Array
+
+
+class _Given(NamedTuple):
+    """Initial velocities that an instrument measured: (n,), NaN where there are none."""
+
+    speed: Array
+    spin: Array
+    speed_std: Array
+    spin_std: Array
+
+
+class _Point(NamedTuple):
+    """The problem linearised: cost, residuals of samples, and the blocks of the normal equations
+    (n, 6, 6), (n, 6, 2), (n, 2, 2), (n, 6) and (n, 2)."""
+
+    cost: float
+    distance: Array
+    rotation: Array
+    h_local: Array
+    h_mixed: Array
+    h_shared: Array
+    g_local: Array
+    g_shared: Array
+
+
+class _Solution(NamedTuple):
+    """Parameters: ``shared`` (2,), ln friction and ln torque factor; ``local`` (n, 6)."""
+
+    shared: Array
+    local: Array
+    cost: float
+    evaluations: int
+
+
+def fit_slides(motions: Sequence[Motion], body: Body, gravity: float) -> SlideFit:
+    """Friction and torque factor of a body from its slides.
+
+    A polygon slides as its equivalent disk. Raises ValueError for fewer than two motions.
+    """
+    if len(motions) < 2:
+        raise ValueError(f"{len(motions)} slides cannot be fitted; two are needed at least")
+    problem = _problem(motions, body, gravity)
+    start = min(
+        (_solve(problem, _first_guess(problem, motions, k), _LEAST_SCATTER) for k in _STARTS),
+        key=lambda solution: solution.cost,
+    )
+    problem = _weighted(_unblurred(problem, motions, start), start)
+    start = _solve(problem, start, _LEAST_SCATTER)
+    problem = _weighted(problem, start)
+    own, own_std = _own_friction(problem, _solve(problem, start, _FREE, shared=False))
+    scatter = _between(own, own_std)
+    best = _solve(problem, start, max(scatter, _LEAST_SCATTER))
+    return _result(problem, best, scatter)
+
+
+class _Problem(NamedTuple):
+    """Everything that does not change from step to step."""
+
+    curves: SlideCurves
+    radius: float
+    gravity: float
+    tracked: NDArray[np.bool_]
+    samples: _Samples
+    given: _Given
+
+
+def _problem(motions: Sequence[Motion], body: Body, gravity: float) -> _Problem:
+    parts: list[tuple[Array, ...]] = []
+    for index, m in enumerate(motions):
+        if m.slide is not None:
+            s = m.slide
+            columns = (s.time, s.along, s.rotation, s.distance_std, s.rotation_std)
+            parts.append((np.full(s.time.size, float(index)), *columns))
+        rest = (index, math.inf, m.displacement, m.rotation, m.displacement_std, m.rotation_std)
+        parts.append(tuple(np.array([value], dtype=float) for value in rest))
+    columns = tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+    given = np.array([[m.speed, m.spin, m.speed_std, m.spin_std] for m in motions])
+    return _Problem(
+        curves=SlideCurves(body.support, body.support_radius, body.gamma, gravity),
+        radius=body.support_radius,
+        gravity=gravity,
+        tracked=np.array([m.slide is not None for m in motions]),
+        samples=_Samples(columns[0].astype(np.intp), *columns[1:6]),
+        given=_Given(*given.T),
+    )
+
+
+def _first_guess(problem: _Problem, motions: Sequence[Motion], torque_factor: float) -> _Solution:
+    """From displacements and the tracks' decelerations."""
+    distance = np.array([m.displacement for m in motions])
+    rotation = np.array([m.rotation for m in motions])
+    pulls = [
+        m.speed**2 / (2 * m.displacement) if m.slide is None else m.slide.deceleration
+        for m in motions
+    ]
+    friction = float(np.clip(np.median(pulls) / problem.gravity, 0.01, 3.0))
+    shared = np.array([math.log(friction), math.log(torque_factor)])
+    speed, spin, _ = problem.curves.launch(distance, rotation, friction, shared[1])
+    local = np.zeros((len(motions), _LOCAL))
+    local[:, _IMPACT] = [0.0 if m.slide is None else m.slide.impact for m in motions]
+    local[:, _SPEED], local[:, _SPIN] = speed, spin
+    return _Solution(shared, local, math.inf, 0)
+
+
+def _unblurred(problem: _Problem, motions: Sequence[Motion], at: _Solution) -> _Problem:
+    """Without samples whose exposure saw the impact: their pose is no pose at one time."""
+    samples = problem.samples
+    exposure = np.array([0.0 if m.slide is None else m.slide.exposure for m in motions])
+    away = np.abs(samples.time - at.local[samples.rows, _IMPACT])
+    keep = away > exposure[samples.rows] / 2
+    return problem._replace(samples=_Samples(*(column[keep] for column in samples)))
+
+
+def _weighted(problem: _Problem, at: _Solution) -> _Problem:
+    """With standard deviations scaled to what the fit leaves."""
+    point = _linearise(problem, at, _LEAST_SCATTER)
+    samples, given = problem.samples, problem.given
+    sampled = np.isfinite(samples.time)
+    if sampled.any():
+        count = 2.0 * sampled.sum()
+        used = 5.0 * problem.tracked.sum()
+        lost = math.sqrt(count / max(count - used, 0.1 * count))
+        scale = [max(lost * _rms(r[sampled]), 0.05) for r in (point.distance, point.rotation)]
+        samples = samples._replace(
+            distance_std=np.where(sampled, scale[0], 1.0) * samples.distance_std,
+            rotation_std=np.where(sampled, scale[1], 1.0) * samples.rotation_std,
+        )
+    known = ~problem.tracked
+    if known.sum() >= 4:
+        off = (given.speed - at.local[:, _SPEED]) / given.speed_std
+        off_spin = (given.spin - at.local[:, _SPIN]) / given.spin_std
+        given = given._replace(
+            speed_std=given.speed_std * max(_spread(off[known]), 0.05),
+            spin_std=given.spin_std * max(_spread(off_spin[known]), 0.05),
+        )
+    return problem._replace(samples=samples, given=given)
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(values**2)))
+
+
+def _spread(values: Array) -> float:
+    """Standard deviation about zero from the median of magnitudes: a wild value does not count."""
+    return 1.4826 * float(np.median(np.abs(values)))
+
+
+def _between(values: Array, deviations: Array) -> float:
+    """Standard deviation between trials beyond that of the measurement, robustly."""
+    known = np.isfinite(deviations) & (deviations < 0.5 * _FREE)
+    if known.sum() < 4:
+        return 0.0
+    spread = _spread(values[known] - np.median(values[known]))
+    return math.sqrt(max(spread**2 - float(np.median(deviations[known] ** 2)), 0.0))
+
+
+def _linearise(problem: _Problem, at: _Solution, prior: float) -> _Point:
+    samples, rows = problem.samples, problem.samples.rows
+    local, count = at.local, at.local.shape[0]
+    resting = np.isinf(samples.time)
+    since = np.maximum(samples.time - local[rows, _IMPACT], 0.0)
+    friction = np.exp(at.shared[0] + local[:, _FRICTION])
+    launch = (local[:, _SPEED], local[:, _SPIN])
+
+    def states(speed: Array, spin: Array) -> tuple[State, Slopes]:
+        return problem.curves.at((speed, spin), since, rows, friction, float(at.shared[1]))
+
+    state, slopes = states(*launch)
+    bump = 1e-4 * launch[0] / problem.radius
+    other, _ = states(launch[0], launch[1] + bump)
+    moving = (since > 0) & ~resting
+    finite_since = np.where(moving, since, 0.0)
+    weights = (1 / samples.distance_std, 1 / samples.rotation_std)
+    kinds = (
+        (state.distance, other.distance, state.speed, slopes.distance, samples.distance, _START),
+        (state.rotation, other.rotation, state.spin, slopes.rotation, samples.rotation, _ANGLE),
+    )
+    columns, residuals = [], []
+    for weight, (value, bumped, rate, by_torque, seen, offset) in zip(weights, kinds, strict=True):
+        derivative = np.zeros((rows.size, _LOCAL + 2))
+        by_spin = (bumped - value) / bump[rows]
+        # Twice the launch goes four times as far in twice the time (Euler's theorem), and the
+        # friction enters with the time only.
+        by_speed = (2 * value - finite_since * rate - launch[1][rows] * by_spin) / launch[0][rows]
+        by_friction = finite_since * rate - value
+        derivative[:, _IMPACT] = np.where(moving, -rate, 0.0)
+        derivative[:, _SPEED], derivative[:, _SPIN] = by_speed, by_spin
+        derivative[:, offset] = np.where(resting, 0.0, 1.0)
+        derivative[:, _FRICTION] = derivative[:, _LOCAL] = by_friction
+        derivative[:, _LOCAL + 1] = by_torque
+        begun = np.where(resting, 0.0, local[rows, offset])
+        residuals.append((seen - begun - value) * weight)
+        columns.append(-derivative * weight[:, None])
+    jacobian = np.concatenate(columns)
+    off = np.concatenate(residuals)
+    hessian, gradient = _sum_by_row(jacobian, off, np.concatenate([rows, rows]), count)
+    cost = float(off @ off)
+    cost += _add_given(problem, local, hessian, gradient)
+    hessian[:, _FRICTION, _FRICTION] += prior**-2
+    gradient[:, _FRICTION] += local[:, _FRICTION] * prior**-2
+    cost += float(np.sum((local[:, _FRICTION] / prior) ** 2))
+    for unused in (_IMPACT, _START, _ANGLE):
+        hessian[~problem.tracked, unused, unused] += 1.0
+    return _Point(
+        cost / 2,
+        residuals[0],
+        residuals[1],
+        hessian[:, :_LOCAL, :_LOCAL],
+        hessian[:, :_LOCAL, _LOCAL:],
+        hessian[:, _LOCAL:, _LOCAL:],
+        gradient[:, :_LOCAL],
+        gradient[:, _LOCAL:],
+    )
+
+
+def _sum_by_row(jacobian: Array, off: Array, rows: Rows, count: int) -> tuple[Array, Array]:
+    """Sums of J^T J (n, p, p) and J^T r (n, p) over the rows of each trial."""
+    order = np.argsort(rows, kind="stable")
+    starts = np.searchsorted(rows[order], np.arange(count))
+    j = jacobian[order]
+    hessian = np.add.reduceat(j[:, :, None] * j[:, None, :], starts, axis=0)
+    gradient = np.add.reduceat(j * off[order][:, None], starts, axis=0)
+    return hessian, gradient
+
+
+def _add_given(problem: _Problem, local: Array, hessian: Array, gradient: Array) -> float:
+    """The measured initial velocities, added in place; returns twice their cost."""
+    known, given, cost = ~problem.tracked, problem.given, 0.0
+    pairs = ((_SPEED, given.speed, given.speed_std), (_SPIN, given.spin, given.spin_std))
+    for index, value, deviation in pairs:
+        off = (value[known] - local[known, index]) / deviation[known]
+        hessian[known, index, index] += deviation[known] ** -2
+        gradient[known, index] -= off / deviation[known]
+        cost += float(off @ off)
+    return cost
+
+
+def _solve(problem: _Problem, start: _Solution, prior: float, shared: bool = True) -> _Solution:
+    """Levenberg and Marquardt's method from ``start``; ``shared`` False keeps what is of all."""
+    at, damping, evaluations = start, 1e-4, start.evaluations
+    point = _linearise(problem, at, prior)
+    for _ in range(_STEPS):
+        step_local, step_shared = _step(point, damping, shared)
+        trial = _Solution(
+            np.clip(
+                at.shared + step_shared,
+                [math.log(0.003), math.log(TORQUE_FACTORS[0])],
+                [math.log(5.0), math.log(TORQUE_FACTORS[1])],
+            ),
+            at.local + step_local,
+            math.inf,
+            0,
+        )
+        trial.local[:, _SPEED] = np.maximum(trial.local[:, _SPEED], 0.3 * at.local[:, _SPEED])
+        np.clip(trial.local[:, _FRICTION], -1.0, 1.0, out=trial.local[:, _FRICTION])
+        following = _linearise(problem, trial, prior)
+        evaluations += 1
+        if following.cost <= point.cost:
+            gained = point.cost - following.cost
+            at, point, damping = trial, following, max(damping / 5, 1e-9)
+            if gained <= 1e-9 * (1.0 + point.cost):
+                break
+        elif damping > 1e6:
+            break
+        else:
+            damping *= 8
+    return at._replace(cost=point.cost, evaluations=evaluations)
+
+
+def _step(point: _Point, damping: float, shared: bool) -> tuple[Array, Array]:
+    diagonal = np.einsum("nii->ni", point.h_local)
+    damped = point.h_local + damping * diagonal[:, :, None] * np.eye(_LOCAL)
+    right = np.concatenate([point.h_mixed, point.g_local[:, :, None]], axis=2)
+    solved = np.linalg.solve(damped, right)
+    by_shared, by_gradient = solved[:, :, :2], solved[:, :, 2]
+    if not shared:
+        return -by_gradient, np.zeros(2)
+    h = (point.h_shared - np.einsum("nps,npq->nsq", point.h_mixed, by_shared)).sum(axis=0)
+    g = (point.g_shared - np.einsum("nps,np->ns", point.h_mixed, by_gradient)).sum(axis=0)
+    h += damping * np.diag(np.diag(h)) + 1e-12 * np.eye(2)
+    step_shared = np.clip(-np.linalg.solve(h, g), -0.5, 0.5)
+    return -by_gradient - by_shared @ step_shared, step_shared
+
+
+def _own_friction(problem: _Problem, at: _Solution) -> tuple[Array, Array]:
+    """ln of each trial's friction over that of all, and its standard deviation, from it alone."""
+    point = _linearise(problem, at, _FREE)
+    covariance = np.linalg.inv(point.h_local)
+    return at.local[:, _FRICTION], np.sqrt(covariance[:, _FRICTION, _FRICTION])
+
+
+def _result(problem: _Problem, best: _Solution, scatter: float) -> SlideFit:
+    prior = max(scatter, _LEAST_SCATTER)
+    point = _linearise(problem, best, prior)
+    by_shared = np.linalg.solve(point.h_local, point.h_mixed)
+    by_gradient = np.linalg.solve(point.h_local, point.g_local[:, :, None])[:, :, 0]
+    score = point.g_shared - np.einsum("nps,np->ns", point.h_mixed, by_gradient)
+    information = point.h_shared - np.einsum("nps,npq->nsq", point.h_mixed, by_shared)
+
+    alone = _solve(problem, best, _FREE, shared=False)
+    own, own_std = _own_friction(problem, alone)
+    covariance = np.linalg.inv(_linearise(problem, alone, _FREE).h_local)
+    tracked, given = problem.tracked, problem.given
+    samples = problem.samples
+    sampled = np.isfinite(samples.time)
+    squares = np.where(sampled, point.distance**2 + point.rotation**2, 0.0)
+    total = np.bincount(samples.rows, squares, minlength=tracked.size)
+    count = np.bincount(samples.rows, 2.0 * sampled, minlength=tracked.size)
+    return SlideFit(
+        friction=math.exp(best.shared[0]),
+        torque_factor=math.exp(best.shared[1]),
+        score=score,
+        information=information,
+        speed=np.where(tracked, alone.local[:, _SPEED], given.speed),
+        spin=np.where(tracked, alone.local[:, _SPIN], given.spin),
+        speed_std=np.where(tracked, np.sqrt(covariance[:, _SPEED, _SPEED]), given.speed_std),
+        spin_std=np.where(tracked, np.sqrt(covariance[:, _SPIN, _SPIN]), given.spin_std),
+        launch_speed=best.local[:, _SPEED],
+        launch_spin=best.local[:, _SPIN],
+        impact_time=np.where(tracked, best.local[:, _IMPACT], math.nan),
+        own_friction=np.exp(own),
+        own_friction_std=own_std,
+        friction_scatter=scatter,
+        position_rms=_rms((point.distance * samples.distance_std)[sampled])
+        if sampled.any()
+        else math.nan,
+        rotation_rms=_rms((point.rotation * samples.rotation_std)[sampled])
+        if sampled.any()
+        else math.nan,
+        misfit=np.sqrt(total / np.maximum(count, 1.0)),
+        evaluations=best.evaluations,
+    )

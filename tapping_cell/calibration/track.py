@@ -1,0 +1,173 @@
+"""What a track of poses says before any model of sliding: when it moved, along which line, and
+whether something other than one tap moved it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.calibration.trials import Track, Trial
+
+Array = NDArray[np.float64]
+
+_EDGE = 0.02  # of the displacement: nearer to its ends a sample may be at rest
+_NOISE = 8.0  # standard deviations
+_LEAST_MOTION = 0.0002  # m: a shorter displacement is none
+_GAP = 1.6  # camera periods between two samples
+
+
+class TrackProblem(NamedTuple):
+    """Why a track is not that of one tap: a word and a sentence."""
+
+    reason: str
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slide:
+    """A track as a slide along a line: arrays (n,) in s, m, m, rad from the start, and guesses.
+
+    ``distance_std`` and ``rotation_std`` (n,) are those of one sample. ``impact`` (s) and
+    ``deceleration`` (m/s^2) are from the track alone; ``moving`` counts samples in the slide;
+    ``exposure`` (s) is that of one sample.
+    """
+
+    time: Array
+    along: Array
+    rotation: Array
+    distance_std: Array
+    rotation_std: Array
+    displacement: float
+    turned: float
+    direction: float
+    impact: float
+    deceleration: float
+    moving: int
+    exposure: float = 0.0
+
+
+def slide_of(
+    trial: Trial, position_std: float, rotation_std: float, rate: float, exposure: float = 0.0
+) -> Slide | TrackProblem:
+    """The slide in a trial's track, or what is wrong with it.
+
+    The standard deviations hold where a sample gives none; ``rate`` (Hz) and ``exposure`` (s) are
+    the camera's.
+    """
+    track = trial.track
+    if track is None or track.time.size < 4:
+        return TrackProblem("short track", "the track has fewer than four samples")
+    noise = np.where(np.isfinite(track.position_std), track.position_std, position_std)
+    turn_noise = np.where(np.isfinite(track.rotation_std), track.rotation_std, rotation_std)
+    floor = _NOISE * float(np.median(noise))
+    places = np.stack([track.x, track.y], axis=1)
+    start, end = _rest(places[:2], floor), _rest(places[-2:], floor)
+    if start is None or end is None:
+        return TrackProblem(
+            "not at rest", "the object does not rest at the track's two ends; record it longer"
+        )
+    moved = end - start
+    distance = float(np.hypot(*moved))
+    if distance < max(_LEAST_MOTION, floor):
+        return TrackProblem("missed", f"the object moved by {1e3 * distance:.3g} mm only")
+    direction = moved / distance
+    along = (places - start) @ direction
+    across = (places - start) @ np.array([-direction[1], direction[0]])
+    edge = max(_EDGE * distance, floor)
+    begun = np.flatnonzero(along > edge)
+    waiting = np.flatnonzero(along < distance - edge)
+    if not begun.size or not waiting.size:
+        return TrackProblem("not at rest", "the object does not rest at the track's two ends")
+    first, last = int(begun[0]), int(waiting[-1])
+    problem = _disturbed(track, along, across, (first, last), edge, rate)
+    if problem is not None:
+        return problem
+    # The mean of what rests is where the object was: better than one sample.
+    before, after = slice(0, max(first - 1, 1)), slice(min(last + 2, along.size - 1), None)
+    origin = float(np.mean(along[before]))
+    angle = float(np.mean(track.theta[before]))
+    along, rotation = along - origin, track.theta - angle
+    displacement, turned = float(np.mean(along[after])), float(np.mean(rotation[after]))
+    inside = slice(first, last + 1)
+    impact, deceleration = _guess(track.time[inside], along[inside], displacement)
+    period = 1.0 / rate
+    impact = min(max(impact, float(track.time[first]) - 1.5 * period), float(track.time[first]))
+    return Slide(
+        time=track.time,
+        along=along,
+        rotation=rotation,
+        distance_std=noise,
+        rotation_std=turn_noise,
+        displacement=displacement,
+        turned=turned,
+        direction=math.atan2(direction[1], direction[0]),
+        impact=impact,
+        deceleration=deceleration,
+        moving=max(last - first + 1, 0),
+        exposure=exposure,
+    )
+
+
+def _rest(places: Array, floor: float) -> Array | None:
+    if float(np.max(np.ptp(places, axis=0))) > floor:
+        return None
+    return np.asarray(places.mean(axis=0))
+
+
+def _disturbed(
+    track: Track,
+    along: Array,
+    across: Array,
+    motion: tuple[int, int],
+    edge: float,
+    rate: float,
+) -> TrackProblem | None:
+    """What else moved the object, or hid it, while it should rest or slide."""
+    first, last = motion
+    steps = np.diff(track.time)
+    during = slice(max(first - 1, 0), min(last + 1, steps.size))
+    longest = float(np.max(steps[during], initial=0.0))
+    if longest * rate > _GAP:
+        return TrackProblem(
+            "gap",
+            f"the track has no sample for {1e3 * longest:.0f} ms while the object slides, "
+            f"{longest * rate:.1f} periods of the camera",
+        )
+    side = float(np.max(np.abs(across)))
+    reach = float(along[-1])
+    if side > max(2 * edge, 0.1 * reach):
+        return TrackProblem(
+            "disturbed", f"the object leaves its line by {1e3 * side:.3g} mm; was it pushed?"
+        )
+    velocity = np.diff(along[max(first, 0) : last + 2]) / steps[max(first, 0) : last + 1]
+    if velocity.size >= 2:
+        # Two ends of a step are each off by the noise; friction alone never makes it faster.
+        slack = 2 * edge * rate / _NOISE + 0.1 * velocity[:-1].max()
+        faster = np.diff(velocity) > slack
+        if faster.any():
+            when = float(track.time[first + 1 + int(np.flatnonzero(faster)[0])] - track.time[0])
+            return TrackProblem(
+                "disturbed",
+                f"the object becomes faster again {when:.3f} s after the track's first sample; was "
+                "it pushed or hit twice?",
+            )
+    return None
+
+
+def _guess(time: Array, along: Array, displacement: float) -> tuple[float, float]:
+    """Time of the impact and deceleration: under a steady one the root of what is left falls
+    linearly."""
+    left = np.sqrt(np.maximum(displacement - along, 0.0))
+    if time.size < 2 or not left[0] > left[-1]:
+        deceleration = 1.5
+        stop = float(time[0]) + math.sqrt(2.0 / deceleration) * float(left[0])
+    else:
+        slope, intercept = np.polyfit(time - time[0], left, 1)
+        slope = min(float(slope), -1e-3)
+        deceleration = 2 * slope**2
+        stop = float(time[0]) - float(intercept) / slope
+    return stop - math.sqrt(2 * displacement / deceleration), deceleration

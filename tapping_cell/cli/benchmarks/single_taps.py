@@ -1,0 +1,164 @@
+"""Single-tap experiments on the simulated world, without a graph: records with a known truth.
+
+The world of ``simulation`` answers, integrated in time; nothing of the fit's equations is in here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tapping_cell.calibration.trials import Track, Trial, completed
+from tapping_cell.configuration.objects import GRAVITY, ObjectFile
+from tapping_cell.mechanics import Polygon, Striker, Tap
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.truth import TruthFile
+from tapping_cell.simulation.world import World
+
+_STROKE = 0.05
+_STANDOFF = 0.015
+_BEFORE_S = 0.3
+_AFTER_S = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """Runs as (distance in m that a plain slide would go, incidence in rad), and the measurement.
+
+    Noise is one standard deviation: of one sample of a track (m, rad), of a pose at rest (m, rad),
+    and of a measured striker speed (relative).
+    """
+
+    runs: tuple[tuple[float, float], ...] = tuple(
+        (distance, math.radians(incidence)) for incidence in (20, 45) for distance in (0.018, 0.036)
+    )
+    trials: int = 10
+    rate: float = 30.0
+    track_noise: tuple[float, float] = (0.00003, math.radians(0.05))
+    rest_noise: tuple[float, float] = (0.00001, math.radians(0.02))
+    speed_noise: float = 0.01
+
+
+def simulated_trials(
+    content: ObjectFile,
+    striker: Striker,
+    truth: TruthFile,
+    design: Design,
+    seed: int,
+) -> list[Trial]:
+    """The trials of one experiment on an object that is ``content`` but for ``truth``."""
+    world = World(content, striker, _STROKE, truth, seed)
+    random = np.random.default_rng([seed, 1])
+    bench = _Bench(world, content, content.tap(striker), truth, design, random)
+    trials: list[Trial] = []
+    for run, (distance, incidence) in enumerate(design.runs, start=1):
+        for number in range(1, design.trials + 1):
+            side = 1 if number % 2 else -1
+            trial = bench.tap(distance, side * incidence)
+            trials.append(completed(replace(trial, run=run, trial=number)))
+    return trials
+
+
+class _Bench:
+    """The simulated world with a camera and a tapper that know nothing of its truth."""
+
+    def __init__(
+        self,
+        world: World,
+        content: ObjectFile,
+        tap: Tap,
+        truth: TruthFile,
+        design: Design,
+        random: np.random.Generator,
+    ) -> None:
+        self._world = world
+        self._content = content
+        self._tap = tap
+        self._factor = truth.impact.striker_speed_factor
+        self._design = design
+        self._random = random
+        self._now = 0.0
+
+    def tap(self, distance: float, incidence: float) -> Trial:
+        """One tap at any place of the object's edge, as a plain slide of ``distance`` needs."""
+        random, design = self._random, self._design
+        start = Pose(*random.uniform(-0.03, 0.03, 2), float(random.uniform(-math.pi, math.pi)))
+        before = self._noisy(start, design.rest_noise)
+        tip, speed = self._aim(before, distance, incidence)
+        planned = self._tap.strike(_array(before), _array(tip), speed)
+        relative = planned.point - [before.x, before.y]
+        contact = math.atan2(relative[1], relative[0]) - before.theta
+        track, end = self._watch(start, tip, speed)
+        after = self._noisy(end, design.rest_noise)
+        measured = speed * self._factor * (1 + design.speed_noise * random.standard_normal())
+        return Trial(
+            run=0,
+            trial=0,
+            striker_speed=speed,
+            striker_speed_measured=measured,
+            striker_speed_std=design.speed_noise * measured,
+            incidence=float(planned.incidence),
+            contact_angle=math.remainder(contact, math.tau),
+            start_x=before.x,
+            start_y=before.y,
+            start_theta=before.theta,
+            end_x=after.x,
+            end_y=after.y,
+            end_theta=after.theta,
+            displacement_std=math.sqrt(2) * design.rest_noise[0],
+            rotation_std=math.sqrt(2) * design.rest_noise[1],
+            camera_rate_hz=design.rate,
+            track=track,
+        )
+
+    def _aim(self, start: Pose, distance: float, incidence: float) -> tuple[Pose, float]:
+        """Where the tip rests before the tap, and the speed that it needs."""
+        body = self._content.body()
+        angle = float(self._random.uniform(-math.pi, math.pi))
+        if isinstance(body, Polygon):
+            edge = body.edge_normals[self._random.integers(len(body.edge_normals))]
+            angle = math.atan2(edge[1], edge[0])
+        point, outward = body.boundary(angle), body.normal(angle)
+        local = (float(-point @ outward), float(outward[0] * point[1] - outward[1] * point[0]))
+        launch = self._tap.impact.strike(1.0, incidence, (local[0], -local[1]))
+        wanted = math.sqrt(2 * self._content.friction * GRAVITY * distance)
+        axis = math.atan2(-outward[1], -outward[0]) + incidence
+        ball = point + self._tap.impact.striker.tip_radius * outward
+        tip = ball - _STANDOFF * np.array([math.cos(axis), math.sin(axis)])
+        held = start @ Pose(float(tip[0]), float(tip[1]), axis)
+        return held, wanted / float(np.hypot(*launch.velocity))
+
+    def _watch(self, start: Pose, tip: Pose, speed: float) -> tuple[Track, Pose]:
+        """Strike at a random time between two frames and look on until the object rests."""
+        world, rate = self._world, self._design.rate
+        world.place(start)
+        begun = self._now + float(self._random.uniform(0, 1 / rate))
+        times, poses = [], []
+        struck, quiet = False, 0
+        strike_at = begun + _BEFORE_S
+        while quiet < round(_AFTER_S * rate):
+            if not struck and begun > strike_at:
+                world.strike(tip, self._content.height / 2, speed, strike_at)
+                struck = True
+            world.advance(begun)
+            times.append(begun)
+            poses.append(_array(world.pose))
+            quiet += struck and world.at_rest
+            begun += 1 / rate
+        self._now = begun
+        seen = np.array(poses)
+        sample, turn = self._design.track_noise
+        seen += self._random.standard_normal(seen.shape) * [sample, sample, turn]
+        known = np.ones(len(times))
+        columns = (np.array(times), seen[:, 0], seen[:, 1], np.unwrap(seen[:, 2]))
+        return Track(*columns, sample * known, turn * known), world.pose
+
+    def _noisy(self, pose: Pose, noise: tuple[float, float]) -> Pose:
+        x, y, theta = _array(pose) + self._random.standard_normal(3) * [noise[0], *noise]
+        return Pose(float(x), float(y), float(theta))
+
+
+def _array(pose: Pose) -> np.ndarray:
+    return np.array([pose.x, pose.y, pose.theta])
