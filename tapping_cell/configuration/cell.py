@@ -91,7 +91,9 @@ class ArmSection:
         "joints where the arm waits out of the camera's view: rad, rad, m, rad", "", -20.0, 20.0
     )
     dialect: str = choice("language of the arm's controller", "grbl", "marlin")
-    port: str = text("path of the controller's serial port; ~ is the home folder")
+    port: str = text(
+        "path of the controller's serial port; ~ is the home folder, {namespace} the node's"
+    )
     baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000)
     homing: str = choice("how the arm is homed", "firmware", "manual_pose", "none")
     home: FourNumbers = quantity(
@@ -129,7 +131,7 @@ class ArmSection:
 class TapperSection:
     """The striker and the device that draws and releases it."""
 
-    port: str = text("path of the tapper's serial port; ~ is the home folder")
+    port: str = text("path of the tapper's serial port; as that of the arm")
     baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000)
     mass: float = quantity("mass of the striker", "kg", 0.001, 10.0)
     tip_radius: float = quantity("radius of the ball at the tip", "m", 0.0005, 0.1)

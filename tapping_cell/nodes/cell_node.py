@@ -10,6 +10,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import rclpy
@@ -98,6 +99,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Level, sentence and values for /diagnostics."""
         return DiagnosticStatus.OK, "ok", {}
+
+    def port_path(self, port: str) -> Path:
+        """Where a port is: ``~`` is the home folder, ``{namespace}`` that of the node."""
+        return Path(port.replace("{namespace}", self.get_namespace().strip("/"))).expanduser()
 
     # Life cycle
 

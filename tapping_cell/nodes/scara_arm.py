@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -101,7 +100,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         """Read the cell file, open the port, identify the controller."""
         cell = load_cell(self.settings.cell_file or None)
         arm = cell.file.arm
-        port = str(Path(self.settings.port or arm.port).expanduser())
+        port = str(self.port_path(self.settings.port or arm.port))
         transport = SerialTransport(port, arm.baud)
         dialect = DIALECTS[arm.dialect](transport)
         driver = ArmDriver(transport, dialect, arm.geometry(), ArmSettings(home_joints=arm.home))

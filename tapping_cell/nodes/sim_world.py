@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
@@ -92,8 +91,8 @@ class SimWorld(CellNode[Parameters]):
             devices = SimulatedDevices(
                 cell,
                 truth.arm,
-                arm_port=Path(settings.arm_port or cell.file.arm.port).expanduser(),
-                tapper_port=Path(settings.tapper_port or cell.file.tapper.port).expanduser(),
+                arm_port=self.port_path(settings.arm_port or cell.file.arm.port),
+                tapper_port=self.port_path(settings.tapper_port or cell.file.tapper.port),
                 on_strike=self._on_strike,
                 seed=settings.seed,
             )

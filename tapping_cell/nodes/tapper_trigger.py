@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -107,7 +106,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         """Read the cell file, open the port, open a session, which disarms the tapper."""
         cell = load_cell(self.settings.cell_file or None)
         tapper = cell.file.tapper
-        port = str(Path(self.settings.port or tapper.port).expanduser())
+        port = str(self.port_path(self.settings.port or tapper.port))
         reply = self.connect(TapperDriver(SerialTransport(port, tapper.baud)))
         self._curve = tapper.curve()
         self._set_safe(reply)
