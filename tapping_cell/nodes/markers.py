@@ -1,8 +1,13 @@
-"""The cell as markers for RViz and Foxglove: outlines, goal, tap and keep-outs, in ``table``."""
+"""The cell as markers for RViz and Foxglove, in ``table``.
+
+Outlines of table, object, goal and predicted end, the goal's tolerance, the tap's arrow, keep-outs,
+the region in which an object can be worked on, and the way that the object has come.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from geometry_msgs.msg import Point
@@ -20,13 +25,25 @@ BLUE = ColorRGBA(r=0.2, g=0.5, b=1.0, a=1.0)
 GREEN = ColorRGBA(r=0.2, g=0.8, b=0.3, a=1.0)
 AMBER = ColorRGBA(r=1.0, g=0.7, b=0.2, a=1.0)
 RED = ColorRGBA(r=0.9, g=0.2, b=0.2, a=1.0)
+GREY = ColorRGBA(r=0.6, g=0.6, b=0.65, a=0.7)
+NOTHING = np.empty((0, 2, 2))
 LINE_WIDTH = 0.002
 
 
 def cell_markers(
-    cell: Cell, state: PlanState, pose: Pose | None, goal: Pose | None, strike: Strike | None
+    cell: Cell,
+    state: PlanState,
+    pose: Pose | None,
+    goal: Pose | None,
+    strike: Strike | None,
+    way: Sequence[Pose] = (),
+    workable: np.ndarray = NOTHING,
 ) -> MarkerArray:
-    """The table, the object, the goal and the tap under way; what is not there is taken away."""
+    """The table, the object, the goal and the tap under way; what is not there is taken away.
+
+    ``way``: where the object lay before each tap of this goal. ``workable``: edges (n, 2, 2) of the
+    region in which it can be worked on, m.
+    """
     table, keep_outs = cell.file.table, cell.file.keep_outs
     half = np.array([table.length, table.width]) / 2
     corners = half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
@@ -51,8 +68,18 @@ def cell_markers(
         markers.append(_line(name, 1, heading, place, colour))
     if goal is not None:
         markers.append(_line("goal", 2, _circle(state.position_tolerance), goal, GREEN))
+        markers.append(_line("goal", 3, _sector(reach, state.angle_tolerance), goal, GREEN))
     else:
-        markers.append(_gone("goal", 2))
+        markers += [_gone("goal", 2), _gone("goal", 3)]
+    places = np.array([(place.x, place.y) for place in (*way, *([pose] if pose else []))])
+    if way:
+        markers.append(_points("way", Marker.LINE_STRIP, places, LINE_WIDTH / 2, GREY))
+        markers.append(_points("taps", Marker.POINTS, places, 3 * LINE_WIDTH, GREY))
+    else:
+        markers += [_gone("way", 0), _gone("taps", 0)]
+    if workable.size:
+        edges = workable.reshape(-1, 2)
+        markers.append(_points("workable", Marker.LINE_LIST, edges, LINE_WIDTH / 2, GREY))
     markers.append(_strike_arrow(strike) if strike is not None else _gone("strike", 0))
     for marker in markers:
         marker.header = state.header
@@ -62,6 +89,21 @@ def cell_markers(
 def _circle(radius: float) -> np.ndarray:
     angles = np.linspace(0, 2 * math.pi, 48, endpoint=False)
     return radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+def _sector(radius: float, half_angle: float) -> np.ndarray:
+    """Where the object's heading may end."""
+    ends = radius * np.stack([np.cos([half_angle] * 2), np.sin([-half_angle, half_angle])], axis=-1)
+    return np.array([ends[0], (0.0, 0.0), ends[1]])
+
+
+def _points(name: str, kind: int, points: np.ndarray, size: float, colour: ColorRGBA) -> Marker:
+    """Points (n, 2) in ``table`` as one marker of the kind."""
+    marker = Marker(ns=name, type=kind, action=Marker.ADD, color=colour)
+    marker.pose.orientation.w = 1.0
+    marker.scale.x = marker.scale.y = size
+    marker.points = [Point(x=float(x), y=float(y)) for x, y in points]
+    return marker
 
 
 def _line(name: str, number: int, points: np.ndarray, pose: Pose, colour: ColorRGBA) -> Marker:
