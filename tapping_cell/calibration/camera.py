@@ -1,0 +1,443 @@
+"""The camera's focal lengths, principal point and lens from photographs of a flat target.
+
+Zhang's method (A flexible new technique for camera calibration, PAMI 22, 2000) in OpenCV's least
+squares, with what a person needs around it: views that do not belong are left out by name and
+reason, sets that cannot tell the focal length are refused, and the lens model is chosen by what it
+predicts in views that it was not fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.calibration.camera_views import Rejected, bare_places, coverage, screen
+from tapping_cell.calibration.target import Target, TargetView
+from tapping_cell.vision.camera import Array, CameraError, CameraModel
+
+LEAST_VIEWS = 6
+"""Views without which no camera is calibrated; about 20 are good."""
+_LEAST_TURN = np.radians(10.0)
+"""Largest angle between two views of the target below which they all look alike."""
+_WORST_FOCAL = 0.01
+"""Relative standard deviation of a focal length above which it is not known."""
+_OUTLIER_RATIO, _OUTLIER_PIXELS = 3.0, 0.4
+"""A view whose error is this many times the median's, and more than this many pixels, is wrong."""
+_CORNER_RATIO, _CORNER_PIXELS = 6.0, 0.4
+_FOLDS = 4
+_SUBSETS = 30
+
+
+class CalibrationRefused(ValueError):
+    """Photographs that do not determine the camera; the message says what to take instead."""
+
+
+class Lens(NamedTuple):
+    """A lens model: ROS's name, how many coefficients it keeps, OpenCV's flags for it."""
+
+    label: str
+    model: str
+    coefficients: int
+    flags: int
+
+
+LENSES = (
+    Lens("plumb_bob, k1 k2 p1 p2", "plumb_bob", 5, cv2.CALIB_FIX_K3),
+    Lens("plumb_bob, k1 k2 p1 p2 k3", "plumb_bob", 5, 0),
+    Lens("rational_polynomial, k1 to k6 p1 p2", "rational_polynomial", 8, cv2.CALIB_RATIONAL_MODEL),
+)
+_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UsedView:
+    """A view of the calibration: ``residuals`` (N, 2) are seen minus predicted, in pixels; ``rms``
+    of their lengths; ``tilt`` between the target and the image plane in rad; ``blur`` in pixels.
+    """
+
+    view: TargetView
+    residuals: Array
+    rms: float
+    tilt: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraCalibration:
+    """A calibrated camera and how good it is.
+
+    ``rms`` of the distances between seen and predicted corners in pixels; ``deviations`` one
+    standard deviation of each parameter (pixels; none for the coefficients); ``held_out`` error in
+    pixels of each lens model in views that it was not fitted to; ``coverage`` (rows, columns)
+    counts the views with corners in each part of the image; ``warnings`` what a person should know.
+    """
+
+    model: CameraModel
+    rms: float
+    deviations: dict[str, float]
+    lens: str
+    held_out: dict[str, float]
+    views: tuple[UsedView, ...]
+    rejected: tuple[Rejected, ...]
+    coverage: NDArray[np.intp]
+    warnings: tuple[str, ...]
+
+    @property
+    def focal_deviation(self) -> float:
+        """Relative standard deviation of the focal length, the larger of both."""
+        d, m = self.deviations, self.model
+        return max(d["fx"] / m.fx, d["fy"] / m.fy)
+
+
+class _Fit(NamedTuple):
+    """A fit to some views: camera matrix, coefficients, standard deviations, target poses."""
+
+    matrix: Array
+    coefficients: Array
+    deviations: Array
+    turns: list[Array]
+
+
+def calibrate_camera(
+    views: Sequence[TargetView],
+    target: Target,
+    size: tuple[int, int],
+    lens_model: str | None = None,
+) -> CameraCalibration:
+    """The camera that took these views in images of ``size`` (width, height).
+
+    ``lens_model``: ``plumb_bob`` or ``rational_polynomial``, None to choose by evidence.
+
+    Raises:
+        CalibrationRefused: too few views remain, or they do not determine the focal length.
+    """
+    kept, rejected = screen(views, size)
+    _check_number(kept, rejected)
+    _check_perspective(kept, target)
+    lenses = [lens for lens in LENSES if lens_model in (None, lens.model)]
+    members = _consensus(kept, target, size)
+    lens = lenses[0]
+    held_out: dict[str, float] = {}
+    for _ in range(4):
+        chosen = [view for view, member in zip(kept, members, strict=True) if member]
+        if len(chosen) < LEAST_VIEWS:
+            break
+        lens, held_out = _choose(chosen, target, size, lenses)
+        fit = _fit(chosen, target, size, lens)
+        errors = np.array([_error(view, target, fit) for view in kept])
+        limit = max(_OUTLIER_RATIO * float(np.median(errors[members])), _OUTLIER_PIXELS)
+        again = errors <= limit
+        if np.array_equal(again, members):
+            break
+        members = again
+    chosen = [view for view, member in zip(kept, members, strict=True) if member]
+    strangers = [view for view, member in zip(kept, members, strict=True) if not member]
+    usual = float(np.median(errors[members])) if members.any() else np.nan
+    for view in strangers:
+        error = errors[kept.index(view)]
+        rejected.append(
+            Rejected(
+                view.name,
+                f"outlier: reprojection error {error:.2f} pixels where the others have"
+                f" {usual:.2f} (another target, a bent one, or corners mixed up)",
+            )
+        )
+    _check_number(chosen, rejected)
+    chosen = _without_stray_corners(chosen, target, size, lens)
+    return _result(chosen, rejected, target, size, lens, held_out)
+
+
+def _check_number(views: Sequence[TargetView], rejected: Sequence[Rejected]) -> None:
+    if len(views) >= LEAST_VIEWS:
+        return
+    out = "; ".join(f"{entry.name}: {entry.reason}" for entry in rejected[:4])
+    raise CalibrationRefused(
+        f"{len(views)} usable views are too few: {LEAST_VIEWS} are the least, 20 are good. Take"
+        " more photographs with the target tilted to all sides and in every part of the image"
+        + (f" (left out: {out}{'; ...' if len(rejected) > 4 else ''})" if out else "")
+    )
+
+
+def _check_perspective(views: Sequence[TargetView], target: Target) -> None:
+    """Refuse sets in which every view looks straight at the target."""
+    depths = []
+    for view in views:
+        points = target.points[view.ids]
+        homography, _ = cv2.findHomography(points, view.pixels)
+        if homography is None:
+            continue
+        # How much nearer one end of the target is than the other.
+        scale = points @ homography[2, :2] + homography[2, 2]
+        depths.append(float(scale.max() / scale.min()) - 1.0 if scale.min() > 0 else 1.0)
+    if not depths or np.quantile(depths, 0.75) < 0.03:
+        raise CalibrationRefused(
+            "the target is seen straight on in nearly all views (one end of it at most"
+            f" {100 * max(depths, default=0.0):.1f} % nearer than the other): such views do not"
+            " tell the focal length from the distance. Tilt the target by 20 to 40 degrees, each"
+            " time to another side"
+        )
+
+
+def _consensus(
+    views: Sequence[TargetView], target: Target, size: tuple[int, int]
+) -> NDArray[np.bool_]:
+    """Which views agree with each other, (V,): all, or the largest part of them that does.
+
+    Where some do not fit, the least median of squares over random subsets (Rousseeuw 1984).
+    """
+    lens = LENSES[0]
+
+    def judged(part: Sequence[TargetView]) -> Array:
+        try:
+            fit = _fit(part, target, size, lens)
+        except CalibrationRefused:
+            return np.full(len(views), np.inf)
+        return np.array([_error(view, target, fit) for view in views])
+
+    errors = judged(views)
+    if errors.max() <= max(_OUTLIER_RATIO * float(np.median(errors)), _OUTLIER_PIXELS):
+        return np.ones(len(views), dtype=bool)
+    random = np.random.default_rng(0)
+    count = max(4, len(views) // 4)
+    best = errors
+    for _ in range(_SUBSETS):
+        part = random.choice(len(views), count, replace=False)
+        errors = judged([views[index] for index in part])
+        if np.median(errors) < np.median(best):
+            best = errors
+    limit = max(_OUTLIER_RATIO * float(np.median(best)), _OUTLIER_PIXELS)
+    members = best <= limit
+    return np.asarray(members if members.sum() >= LEAST_VIEWS else np.ones(len(views), dtype=bool))
+
+
+def _fit(
+    views: Sequence[TargetView],
+    target: Target,
+    size: tuple[int, int],
+    lens: Lens,
+    start: _Fit | None = None,
+) -> _Fit:
+    """Least squares of all corners, begun at ``start`` where there is one.
+
+    Raises:
+        CalibrationRefused: OpenCV finds no camera.
+    """
+    points = [
+        np.column_stack([target.points[view.ids], np.zeros(len(view.ids))]).astype(np.float32)
+        for view in views
+    ]
+    pixels = [view.pixels.astype(np.float32)[:, None] for view in views]
+    try:
+        _, matrix, coefficients, turns, _, deviations, _, _ = cv2.calibrateCameraExtended(
+            points,
+            [np.ascontiguousarray(seen) for seen in pixels],
+            size,
+            np.eye(3) if start is None else start.matrix.copy(),
+            np.zeros(8) if start is None else _eight(start.coefficients),
+            flags=lens.flags | (0 if start is None else cv2.CALIB_USE_INTRINSIC_GUESS),
+            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9),
+        )
+    except cv2.error as error:
+        raise CalibrationRefused(
+            "the views determine no camera: show the target tilted to all sides"
+        ) from error
+    if not (np.isfinite(matrix).all() and np.isfinite(coefficients).all() and matrix[0, 0] > 0):
+        raise CalibrationRefused(
+            "the views determine no camera: show the target tilted to all sides"
+        )
+    return _Fit(
+        np.asarray(matrix, dtype=float),
+        np.ravel(coefficients).astype(float)[: lens.coefficients],
+        np.ravel(deviations).astype(float),
+        [np.asarray(turn, dtype=float) for turn in turns],
+    )
+
+
+def _eight(coefficients: Array) -> Array:
+    """Coefficients as OpenCV takes them for any of the models."""
+    return np.concatenate([coefficients, np.zeros(8 - len(coefficients))])
+
+
+def _residuals(view: TargetView, target: Target, fit: _Fit) -> Array:
+    """Seen minus predicted corners (N, 2) of a view, its own pose fitted to this camera."""
+    points = np.column_stack([target.points[view.ids], np.zeros(len(view.ids))])
+    good, turn, shift = cv2.solvePnP(
+        points, view.pixels, fit.matrix, fit.coefficients, flags=cv2.SOLVEPNP_IPPE
+    )
+    if not good:
+        return np.full((len(view.ids), 2), np.inf)
+    turn, shift = cv2.solvePnPRefineLM(
+        points, view.pixels, fit.matrix, fit.coefficients, turn, shift
+    )
+    seen, _ = cv2.projectPoints(points, turn, shift, fit.matrix, fit.coefficients)
+    return np.asarray(view.pixels - seen.reshape(-1, 2), dtype=float)
+
+
+def _error(view: TargetView, target: Target, fit: _Fit) -> float:
+    return float(np.sqrt((_residuals(view, target, fit) ** 2).sum(axis=1).mean()))
+
+
+def _choose(
+    views: Sequence[TargetView],
+    target: Target,
+    size: tuple[int, int],
+    lenses: Sequence[Lens],
+) -> tuple[Lens, dict[str, float]]:
+    """The simplest lens that predicts left-out views as well as any other does.
+
+    A richer one must be better than the simpler by two standard errors of the difference over the
+    views, and by a fiftieth; and it must be invertible over the whole image.
+    """
+    order = np.random.default_rng(1).permutation(len(views))
+    folds = [order[start::_FOLDS] for start in range(_FOLDS)]
+    squares: dict[Lens, Array] = {}
+    for lens in lenses:
+        try:
+            whole = _fit(views, target, size, lens)
+            if not _invertible(whole, size, lens):
+                continue
+            square = np.zeros(len(views))
+            for fold in folds:
+                rest = [views[index] for index in order if index not in set(fold.tolist())]
+                fit = _fit(rest, target, size, lens, whole)
+                for index in fold:
+                    square[index] = _error(views[index], target, fit) ** 2
+        except CalibrationRefused:
+            continue
+        squares[lens] = square
+    if not squares:
+        raise CalibrationRefused(
+            "no lens model fits these views: show the target tilted to all sides and in every part"
+            " of the image, and check the target's counts"
+        )
+    best = next(iter(squares))
+    for lens in list(squares)[1:]:
+        gain = squares[best] - squares[lens]
+        doubt = 2.0 * gain.std(ddof=1) / np.sqrt(len(views))
+        if gain.mean() > max(doubt, 0.02 * squares[best].mean()):
+            best = lens
+    return best, {lens.label: float(np.sqrt(s.mean())) for lens, s in squares.items()}
+
+
+def _invertible(fit: _Fit, size: tuple[int, int], lens: Lens) -> bool:
+    """Whether every pixel of the image's rim has one direction, found again to 0.01 pixel."""
+    model = _model(fit, size, lens)
+    along = np.linspace(0.0, 1.0, 17)
+    rim = np.concatenate([[(s, 0.0), (s, 1.0), (0.0, s), (1.0, s)] for s in along])
+    pixels = rim * (np.array(size) - 1)
+    rays = model.rays(pixels)
+    points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
+    back = np.abs(model.project(points) - pixels).max()
+    # The radius in the image must still grow with the angle there.
+    further = model.project(np.concatenate([1.02 * rays, np.ones((len(rays), 1))], axis=1))
+    centre = np.array([model.cx, model.cy])
+    grows = ((further - pixels) * (pixels - centre)).sum(axis=1) > 0
+    return bool(back < 0.01 and grows.all())
+
+
+def _model(fit: _Fit, size: tuple[int, int], lens: Lens) -> CameraModel:
+    try:
+        return CameraModel(
+            size[0],
+            size[1],
+            float(fit.matrix[0, 0]),
+            float(fit.matrix[1, 1]),
+            float(fit.matrix[0, 2]),
+            float(fit.matrix[1, 2]),
+            tuple(fit.coefficients.tolist()),
+            lens.model,
+        )
+    except CameraError as error:
+        raise CalibrationRefused(f"the views determine no camera: {error}") from error
+
+
+def _without_stray_corners(
+    views: Sequence[TargetView], target: Target, size: tuple[int, int], lens: Lens
+) -> list[TargetView]:
+    """The views without corners that lie far from where the camera puts them."""
+    for _ in range(3):
+        fit = _fit(views, target, size, lens)
+        lengths = [np.linalg.norm(_residuals(view, target, fit), axis=1) for view in views]
+        spread = 0.85 * float(np.median(np.concatenate(lengths)))
+        limit = max(_CORNER_RATIO * spread, _CORNER_PIXELS)
+        if max(length.max() for length in lengths) <= limit:
+            break
+        views = [
+            replace(view, ids=view.ids[length <= limit], pixels=view.pixels[length <= limit])
+            if (length <= limit).sum() >= target.least_corners
+            else view
+            for view, length in zip(views, lengths, strict=True)
+        ]
+    return list(views)
+
+
+def _result(
+    views: Sequence[TargetView],
+    rejected: Sequence[Rejected],
+    target: Target,
+    size: tuple[int, int],
+    lens: Lens,
+    held_out: dict[str, float],
+) -> CameraCalibration:
+    fit = _fit(views, target, size, lens)
+    model = _model(fit, size, lens)
+    names = ("fx", "fy", "cx", "cy", *_NAMES)
+    deviations = dict(zip(names, fit.deviations.tolist(), strict=False))
+    deviations = {k: v for k, v in deviations.items() if k in names[: 4 + lens.coefficients]}
+    normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in fit.turns])
+    turns = np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))
+    if turns.max() < _LEAST_TURN:
+        raise CalibrationRefused(
+            "the target has nearly the same tilt in all views (they differ by at most"
+            f" {np.degrees(turns.max()):.0f} degrees): such views do not tell the focal length."
+            " Tilt the target by 20 to 40 degrees, each time to another side"
+        )
+    worst = max(deviations["fx"] / model.fx, deviations["fy"] / model.fy)
+    if worst > _WORST_FOCAL:
+        raise CalibrationRefused(
+            f"these views leave the focal length unsure by {100 * worst:.1f} % (one standard"
+            f" deviation; at most {100 * _WORST_FOCAL:g} % is accepted): tilt the target more, fill"
+            " the image with it, take more views"
+        )
+    used = []
+    for view, normal in zip(views, normals, strict=True):
+        residuals = _residuals(view, target, fit)
+        error = float(np.sqrt((residuals**2).sum(axis=1).mean()))
+        used.append(UsedView(view, residuals, error, float(np.arccos(min(1.0, abs(normal[2]))))))
+    every = np.concatenate([entry.residuals for entry in used])
+    counts = coverage(views, size)
+    return CameraCalibration(
+        model=model,
+        rms=float(np.sqrt((every**2).sum(axis=1).mean())),
+        deviations=deviations,
+        lens=lens.label,
+        held_out=held_out,
+        views=tuple(used),
+        rejected=tuple(rejected),
+        coverage=counts,
+        warnings=tuple(_warnings(used, counts, worst)),
+    )
+
+
+def _warnings(used: Sequence[UsedView], counts: NDArray[np.intp], worst: float) -> list[str]:
+    said = []
+    bare = bare_places(counts)
+    if bare:
+        said.append(
+            f"no view shows the target in the {', '.join(bare)} of the image: the lens is guessed"
+            " there; take views with the target in it"
+        )
+    if len(used) < 12:
+        said.append(f"{len(used)} views are few: 20 make the standard deviations believable")
+    if worst > 0.003:
+        said.append(
+            f"the focal length is unsure by {100 * worst:.2f} %: tilt the target more and fill the"
+            " image with it"
+        )
+    if np.max([entry.tilt for entry in used]) < np.radians(15.0):
+        said.append("no view is tilted by more than 15 degrees: tilt the target by 20 to 40")
+    return said

@@ -1,0 +1,101 @@
+"""Views for the calibration of a camera: which are of use, and which parts of the image they
+cover."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.calibration.target import TargetView
+
+_SAME_SHARE = 0.004
+"""Views whose corners lie on average within this share of the image's diagonal are one view."""
+_BLUR_SHARE, _BLUR_PIXELS, _BLUR_RATIO = 0.15, 2.5, 2.0
+GRID = (5, 6)
+"""Rows and columns of the parts of the image of which coverage is counted."""
+_PLACES = (
+    ("top left", "top", "top right"),
+    ("left", "middle", "right"),
+    ("bottom left", "bottom", "bottom right"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A photograph that was not used, and why."""
+
+    name: str
+    reason: str
+
+
+def screen(
+    views: Sequence[TargetView], size: tuple[int, int]
+) -> tuple[list[TargetView], list[Rejected]]:
+    """Leave out what is blurred, and of views of one and the same pose all but the first."""
+    usual = float(np.median([view.blur for view in views])) if views else 0.0
+    near = _SAME_SHARE * float(np.hypot(*size))
+    kept: list[TargetView] = []
+    rejected: list[Rejected] = []
+    for view in views:
+        limit = _BLUR_SHARE * view.side
+        if view.blur > limit or view.blur > max(_BLUR_PIXELS, _BLUR_RATIO * usual):
+            rejected.append(
+                Rejected(
+                    view.name,
+                    f"blurred: edges spread over {view.blur:.1f} pixels (standard deviation), the"
+                    f" median of all views is {usual:.1f}",
+                )
+            )
+            continue
+        twin = next((other for other in kept if _apart(view, other) < near), None)
+        if twin is not None:
+            rejected.append(
+                Rejected(
+                    view.name,
+                    f"duplicate view: its corners lie within {_apart(view, twin):.1f} pixels of"
+                    f" those of {twin.name}",
+                )
+            )
+            continue
+        kept.append(view)
+    return kept, rejected
+
+
+def _apart(view: TargetView, other: TargetView) -> float:
+    """Mean distance of the corners that both views show, in pixels; infinite without such."""
+    _, mine, others = np.intersect1d(view.ids, other.ids, return_indices=True)
+    if len(mine) < 4:
+        return np.inf
+    first, second = view.pixels[mine], other.pixels[others]
+    apart = np.linalg.norm(first - second, axis=1).mean()
+    if len(view.ids) == len(other.ids) == len(mine):
+        # A chessboard found upside down is the same view.
+        apart = min(apart, np.linalg.norm(first - second[::-1], axis=1).mean())
+    return float(apart)
+
+
+def coverage(views: Sequence[TargetView], size: tuple[int, int]) -> NDArray[np.intp]:
+    """In how many views each part of the image shows a corner, shape ``GRID``."""
+    counts = np.zeros(GRID, dtype=np.intp)
+    for view in views:
+        column = np.clip((view.pixels[:, 0] + 0.5) / size[0] * GRID[1], 0, GRID[1] - 1)
+        row = np.clip((view.pixels[:, 1] + 0.5) / size[1] * GRID[0], 0, GRID[0] - 1)
+        seen = np.zeros(GRID, dtype=bool)
+        seen[row.astype(int), column.astype(int)] = True
+        counts += seen
+    return counts
+
+
+def bare_places(counts: NDArray[np.intp]) -> list[str]:
+    """In words, the parts of the image where most of the area shows no corner in any view."""
+    bare = []
+    for row, names in enumerate(_PLACES):
+        for column, name in enumerate(names):
+            rows = slice(row * GRID[0] // 3, -(-(row + 1) * GRID[0] // 3))
+            columns = slice(column * GRID[1] // 3, -(-(column + 1) * GRID[1] // 3))
+            if (counts[rows, columns] == 0).mean() > 0.5:
+                bare.append(name)
+    return bare

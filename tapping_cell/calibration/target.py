@@ -1,0 +1,252 @@
+"""Calibration targets in photographs: chessboards and ChArUco boards, their corners to hundredths
+of a pixel, and why a photograph shows none.
+
+A board's frame: origin in its top left inner corner, x along a row to the right, y down the board.
+Corner ``k`` of a board of C x R squares stands in row ``k // (C - 1)`` and column ``k % (C - 1)``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.vision.camera import Array, Image
+from tapping_cell.vision.markers import dictionary_name
+
+_SEARCH_WIDTH = 1600
+"""Larger photographs are searched at this width; corners are refined at full size."""
+_LEAST_SHARE = 0.2
+_LEAST_CORNERS = 8
+"""A view needs this share of the board's corners and this many."""
+_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
+
+
+class TargetError(ValueError):
+    """A target that cannot exist; the message says which number is wrong."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A board of ``columns`` x ``rows`` squares of side ``square`` in m; ``kind`` is
+    ``"chessboard"`` or ``"charuco"``, the latter with markers of side ``marker`` in m of an OpenCV
+    ``dictionary`` in its white squares.
+
+    Raises :class:`TargetError` for counts or sizes that make no board.
+    """
+
+    kind: str
+    columns: int
+    rows: int
+    square: float
+    marker: float = 0.0
+    dictionary: str = ""
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("chessboard", "charuco"):
+            raise TargetError(f"target {self.kind!r} is unknown; use chessboard or charuco")
+        if min(self.columns, self.rows) < 3 or max(self.columns, self.rows) > 200:
+            raise TargetError(
+                f"a board of {self.columns} x {self.rows} squares is no target; give 3 to 200 a"
+                " side"
+            )
+        if not 0.0005 <= self.square <= 1.0:
+            raise TargetError(
+                f"squares of {self.square * 1e3:g} mm are outside 0.5 to 1000 mm; sizes are in mm"
+            )
+        if self.kind == "charuco":
+            if not 0.2 * self.square <= self.marker < self.square:
+                raise TargetError(
+                    f"markers of {self.marker * 1e3:g} mm in squares of {self.square * 1e3:g} mm:"
+                    " give the markers' side in mm, smaller than the squares'"
+                )
+            held = len(_book(self.dictionary).bytesList)
+            needed = self.columns * self.rows // 2
+            if needed > held:
+                raise TargetError(
+                    f"{self.dictionary} has {held} markers; a board of {self.columns} x"
+                    f" {self.rows} squares needs {needed}"
+                )
+
+    @property
+    def inner(self) -> tuple[int, int]:
+        """Inner corners in a row and in a column."""
+        return self.columns - 1, self.rows - 1
+
+    @cached_property
+    def points(self) -> Array:
+        """All corners in the board's frame, shape (corners, 2), in m."""
+        across, down = self.inner
+        grid = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=-1).reshape(-1, 2)
+        return np.asarray(grid * self.square, dtype=float)
+
+    @property
+    def clear(self) -> float:
+        """How far around a corner nothing but the four squares is printed, in squares."""
+        if self.kind == "chessboard":
+            return 0.35
+        return 0.5 * (1.0 - self.marker / self.square)
+
+    @cached_property
+    def least_corners(self) -> int:
+        """Corners that a view must show."""
+        return max(_LEAST_CORNERS, int(np.ceil(_LEAST_SHARE * len(self.points))))
+
+    def describe(self) -> str:
+        """For people: sizes in mm."""
+        text = f"{self.kind} of {self.columns} x {self.rows} squares of {self.square * 1e3:g} mm"
+        if self.kind == "charuco":
+            text += f", markers {self.dictionary} of {self.marker * 1e3:g} mm"
+        return text
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetView:
+    """The corners of one photograph: numbers ``ids`` (N,) of the board's, ``pixels`` (N, 2);
+    ``blur`` is the standard deviation of the point spread across the board's edges in pixels,
+    ``side`` the smallest median side of its squares in pixels.
+    """
+
+    name: str
+    ids: NDArray[np.intp]
+    pixels: Array
+    blur: float
+    side: float
+
+
+def find_target(image: Image, target: Target, name: str) -> TargetView | str:
+    """The target's corners in a grey image, or a sentence why there are none."""
+    found = _chessboard(image, target) if target.kind == "chessboard" else _charuco(image, target)
+    if isinstance(found, str):
+        return found
+    ids, pixels = found
+    if len(ids) < target.least_corners:
+        return (
+            f"too few corners: {len(ids)} of {len(target.points)} are seen,"
+            f" {target.least_corners} are the least"
+        )
+    grid = np.stack([ids % target.inner[0], ids // target.inner[0]], axis=-1)
+    if np.linalg.matrix_rank(grid - grid[0]) < 2:
+        return "too few corners: those that are seen stand on one line"
+    side = _side(grid, pixels)
+    half = int(np.clip(0.9 * target.clear * side - 1.0, 2, 15))
+    start = np.array(pixels, dtype=np.float32, order="C").reshape(-1, 1, 2)
+    refined = cv2.cornerSubPix(image, start, (half, half), (-1, -1), _STEPS).reshape(-1, 2)
+    moved = np.linalg.norm(refined - pixels, axis=1)
+    kept = moved < max(2.0, 0.25 * side)
+    if kept.sum() < target.least_corners:
+        return "too few corners: their surroundings do not look like corners of squares"
+    ids, pixels = ids[kept], refined[kept].astype(float)
+    return TargetView(name, ids, pixels, _blur(image, target, ids, pixels), side)
+
+
+def _chessboard(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] | str:
+    """All corners of a chessboard: the sector-based search (Duda and Frese 2018), then the
+    classic one, which bears more perspective."""
+    scale = max(1.0, image.shape[1] / _SEARCH_WIDTH)
+    size = (round(image.shape[1] / scale), round(image.shape[0] / scale))
+    small = image if scale == 1.0 else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    good, corners = cv2.findChessboardCornersSB(small, target.inner)
+    if not good:
+        flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+        good, corners = cv2.findChessboardCorners(small, target.inner, flags=flags)
+    if not good:
+        flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
+        good, corners = cv2.findChessboardCornersSB(small, target.inner, flags=flags)
+    if not good or corners is None or len(corners) != len(target.points):
+        return (
+            f"no target: a chessboard with {target.inner[0]} x {target.inner[1]} inner corners is"
+            " not seen whole"
+        )
+    ratio = np.array([image.shape[1] / size[0], image.shape[0] / size[1]])
+    pixels = (np.asarray(corners, dtype=float).reshape(-1, 2) + 0.5) * ratio - 0.5
+    return np.arange(len(target.points)), pixels
+
+
+def _charuco(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] | str:
+    """The corners of a ChArUco board that markers beside them identify."""
+    best: tuple[NDArray[np.intp], Array] = (np.zeros(0, dtype=np.intp), np.zeros((0, 2)))
+    markers = 0
+    # Boards with an even number of rows made before OpenCV 4.6 begin with a marker.
+    for legacy in (False, True) if target.rows % 2 == 0 else (False,):
+        board = cv2.aruco.CharucoBoard(
+            (target.columns, target.rows), target.square, target.marker, _book(target.dictionary)
+        )
+        board.setLegacyPattern(legacy)
+        corners, ids, _, marker_ids = cv2.aruco.CharucoDetector(board).detectBoard(image)
+        markers = max(markers, 0 if marker_ids is None else len(marker_ids))
+        if ids is not None and len(ids) > len(best[0]):
+            best = (np.ravel(ids).astype(np.intp), np.asarray(corners, float).reshape(-1, 2))
+    if markers == 0:
+        return f"no target: no marker of {target.dictionary} is seen"
+    if not len(best[0]):
+        return (
+            f"no target: {markers} markers of {target.dictionary} are seen but no corner of a board"
+            f" of {target.columns} x {target.rows} squares between them"
+        )
+    return best
+
+
+def _book(name: str) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary_name(name)))
+
+
+def _neighbours(grid: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Pairs (P, 2) of indices of corners that one side of a square joins."""
+    place = {(x, y): index for index, (x, y) in enumerate(grid.tolist())}
+    pairs = [
+        (index, place[beside])
+        for (x, y), index in place.items()
+        for beside in ((x + 1, y), (x, y + 1))
+        if beside in place
+    ]
+    return np.array(pairs, dtype=np.intp).reshape(-1, 2)
+
+
+def _side(grid: NDArray[np.intp], pixels: Array) -> float:
+    """Median side of the squares in pixels, of the direction in which they look smaller."""
+    pairs = _neighbours(grid)
+    if not len(pairs):
+        return 8.0
+    lengths = np.linalg.norm(pixels[pairs[:, 1]] - pixels[pairs[:, 0]], axis=1)
+    across = grid[pairs[:, 1], 0] != grid[pairs[:, 0], 0]
+    return float(min(np.median(lengths[part]) for part in (across, ~across) if part.any()))
+
+
+def _blur(image: Image, target: Target, ids: NDArray[np.intp], pixels: Array) -> float:
+    """Standard deviation of the point spread across the sides of the squares, in pixels.
+
+    A step of height c blurred by a Gaussian has the largest slope c / (sigma sqrt(2 pi)); the
+    median over grey profiles across all sides.
+    """
+    grid = np.stack([ids % target.inner[0], ids // target.inner[0]], axis=-1)
+    pairs = _neighbours(grid)
+    if not len(pairs):
+        return 0.0
+    start, end = pixels[pairs[:, 0]], pixels[pairs[:, 1]]
+    along = end - start
+    length = np.linalg.norm(along, axis=1)
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=-1) / length[:, None]
+    # A ChArUco board's white squares are only clear beside their markers.
+    reach = np.clip(target.clear * float(np.median(length)), 2.0, 12.0)
+    step = 0.5
+    offsets = np.arange(-reach, reach + step, step)
+    points = (start + 0.5 * along)[:, None] + offsets[:, None] * normal[:, None]
+    grey = cv2.remap(
+        image.astype(np.float32),
+        points[..., 0].astype(np.float32),
+        points[..., 1].astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    ).astype(float)
+    contrast = grey.max(axis=1) - grey.min(axis=1)
+    slope = np.abs(grey[:, 2:] - grey[:, :-2]).max(axis=1) / (2 * step)
+    usable = contrast > 15.0
+    if not usable.any():
+        return float(reach)
+    ratio = float(np.median(contrast[usable] / np.maximum(slope[usable], 1e-6)))
+    return ratio / math.sqrt(2 * math.pi)
