@@ -78,14 +78,14 @@ def make_arm_reach(cell: Cell) -> ArmReach:
     return reach
 
 
-def make_strike_space(cell: Cell) -> StrikeSpace:
-    """Which taps can be struck in this cell."""
+def make_strike_space(cell: Cell, scatter: Scatter | None = None) -> StrikeSpace:
+    """Which taps can be struck in this cell; ``scatter`` in the place of the object file's."""
     return StrikeSpace(
         make_tap(cell),
         make_workspace(cell),
         make_arm_reach(cell),
         make_strike_settings(cell),
-        make_scatter(cell),
+        scatter or make_scatter(cell),
     )
 
 

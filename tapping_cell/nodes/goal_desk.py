@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from geometry_msgs.msg import PoseStamped
@@ -10,18 +11,24 @@ from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
+from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.goals import REFUSALS, Refused, read_goal, read_tolerance
-from tapping_cell.nodes.tap_task import Task
+from tapping_cell.nodes.tap_task import SingleTapTask, Task
 from tapping_cell.planning import (
     FreeSpace,
     Gains,
     Planner,
+    PlanningError,
     PositioningSession,
+    PrescribedSession,
+    Prescription,
+    cautious,
     check_goal,
     keep_gains,
     load_gains,
     make_planner,
 )
+from tapping_cell.se2 import Pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +59,7 @@ class GoalDesk:
         self._planner = planner or cell.file.goal.planner
         self._space = assembly.make_strike_space(cell)
         self._free = FreeSpace(self._space)
+        self._experiments = assembly.make_strike_space(cell, cautious(self._space))
         self._planners: dict[str, Planner] = {}
         # Made now, so that a method that must be solved first begins before the first goal.
         self._planner_for(cell.tolerance)
@@ -106,6 +114,39 @@ class GoalDesk:
             most_taps=max_taps,
         )
         return Task(request.message, goal, tolerance, max_taps, session, request.handle)
+
+    def accept_tap(self, handle: ServerGoalHandle, pose: Pose | None) -> SingleTapTask | Refused:
+        """A task for a single tap, or why there is none. ``pose``: where the object is now."""
+        asked = handle.request
+        curve = self.cell.file.tapper.curve()
+        if pose is None:
+            return Refused(ErrorCode.OBJECT_NOT_SEEN, "the object is not seen; uncover its marker")
+        if not curve.slowest <= asked.striker_speed <= curve.fastest:
+            return Refused(
+                ErrorCode.TAPPER_SPEED_OUT_OF_RANGE,
+                f"the striker speed is {1000 * asked.striker_speed:.1f} mm/s, the tapper makes "
+                f"{1000 * curve.slowest:.0f} to {1000 * curve.fastest:.0f} mm/s; ask for one of "
+                "these",
+            )
+        direction = None if math.isnan(asked.direction) else asked.direction
+        try:
+            tap = Prescription(asked.striker_speed, asked.incidence, direction, asked.slack)
+        except PlanningError as error:
+            return Refused(ErrorCode.COMMAND_INVALID, str(error))
+        session = PrescribedSession(
+            tap, self._experiments, self._free, self._gains, adapt=self._adapt
+        )
+        message = PoseStamped(pose=to_message(pose))
+        message.header.frame_id = "table"
+        return SingleTapTask(
+            message=message,
+            goal=pose,
+            tolerance=self.cell.tolerance,
+            max_taps=1,
+            session=session,
+            handle=handle,
+            references=self.cell.references,
+        )
 
     def _planner_for(self, tolerance: tuple[float, float]) -> Planner:
         """The planning method for a tolerance, made once and kept."""

@@ -34,6 +34,8 @@ REFUSALS = {
     RefusalReason.NO_STRIKE: ErrorCode.NO_TAP_FOUND,
     RefusalReason.CAMERA_TOO_COARSE: ErrorCode.OBJECT_NOT_SEEN,
     RefusalReason.TOO_MANY_TAPS: ErrorCode.TAP_LIMIT_REACHED,
+    RefusalReason.TAP_LEAVES_TABLE: ErrorCode.TAP_LEAVES_TABLE,
+    RefusalReason.TAP_LEAVES_VIEW: ErrorCode.TAP_LEAVES_VIEW,
 }
 """The code of each of planning's reasons."""
 

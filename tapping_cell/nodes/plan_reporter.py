@@ -7,15 +7,15 @@ import time
 
 from rclpy.node import Node
 from std_msgs.msg import Header
-from tapping_cell_msgs.action import PositionObject
-from tapping_cell_msgs.msg import GoalReport, ObjectState, PlanState
+from tapping_cell_msgs.action import PositionObject, SingleTap
+from tapping_cell_msgs.msg import GoalReport, ObjectState, PlanState, TapRecord
 from visualization_msgs.msg import MarkerArray
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.goal_desk import Request
 from tapping_cell.nodes.markers import cell_markers
-from tapping_cell.nodes.tap_task import Shot, Task
+from tapping_cell.nodes.tap_task import Shot, SingleTapTask, Task
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.se2 import Pose
 
@@ -41,12 +41,20 @@ class PlanReporter:
         self._states = node.create_publisher(PlanState, "plan_state", LATCHED)
         self._reports = node.create_publisher(GoalReport, "goal_report", LATCHED)
         self._markers = node.create_publisher(MarkerArray, "markers", LATCHED)
-        self._said_at = -math.inf
+        self._said_at = self._beat_at = -math.inf
         self.last = PlanState(residual_distance=math.nan, residual_rotation=math.nan)
 
     def age(self) -> float:
         """Seconds since the last report."""
         return time.monotonic() - self._said_at
+
+    def beat(self, period: float) -> None:
+        """Send the last report again where none was sent for ``period`` s: a sign of life."""
+        now = time.monotonic()
+        if now - max(self._said_at, self._beat_at) >= period:
+            self._beat_at = now
+            self.last.header.stamp = self._node.get_clock().now().to_msg()
+            self._states.publish(self.last)
 
     def say(
         self,
@@ -67,7 +75,7 @@ class PlanReporter:
         if task is not None:
             task.fill(state, pose)
             if task.handle is not None and task.handle.is_active:
-                task.handle.publish_feedback(PositionObject.Feedback(plan_state=state))
+                task.handle.publish_feedback(task.action.Feedback(plan_state=state))
         elif phase in FINAL:
             for name in REMEMBERED:
                 setattr(state, name, getattr(self.last, name))
@@ -116,10 +124,13 @@ class PlanReporter:
 
     def result(
         self, trouble: tuple[int, str], task: Task | None, seen: ObjectState | None
-    ) -> PositionObject.Result:
+    ) -> PositionObject.Result | SingleTap.Result:
         """The action's result, as last reported."""
         code, sentence = trouble
         records = task.records if task is not None else []
+        if isinstance(task, SingleTapTask):
+            record = records[-1] if records else TapRecord()
+            return SingleTap.Result(error_code=code, error_msg=sentence, record=record)
         result = PositionObject.Result(
             error_code=code,
             error_msg=sentence,

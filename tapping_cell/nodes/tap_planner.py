@@ -15,11 +15,11 @@ from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.duration import Duration
 from rclpy.time import Time
-from tapping_cell_msgs.action import PositionObject
+from tapping_cell_msgs.action import PositionObject, SingleTap
 from tapping_cell_msgs.msg import (
     ArmState,
     ErrorCode,
@@ -31,12 +31,14 @@ from tapping_cell_msgs.msg import (
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.nodes.action_door import ActionDoor
 from tapping_cell.nodes.cell_monitor import CellMonitor
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import from_message
 from tapping_cell.nodes.goal_desk import GoalDesk, Request
 from tapping_cell.nodes.goal_memory import GoalMemory
 from tapping_cell.nodes.goals import REFUSALS, Refused
+from tapping_cell.nodes.peer_watch import TAPPING
 from tapping_cell.nodes.plan_reporter import PlanReporter
 from tapping_cell.nodes.planner_parameters import Parameters
 from tapping_cell.nodes.tap_task import LEAST_EFFECT, Shot, Task
@@ -45,6 +47,8 @@ from tapping_cell.se2 import Pose
 
 TICK_S = 0.02
 REPORT_PERIOD_S = 0.5
+BEAT_PERIOD_S = 0.1
+"""While a tap is under way: the tapper lets the striker down when these signs of life end."""
 
 
 class TapPlanner(CellNode[Parameters]):
@@ -74,16 +78,14 @@ class TapPlanner(CellNode[Parameters]):
         self.create_subscription(ObjectState, "object_state", self._monitor.on_object, LATCHED)
         self.create_subscription(ArmState, "arm_state", self._monitor.on_arm, LATCHED)
         self.create_subscription(TapperState, "tapper_state", self._monitor.on_tapper, LATCHED)
-        self._action = ActionServer(
+        self._door = ActionDoor(
             self,
-            PositionObject,
-            "position_object",
-            execute_callback=self._conclude,
-            goal_callback=lambda _: GoalResponse.ACCEPT,
-            handle_accepted_callback=self._on_action_goal,
-            cancel_callback=self._on_cancel,
+            {
+                "position_object": (PositionObject, self._on_action_goal),
+                "single_tap": (SingleTap, self._on_single_tap),
+            },
+            self._on_cancel,
         )
-        self._results: dict[bytes, PositionObject.Result] = {}
         self.create_timer(TICK_S, self._tick)
 
     # Life cycle
@@ -167,13 +169,28 @@ class TapPlanner(CellNode[Parameters]):
             self._reporter.refuse((refused.code, refused.sentence), request)
             self.get_logger().error(f"goal refused ({refused.code}): {refused.sentence}")
             trouble = (refused.code, refused.sentence)
-            self._answer(handle, self._reporter.result(trouble, None, self._monitor.object))
+            self._door.answer(handle, self._reporter.result(trouble, None, self._monitor.object))
 
-    def _take(self, request: Request) -> Refused | None:
-        """Take a goal in place of the present one, or say why not."""
+    def _on_single_tap(self, handle: ServerGoalHandle) -> None:
+        refused = self._take(handle)
+        if refused is not None:
+            self.get_logger().error(f"single tap refused ({refused.code}): {refused.sentence}")
+            self._door.answer(
+                handle, SingleTap.Result(error_code=refused.code, error_msg=refused.sentence)
+            )
+
+    def _take(self, asked: Request | ServerGoalHandle) -> Refused | None:
+        """Take a goal in place of the present one, or a single tap; or say why not."""
         if not self.active or self._desk is None:
             return Refused(ErrorCode.NOT_ACTIVE, "the planner is not active; activate it first")
-        task = self._desk.accept(request, self.get_clock().now().nanoseconds * 1e-9)
+        if isinstance(asked, Request):
+            task = self._desk.accept(asked, self.get_clock().now().nanoseconds * 1e-9)
+        elif self._task is not None:
+            return Refused(
+                ErrorCode.PLANNER_BUSY, "a goal is under way; wait for its end, or cancel it"
+            )
+        else:
+            task = self._desk.accept_tap(asked, self._monitor.pose)
         if isinstance(task, Refused):
             return task
         fault = self._monitor.fault()
@@ -191,13 +208,11 @@ class TapPlanner(CellNode[Parameters]):
             )
         self._task = task
         try:
-            self._memory.keep(task)
+            if task.resumable:
+                self._memory.keep(task)
         except OSError as error:
             self.get_logger().warning(f"a crash would lose this goal: {error}")
-        self.get_logger().info(
-            f"goal x {1000 * task.goal.x:.1f} mm, y {1000 * task.goal.y:.1f} mm, "
-            f"{math.degrees(task.goal.theta):.1f} deg"
-        )
+        self.get_logger().info(task.words())
         self._enter(PlanState.WAITING_FOR_CELL, self.settings.ready_deadline)
 
     def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
@@ -231,6 +246,8 @@ class TapPlanner(CellNode[Parameters]):
         if self._reporter.age() > REPORT_PERIOD_S:
             self._memory.touch()
             self._say(self._reporter.last.error_code, self._reporter.last.error_msg)
+        if self._phase in TAPPING:
+            self._reporter.beat(BEAT_PERIOD_S)
 
     def _wait_for_cell(self) -> None:
         """Wait until arm, tapper and camera are ready; end a tap that a restart left behind."""
@@ -260,7 +277,7 @@ class TapPlanner(CellNode[Parameters]):
             self._say(ErrorCode.NONE, "")
         decision = task.decide(seen)
         if isinstance(decision, Done):
-            self._finish(PlanState.REACHED, ErrorCode.NONE, "")
+            self._finish(task.done_phase, ErrorCode.NONE, "")
         elif isinstance(decision, Refusal):
             # A look that is too uncertain gets better with every picture.
             if decision.reason is not RefusalReason.CAMERA_TOO_COARSE or self._late():
@@ -433,6 +450,8 @@ class TapPlanner(CellNode[Parameters]):
         task = self._task
         assert task is not None
         self._phase = phase
+        if self._shot is not None:
+            task.lose(self._shot)
         self._say(code, sentence)
         self._task = self._shot = None
         self._memory.forget()
@@ -444,26 +463,10 @@ class TapPlanner(CellNode[Parameters]):
         if code:
             self.get_logger().error(f"goal ended ({code}): {sentence}")
         else:
-            self.get_logger().info(f"goal reached after {len(task.records)} taps")
+            self.get_logger().info(f"goal done after {len(task.records)} taps")
         if task.handle is not None:
             result = self._reporter.result((code, sentence), task, self._monitor.object)
-            self._answer(task.handle, result)
-
-    def _answer(self, handle: ServerGoalHandle, result: PositionObject.Result) -> None:
-        # The goal is executed only now, when its result is known: an execute callback that waits
-        # would keep the single-threaded executor busy at full load.
-        self._results[bytes(handle.goal_id.uuid)] = result
-        handle.execute()
-
-    def _conclude(self, handle: ServerGoalHandle) -> PositionObject.Result:
-        result = self._results.pop(bytes(handle.goal_id.uuid))
-        if handle.is_cancel_requested:
-            handle.canceled()
-        elif result.error_code == ErrorCode.NONE:
-            handle.succeed()
-        else:
-            handle.abort()
-        return result
+            self._door.answer(task.handle, result)
 
     def _say(self, code: int, sentence: str) -> None:
         cell = self._desk.cell if self._desk is not None else None

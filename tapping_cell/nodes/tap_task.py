@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import ClassVar
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.action.server import ServerGoalHandle
 from rclpy.time import Time
+from tapping_cell_msgs.action import PositionObject, SingleTap
 from tapping_cell_msgs.msg import ObjectState, PlanState, TapCommand, TapperState, TapRecord
 
 from tapping_cell.nodes.conversions import covariance_from_message, from_message, to_message
-from tapping_cell.planning import Done, PositioningSession, Refusal, Strike
+from tapping_cell.planning import (
+    Done,
+    PositioningSession,
+    PrescribedSession,
+    Refusal,
+    Strike,
+)
 from tapping_cell.se2 import Pose
+from tapping_cell.vision import ReferenceMap
 
 LEAST_EFFECT = 0.2
 """Share of the wanted distance below which a tap counts as without effect."""
@@ -45,9 +55,12 @@ class Shot:
         command.header.frame_id = "table"
         return command
 
-    def record(self, number: int, seen: ObjectState) -> TapRecord:
-        """What is kept of this tap once its result is seen."""
+    def record(self, number: int, seen: ObjectState | None) -> TapRecord:
+        """What is kept of this tap once its result is seen; ``seen`` None: it never was."""
         strike = self.strike
+        if seen is None:
+            seen = ObjectState()
+            seen.pose.pose = to_message(Pose(math.nan, math.nan, math.nan))
         record = TapRecord(
             tap_id=self.tap_id,
             number=number,
@@ -74,16 +87,28 @@ class Shot:
 class Task:
     """One goal from its acceptance to its end. ``tolerance`` in m and rad."""
 
+    action: ClassVar[type] = PositionObject
+    resumable: ClassVar[bool] = True
+    """Whether a planner that crashed goes on with it."""
+    done_phase: ClassVar[int] = PlanState.REACHED
+
     message: PoseStamped
     goal: Pose
     tolerance: tuple[float, float]
     max_taps: int
-    session: PositioningSession
+    session: PositioningSession | PrescribedSession
     handle: ServerGoalHandle | None
     records: list[TapRecord] = field(default_factory=list)
     not_fired: int = 0
     without_effect: int = 0
     canceled: bool = False
+
+    def words(self) -> str:
+        """The goal for people."""
+        return (
+            f"goal x {1000 * self.goal.x:.1f} mm, y {1000 * self.goal.y:.1f} mm, "
+            f"{math.degrees(self.goal.theta):.1f} deg"
+        )
 
     def decide(self, seen: ObjectState) -> Done | Strike | Refusal:
         """What to do with the object at rest as it is seen."""
@@ -100,9 +125,12 @@ class Task:
         moved = shot.before.distance_to(pose) > LEAST_EFFECT * wanted
         self.without_effect = 0 if moved else self.without_effect + 1
 
+    def lose(self, shot: Shot) -> None:
+        """The goal ends with a tap under way."""
+
     def fill(self, state: PlanState, pose: Pose | None) -> None:
         """Write this goal and its residual into a report; ``pose`` is None while not seen."""
-        state.planner = self.session.planner.name
+        state.planner = self.session.method
         state.goal = self.message
         state.position_tolerance, state.angle_tolerance = self.tolerance
         state.taps = len(self.records)
@@ -112,3 +140,45 @@ class Task:
         if pose is not None:
             state.residual_distance = pose.distance_to(self.goal)
             state.residual_rotation = pose.rotation_to(self.goal)
+
+
+@dataclass(slots=True, eq=False, kw_only=True)
+class SingleTapTask(Task):
+    """One prescribed tap; its goal is where it is expected to send the object.
+
+    A planner that crashed in it leaves it: whether the tap was fired is for the camera to see.
+    """
+
+    action: ClassVar[type] = SingleTap
+    resumable: ClassVar[bool] = False
+    done_phase: ClassVar[int] = PlanState.IDLE
+
+    session: PrescribedSession
+    references: ReferenceMap
+
+    def words(self) -> str:
+        """The tap for people."""
+        asked = self.session.prescription
+        return (
+            f"single tap: striker {1000 * asked.striker_speed:.0f} mm/s, incidence "
+            f"{math.degrees(asked.incidence):.1f} deg"
+        )
+
+    def decide(self, seen: ObjectState) -> Done | Strike | Refusal:
+        """The tap, kept between the reference markers that the camera sees; then Done."""
+        used = set(seen.references_used)
+        known = [marker.id in used for marker in self.references.markers]
+        decision = self.session.decide(
+            from_message(seen.pose.pose),
+            covariance_from_message(seen.pose.covariance),
+            in_view=self.references.corners()[np.array(known)].reshape(-1, 2),
+        )
+        if isinstance(decision, Strike):
+            self.goal = decision.predicted
+            self.message.pose = to_message(decision.predicted)
+        return decision
+
+    def lose(self, shot: Shot) -> None:
+        """Keep a record of the tap, if it was or may have been fired."""
+        if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):
+            self.records.append(shot.record(len(self.records) + 1, None))
