@@ -14,6 +14,7 @@ NODES = (
     "scara_arm",
     "tapper_trigger",
     "sim_world",
+    "operator_page",
 )
 
 
@@ -37,7 +38,7 @@ setup(
     maintainer_email="maintainers@tapping-cell.invalid",
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "**/*.yaml", "**/*.json"]},
+    package_data={NAME: ["py.typed", "**/*.yaml", "**/*.json", "nodes/page/static/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE, ["package.xml"]),

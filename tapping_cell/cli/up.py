@@ -1,14 +1,17 @@
 """Start the node graph from a configuration, simulated or on hardware, and stay.
 
-Ends every node on Ctrl-C, and when one of them dies. Goals come from another terminal.
+Ends every node on Ctrl-C, and when one of them dies. Goals come from another terminal, or from the
+operator's page.
 
     python -m tapping_cell up
+    python -m tapping_cell up --page
     python -m tapping_cell up --hardware --cell my_cell.yaml --camera /dev/video0
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import time
 from pathlib import Path
 
@@ -37,6 +40,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--truth", type=Path, help="simulated: truth file of the world")
     parser.add_argument("--seed", type=int, default=1, help="simulated: of noise and scatter")
     parser.add_argument(
+        "--page",
+        nargs="?",
+        type=page_place,
+        const=("localhost", 8010),
+        metavar="[ADDRESS:]PORT",
+        help="serve the operator's page, without a value at localhost:8010; with 0.0.0.0:PORT to "
+        "the whole network, where it wants a token",
+    )
+    parser.add_argument(
         "--logs", type=Path, default=Path("runs/up"), help="folder of the nodes' logs"
     )
 
@@ -51,6 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(f"[red]error:[/red] {error}", highlight=False)
         return 2
     nodes = HARDWARE if arguments.hardware else SIMULATED
+    if arguments.page:
+        nodes = (*nodes, "operator_page")
+    page_log = arguments.logs / "operator_page.log"
+    page_log.unlink(missing_ok=True)  # what an earlier run said of its page holds no longer
     try:
         with Graph(
             nodes,
@@ -59,8 +75,10 @@ def run(arguments: argparse.Namespace) -> int:
             namespace=arguments.namespace,
         ) as graph:
             console.print(f"{', '.join(nodes)} are up; logs in {arguments.logs}; Ctrl-C ends them")
+            told = not arguments.page
             while True:
                 graph.check()
+                told = told or tell_page(page_log, console)
                 time.sleep(LOOK_PERIOD_S)
     except NodeDied as error:
         console.print(f"[red]failed:[/red] {error}; the other nodes were ended", highlight=False)
@@ -68,6 +86,29 @@ def run(arguments: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         console.print("every node has ended")
         return 0
+
+
+def page_place(text: str) -> tuple[str, int]:
+    """Address and port of ``PORT`` or ``ADDRESS:PORT``, an address of IPv6 in brackets.
+
+    Raises:
+        argparse.ArgumentTypeError: it is neither.
+    """
+    found = re.fullmatch(r"(?:(\[[0-9a-fA-F:.]+\]|[^:\[\]]+):)?(\d{1,5})", text)
+    if found is None or int(found[2]) > 65535:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is neither PORT nor ADDRESS:PORT; give one such as 8010 or 0.0.0.0:8010"
+        )
+    return (found[1] or "localhost").strip("[]"), int(found[2])
+
+
+def tell_page(log: Path, console: Console) -> bool:
+    """Say where the operator's page is, once its node has said so in its log."""
+    text = log.read_text(encoding="utf-8", errors="replace") if log.exists() else ""
+    found = re.findall(r"operator page: (http\S+)", text)
+    for url in found:
+        console.print(f"operator's page: {url}", highlight=False, soft_wrap=True)
+    return bool(found)
 
 
 def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict[str, object]]:
@@ -87,6 +128,9 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
         "scara_arm": {"cell_file": cell.path},
         "tapper_trigger": {"cell_file": cell.path},
     }
+    if getattr(arguments, "page", None):
+        address, port = arguments.page
+        parameters["operator_page"] = {**files, "address": address, "port": port}
     if getattr(arguments, "camera", None):
         parameters["overhead_camera"]["source"] = arguments.camera
     return parameters

@@ -1,0 +1,254 @@
+"""What the page shows of the cell: the last word of everybody, as JSON in mm and degrees."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+
+from sensor_msgs.msg import Image
+from tapping_cell_msgs.msg import ArmState, PlanState, TapperState, TapRecord
+
+from tapping_cell.nodes.cell_monitor import CellMonitor
+from tapping_cell.nodes.conversions import covariance_from_message, from_message, seconds
+from tapping_cell.nodes.goal_client import PHASES
+from tapping_cell.nodes.plan_reporter import FINAL
+from tapping_cell.se2 import Pose
+
+SILENCE_LIMIT_S = 1.5
+LOG_LENGTH = 60
+OUTCOMES = {TapperState.FIRED: "fired", TapperState.NOT_FIRED: "not fired"}
+
+ARM_WORDS = {
+    ArmState.DISCONNECTED: "not connected",
+    ArmState.NOT_HOMED: "not homed",
+    ArmState.HOMING: "homing",
+    ArmState.IDLE: "idle",
+    ArmState.MOVING: "moving",
+    ArmState.IN_POSITION: "in position",
+    ArmState.WITHDRAWING: "withdrawing",
+    ArmState.FAULT: "fault",
+    ArmState.STOPPED: "stopped",
+}
+TAPPER_WORDS = {
+    TapperState.DISCONNECTED: "not connected",
+    TapperState.SAFE: "safe",
+    TapperState.DRAWING: "drawing",
+    TapperState.READY: "drawn",
+    TapperState.FIRING: "firing",
+    TapperState.FAULT: "fault",
+    TapperState.STOPPED: "stopped",
+}
+ARM_BUSY = (ArmState.HOMING, ArmState.MOVING, ArmState.IN_POSITION, ArmState.WITHDRAWING)
+TAPPER_BUSY = (TapperState.DRAWING, TapperState.READY, TapperState.FIRING)
+
+Numbers = list["float | None"]
+
+
+def triple(pose: Pose) -> Numbers:
+    """A pose or displacement as [mm, mm, degrees]; None for what is not a number."""
+    angle = math.remainder(pose.theta, math.tau) if math.isfinite(pose.theta) else math.nan
+    return [shown(1e3 * pose.x), shown(1e3 * pose.y), shown(math.degrees(angle))]
+
+
+def shown(value: float, digits: int = 2) -> float | None:
+    """A number for the page; None where there is none."""
+    return round(value, digits) if math.isfinite(value) else None
+
+
+class CellView:
+    """Hears the topics; called in the executor's thread alone."""
+
+    def __init__(self) -> None:
+        self._monitor = CellMonitor(SILENCE_LIMIT_S)
+        self._plan: PlanState | None = None
+        self._plan_heard = -math.inf
+        self._taps: list[dict[str, object]] = []
+        self._picture: tuple[float, float] | None = None
+        self._log: deque[dict[str, object]] = deque(maxlen=LOG_LENGTH)
+        self._mode = ""
+        self.emergency_stop = False
+        self.on_object = self._monitor.on_object
+        self.on_arm = self._monitor.on_arm
+        self.on_tapper = self._monitor.on_tapper
+
+    def forget(self) -> None:
+        """Nobody looks any more: what is heard next is new. The taps and the log are kept."""
+        self._monitor = CellMonitor(SILENCE_LIMIT_S)
+        self.on_object = self._monitor.on_object
+        self.on_arm = self._monitor.on_arm
+        self.on_tapper = self._monitor.on_tapper
+        self._picture = None
+        self._mode = ""
+
+    def note(self, text: str, kind: str = "") -> None:
+        """Add a line to what happened; ``kind`` is "good", "bad" or nothing."""
+        self._log.append({"time": round(time.time(), 1), "text": text, "kind": kind})
+
+    def on_picture(self, message: Image) -> None:
+        """Hear of a picture."""
+        self._picture = (seconds(message.header.stamp), time.monotonic())
+
+    def on_plan(self, message: PlanState) -> None:
+        """Hear ``plan_state``: a new goal, a tap, an end."""
+        before, self._plan = self._plan, message
+        self._plan_heard = time.monotonic()
+        tap = message.last_tap
+        if not tap.tap_id and message.state not in FINAL:
+            self._taps.clear()
+        elif tap.tap_id and all(tap.tap_id != row["tap_id"] for row in self._taps):
+            if tap.number == 1:
+                self._taps.clear()
+            self._taps.append(tap_row(tap, from_message(message.goal.pose)))
+        self._note_plan(before, message)
+
+    def _note_plan(self, before: PlanState | None, now: PlanState) -> None:
+        changed = before is None or (before.state, before.error_msg) != (now.state, now.error_msg)
+        if not changed:
+            return
+        x, y, angle = triple(from_message(now.goal.pose))
+        if now.state == PlanState.WAITING_FOR_CELL and not now.taps:
+            self.note(f"goal x {x} mm, y {y} mm, {angle} deg")
+        elif now.state == PlanState.REACHED:
+            self.note(f"goal reached after {now.taps} taps", "good")
+        elif now.error_code:
+            kind = "" if now.state == PlanState.CANCELED else "bad"
+            self.note(f"{now.error_msg} ({now.error_code})", kind)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a goal is under way."""
+        plan = self._plan
+        return plan is not None and plan.state not in (PlanState.IDLE, *FINAL)
+
+    def mode(self) -> tuple[str, str]:
+        """The whole cell in a word: stopped, fault, moving, not ready or ready; and a sentence."""
+        arm, tapper = self._monitor.arm, self._monitor.tapper
+        stopped = [
+            state.error_msg
+            for state, value in ((arm, ArmState.STOPPED), (tapper, TapperState.STOPPED))
+            if state is not None and state.state == value
+        ]
+        if stopped:
+            return "stopped", stopped[0]
+        if self.emergency_stop and self._monitor.lost():
+            return "stopped", "the emergency stop is pressed; arm or tapper do not answer"
+        fault = self._monitor.fault()
+        if fault is not None:
+            return "fault", f"{fault[1]} ({fault[0]})"
+        if self.busy:
+            assert self._plan is not None
+            return "moving", f"tap {self._plan.taps + 1}: {PHASES[self._plan.state]}"
+        if arm is not None and arm.state in ARM_BUSY and not self._monitor.silent("arm"):
+            return "moving", f"the arm is {ARM_WORDS[arm.state]}"
+        if tapper is not None and tapper.state in TAPPER_BUSY:
+            return "moving", f"the tapper is {TAPPER_WORDS[tapper.state]}"
+        missing = self._monitor.missing()
+        if missing is not None:
+            return "not ready", f"{missing[1]} ({missing[0]})"
+        seen = self._monitor.object
+        if seen is not None and seen.error_code:
+            return "not ready", f"{seen.error_msg} ({seen.error_code})"
+        if self._plan is None or time.monotonic() - self._plan_heard > 2 * SILENCE_LIMIT_S:
+            return "not ready", "the planner says nothing; start tap_planner"
+        return "ready", "the cell takes a goal"
+
+    def state(self, now: float) -> dict[str, object]:
+        """Everything that changes; ``now`` is ROS time in s."""
+        mode, sentence = self.mode()
+        if mode != self._mode:
+            if mode in ("stopped", "fault"):
+                self.note(sentence, "bad")
+            self._mode = mode
+        return {
+            "mode": mode,
+            "sentence": sentence,
+            "picture": self._picture_state(now),
+            "object": self._object_state(),
+            "plan": self._plan_state(),
+            "taps": self._taps,
+            "arm": self._device("arm", ARM_WORDS),
+            "tapper": self._device("tapper", TAPPER_WORDS),
+            "log": list(self._log),
+        }
+
+    def _picture_state(self, now: float) -> dict[str, object]:
+        if self._picture is None:
+            return {"age": None}
+        return {"age": round(max(0.0, now - self._picture[0]), 1)}
+
+    def _object_state(self) -> dict[str, object]:
+        seen = self._monitor.object
+        if seen is None or self._monitor.silent("object"):
+            return {"visible": False, "sentence": "camera_pose says nothing; start it", "code": 303}
+        answer: dict[str, object] = {
+            "visible": seen.visible,
+            "at_rest": seen.at_rest,
+            "frames": seen.frames_fused,
+            "sentence": seen.error_msg,
+            "code": seen.error_code,
+        }
+        if seen.visible:
+            variances = covariance_from_message(seen.pose.covariance).diagonal()
+            x, y, angle = (math.sqrt(max(0.0, float(value))) for value in variances)
+            answer["pose"] = triple(from_message(seen.pose.pose))
+            answer["deviation"] = [shown(1e3 * max(x, y), 3), shown(math.degrees(angle), 3)]
+        return answer
+
+    def _plan_state(self) -> dict[str, object]:
+        plan = self._plan
+        if plan is None:
+            return {"state": "", "busy": False, "goal": None, "taps": 0, "code": 0, "sentence": ""}
+        has_goal = plan.state != PlanState.IDLE and bool(plan.goal.header.frame_id)
+        return {
+            "state": PHASES[plan.state],
+            "busy": self.busy,
+            "goal": triple(from_message(plan.goal.pose)) if has_goal else None,
+            "planner": plan.planner,
+            "distance": shown(1e3 * plan.residual_distance),
+            "rotation": shown(math.degrees(plan.residual_rotation)),
+            "tolerance": [
+                shown(1e3 * plan.position_tolerance),
+                shown(math.degrees(plan.angle_tolerance)),
+            ],
+            "taps": plan.taps,
+            "code": plan.error_code,
+            "sentence": plan.error_msg,
+        }
+
+    def _device(self, who: str, words: dict[int, str]) -> dict[str, object]:
+        state = getattr(self._monitor, who)
+        if state is None or self._monitor.silent(who):
+            return {"state": "silent", "sentence": "", "code": 0}
+        return {
+            "state": words[state.state],
+            "sentence": state.error_msg,
+            "code": state.error_code,
+        }
+
+
+def tap_row(tap: TapRecord, goal: Pose) -> dict[str, object]:
+    """One tap: displacements in mm and degrees, table axes, and what remained to the goal."""
+    before, predicted = from_message(tap.object_pose), from_message(tap.predicted_pose)
+    measured = from_message(tap.measured_pose.pose)
+    seen = math.isfinite(measured.x)
+    remaining: Numbers = [None, None]
+    if seen:
+        turn = math.degrees(measured.rotation_to(goal))
+        remaining = [shown(1e3 * measured.distance_to(goal)), shown(turn)]
+    return {
+        "tap_id": tap.tap_id,
+        "number": tap.number,
+        "method": tap.planner,
+        "commanded": triple(Pose(tap.dx, tap.dy, tap.dtheta)),
+        "predicted": triple(displacement(before, predicted)),
+        "measured": triple(displacement(before, measured)) if seen else [None, None, None],
+        "remaining": remaining,
+        "speed": shown(1e3 * tap.striker_speed, 0),
+        "outcome": OUTCOMES.get(tap.outcome, "outcome unknown"),
+    }
+
+
+def displacement(before: Pose, after: Pose) -> Pose:
+    """From one pose to another, in table axes."""
+    return Pose(after.x - before.x, after.y - before.y, before.rotation_to(after))

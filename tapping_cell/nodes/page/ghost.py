@@ -1,0 +1,111 @@
+"""The ghost: an outline of the object that a person drags over the picture to say where to.
+
+The camera's model and pose turn a pixel into a place at the height of the object's top, and back.
+Pictures are addressed by (u, v) in widths and heights from the top left corner, so that the page
+may show them at any size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tapping_cell.nodes.page.requests import BadRequest, Move, Place, Turn
+from tapping_cell.se2 import Pose, transform_points
+from tapping_cell.vision import View
+
+HANDLE_BEYOND = 0.03
+"""m from the outline's farthest point to the handle that turns the ghost."""
+FARTHEST = 5.0
+"""m from the table's origin; a pixel that sees farther sees no table."""
+SIDE = 0.001
+"""m of the step by which the picture's right is found on the table."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ghost:
+    """Maps between picture and table.
+
+    ``outline`` (N, 2) in the object's frame and ``height`` of its top, both in m; ``refusal`` gives
+    the planner's sentence for a goal that it would refuse, or an empty one.
+    """
+
+    view: View
+    outline: Array
+    height: float
+    refusal: Callable[[Pose], str]
+
+    def answer(self, request: Move | Turn | Place) -> dict[str, object]:
+        """The ghost's pose (mm, degrees) and its picture, for the page.
+
+        Raises:
+            BadRequest: the pixel sees no place on the table.
+        """
+        pose = self.pose(request)
+        corners = transform_points(pose, self.outline)
+        x, y = pose.x, pose.y
+        handle = transform_points(pose, [[self._arm(), 0.0]])
+        return {
+            "type": "ghost",
+            "number": request.number,
+            "x": round(1e3 * x, 2),
+            "y": round(1e3 * y, 2),
+            "angle": round(math.degrees(math.remainder(pose.theta, math.tau)), 2),
+            "outline": self._seen(corners),
+            "centre": self._seen([[x, y]])[0],
+            "handle": self._seen(handle)[0],
+            "right": self._right(x, y),
+            "refusal": self.refusal(pose),
+        }
+
+    def pose(self, request: Move | Turn | Place) -> Pose:
+        """The pose that a request means.
+
+        Raises:
+            BadRequest: the pixel sees no place on the table.
+        """
+        if isinstance(request, Place):
+            return request.pose
+        x, y = self._place(request.u, request.v)
+        if isinstance(request, Move):
+            return Pose(x, y, request.angle)
+        return Pose(request.x, request.y, math.atan2(y - request.y, x - request.x))
+
+    def _arm(self) -> float:
+        return float(np.max(np.hypot(*self.outline.T))) + HANDLE_BEYOND
+
+    def _size(self) -> Array:
+        return np.array([self.view.camera.width, self.view.camera.height], dtype=float)
+
+    def _place(self, u: float, v: float) -> tuple[float, float]:
+        # Pixels count from the middle of the first one.
+        pixel = np.array([u, v]) * self._size() - 0.5
+        with np.errstate(all="ignore"):
+            x, y = (float(value) for value in self.view.on_plane(pixel, self.height))
+        if not math.hypot(x, y) < FARTHEST:
+            raise BadRequest("there is no table at that place of the picture")
+        return x, y
+
+    def _seen(self, points: ArrayLike) -> list[list[float]]:
+        with np.errstate(all="ignore"):
+            shares = (self.view.project(points, self.height) + 0.5) / self._size()
+        near = np.clip(np.nan_to_num(shares, nan=-9.0), -9.0, 9.0)
+        return [[round(float(u), 5), round(float(v), 5)] for u, v in near]
+
+    def _right(self, x: float, y: float) -> int:
+        """The table's axis that points most to the right in the picture: 0, 90, 180 or -90 degrees.
+
+        The arrow keys move the ghost along the table's axes, as the picture shows them.
+        """
+        ends = [[x, y], [x + SIDE, y], [x, y + SIDE]]
+        here, along_x, along_y = self.view.project(ends, self.height)
+        by_x, by_y = float((along_x - here)[0]), float((along_y - here)[0])
+        if abs(by_x) >= abs(by_y):
+            return 0 if by_x > 0 else 180
+        return 90 if by_y > 0 else -90

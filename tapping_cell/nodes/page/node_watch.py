@@ -1,0 +1,127 @@
+"""The state of every node of the cell: life cycle and diagnostics. Runs only while a page looks."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.srv import GetState
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.task import Future
+
+CORE = ("camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
+"""Nodes that every cell has, besides one of CAMERAS."""
+CAMERAS = ("sim_world", "overhead_camera")
+SILENCE_LIMIT_S = 3.5
+"""Age of the last diagnostics, which come every second, beyond which a node counts as silent."""
+PATIENCE_S = 3.0
+LEVELS = {
+    DiagnosticStatus.OK: "ok",
+    DiagnosticStatus.WARN: "warn",
+    DiagnosticStatus.ERROR: "error",
+    DiagnosticStatus.STALE: "error",
+}
+GET_STATE = "lifecycle_msgs/srv/GetState"
+
+
+@dataclass(slots=True)
+class _Peer:
+    """What is known of one node."""
+
+    client: Client | None = None
+    asked: Future | None = None
+    asked_at: float = 0.0
+    life: str = ""
+    level: str = ""
+    sentence: str = ""
+    heard_at: float = 0.0
+
+
+class NodeWatch:
+    """Watches the nodes of its own namespace; made, used and closed in the executor's thread."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._prefix = node.get_namespace().rstrip("/") + "/"
+        self._peers: dict[str, _Peer] = {}
+        self._subscription = node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, 10
+        )
+        self._timer = node.create_timer(1.0, self.look)
+
+    def close(self) -> None:
+        """Cease to watch."""
+        self._node.destroy_timer(self._timer)
+        self._node.destroy_subscription(self._subscription)
+        for peer in self._peers.values():
+            if peer.client is not None:
+                self._node.destroy_client(peer.client)
+
+    def look(self) -> None:
+        """Ask every node for its life-cycle state."""
+        found = set()
+        for service, types in self._node.get_service_names_and_types():
+            name = self._own_name(service.removesuffix("/get_state"))
+            if service.endswith("/get_state") and GET_STATE in types and name:
+                found.add(name)
+        for name in found:
+            self._ask(self._peers.setdefault(name, _Peer()), name)
+        for name, peer in self._peers.items():
+            if name not in found:
+                peer.life = ""
+
+    def _ask(self, peer: _Peer, name: str) -> None:
+        now = time.monotonic()
+        if peer.client is None:
+            peer.client = self._node.create_client(GetState, f"{self._prefix}{name}/get_state")
+        if peer.asked is not None:
+            if now - peer.asked_at < PATIENCE_S:
+                return
+            peer.client.remove_pending_request(peer.asked)
+            peer.life = "does not answer"
+        peer.asked, peer.asked_at = peer.client.call_async(GetState.Request()), now
+
+        def answered(future: Future) -> None:
+            if peer.asked is future:
+                peer.asked, peer.life = None, future.result().current_state.label
+
+        peer.asked.add_done_callback(answered)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            name = self._own_name(status.name)
+            if name:
+                peer = self._peers.setdefault(name, _Peer())
+                peer.level = LEVELS.get(status.level, "error")
+                peer.sentence, peer.heard_at = status.message, time.monotonic()
+
+    def _own_name(self, name: str) -> str:
+        """A node's name without the namespace; empty for a node of another cell."""
+        if not name.startswith(self._prefix):
+            return ""
+        rest = name[len(self._prefix) :]
+        return "" if "/" in rest else rest
+
+    def runs(self, name: str) -> bool:
+        """Whether a node of this name is up."""
+        peer = self._peers.get(name)
+        return peer is not None and bool(peer.life)
+
+    def rows(self) -> list[dict[str, str]]:
+        """One row for every node: name, life cycle, level (ok, warn, error) and a sentence."""
+        cameras = [name for name in CAMERAS if name in self._peers] or [CAMERAS[-1]]
+        names = [*cameras, *CORE]
+        names += sorted(set(self._peers) - set(names))
+        return [self._row(name) for name in names]
+
+    def _row(self, name: str) -> dict[str, str]:
+        peer = self._peers.get(name, _Peer())
+        row = {"name": name, "life": peer.life or "not running"}
+        if not peer.life:
+            return {**row, "level": "error", "sentence": f"start {name}"}
+        if time.monotonic() - peer.heard_at > SILENCE_LIMIT_S:
+            silent = "no diagnostics yet" if not peer.heard_at else "has gone silent"
+            return {**row, "level": "warn", "sentence": silent}
+        return {**row, "level": peer.level, "sentence": peer.sentence}

@@ -1,0 +1,432 @@
+"""The web server of the operator's page: a thread of its own with tornado's loop.
+
+Nothing in here knows ROS. The node gives a :class:`Desk`, whose methods are called in the server's
+thread and must not block; what the node has to show it hands over with :meth:`PageServer.show` and
+:meth:`PageServer.show_picture` from any thread. Every page gets only the latest of both: one that
+is slow sees fewer pictures, one that does not read at all is dropped.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import socket
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+from tornado.httpserver import HTTPServer
+from tornado.iostream import StreamClosedError
+from tornado.netutil import bind_sockets
+from tornado.web import Application, RequestHandler, StaticFileHandler
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
+
+from tapping_cell.nodes.page.guard import Guard
+from tapping_cell.nodes.page.requests import (
+    LARGEST_MESSAGE,
+    BadRequest,
+    Hello,
+    Request,
+    Seen,
+    parse,
+)
+
+STATIC = Path(__file__).parent / "static"
+MOST_PAGES = 16
+HELLO_PATIENCE_S = 5.0
+"""How long a connection may be silent before it says who it is."""
+WRITE_PATIENCE_S = 5.0
+"""How long a page may take to read what it was sent."""
+PING_PERIOD_S = 5.0
+MOST_MESSAGES = 100
+"""Of one page in a second."""
+MOST_ANSWERS = 64
+"""Waiting for one page to read them."""
+TICKET_LIFE_S = 30.0
+
+# Codes of a WebSocket's end, 4000 to 4999 being for programs' own use.
+BAD_TOKEN = 4401
+TOO_MANY_PAGES = 4409
+TOO_MANY_MESSAGES = 4429
+
+HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
+        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Cache-Control": "no-cache",
+    "Server": "tapping cell",
+}
+PICTURE_HEADER = struct.Struct("!Idd")
+"""Before the JPEG: number of the picture, its stamp and its age when sent, both in s."""
+
+Answer = Callable[[dict[str, object]], None]
+"""Gives a page its answer; from any thread."""
+
+
+class Desk(Protocol):
+    """What the node does for the pages. Called in the server's thread; must not block."""
+
+    def greet(self) -> dict[str, object]:
+        """What does not change while the node is active."""
+
+    def on_pages(self, count: int) -> None:
+        """So many pages look now."""
+
+    def on_request(self, request: Request, who: str, answer: Answer) -> None:
+        """A page asks for something."""
+
+    def open_run(self) -> tuple[str, Path] | str:
+        """Name and path of the archive of the last run, or why there is none."""
+
+
+class PageServer:
+    """Serves the page on sockets that are already bound."""
+
+    def __init__(self, guard: Guard, desk: Desk, sockets: list[socket.socket]) -> None:
+        self.guard = guard
+        self.desk = desk
+        self.pages: set[PageSocket] = set()
+        self.tickets: dict[str, float] = {}
+        self._sockets = sockets
+        self._state = ""
+        self._pictures = 0
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._ending = asyncio.Event()
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="operator page", daemon=True)
+
+    def start(self) -> None:
+        """Serve, in a thread of its own."""
+        self._thread.start()
+        self._ready.wait(5.0)
+
+    def close(self, patience: float = 3.0) -> None:
+        """Say good-bye to every page and end the thread."""
+        self._call(self._ending.set)
+        self._thread.join(patience)
+        for each in self._sockets:
+            each.close()
+
+    @property
+    def wants_picture(self) -> bool:
+        """Whether a page waits for a picture; from any thread."""
+        return any(page.wants_picture for page in tuple(self.pages))
+
+    def show(self, state: dict[str, object]) -> None:
+        """Show this state to every page; from any thread."""
+        self._call(self._show, json.dumps({"type": "state", **state}, allow_nan=False))
+
+    def show_picture(self, jpeg: bytes, stamp: float, age: float) -> None:
+        """Show a picture to every page that waits for one; from any thread."""
+        self._call(self._show_picture, jpeg, stamp, age)
+
+    def later(self, give: Callable[[dict[str, object]], None], answer: dict[str, object]) -> None:
+        """Give an answer in the server's thread; from any thread."""
+        self._call(give, answer)
+
+    # In the server's thread
+
+    def _call(self, function: Callable[..., object], *arguments: object) -> None:
+        loop = self._loop
+        if loop is None:
+            return
+        try:
+            loop.call_soon_threadsafe(function, *arguments)
+        except RuntimeError:  # the loop has ended: nobody is there to be told
+            return
+
+    def _run(self) -> None:
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        handlers: list[Any] = [
+            ("/live", PageSocket, {"server": self}),
+            (r"/run/([\w-]{8,64})", RunHandler, {"server": self}),
+            (
+                "/(.*)",
+                FileHandler,
+                {"server": self, "path": str(STATIC), "default_filename": "index.html"},
+            ),
+        ]
+        application = Application(
+            handlers,
+            log_function=lambda _: None,
+            websocket_ping_interval=PING_PERIOD_S,
+            websocket_max_message_size=LARGEST_MESSAGE,
+        )
+        http = HTTPServer(
+            application,
+            max_header_size=16384,
+            max_body_size=LARGEST_MESSAGE,
+            idle_connection_timeout=60.0,
+            body_timeout=10.0,
+        )
+        http.add_sockets(self._sockets)
+        self._ready.set()
+        await self._ending.wait()
+        http.stop()
+        for page in tuple(self.pages):
+            page.close(1001, "the node operator_page ends")
+        await asyncio.wait([asyncio.ensure_future(http.close_all_connections())], timeout=1.0)
+        self._loop = None
+
+    def _show(self, state: str) -> None:
+        self._state = state
+        for page in self.pages:
+            page.show(state)
+
+    def _show_picture(self, jpeg: bytes, stamp: float, age: float) -> None:
+        self._pictures += 1
+        frame = PICTURE_HEADER.pack(self._pictures % 2**32, stamp, age) + jpeg
+        for page in self.pages:
+            page.show_picture(self._pictures, frame)
+
+    def join(self, page: PageSocket) -> bool:
+        """Let a page in, where there is room."""
+        if len(self.pages) >= MOST_PAGES:
+            return False
+        self.pages.add(page)
+        page.say({"type": "welcome", **self.desk.greet()})
+        if len(self.pages) > 1 and self._state:
+            page.show(self._state)
+        self.desk.on_pages(len(self.pages))
+        return True
+
+    def leave(self, page: PageSocket) -> None:
+        """A page is gone."""
+        if page in self.pages:
+            self.pages.remove(page)
+            self.desk.on_pages(len(self.pages))
+
+    def make_ticket(self) -> str:
+        """A word that allows one download, soon."""
+        ticket = secrets.token_urlsafe(16)
+        now = time.monotonic()
+        self.tickets = {word: end for word, end in self.tickets.items() if end > now}
+        self.tickets[ticket] = now + TICKET_LIFE_S
+        return ticket
+
+
+class _Guarded(RequestHandler):
+    """What every handler checks first."""
+
+    command = False
+    server: PageServer
+
+    def set_default_headers(self) -> None:
+        """The security headers go with every answer, also with refusals."""
+        for name, value in HEADERS.items():
+            self.set_header(name, value)
+
+    def prepare(self) -> None:
+        """Refuse a wrong Host or Origin before anything else happens."""
+        headers = self.request.headers
+        origin = headers.get("Origin") or headers.get("Sec-Websocket-Origin")
+        refusal = self.server.guard.refusal(self.request.host, origin, command=self.command)
+        if refusal:
+            self.refuse(403, refusal)
+
+    def refuse(self, status: int, sentence: str) -> None:
+        """End the request with a sentence."""
+        self.set_status(status)
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(sentence + "\n")
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        """Errors in a few words and without a trace."""
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(f"{status_code} {self._reason}\n")
+
+
+class FileHandler(_Guarded, StaticFileHandler):
+    """The page's files: index.html, style.css, page.js and the icon."""
+
+    def initialize(self, server: PageServer, path: str, default_filename: str) -> None:  # type: ignore[override]
+        """Keep the server."""
+        self.server = server
+        super().initialize(path, default_filename)
+
+
+class RunHandler(_Guarded):
+    """Downloads of run folders, for whoever holds a ticket."""
+
+    def initialize(self, server: PageServer) -> None:
+        """Keep the server."""
+        self.server = server
+
+    async def get(self, ticket: str) -> None:
+        """The archive of the last run, sent piece by piece."""
+        if self.server.tickets.pop(ticket, 0.0) < time.monotonic():
+            self.refuse(403, "this link was used or has expired; press the page's button again")
+            return
+        found = await asyncio.get_running_loop().run_in_executor(None, self.server.desk.open_run)
+        if isinstance(found, str):
+            self.refuse(404, found)
+            return
+        name, path = found
+        self.set_header("Content-Type", "application/zip")
+        self.set_header("Content-Disposition", f'attachment; filename="{name}"')
+        try:
+            self.set_header("Content-Length", str(path.stat().st_size))
+            with path.open("rb") as archive:
+                while piece := archive.read(1 << 18):
+                    self.write(piece)
+                    await asyncio.wait_for(self.flush(), 60.0)
+        except (StreamClosedError, TimeoutError):
+            return
+        finally:
+            path.unlink(missing_ok=True)
+
+
+class PageSocket(_Guarded, WebSocketHandler):
+    """One open page."""
+
+    command = True
+
+    def initialize(self, server: PageServer) -> None:
+        """Keep the server."""
+        self.server = server
+        self.joined = False
+        self._answers: deque[str] = deque()
+        self._state = ""
+        self._picture = b""
+        self._awaited = 0
+        self._wake = asyncio.Event()
+        self._second = (0, 0)
+        self._tasks: list[asyncio.Task[None]] = []
+
+    @property
+    def wants_picture(self) -> bool:
+        """Whether the page has drawn the last picture that it was sent."""
+        return self.joined and not self._awaited
+
+    def check_origin(self, origin: str) -> bool:
+        """Done before, in :meth:`prepare`."""
+        return True
+
+    def open(self, *_: str, **__: str) -> None:
+        """Wait for the page's first word."""
+        self.set_nodelay(True)
+        self._tasks = [
+            asyncio.ensure_future(self._expect_hello()),
+            asyncio.ensure_future(self._write()),
+        ]
+
+    async def _expect_hello(self) -> None:
+        await asyncio.sleep(HELLO_PATIENCE_S)
+        if not self.joined:
+            self.close(BAD_TOKEN, "no hello")
+
+    def on_message(self, message: str | bytes) -> None:
+        """Serve one message; whatever it holds, the page gets an answer in words."""
+        second, count = self._second
+        now = int(time.monotonic())
+        self._second = (now, count + 1 if now == second else 1)
+        if self._second[1] > MOST_MESSAGES:
+            self.close(TOO_MANY_MESSAGES, "too many messages in a second")
+            return
+        try:
+            request = parse(message)
+        except BadRequest as error:
+            self.say({"type": "answer", "ok": False, "text": str(error)})
+            return
+        if isinstance(request, Hello):
+            self._hello(request)
+        elif not self.joined:
+            self.close(BAD_TOKEN, "the first message must be hello, with the token")
+        elif isinstance(request, Seen):
+            if request.number == self._awaited:
+                self._awaited = 0
+        else:
+            self.server.desk.on_request(
+                request,
+                self.request.remote_ip or "?",
+                lambda answer: self.server.later(self.say, answer),
+            )
+
+    def _hello(self, request: Hello) -> None:
+        if self.joined:
+            return
+        if not self.server.guard.admits(request.token):
+            self.close(BAD_TOKEN, "the token is wrong or missing")
+        elif not self.server.join(self):
+            self.close(TOO_MANY_PAGES, f"{MOST_PAGES} pages are open already; close one")
+        else:
+            self.joined = True
+
+    def on_close(self) -> None:
+        """The page is gone."""
+        self.joined = False
+        for task in self._tasks:
+            task.cancel()
+        self.server.leave(self)
+
+    # To the page
+
+    def say(self, answer: dict[str, object]) -> None:
+        """Send an answer; they all arrive, in order."""
+        if len(self._answers) >= MOST_ANSWERS:
+            self._drop()
+            return
+        self._answers.append(json.dumps(answer, allow_nan=False))
+        self._wake.set()
+
+    def show(self, state: str) -> None:
+        """Send a state, in place of one that was not sent yet."""
+        self._state = state
+        self._wake.set()
+
+    def show_picture(self, number: int, frame: bytes) -> None:
+        """Send a picture, unless the page is still busy with the last one."""
+        if self.wants_picture:
+            self._awaited = number % 2**32
+            self._picture = frame
+            self._wake.set()
+
+    async def _write(self) -> None:
+        """Send what there is, one after the other, and end with a page that does not read."""
+        try:
+            while True:
+                await self._wake.wait()
+                self._wake.clear()
+                while self._answers:
+                    await self._send(self._answers.popleft(), binary=False)
+                state, self._state = self._state, ""
+                if state:
+                    await self._send(state, binary=False)
+                picture, self._picture = self._picture, b""
+                if picture:
+                    await self._send(picture, binary=True)
+        except (WebSocketClosedError, StreamClosedError):
+            return
+        except (TimeoutError, asyncio.TimeoutError):
+            self._drop()
+
+    def _drop(self) -> None:
+        """End with a page that does not read; a closing handshake would wait for it."""
+        if self.ws_connection is not None:
+            self.ws_connection.stream.close()
+
+    async def _send(self, content: str | bytes, *, binary: bool) -> None:
+        await asyncio.wait_for(self.write_message(content, binary), WRITE_PATIENCE_S)
+
+
+def bind(address: str, port: int) -> list[socket.socket]:
+    """Sockets that listen; for localhost those of IPv4 and, where there is one, of IPv6.
+
+    Raises:
+        OSError: the port is taken, or the address is not this machine's.
+    """
+    return bind_sockets(port, address or None, backlog=32)

@@ -1,0 +1,176 @@
+"use strict";
+// The ghost of the object on the picture. It follows the pointer at once and roughly; where it really
+// is on the table the node says, by the camera's model, one question after the other.
+
+class Ghost {
+  constructor(ask, onPose) {
+    this.ask = ask;            // sends a question to the node; false where there is no connection
+    this.onPose = onPose;      // is told every answer: pose in mm and degrees, refusal, typed
+    this.shape = null;         // the node's last answer
+    this.touched = false;      // a person has placed it: it follows goal and object no longer
+    this.number = 0;
+    this.waiting = false;
+    this.next = null;
+    this.hold = null;
+    this.aspect = 0.8;
+    this.parts = {};
+    for (const name of ["outline", "shade", "arm", "arm-shade", "centre", "knob", "handle"]) {
+      this.parts[name] = document.getElementById("ghost-" + name);
+    }
+    this.group = document.getElementById("ghost");
+    this.overlay = document.getElementById("overlay");
+    for (const [name, kind] of [["outline", "move"], ["handle", "turn"]]) {
+      const part = this.parts[name];
+      part.addEventListener("pointerdown", (event) => this.grab(event, kind));
+      part.addEventListener("pointermove", (event) => this.drag(event));
+      for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
+        part.addEventListener(end, () => this.release());
+      }
+      part.addEventListener("keydown", (event) => this.key(event));
+    }
+    new ResizeObserver(() => this.size()).observe(this.overlay);
+  }
+
+  // Questions: only the latest is worth asking.
+
+  question(content, typed = false) {
+    this.next = { content, typed };
+    this.pump();
+  }
+
+  pump() {
+    if (this.waiting || !this.next) return;
+    const { content, typed } = this.next;
+    this.next = null;
+    this.number += 1;
+    this.typed = typed;
+    this.waiting = this.ask({ ...content, number: this.number });
+  }
+
+  place(x, y, angle, typed = false) {
+    this.question({ do: "place", x, y, angle }, typed);
+  }
+
+  answer(message) {
+    if (message.number !== this.number) return;
+    this.waiting = false;
+    const typed = this.typed;
+    if (message.trouble) {
+      this.onPose({ trouble: message.trouble }, typed);
+    } else {
+      this.shape = message;
+      this.group.removeAttribute("hidden");
+      this.group.classList.toggle("refused", Boolean(message.refusal));
+      this.draw();
+      this.onPose(message, typed);
+    }
+    this.pump();
+  }
+
+  forget() {  // the connection was lost: what was asked is not answered any more
+    this.waiting = false;
+    this.next = null;
+    this.release();
+  }
+
+  // Dragging
+
+  at(event) {
+    const box = this.overlay.getBoundingClientRect();
+    return [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
+  }
+
+  grab(event, kind) {
+    if (!this.shape || event.button > 0) return;
+    event.preventDefault();
+    event.currentTarget.setPointerCapture(event.pointerId);
+    event.currentTarget.focus({ preventScroll: true });
+    const from = kind === "move" ? this.shape.centre : this.shape.handle;
+    const [u, v] = this.at(event);
+    this.hold = { kind, du: from[0] - u, dv: from[1] - v, u: from[0], v: from[1] };
+    this.group.classList.add("held");
+  }
+
+  drag(event) {
+    const hold = this.hold;
+    if (!hold) return;
+    const [u, v] = this.at(event);
+    hold.u = Math.min(1, Math.max(0, u + hold.du));
+    hold.v = Math.min(1, Math.max(0, v + hold.dv));
+    this.touched = true;
+    this.draw();
+    const { x, y, angle } = this.shape;
+    this.question(hold.kind === "move"
+      ? { do: "move", u: hold.u, v: hold.v, angle }
+      : { do: "turn", x, y, u: hold.u, v: hold.v });
+  }
+
+  release() {
+    this.hold = null;
+    this.group.classList.remove("held");
+    if (this.shape) this.draw();
+  }
+
+  key(event) {
+    if (!this.shape) return;
+    const step = event.shiftKey ? 10 : 1;
+    const turns = { PageUp: step, PageDown: -step };
+    const ways = { ArrowRight: 0, ArrowUp: 90, ArrowLeft: 180, ArrowDown: 270 };
+    let { x, y, angle } = this.shape;
+    if (event.key in turns) {
+      angle += turns[event.key];
+    } else if (event.key in ways) {
+      const way = (ways[event.key] + this.shape.right) * Math.PI / 180;
+      x += step * Math.round(Math.cos(way));
+      y += step * Math.round(Math.sin(way));
+    } else {
+      return;
+    }
+    event.preventDefault();
+    this.touched = true;
+    this.place(x, y, angle);
+    this.shape = { ...this.shape, x, y, angle };  // the next key adds to this one
+  }
+
+  // Drawing
+
+  size() {
+    this.overlay.setAttribute("viewBox", `0 0 1000 ${1000 * this.aspect}`);
+    const unit = 1000 / (this.overlay.clientWidth || 1000);
+    this.parts.handle.setAttribute("r", 24 * unit);
+    this.parts.knob.setAttribute("r", 10 * unit);
+    this.parts.knob.setAttribute("stroke-width", 2 * unit);
+    this.parts.centre.setAttribute("r", 4 * unit);
+  }
+
+  draw() {
+    const { outline, centre, handle } = this.shape;
+    const scale = ([u, v]) => [1000 * u, 1000 * this.aspect * v];
+    const c = scale(centre), h = scale(handle);
+    let moved = (p) => p;
+    if (this.hold && this.hold.kind === "move") {
+      const [x, y] = scale([this.hold.u, this.hold.v]);
+      moved = ([px, py]) => [px + x - c[0], py + y - c[1]];
+    } else if (this.hold) {
+      const [x, y] = scale([this.hold.u, this.hold.v]);
+      const turn = Math.atan2(y - c[1], x - c[0]) - Math.atan2(h[1] - c[1], h[0] - c[0]);
+      const cos = Math.cos(turn), sin = Math.sin(turn);
+      moved = ([px, py]) => [
+        c[0] + cos * (px - c[0]) - sin * (py - c[1]),
+        c[1] + sin * (px - c[0]) + cos * (py - c[1]),
+      ];
+    }
+    const points = outline.map((p) => moved(scale(p)).map((n) => n.toFixed(1)).join(",")).join(" ");
+    const [cx, cy] = moved(c), [hx, hy] = moved(h);
+    for (const name of ["outline", "shade"]) this.parts[name].setAttribute("points", points);
+    for (const name of ["arm", "arm-shade"]) {
+      for (const [key, value] of Object.entries({ x1: cx, y1: cy, x2: hx, y2: hy })) {
+        this.parts[name].setAttribute(key, value);
+      }
+    }
+    for (const [name, x, y] of [["centre", cx, cy], ["knob", hx, hy], ["handle", hx, hy]]) {
+      this.parts[name].setAttribute("cx", x);
+      this.parts[name].setAttribute("cy", y);
+    }
+  }
+}

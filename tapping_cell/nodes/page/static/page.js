@@ -1,0 +1,447 @@
+"use strict";
+// The operator's page: shows what the node operator_page says and sends it what a person asks for.
+
+const $ = (id) => document.getElementById(id);
+const SILENCE_MS = 3000;        // without a word from the node the connection counts as lost
+const ANSWER_MS = 6000;         // after which a request without an answer is said to have none
+const STALE_S = 1.5;            // age of a picture beyond which it is greyed
+const MODE_WORDS = {
+  ready: "Ready", moving: "Moving", "not ready": "Not ready", fault: "Fault", stopped: "Stopped",
+  lost: "Not connected",
+};
+const ANSWERS = {
+  goal: "goal-answer", cancel: "goal-answer", stop: "attention-answer", clear: "attention-answer",
+  press_button: "attention-answer", download: "run-answer",
+};
+
+let socket = null, connected = false, refusedFor = "", attempts = 0, retryAt = 0;
+let lostAt = performance.now(), heardAt = 0, state = null, cell = null, picture = null;
+let sent = null, followed = "";
+const waiting = new Map();          // requests that wait for an answer
+
+function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+function signed(value, digits = 1, unit = "") {
+  if (value === null || value === undefined) return "?";
+  const text = Math.abs(value).toFixed(digits);
+  const sign = Number(text) === 0 ? "" : value < 0 ? "\u2212" : "+";
+  return sign + text + unit;
+}
+
+// ---- The connection
+
+function takeToken() {
+  const given = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (given) {
+    sessionStorage.setItem("token", given);
+    history.replaceState(null, "", location.pathname);  // out of sight and of the history
+  }
+  return sessionStorage.getItem("token") || "";
+}
+
+function connect() {
+  retryAt = 0;
+  const url = new URL("live", location.href);
+  url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+  url.hash = "";
+  const made = new WebSocket(url);
+  made.binaryType = "arraybuffer";
+  socket = made;
+  heardAt = performance.now();
+  made.onopen = () => made.send(JSON.stringify({ do: "hello", token: takeToken() }));
+  made.onmessage = (event) => {
+    if (socket !== made) return;
+    heardAt = performance.now();
+    if (typeof event.data === "string") hear(JSON.parse(event.data));
+    else showPicture(made, event.data);
+  };
+  made.onclose = (event) => { if (socket === made) lose(event.code, event.reason); };
+}
+
+function lose(code, reason) {
+  if (connected) lostAt = performance.now();
+  connected = false;
+  socket = null;
+  waiting.clear();
+  ghost.forget();
+  refusedFor = code >= 4000 ? reason : "";
+  attempts += 1;
+  const pause = code === 4401 ? Infinity : Math.min(5000, 400 * 2 ** Math.min(attempts, 5));
+  retryAt = performance.now() + pause;
+  $("token-form").hidden = code !== 4401;
+  if (code === 4401) sessionStorage.removeItem("token");
+  render();
+}
+
+function say(content) {
+  if (!connected || socket.readyState !== WebSocket.OPEN) return false;
+  socket.send(JSON.stringify(content));
+  return true;
+}
+
+function request(name, content = {}) {
+  show(name, "", "");
+  if (say({ do: name, ...content })) waiting.set(name, performance.now());
+  else show(name, "not sent: there is no connection", "bad");
+}
+
+function hear(message) {
+  if (message.type === "welcome") {
+    cell = message;
+    connected = true;
+    attempts = 0;
+    followed = "";
+    const where = message.namespace === "/" ? "" : `${message.namespace} `;
+    setText($("cell"), where + message.cell);
+    setText($("object"), message.object);
+    document.title = where + message.cell;
+    render();
+  } else if (message.type === "state") {
+    state = message;
+    render();
+  } else if (message.type === "ghost") {
+    ghost.answer(message);
+  } else if (message.type === "download") {
+    waiting.delete("download");
+    const link = document.createElement("a");
+    link.href = message.path;
+    link.click();
+    show("download", "the download begins", "good");
+  } else if (message.type === "answer") {
+    waiting.delete(message.to);
+    show(message.to, message.text, message.ok ? "good" : "bad");
+  }
+}
+
+function show(to, text, kind) {
+  const place = $(ANSWERS[to] || "goal-answer");
+  setText(place, text);
+  place.className = "answer " + kind;
+}
+
+// ---- The picture
+
+async function showPicture(from, data) {
+  const head = new DataView(data, 0, 20);
+  const number = head.getUint32(0), stamp = head.getFloat64(4), age = head.getFloat64(12);
+  try {
+    const bitmap = await createImageBitmap(new Blob([data.slice(20)], { type: "image/jpeg" }));
+    const canvas = $("picture");
+    if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) {
+      canvas.width = bitmap.width;
+      canvas.height = bitmap.height;
+      ghost.aspect = bitmap.height / bitmap.width;
+      ghost.size();
+    }
+    canvas.getContext("2d").drawImage(bitmap, 0, 0);
+    bitmap.close();
+    picture = { age, at: performance.now() };
+    canvas.dataset.number = number;
+    canvas.dataset.delay = (Date.now() - 1000 * stamp).toFixed(1);  // ms, where both clocks agree
+  } finally {
+    if (socket === from) say({ do: "seen", number });
+  }
+}
+
+function pictureAge() {
+  return picture ? picture.age + (performance.now() - picture.at) / 1000 : Infinity;
+}
+
+function ageText(seconds) {
+  if (seconds < 1) return "less than 1 s";
+  if (seconds < 120) return `${Math.floor(seconds)} s`;
+  return `${Math.floor(seconds / 60)} min`;
+}
+
+function renderPicture() {
+  const age = pictureAge(), stale = age > STALE_S;
+  document.body.classList.toggle("stale", stale);
+  const seen = state && state.object;
+  let words = "";
+  if (!connected) {
+    words = picture ? `Connection lost. This picture is ${ageText(age)} old.` : "";
+  } else if (!picture) {
+    words = state && performance.now() - lostAt > 2000
+      ? "No picture yet. " + (seen && seen.sentence || "Is camera_pose active?") : "";
+  } else if (stale) {
+    words = `No new picture for ${ageText(age)}. ` + (seen && seen.sentence || "Look after the camera and camera_pose.");
+  }
+  setText($("stage-words"), words);
+  $("stage-words").hidden = !words;
+  if (!connected || !seen) return;
+  const parts = [];
+  if (seen.visible) {
+    const [x, y, angle] = seen.pose;
+    parts.push(`${cell.object} ${seen.at_rest ? "at rest" : "moving"} at x ${signed(x)} mm, y ${signed(y)} mm, ${signed(angle)}\u00b0`);
+  }
+  if (seen.sentence && !words) parts.push(`${seen.sentence} (${seen.code})`);
+  if (!stale) parts.push(`picture ${age.toFixed(1)} s old`);
+  setText($("picture-words"), parts.join(" \u00b7 "));
+}
+
+// ---- Everything else
+
+function render() {
+  document.body.classList.toggle("lost", !connected);
+  const mode = connected && state ? state.mode : "lost";
+  document.body.dataset.mode = mode;
+  setText($("mode-word"), MODE_WORDS[mode]);
+  setText($("mode-sentence"), connected && state ? state.sentence : "");
+  renderBanner();
+  renderPicture();
+  for (const id of ["send", "goal-x", "goal-y", "goal-angle", "clear", "press-button"]) $(id).disabled = !connected;
+  $("stop").disabled = !connected;
+  setText(document.querySelector(".stop-note"), connected ? "arm and tapper" : "no connection: use the wired stop");
+  if (!state) {
+    for (const id of ["cancel", "home-ghost", "download"]) $(id).disabled = true;
+    return;
+  }
+  const halted = mode === "stopped" || mode === "fault";
+  $("attention").hidden = !halted;
+  if (halted) {
+    setText($("attention-title"), mode === "stopped" ? "The cell is stopped" : "The cell has a fault");
+    setText($("attention-words"), state.sentence);
+  } else if (connected) {
+    show("clear", "", "");
+  }
+  $("press-button").hidden = !state.simulated;
+  renderGoal();
+  renderTaps();
+  renderNodes();
+  renderLog();
+  setText($("run-words"), state.run.text);
+  $("download").disabled = !connected || !state.run.ready;
+}
+
+function renderBanner() {
+  let words = "";
+  if (!connected && refusedFor) {
+    words = $("token-form").hidden ? `Not let in: ${refusedFor}.`
+      : `This cell wants its token (${refusedFor}). The node operator_page printed it when it started.`;
+  } else if (!connected && attempts > 0) {
+    const wait = Math.max(0, Math.ceil((retryAt - performance.now()) / 1000));
+    const since = state ? ` What you see is from ${ageText((performance.now() - lostAt) / 1000)} ago.` : "";
+    words = `No connection to the cell.${since} ${socket ? "Trying now\u2026" : `Trying again in ${wait} s.`}`
+      + " The cell goes on with what it does: to stop it, use its wired emergency stop.";
+  }
+  setText($("banner-words"), words);
+  $("banner").hidden = !words;
+}
+
+function renderGoal() {
+  const plan = state.plan;
+  $("cancel").disabled = !connected || !plan.busy;
+  $("home-ghost").disabled = !connected || !state.placeable || !state.object.visible;
+  setText($("send"), plan.busy ? "Replace the goal" : "Send goal");
+  const known = plan.goal && plan.distance !== null;
+  $("to-go").hidden = !known;
+  if (known) {
+    setText($("to-go-distance"), plan.distance.toFixed(plan.distance < 100 ? 1 : 0) + " mm");
+    setText($("to-go-rotation"), signed(plan.rotation, 1, "\u00b0"));
+    setText($("to-go-taps"), String(plan.taps));
+    $("to-go").classList.toggle("reached", plan.state === "reached");
+  }
+  let words = "No goal.";
+  if (plan.goal) {
+    const [x, y, angle] = plan.goal;
+    const within = plan.tolerance[0] ? `, within ${plan.tolerance[0]} mm and ${plan.tolerance[1]}\u00b0` : "";
+    words = `Goal x ${signed(x)} mm, y ${signed(y)} mm, ${signed(angle)}\u00b0${within}: ${plan.state}.`;
+  }
+  if (plan.code) words += ` ${plan.sentence} (${plan.code})`;
+  setText($("goal-words"), words);
+  if (sent && plan.busy && plan.goal && plan.goal.every((n, i) => Math.abs(n - sent[i]) < 0.02)) {
+    sent = null;
+    ghost.touched = false;
+  }
+  follow(plan.busy ? plan.goal : state.object.visible ? state.object.pose : null);
+}
+
+function follow(pose) {
+  // An untouched ghost lies at the goal, or at the object.
+  if (!connected || !pose || !state.placeable || ghost.touched || ghost.hold || editing()) return;
+  const key = pose.map((n) => n.toFixed(1)).join();
+  if (key === followed) return;
+  followed = key;
+  ghost.place(pose[0], pose[1], pose[2]);
+}
+
+function triple(values) {
+  const [x, y, angle] = values;
+  return x === null ? "not seen" : `${signed(x)}, ${signed(y)} mm; ${signed(angle)}\u00b0`;
+}
+
+function renderTaps() {
+  const taps = state.taps, key = JSON.stringify([taps, state.plan.tolerance]);
+  const body = $("taps").tBodies[0];
+  $("taps").hidden = $("taps-note").hidden = !taps.length;
+  $("no-taps").hidden = Boolean(taps.length);
+  if (body.dataset.key === key) return;
+  body.dataset.key = key;
+  const [mm, degrees] = state.plan.tolerance || [0, 0];
+  body.replaceChildren(...taps.map((tap) => {
+    const row = document.createElement("tr");
+    const cell = (name, text, kind = "", note = "") => {
+      const made = row.insertCell();
+      made.dataset.name = name;
+      made.className = kind;
+      made.textContent = text;
+      if (note) made.append(Object.assign(document.createElement("small"), { textContent: note }));
+    };
+    const speed = tap.speed === null ? "" : `${tap.speed.toFixed(0)} mm/s, `;
+    cell("Tap", String(tap.number), "", `${speed}${tap.outcome}, ${tap.method}`);
+    cell("Commanded", triple(tap.commanded));
+    cell("Predicted", triple(tap.predicted));
+    cell("Measured", triple(tap.measured));
+    const [distance, angle] = tap.remaining;
+    const inside = distance !== null && distance <= mm && Math.abs(angle) <= degrees;
+    cell("Remaining", distance === null ? "not seen" : `${distance.toFixed(2)} mm; ${signed(angle, 2)}\u00b0`,
+      "remaining" + (inside ? " inside" : ""));
+    return row;
+  }));
+}
+
+function renderNodes() {
+  const key = JSON.stringify(state.nodes), list = $("nodes");
+  if (list.dataset.key === key) return;
+  list.dataset.key = key;
+  const words = { ok: "ok", warn: "warning", error: "error" };
+  list.replaceChildren(...state.nodes.map((node) => {
+    const row = document.createElement("li");
+    row.className = node.level;
+    const part = (kind, text) => row.append(
+      Object.assign(document.createElement("span"), { className: kind, textContent: text }));
+    part("dot", "");
+    part("name", node.name);
+    part("life", `${node.life}, ${words[node.level] || "unknown"}`);
+    if (node.sentence && node.sentence !== "ok") part("said", node.sentence);
+    return row;
+  }));
+}
+
+function renderLog() {
+  const key = JSON.stringify(state.log), list = $("log");
+  $("no-log").hidden = Boolean(state.log.length);
+  if (list.dataset.key === key) return;
+  list.dataset.key = key;
+  list.replaceChildren(...[...state.log].reverse().map((line) => {
+    const row = document.createElement("li");
+    const time = document.createElement("time");
+    time.textContent = new Date(1000 * line.time).toLocaleTimeString([], { hour12: false });
+    row.append(time, Object.assign(document.createElement("span"), { textContent: line.text, className: line.kind }));
+    return row;
+  }));
+}
+
+// ---- What a person does
+
+const FIELDS = { x: $("goal-x"), y: $("goal-y"), angle: $("goal-angle") };
+const FIELD_NAMES = { x: "x", y: "y", angle: "The angle" };
+
+function editing() {
+  return Object.values(FIELDS).includes(document.activeElement);
+}
+
+function readField(name) {
+  const typed = FIELDS[name].value.trim().replace("\u2212", "-").replace(",", ".");
+  const value = /^[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$/i.test(typed) ? Number(typed) : NaN;
+  const good = Number.isFinite(value);
+  FIELDS[name].setAttribute("aria-invalid", String(!good));
+  const unit = name === "angle" ? "degrees" : "mm";
+  const trouble = good ? "" : `${FIELD_NAMES[name]} is ${typed ? `'${typed}'` : "empty"}: type a number in ${unit}, such as 12.5.`;
+  return { value, trouble };
+}
+
+function readGoal() {
+  const read = { x: readField("x"), y: readField("y"), angle: readField("angle") };
+  const trouble = Object.values(read).map((field) => field.trouble).find(Boolean) || "";
+  setText($("goal-trouble"), trouble);
+  return trouble ? null : { x: read.x.value, y: read.y.value, angle: read.angle.value };
+}
+
+const ghost = new Ghost(say, (pose, typed) => {
+  if (pose.trouble) {
+    setText($("goal-trouble"), pose.trouble);
+    return;
+  }
+  if (!typed) {
+    for (const name of ["x", "y", "angle"]) {
+      FIELDS[name].value = pose[name].toFixed(1);
+      FIELDS[name].setAttribute("aria-invalid", "false");
+    }
+  }
+  setText($("goal-trouble"), pose.refusal ? `The planner will refuse this: ${pose.refusal}` : "");
+});
+
+for (const [name, field] of Object.entries(FIELDS)) {
+  field.addEventListener("input", () => {
+    ghost.touched = true;
+    const goal = readGoal();
+    if (goal) ghost.place(goal.x, goal.y, goal.angle, true);
+  });
+  field.addEventListener("keydown", (event) => {
+    const step = { ArrowUp: 1, ArrowDown: -1 }[event.key];
+    const { value, trouble } = readField(name);
+    if (!step || trouble) return;
+    event.preventDefault();
+    field.value = (value + step * (event.shiftKey ? 10 : 1)).toFixed(1);
+    field.dispatchEvent(new Event("input"));
+  });
+}
+
+$("goal-form").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const goal = readGoal();
+  if (!goal) {
+    Object.values(FIELDS).find((field) => field.getAttribute("aria-invalid") === "true").focus();
+    return;
+  }
+  sent = [goal.x, goal.y, Math.atan2(Math.sin(goal.angle * Math.PI / 180), Math.cos(goal.angle * Math.PI / 180)) * 180 / Math.PI];
+  document.activeElement.blur();
+  request("goal", goal);
+});
+$("stop").addEventListener("click", () => request("stop"));
+$("cancel").addEventListener("click", () => request("cancel"));
+$("press-button").addEventListener("click", () => request("press_button"));
+$("download").addEventListener("click", () => request("download"));
+$("home-ghost").addEventListener("click", () => {
+  ghost.touched = true;
+  ghost.place(...state.object.pose);
+});
+$("clear").addEventListener("click", () => $("clear-dialog").showModal());
+$("clear-dialog").addEventListener("close", () => {
+  if ($("clear-dialog").returnValue === "yes") request("clear");
+  $("clear-dialog").returnValue = "no";
+});
+$("token-form").addEventListener("submit", (event) => {
+  event.preventDefault();
+  sessionStorage.setItem("token", $("token").value.trim());
+  $("token").value = "";
+  connect();
+});
+
+// ---- The clock
+
+setInterval(() => {
+  const now = performance.now();
+  if (socket && now - heardAt > SILENCE_MS) {
+    const silent = socket;
+    lose(1006, "");
+    silent.close();
+  } else if (!socket && now >= retryAt) {
+    connect();
+  }
+  for (const [name, since] of waiting) {
+    if (now - since < ANSWER_MS) continue;
+    waiting.delete(name);
+    show(name, "no answer so far; look at the nodes below", "bad");
+  }
+  renderBanner();
+  renderPicture();
+}, 250);
+addEventListener("online", () => { if (!socket && retryAt < Infinity) connect(); });
+document.addEventListener("visibilitychange", () => {
+  if (!document.hidden && !socket && retryAt < Infinity) connect();
+});
+connect();
