@@ -23,7 +23,7 @@ from rich.console import Console
 from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.cli import session
-from tapping_cell.cli.graph import SIMULATED, Graph, NodeDied, own_domain
+from tapping_cell.cli.graph import SIMULATED, Graph, NodeDied, own_domain, with_own_ports
 from tapping_cell.cli.up import node_parameters
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError
@@ -90,7 +90,11 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with (
             tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports,
-            Graph(SIMULATED, _parameters(arguments, cell, Path(ports)), folder / "logs") as graph,
+            Graph(
+                SIMULATED,
+                with_own_ports(node_parameters(arguments, cell), Path(ports)),
+                folder / "logs",
+            ) as graph,
             GoalClient("demo") as client,
         ):
             heard = _position(arguments, cell, graph, client, console)
@@ -128,17 +132,6 @@ def _run_folder(out: Path | None) -> Path:
     folder = out or Path("runs") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
     folder.mkdir(parents=True, exist_ok=True)
     return folder.resolve()
-
-
-def _parameters(
-    arguments: argparse.Namespace, cell: Cell, ports: Path
-) -> dict[str, dict[str, object]]:
-    """The graph's parameters with ports of this run alone, so that two runs do not meet."""
-    parameters = node_parameters(arguments, cell)
-    parameters["sim_world"] |= {"arm_port": ports / "arm", "tapper_port": ports / "tapper"}
-    parameters["scara_arm"]["port"] = ports / "arm"
-    parameters["tapper_trigger"]["port"] = ports / "tapper"
-    return parameters
 
 
 def _position(

@@ -166,6 +166,17 @@ def _die_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
 
 
+def with_own_ports(
+    parameters: dict[str, dict[str, object]], ports: Path
+) -> dict[str, dict[str, object]]:
+    """Parameters of a simulated graph, with serial ports in a folder of this run alone."""
+    own = {name: dict(values) for name, values in parameters.items()}
+    own["sim_world"] |= {"arm_port": ports / "arm", "tapper_port": ports / "tapper"}
+    own["scara_arm"]["port"] = ports / "arm"
+    own["tapper_trigger"]["port"] = ports / "tapper"
+    return own
+
+
 @dataclass(frozen=True, slots=True)
 class Domain:
     """A ROS domain held for one run, so that two runs side by side do not meet."""
