@@ -38,9 +38,7 @@ class Provenance:
 def provenance_yaml(record: Provenance, indent: int = 0) -> str:
     """The section as YAML text, key ``calibration`` included, every line indented."""
     content = {name: _plain(value) for name, value in asdict(record).items()}
-    dumped = yaml.safe_dump(
-        {"calibration": content}, sort_keys=False, default_flow_style=None, width=96 - indent
-    )
+    dumped = yaml.safe_dump({"calibration": content}, sort_keys=False, width=96 - indent)
     return "".join(" " * indent + line + "\n" for line in dumped.splitlines())
 
 

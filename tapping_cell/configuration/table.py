@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.schema import (
     ConfigurationError,
     load,
@@ -34,6 +35,7 @@ class TableFile:
 
     dictionary: str = text("OpenCV name of the marker dictionary, such as APRILTAG_36h11")
     markers: tuple[ReferenceSection, ...] = section("the reference markers")
+    calibration: Provenance | None = section("what the file was made from", default=None)
 
 
 def load_reference_map(path: Path | str) -> ReferenceMap:

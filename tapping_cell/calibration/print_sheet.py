@@ -1,0 +1,270 @@
+"""What is printed for a cell, laid out to scale: targets, reference markers, object markers.
+
+A page's frame: origin in its lower left corner, x to the right, y up, in m.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.calibration.target import Target
+from tapping_cell.vision.camera import Array
+from tapping_cell.vision.markers import ReferenceMap, ReferenceMarker, marker_pattern
+
+PAPERS = {
+    "a4": (0.297, 0.210),
+    "a3": (0.420, 0.297),
+    "a2": (0.594, 0.420),
+    "a1": (0.841, 0.594),
+    "a0": (1.189, 0.841),
+    "letter": (0.2794, 0.2159),
+    "tabloid": (0.4318, 0.2794),
+}
+"""Width and height in m of sheets lying on their long side."""
+_MARGIN = 0.010
+"""What printers leave white, in m."""
+_FOOT = 0.014
+"""Height of the line with ruler and text at the bottom, in m."""
+RULER = 0.100
+_QUIET = 0.125
+"""White around a marker, in sides of it: one module of an 8-module marker."""
+
+
+class SheetError(ValueError):
+    """Something does not fit on the paper; the message says what would."""
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """Text at (x, y), its lower left corner, ``height`` of its capitals, all in m."""
+
+    x: float
+    y: float
+    text: str
+    height: float = 0.0025
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """One page: black ``shapes``, each a list of loops (N, 2) with the ink to their left; thin
+    ``lines`` (x0, y0, x1, y1); ``labels``; everything in m.
+    """
+
+    width: float
+    height: float
+    shapes: tuple[tuple[Array, ...], ...]
+    lines: tuple[tuple[float, float, float, float], ...]
+    labels: tuple[Label, ...]
+
+
+def paper_size(name: str) -> tuple[float, float]:
+    """Width and height in m of a paper such as ``a4``, or of ``900x600`` in mm.
+
+    Raises:
+        SheetError: an unknown name or a size outside 100 to 5000 mm.
+    """
+    if name.lower() in PAPERS:
+        return PAPERS[name.lower()]
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)", name.lower())
+    if not found:
+        raise SheetError(
+            f"paper {name!r} is unknown; use {', '.join(PAPERS)} or a size in mm such as 900x600"
+        )
+    width, height = float(found[1]) / 1e3, float(found[2]) / 1e3
+    if not (0.1 <= width <= 5.0 and 0.1 <= height <= 5.0):
+        raise SheetError(f"paper of {name} mm is outside 100 to 5000 mm a side")
+    return width, height
+
+
+def target_page(paper: tuple[float, float], target: Target) -> Page:
+    """A ChArUco board or chessboard in the middle of a page.
+
+    Raises:
+        SheetError: it does not fit.
+    """
+    width, height = target.columns * target.square, target.rows * target.square
+    room = (paper[0] - 2 * _MARGIN, paper[1] - 2 * _MARGIN - _FOOT)
+    if width > room[0] + 1e-9 or height > room[1] + 1e-9:
+        raise SheetError(
+            f"a {target.describe()} is {width * 1e3:g} x {height * 1e3:g} mm; the paper has room"
+            f" for {room[0] * 1e3:g} x {room[1] * 1e3:g} mm: fewer or smaller squares"
+        )
+    left = 0.5 * (paper[0] - width)
+    top = 0.5 * (paper[1] + _FOOT + height)
+    shapes: list[tuple[Array, ...]] = []
+    number = 0
+    for row in range(target.rows):
+        for column in range(target.columns):
+            x, y = left + column * target.square, top - (row + 1) * target.square
+            if (row + column) % 2 == 0:
+                shapes.append((_rectangle(x, y, target.square),))
+            elif target.kind == "charuco":
+                inset = 0.5 * (target.square - target.marker)
+                loops = marker_loops(target.dictionary, number, target.marker)
+                shapes.append(tuple(loop + np.array([x + inset, y + inset]) for loop in loops))
+                number += 1
+    return _page(paper, shapes, [], f"target: {target.describe()}")
+
+
+def reference_map(
+    paper: tuple[float, float], size: float, dictionary: str, first_id: int
+) -> ReferenceMap:
+    """Eight markers of side ``size`` (m) along the rim of a sheet; origin in its middle.
+
+    Raises:
+        SheetError: they do not fit.
+    """
+    inset = _MARGIN + 0.5 * size
+    x = 0.5 * paper[0] - inset
+    top, bottom = 0.5 * paper[1] - inset, -0.5 * paper[1] + inset + _FOOT
+    apart = size * (1 + 4 * _QUIET)
+    if x < apart or top - bottom < 2 * apart:
+        largest = min((paper[0] - 2 * _MARGIN), (paper[1] - 2 * _MARGIN - _FOOT)) / (3 + 8 * _QUIET)
+        raise SheetError(
+            f"eight markers of {size * 1e3:g} mm do not fit on {paper[0] * 1e3:g} x"
+            f" {paper[1] * 1e3:g} mm; at most {largest * 1e3:.0f} mm do"
+        )
+    middle = 0.5 * (top + bottom)
+    places = [(-x, top), (0.0, top), (x, top), (-x, middle), (x, middle)]
+    places += [(-x, bottom), (0.0, bottom), (x, bottom)]
+    return ReferenceMap(
+        dictionary,
+        tuple(
+            ReferenceMarker(first_id + number, size, round(a, 6), round(b, 6))
+            for number, (a, b) in enumerate(places)
+        ),
+    )
+
+
+def reference_page(paper: tuple[float, float], references: ReferenceMap) -> Page:
+    """The reference markers around the middle of a page, with the table's origin and axes."""
+    middle = np.array(paper) / 2
+    shapes, labels = [], []
+    for marker in references.markers:
+        corner = middle + np.array([marker.x, marker.y]) - 0.5 * marker.size
+        loops = marker_loops(references.dictionary, marker.id, marker.size)
+        shapes.append(tuple(loop + corner for loop in loops))
+        text = f"{marker.id}  x {marker.x * 1e3:g}  y {marker.y * 1e3:g}"
+        labels.append(
+            Label(corner[0], corner[1] + (1 + _QUIET) * marker.size, text, 0.0015)
+            if marker.y < 0.3 * paper[1] - 0.02
+            else Label(corner[0], corner[1] - _QUIET * marker.size - 0.002, text, 0.0015)
+        )
+    arm = 0.02
+    lines = [
+        (middle[0] - 0.005, middle[1], middle[0] + arm, middle[1]),
+        (middle[0], middle[1] - 0.005, middle[0], middle[1] + arm),
+    ]
+    labels += [
+        Label(middle[0] + arm + 0.002, middle[1] - 0.001, "x"),
+        Label(middle[0] - 0.001, middle[1] + arm + 0.002, "y"),
+    ]
+    sizes = {marker.size for marker in references.markers}
+    side = ", ".join(f"{size * 1e3:g}" for size in sorted(sizes))
+    text = (
+        f"reference markers {references.dictionary}, side {side} mm; frame table: the cross, in mm"
+    )
+    return _page(paper, shapes, lines, text, labels)
+
+
+def object_page(
+    paper: tuple[float, float], ids: Sequence[int], size: float, dictionary: str
+) -> Page:
+    """Object markers in rows, each in a square to cut out that leaves it white all round.
+
+    Raises:
+        SheetError: they do not fit.
+    """
+    cell = size * (1 + 2.5 * _QUIET)
+    pitch = cell + 0.008
+    across = int((paper[0] - 2 * _MARGIN + 0.008) / pitch)
+    down = int((paper[1] - 2 * _MARGIN - _FOOT) / pitch)
+    if len(ids) > across * down:
+        raise SheetError(
+            f"{len(ids)} markers of {size * 1e3:g} mm do not fit on the paper, {across * down} do:"
+            " print fewer or smaller ones"
+        )
+    shapes, lines, labels = [], [], []
+    for number, marker_id in enumerate(ids):
+        x = _MARGIN + (number % across) * pitch
+        y = paper[1] - _MARGIN - (number // across) * pitch - cell
+        inset = 0.5 * (cell - size)
+        loops = marker_loops(dictionary, marker_id, size)
+        shapes.append(tuple(loop + np.array([x + inset, y + inset]) for loop in loops))
+        rim = [(x, y), (x + cell, y), (x + cell, y + cell), (x, y + cell), (x, y)]
+        lines += [(*start, *end) for start, end in pairwise(rim)]
+        text = f"{dictionary} id {marker_id}, {size * 1e3:g} mm; this edge is its foot"
+        labels.append(Label(x, y - 0.0035, text, 0.0015))
+    return _page(paper, shapes, lines, f"object markers {dictionary}", labels)
+
+
+def marker_loops(dictionary: str, marker_id: int, size: float) -> tuple[Array, ...]:
+    """Outlines of a marker's ink, loops (N, 2) in m from its lower left corner, ink to their left.
+
+    Whole outlines and not modules side by side, which would show seams.
+    """
+    black = ~marker_pattern(dictionary, marker_id)[::-1]
+    module = size / black.shape[0]
+    return tuple(loop * module for loop in _outlines(black))
+
+
+def _outlines(black: NDArray[np.bool_]) -> list[Array]:
+    """Loops around the cells that are True; cell (row, column) spans x = column, y = row."""
+    edges: set[tuple[tuple[int, int], tuple[int, int]]] = set()
+    for row, column in np.argwhere(black).tolist():
+        corners = [(column, row), (column + 1, row), (column + 1, row + 1), (column, row + 1)]
+        for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
+            if (end, start) in edges:
+                edges.remove((end, start))
+            else:
+                edges.add((start, end))
+    ahead: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for start, end in sorted(edges):
+        ahead.setdefault(start, []).append(end)
+    loops = []
+    while ahead:
+        loop = [next(iter(ahead))]
+        while True:
+            ends = ahead[loop[-1]]
+            following = ends.pop()
+            if not ends:
+                del ahead[loop[-1]]
+            if following == loop[0]:
+                break
+            loop.append(following)
+        loops.append(np.array(loop, dtype=float))
+    return loops
+
+
+def _rectangle(x: float, y: float, side: float) -> Array:
+    return np.array([[x, y], [x + side, y], [x + side, y + side], [x, y + side]])
+
+
+def _page(
+    paper: tuple[float, float],
+    shapes: Sequence[tuple[Array, ...]],
+    lines: Sequence[tuple[float, float, float, float]],
+    text: str,
+    labels: Sequence[Label] = (),
+) -> Page:
+    """A page with the ruler and the text at its foot."""
+    x, y = _MARGIN, _MARGIN
+    ruler = [(x, y, x + RULER, y)]
+    ruler += [
+        (x + k * RULER / 10, y, x + k * RULER / 10, y + (0.004 if k % 5 == 0 else 0.0025))
+        for k in range(11)
+    ]
+    foot = Label(
+        x,
+        y + 0.0055,
+        "ruler 100 mm: print at 100 %, measure it, and tell calibrate table what it measures",
+        0.0018,
+    )
+    what = Label(x + RULER + 0.006, y, text, 0.0018)
+    return Page(paper[0], paper[1], tuple(shapes), (*lines, *ruler), (*labels, foot, what))

@@ -1,0 +1,50 @@
+"""What a photograph shows instead of the target that was asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from tapping_cell.calibration.target import Target, TargetError, find_target
+from tapping_cell.vision.camera import Image
+
+_FAMILIES = ("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL", "APRILTAG_36h11")
+
+
+def hint(image: Image, target: Target) -> str | None:
+    """A sentence about the target that a grey image seems to show, None without an idea."""
+    others = [
+        (replace(target, columns=target.columns + 1, rows=target.rows + 1), "--corners"),
+        (replace(target, columns=target.columns - 1, rows=target.rows - 1), "--squares"),
+        (replace(target, columns=target.rows, rows=target.columns), "--squares"),
+    ]
+    for other, option in others:
+        try:
+            found = find_target(image, other, "")
+        except TargetError:
+            continue
+        if not isinstance(found, str):
+            return (
+                f"a board of {other.columns} x {other.rows} squares is seen: --squares counts"
+                f" squares, --corners inner corners; give --squares {other.columns}x{other.rows}"
+                + (
+                    f" or --corners {other.inner[0]}x{other.inner[1]}"
+                    if option == "--corners"
+                    else ""
+                )
+            )
+    if target.kind == "charuco":
+        seen = {name: _markers(image, name) for name in _FAMILIES}
+        best = max(seen, key=lambda name: seen[name])
+        if seen[best] >= 4:
+            return f"{seen[best]} markers of {best} are seen: give their --dictionary"
+    return None
+
+
+def _markers(image: Image, name: str) -> int:
+    """How many markers of a dictionary the image shows."""
+    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
+    _, ids, _ = cv2.aruco.ArucoDetector(book).detectMarkers(image)
+    return 0 if ids is None else len(np.unique(ids))

@@ -1,0 +1,60 @@
+"""Calibrate the camera, the table's markers, the arm, the tapper; print what that takes.
+
+Each sub-verb reads photographs or a CSV record and writes a file that the nodes read, with
+residuals, standard deviations, date and inputs in it. No file is replaced unless --force is given,
+and one with smaller residuals or uncertainty only with --accept-worse as well.
+
+  python -m tapping_cell calibrate print --paper a4 --output sheet.pdf
+  python -m tapping_cell calibrate camera photos/*.png --target chessboard --squares 9x7 \\
+      --square-size 25 --output camera_info.yaml
+  python -m tapping_cell calibrate table views/*.png --camera camera_info.yaml --size 40 \\
+      --output table.yaml
+  python -m tapping_cell calibrate arm arm.csv --cell config/cell.yaml --output cell.yaml
+  python -m tapping_cell calibrate tapper taps.csv --cell config/cell.yaml --output cell.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+
+from tapping_cell.calibration.camera import CalibrationRefused
+from tapping_cell.calibration.csv_table import RecordError
+from tapping_cell.calibration.keep import KeptFile
+from tapping_cell.configuration.schema import ConfigurationError
+
+SUBVERBS = {
+    "camera": "focal lengths and lens from photographs of a target",
+    "print": "true-to-scale sheets: targets, reference markers, object markers",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the sub-verbs."""
+    sub = parser.add_subparsers(dest="subject", required=True, metavar="WHAT")
+    for name, text in SUBVERBS.items():
+        module = _module(name)
+        one = sub.add_parser(
+            name,
+            help=text,
+            description=module.__doc__,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(one)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run one; 0 done, 1 the measurements do not do, 2 a file or option that cannot be used."""
+    try:
+        return _module(arguments.subject).run(arguments)
+    except CalibrationRefused as error:
+        print(error, file=sys.stderr)
+        return 1
+    except (RecordError, KeptFile, ConfigurationError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+def _module(name: str):
+    return importlib.import_module(f"tapping_cell.cli.calibration.{name}_verb")

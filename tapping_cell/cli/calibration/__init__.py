@@ -1,0 +1,1 @@
+"""The sub-verbs of ``calibrate``: one module each, like verbs."""

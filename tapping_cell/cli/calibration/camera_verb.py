@@ -1,0 +1,295 @@
+"""Intrinsics of a camera from photographs of a flat target: writes ROS camera_info YAML.
+
+Print a target (calibrate print --what charuco), fix it to something flat and take about 20
+photographs at the size that the cell will use, focus and zoom locked: the target in every part of
+the image, tilted by 20 to 40 degrees to all sides. Folders stand for the images in them. Exit
+status 1: the photographs do not determine the camera.
+
+  python -m tapping_cell calibrate camera photos/*.png --target charuco --squares 8x6 \\
+      --square-size 25 --marker-size 18.75 --dictionary 4X4_250 --output camera_info.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from tapping_cell.calibration.camera import (
+    CalibrationRefused,
+    CameraCalibration,
+    UsedView,
+    calibrate_camera,
+)
+from tapping_cell.calibration.camera_file import camera_info_yaml, camera_record
+from tapping_cell.calibration.camera_views import Rejected
+from tapping_cell.calibration.keep import refuse_existing, write_kept
+from tapping_cell.calibration.target import Target, TargetError, TargetView, find_target
+from tapping_cell.calibration.target_hint import hint
+from tapping_cell.cli.output_arguments import add_output_arguments, output_of
+from tapping_cell.configuration.table import load_camera_model
+
+IMAGE_ENDINGS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        "images", nargs="+", type=Path, metavar="IMAGE", help="image files, or folders of them"
+    )
+    parser.add_argument("--target", choices=("charuco", "chessboard"), default="charuco")
+    group = parser.add_mutually_exclusive_group(required=True)
+    group.add_argument(
+        "--squares", type=counts, metavar="CxR", help="squares in a row and in a column, e.g. 8x6"
+    )
+    group.add_argument(
+        "--corners",
+        type=counts,
+        metavar="CxR",
+        help="inner corners instead, as OpenCV and ROS count chessboards, e.g. 7x5",
+    )
+    parser.add_argument(
+        "--square-size", type=float, required=True, metavar="MM", help="side of a square in mm"
+    )
+    parser.add_argument(
+        "--marker-size", type=float, metavar="MM", help="side of a ChArUco marker in mm"
+    )
+    parser.add_argument(
+        "--dictionary", default="4X4_250", help="marker dictionary of a ChArUco board (4X4_250)"
+    )
+    parser.add_argument(
+        "--model",
+        choices=("auto", "plumb_bob", "rational_polynomial"),
+        default="auto",
+        help="lens model (auto: what predicts left-out views best)",
+    )
+    parser.add_argument("--name", default="overhead_camera", help="camera_name in the file")
+    parser.add_argument(
+        "--annotate", type=Path, metavar="DIR", help="write pictures: errors, coverage"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_output_arguments(parser, "camera_info.yaml")
+
+
+def counts(word: str) -> tuple[int, int]:
+    """Two counts from a word such as 8x6."""
+    found = re.fullmatch(r"(\d+)[xX](\d+)", word)
+    if not found:
+        raise argparse.ArgumentTypeError(f"{word!r} is no pair of counts such as 8x6")
+    return int(found[1]), int(found[2])
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Calibrate; 0 if the file was written."""
+    output = output_of(arguments)
+    refuse_existing(output)
+    target = _target(arguments)
+    paths = image_files(arguments.images)
+    views, size, unseen = _find(paths, target, quiet=arguments.json)
+    model = None if arguments.model == "auto" else arguments.model
+    result = calibrate_camera(views, target, size, model, unseen)
+    record = camera_record(result, target.describe(), paths)
+    if arguments.annotate is not None:
+        write_pictures(arguments.annotate, paths, result)
+    text = camera_info_yaml(result.model, arguments.name, record)
+    write_kept(output, text, record, load_camera_model)
+    if arguments.json:
+        print(json.dumps(report(result, output.path), indent=1))
+    else:
+        print("\n".join(lines(result)))
+        print(f"written: {output.path}")
+    return 0
+
+
+def _target(arguments: argparse.Namespace) -> Target:
+    columns, rows = arguments.squares or tuple(count + 1 for count in arguments.corners)
+    marker = 0.0
+    if arguments.target == "charuco":
+        if arguments.marker_size is None:
+            raise CalibrationRefused("a ChArUco target needs --marker-size, in mm")
+        marker = arguments.marker_size / 1e3
+    try:
+        return Target(
+            arguments.target,
+            columns,
+            rows,
+            arguments.square_size / 1e3,
+            marker,
+            arguments.dictionary if arguments.target == "charuco" else "",
+        )
+    except (TargetError, ValueError) as error:
+        raise CalibrationRefused(str(error)) from error
+
+
+def image_files(paths: list[Path]) -> list[Path]:
+    """The files, with folders replaced by the images in them, in order of name.
+
+    Raises:
+        CalibrationRefused: one is not there, or a folder holds no image.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_ENDINGS)
+            if not inside:
+                raise CalibrationRefused(f"{path}: the folder holds no image")
+            found.extend(inside)
+        elif path.is_file():
+            found.append(path)
+        else:
+            raise CalibrationRefused(f"{path}: there is no such file")
+    return list(dict.fromkeys(found))
+
+
+def read_grey(path: Path) -> np.ndarray | None:
+    """A photograph in grey as the sensor had it: a viewer's rotation is not applied."""
+    return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+
+
+def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
+    """The size (width, height) of all images.
+
+    Raises:
+        CalibrationRefused: names the images of another size, or says that there is none.
+    """
+    if not sizes:
+        raise CalibrationRefused("none of the files is an image that can be read")
+    counted = Counter(sizes.values()).most_common()
+    size, number = counted[0]
+    if len(counted) > 1:
+        odd = [f"{name} ({w} x {h})" for name, (w, h) in sizes.items() if (w, h) != size]
+        shown = ", ".join(odd[:6]) + (f" and {len(odd) - 6} more" if len(odd) > 6 else "")
+        raise CalibrationRefused(
+            f"the images differ in size: {number} are {size[0]} x {size[1]} pixels, but {shown}."
+            " A calibration is for one size; leave out the others"
+        )
+    return size
+
+
+def _find(
+    paths: list[Path], target: Target, quiet: bool
+) -> tuple[list[TargetView], tuple[int, int], list[Rejected]]:
+    """The views of the target in the files, the images' size, and the files without a view."""
+    images = {}
+    unseen: list[Rejected] = []
+    for path in paths:
+        image = read_grey(path)
+        if image is None:
+            unseen.append(Rejected(path.name, "cannot be read as an image"))
+        else:
+            images[path] = image.shape[::-1]
+    size = one_size({path.name: shape for path, shape in images.items()})
+    views = []
+    console = Console(stderr=True)
+    hidden = quiet or not console.is_terminal
+    for path in track(images, "looking for the target", console=console, disable=hidden):
+        found = find_target(read_grey(path), target, path.name)
+        if isinstance(found, str):
+            unseen.append(Rejected(path.name, found))
+        else:
+            views.append(found)
+    if not views:
+        for path in list(images)[:5]:
+            idea = hint(read_grey(path), target)
+            if idea:
+                raise CalibrationRefused(
+                    f"no photograph shows the {target.describe()}; in {path.name} {idea}"
+                )
+    return views, size, unseen
+
+
+def report(result: CameraCalibration, path: Path) -> dict[str, Any]:
+    """The result for programs."""
+    model = result.model
+    return {
+        "output": str(path),
+        "image_width": model.width,
+        "image_height": model.height,
+        "fx": model.fx,
+        "fy": model.fy,
+        "cx": model.cx,
+        "cy": model.cy,
+        "distortion_model": model.distortion_model,
+        "distortion": list(model.distortion),
+        "deviations": result.deviations,
+        "rms_px": result.rms,
+        "lens": result.lens,
+        "held_out_rms_px": result.held_out,
+        "views": [
+            {
+                "image": entry.view.name,
+                "corners": len(entry.view.ids),
+                "rms_px": entry.rms,
+                "tilt_deg": math.degrees(entry.tilt),
+                "blur_px": entry.view.blur,
+            }
+            for entry in result.views
+        ],
+        "rejected": [{"image": r.name, "reason": r.reason} for r in result.rejected],
+        "coverage": result.coverage.tolist(),
+        "warnings": list(result.warnings),
+    }
+
+
+def lines(result: CameraCalibration) -> list[str]:
+    """The result for people."""
+    m, d = result.model, result.deviations
+    rows = [f"{'view':<28} {'corners':>7} {'rms px':>7} {'tilt deg':>8} {'blur px':>7}"]
+    rows += [
+        f"{entry.view.name:<28} {len(entry.view.ids):>7} {entry.rms:>7.3f}"
+        f" {math.degrees(entry.tilt):>8.1f} {entry.view.blur:>7.2f}"
+        for entry in result.views
+    ]
+    rows += [f"left out: {entry.name}: {entry.reason}" for entry in result.rejected]
+    rows.append("views with corners in each part of the image:")
+    rows += ["  " + " ".join(f"{count:>3}" for count in row) for row in result.coverage]
+    tried = ", ".join(f"{label} {error:.4f}" for label, error in result.held_out.items())
+    rows += [
+        f"lens: {result.lens} (error in views left out of the fit, px: {tried})",
+        f"fx {m.fx:.2f} +- {d['fx']:.2f}, fy {m.fy:.2f} +- {d['fy']:.2f}, cx {m.cx:.2f} +-"
+        f" {d['cx']:.2f}, cy {m.cy:.2f} +- {d['cy']:.2f} px",
+        "distortion " + " ".join(f"{value:.5g}" for value in m.distortion),
+        f"reprojection rms {result.rms:.4f} px over {len(result.views)} views",
+    ]
+    return rows + [f"note: {text}" for text in result.warnings]
+
+
+def write_pictures(folder: Path, paths: list[Path], result: CameraCalibration) -> None:
+    """A picture a view with its corners and errors (50 times as long), and one of the coverage.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {path.name: path for path in paths}
+    scale = max(1, round(result.model.width / 900))
+    size = (result.model.height, result.model.width, 3)
+    whole = np.full(size, 255, dtype=np.uint8)
+    for entry in result.views:
+        picture = cv2.cvtColor(read_grey(files[entry.view.name]), cv2.COLOR_GRAY2BGR)
+        _draw(picture, entry, scale)
+        _draw(whole, entry, scale)
+        _write(folder / f"{Path(entry.view.name).stem}.png", picture)
+    _write(folder / "coverage.png", whole)
+
+
+def _draw(picture: np.ndarray, entry: UsedView, scale: int) -> None:
+    for (x, y), (dx, dy) in zip(entry.view.pixels, entry.residuals, strict=True):
+        at = (round(x), round(y))
+        cv2.circle(picture, at, 3 * scale, (40, 140, 0), scale, cv2.LINE_AA)
+        end = (round(x + 50 * dx), round(y + 50 * dy))
+        cv2.line(picture, at, end, (0, 0, 220), scale, cv2.LINE_AA)
+
+
+def _write(path: Path, picture: np.ndarray) -> None:
+    if not cv2.imwrite(str(path), picture):
+        raise OSError(f"{path} was not written")

@@ -1,0 +1,35 @@
+"""Options of verbs that write a calibrated file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from tapping_cell.calibration.keep import Output
+
+
+def add_output_arguments(parser: argparse.ArgumentParser, default: str | None = None) -> None:
+    """Declare --output, --force and --accept-worse."""
+    parser.add_argument(
+        "--output",
+        type=Path,
+        required=default is None,
+        default=default and Path(default),
+        metavar="FILE",
+        help="the file to write" + (f" ({default})" if default else ""),
+    )
+    parser.add_argument("--force", action="store_true", help="replace the file if it is there")
+    parser.add_argument(
+        "--accept-worse",
+        action="store_true",
+        help="with --force: replace it even if its residual or uncertainty is smaller",
+    )
+
+
+def output_of(
+    arguments: argparse.Namespace, record_at: tuple[str, ...] = ("calibration",)
+) -> Output:
+    """Where the result goes and what is allowed; ``record_at`` is where the file keeps its
+    record."""
+    path = arguments.output.expanduser()
+    return Output(path, arguments.force, arguments.accept_worse, record_at)
