@@ -59,6 +59,7 @@ class GoalDesk:
         self._planner = planner or cell.file.goal.planner
         self._space = assembly.make_strike_space(cell)
         self._free = FreeSpace(self._space)
+        self.workable = self._free.outline()
         self._experiments = assembly.make_strike_space(cell, cautious(self._space))
         self._planners: dict[str, Planner] = {}
         # Made now, so that a method that must be solved first begins before the first goal.

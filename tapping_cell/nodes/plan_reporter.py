@@ -11,9 +11,9 @@ from tapping_cell_msgs.action import PositionObject, SingleTap
 from tapping_cell_msgs.msg import GoalReport, ObjectState, PlanState, TapRecord
 from visualization_msgs.msg import MarkerArray
 
-from tapping_cell.configuration.cell import Cell
 from tapping_cell.nodes.cell_node import LATCHED
-from tapping_cell.nodes.goal_desk import Request
+from tapping_cell.nodes.conversions import from_message
+from tapping_cell.nodes.goal_desk import GoalDesk, Request
 from tapping_cell.nodes.markers import cell_markers
 from tapping_cell.nodes.tap_task import Shot, SingleTapTask, Task
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
@@ -63,7 +63,7 @@ class PlanReporter:
         task: Task | None,
         shot: Shot | None,
         pose: Pose | None,
-        cell: Cell | None,
+        desk: GoalDesk | None,
     ) -> None:
         """Report a phase with its error code and sentence, and what is known of goal and object."""
         self._said_at = time.monotonic()
@@ -83,10 +83,14 @@ class PlanReporter:
         self._states.publish(state)
         if task is not None and phase in FINAL and state.planner != PRESCRIBED:
             self._report_end(state, task)
-        if cell is not None:
+        if desk is not None:
             strike = shot.strike if shot is not None else None
             goal = task.goal if task is not None else None
-            self._markers.publish(cell_markers(cell, state, pose, goal, strike))
+            records = task.records if task is not None else ()
+            way = [from_message(record.object_pose) for record in records]
+            self._markers.publish(
+                cell_markers(desk.cell, state, pose, goal, strike, way, desk.workable)
+            )
 
     def refuse(self, trouble: tuple[int, str], request: Request) -> None:
         """Report a goal that was refused."""

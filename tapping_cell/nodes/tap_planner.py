@@ -469,9 +469,8 @@ class TapPlanner(CellNode[Parameters]):
             self._door.answer(task.handle, result)
 
     def _say(self, code: int, sentence: str) -> None:
-        cell = self._desk.cell if self._desk is not None else None
         self._reporter.say(
-            self._phase, (code, sentence), self._task, self._shot, self._monitor.pose, cell
+            self._phase, (code, sentence), self._task, self._shot, self._monitor.pose, self._desk
         )
 
 
