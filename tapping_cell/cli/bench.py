@@ -13,6 +13,7 @@ import json
 # A section is a module with ``measure() -> dict`` (what --json prints) and
 # ``lines(report) -> list[str]`` (the same for people).
 SECTIONS = {
+    "drivers": "tapping_cell.cli.benchmarks.drivers",
     "mechanics": "tapping_cell.cli.benchmarks.mechanics",
     "vision": "tapping_cell.cli.benchmarks.vision",
 }

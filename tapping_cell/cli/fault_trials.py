@@ -175,7 +175,7 @@ class TrialCell:
         return outcome
 
     def _tap(self) -> FireOutcome:
-        tip = self._random_tip()
+        tip = self.random_tip()
         path = strike_path(self.geometry, self.arm.read_joints(), tip, self.motion)
         goal = path[-1].joints if path else self.arm.read_joints()
         self._check_place(self.arm.follow(path), goal)
@@ -223,7 +223,8 @@ class TrialCell:
             self.tapper_device.press_clear_button(self.clock.now)
             self.tapper.clear()
 
-    def _random_tip(self) -> TipPose:
+    def random_tip(self) -> TipPose:
+        """Somewhere on the table that the arm reaches, in ``arm_base``."""
         while True:
             x, y = self.rng.uniform((0.25, -0.3), (0.7, 0.3))
             tip = TipPose(float(x), float(y), 0.012, float(self.rng.uniform(-3.1, 3.1)))

@@ -20,6 +20,7 @@ from tapping_cell.configuration.schema import (
     text,
 )
 from tapping_cell.configuration.table import load_camera_model, load_reference_map
+from tapping_cell.hardware.controller_needs import ControllerNeeds, needs_of
 from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.motion import MotionSettings
 from tapping_cell.hardware.scara import ScaraGeometry
@@ -99,6 +100,20 @@ class ArmSection:
     home: FourNumbers = quantity(
         "joints where homing ends: rad, rad, m, rad", "", -20.0, 20.0, default=(0.0,) * 4
     )
+    steps_per_unit: tuple[float, ...] = quantity(
+        "steps per degree or mm that the controller must be set to, four; empty: not checked",
+        "",
+        0.001,
+        1e6,
+        default=(),
+    )
+    grbl_settings: tuple[tuple[float, float], ...] = quantity(
+        "number and value of what $$ must say besides $13 = 0, such as [[23, 3], [27, 1.0]]",
+        "",
+        -1e7,
+        1e7,
+        default=(),
+    )
 
     def geometry(self) -> ScaraGeometry:
         """Dimensions and limits for the kinematics."""
@@ -115,6 +130,18 @@ class ArmSection:
             max_acceleration=self.max_acceleration,
             singularity_margin=self.singularity_margin,
         )
+
+    def controller_needs(self) -> ControllerNeeds:
+        """What the controller's own settings must allow.
+
+        Raises:
+            ValueError: steps_per_unit has another number of values than four or none.
+        """
+        if len(self.steps_per_unit) not in (0, 4):
+            raise ValueError(
+                f"arm.steps_per_unit has {len(self.steps_per_unit)} values, must have four or none"
+            )
+        return needs_of(self.geometry(), self.steps_per_unit)
 
     def motion(self) -> MotionSettings:
         """Heights, speeds and park pose of the tap moves."""
@@ -243,7 +270,7 @@ def load_cell(path: Path | str | None = None, object_path: Path | str | None = N
     chosen = Path(object_path) if object_path else folder / content.object
     chosen = chosen.expanduser().resolve()
     try:
-        content.arm.geometry()
+        content.arm.controller_needs()
         content.arm.motion()
         content.tapper.striker()
         content.tapper.curve()

@@ -153,6 +153,10 @@ class ArmDriver:
             return _stop_fault()
         return self._fault
 
+    def now(self) -> float:
+        """The clock of ``ArmReading.stamp``, s."""
+        return self._transport.now()
+
     @property
     def line_counters(self) -> LineCounters:
         """Retries, resends, timeouts and unreadable lines of the dialect."""

@@ -25,6 +25,8 @@ class Firmware:
     version: str
     continued: bool
     """True when the controller proved that it was not reset since this driver last set it up."""
+    remarks: tuple[str, ...] = ()
+    """What a person should know of this firmware's build, in sentences."""
 
 
 @dataclass(frozen=True, slots=True)

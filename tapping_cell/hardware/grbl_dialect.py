@@ -6,7 +6,8 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from tapping_cell.hardware import grbl
+from tapping_cell.hardware import controller_needs, grbl
+from tapping_cell.hardware.controller_needs import ControllerNeeds
 from tapping_cell.hardware.dialect import (
     AXIS_COUNT,
     AxisReading,
@@ -53,8 +54,8 @@ class GrblSettings:
     """Axis letters of shoulder, elbow, quill, tool."""
     expected: Mapping[int, float] = field(default_factory=lambda: {13: 0.0})
     """Settings that must hold, number to value; 13 = 0 means reports in mm and degrees."""
-    tolerance: float = 1e-3
-    """Relative difference forgiven in a setting."""
+    needs: ControllerNeeds = field(default_factory=ControllerNeeds)
+    """What ``$100`` to ``$133`` must allow."""
     home_place: tuple[float, float, float, float] | None = None
     """Machine position after homing, in degrees and mm; None: as Grbl computes it from ``$$``."""
 
@@ -388,18 +389,35 @@ class GrblDialect:
             )
         self._homed_place = self._settings.home_place or _homed_place(found)
         wrong = [
-            f"${number} is {found.get(number, 'missing')}, must be {value:g}"
+            f"${number} is {found[number]:g}, must be {value:g}"
+            if number in found
+            else f"${number} is missing, must be {value:g}"
             for number, value in self._settings.expected.items()
             if number not in found
-            or abs(found[number] - value) > self._settings.tolerance * max(abs(value), 1.0)
+            or abs(found[number] - value) > controller_needs.TOLERANCE * max(abs(value), 1.0)
         ]
-        if wrong:
-            raise HardwareFault(
-                FaultReason.SETTINGS_MISMATCH,
-                "the controller's settings differ from the configuration: "
-                + "; ".join(wrong)
-                + ": set them on the controller or correct the configuration",
-            )
+        controller_needs.refuse(wrong + self._unmet(found))
+
+    def _unmet(self, found: Mapping[int, float]) -> list[str]:
+        """What the controller's steps, rates, accelerations and travels do not allow."""
+        needs = self._settings.needs
+
+        def four(first: int) -> tuple[list[str], list[float]]:
+            numbers = [first + axis for axis in range(AXIS_COUNT)]
+            listed = all(number in found for number in numbers)
+            return [f"${n}" for n in numbers], [found[n] for n in numbers] if listed else []
+
+        unmet = controller_needs.exactly(*four(100), needs.steps)
+        # Grbl's rates are in units/min.
+        per_minute = None
+        if needs.speed is not None:
+            a, b, c, d = needs.speed
+            per_minute = (60 * a, 60 * b, 60 * c, 60 * d)
+        unmet += controller_needs.at_least(*four(110), per_minute)
+        unmet += controller_needs.at_least(*four(120), needs.acceleration)
+        if found.get(20, 0.0):
+            unmet += controller_needs.at_least(*four(130), needs.travel)
+        return unmet
 
     def _mark_is_there(self, deadline: float) -> bool:
         heard = self._retried(b"$G\n", deadline)

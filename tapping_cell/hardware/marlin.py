@@ -76,10 +76,20 @@ class Position:
 
 
 @dataclass(frozen=True, slots=True)
-class Steps:
-    """``M92``: steps per unit."""
+class AxisFigures:
+    """``M92``: steps per unit; ``M203``: units/s; ``M201``: units/s^2; by axis letter."""
 
-    per_unit: Mapping[str, float]
+    code: str
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SoftEndstops:
+    """``M211``: whether targets are clipped, and to what."""
+
+    on: bool
+    low: Mapping[str, float]
+    high: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +131,8 @@ Frame = (
     | Halted
     | Unknown
     | Position
-    | Steps
+    | AxisFigures
+    | SoftEndstops
     | FirmwareName
     | Capability
     | Note
@@ -146,7 +157,11 @@ _RESEND = re.compile(r"^(?:Resend|rs): ?N?(\d{1,10})$")
 _POSITION = re.compile(r"^(?:[A-Z]:-?\d{1,7}\.\d{1,4} ?)+(?:Count:? ?(.*))?$")
 _AXIS = re.compile(r"([A-Z]):(-?\d{1,7}\.\d{1,4})(?= |$)")
 _COUNT = re.compile(r"([A-Z]): ?(-?\d{1,10})(?= |$)")
-_STEPS = re.compile(r"^(?:echo:)? *M92((?: [A-Z]\d{1,7}(?:\.\d{1,4})?)+)$")
+_FIGURES = re.compile(r"^(?:echo:)? *M(92|201|203)((?: [A-Z]\d{1,7}(?:\.\d{1,4})?)+)$")
+_PLACE = r"((?: *[A-Z]:?-?\d{1,7}(?:\.\d{1,4})?)+)"
+_SOFT_ENDSTOPS = re.compile(
+    rf"^(?:echo:)?Soft endstops: (ON|OFF|On|Off) +Min: *{_PLACE} +Max: *{_PLACE}$"
+)
 _FIRMWARE = re.compile(r"^FIRMWARE_NAME:(.{1,60}?)(?: SOURCE_CODE_URL:.*| PROTOCOL_VERSION:.*)?$")
 _CAPABILITY = re.compile(r"^Cap:([A-Z0-9_]{1,40}):([01])$")
 
@@ -189,8 +204,10 @@ def decode_line(line: bytes) -> Frame:
         counts = {axis: int(count) for axis, count in _COUNT.findall(found[1] or "")}
         values = {axis: float(value) for axis, value in _AXIS.findall(commanded)}
         return Position(values, counts, place is not text)
-    if found := _STEPS.match(text):
-        return Steps({word[0]: float(word[1:]) for word in found[1].split()})
+    if found := _FIGURES.match(text):
+        return AxisFigures(f"M{found[1]}", _by_axis(found[2]))
+    if found := _SOFT_ENDSTOPS.match(text):
+        return SoftEndstops(found[1].upper() == "ON", _by_axis(found[2]), _by_axis(found[3]))
     if found := _FIRMWARE.match(text):
         return FirmwareName(found[1])
     if found := _CAPABILITY.match(text):
@@ -198,6 +215,10 @@ def decode_line(line: bytes) -> Frame:
     if text.startswith(("echo:", "//", "Cap:", "Marlin")):
         return Note(text)
     return Bad(line, "not a line of this firmware")
+
+
+def _by_axis(text: str) -> dict[str, float]:
+    return {axis: float(value) for axis, value in re.findall(r"([A-Z]):?(-?\d+(?:\.\d+)?)", text)}
 
 
 def numbered(number: int, code: str) -> bytes:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import secrets
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from tapping_cell.hardware import marlin
+from tapping_cell.hardware import controller_needs, marlin
+from tapping_cell.hardware.controller_needs import ControllerNeeds
 from tapping_cell.hardware.dialect import (
     AXIS_COUNT,
     AxisReading,
@@ -30,6 +31,9 @@ FIRST_NUMBERS = (1000, 100_000_000)
 """Range of the number at which counting starts: a board that was reset counts from 0 instead."""
 RESET_PAUSE = 0.2
 """The port stays closed for this long, so that its DTR line resets a halted board, s."""
+NO_EMERGENCY_PARSER = (
+    "this Marlin is built without EMERGENCY_PARSER: a stop halts it (M112) until its board is reset"
+)
 RECOVERIES = 8
 """Rounds of sending again before a line counts as dead."""
 
@@ -40,6 +44,8 @@ class MarlinSettings:
 
     letters: str = "XYZA"
     """Axis letters of shoulder, elbow, quill, tool."""
+    needs: ControllerNeeds = field(default_factory=ControllerNeeds)
+    """What M92, M201, M203 and M211 must allow, where the firmware tells them."""
 
     def __post_init__(self) -> None:
         if len(set(self.letters)) != AXIS_COUNT or not set(self.letters) <= set("XYZABCUVWE"):
@@ -84,11 +90,13 @@ class MarlinDialect:
         continued = self._number > 0 and self._counts_on(deadline)
         self._begin_numbers(deadline)
         name = self._identify(deadline)
-        self._steps = self._read_steps(deadline)
+        self._steps = self._figures("M92", deadline)
+        self._check_settings(deadline)
         for mode in ("G21", "G90"):
             self._command(mode, deadline)
         self._known = True
-        return Firmware("Marlin", name, continued)
+        remarks = () if self._emergency_parser else (NO_EMERGENCY_PARSER,)
+        return Firmware("Marlin", name, continued, remarks)
 
     def read(self, deadline: float) -> AxisReading:
         """``M114``: the step counts where the firmware gives them, else what was commanded."""
@@ -370,14 +378,40 @@ class MarlinDialect:
             " dialect parameter",
         )
 
-    def _read_steps(self, deadline: float) -> dict[str, float]:
-        """Steps per unit of our axes; empty where the firmware does not tell."""
-        for frame in self._command("M92", deadline):
-            if isinstance(frame, marlin.Steps) and set(self._settings.letters) <= set(
-                frame.per_unit
+    def _figures(self, code: str, deadline: float) -> dict[str, float]:
+        """What a code without words tells of our axes; empty where the firmware does not tell."""
+        letters = self._settings.letters
+        for frame in self._command(code, deadline):
+            if (
+                isinstance(frame, marlin.AxisFigures)
+                and frame.code == code
+                and set(letters) <= set(frame.values)
             ):
-                return {axis: frame.per_unit[axis] for axis in self._settings.letters}
+                return {axis: frame.values[axis] for axis in letters}
         return {}
+
+    def _check_settings(self, deadline: float) -> None:
+        """Refuse steps, rates, accelerations and soft end stops that differ from what is needed."""
+        needs = self._settings.needs
+        if needs == ControllerNeeds():
+            return
+
+        def told(code: str, figures: dict[str, float]) -> tuple[list[str], list[float]]:
+            return [f"{code} {axis}" for axis in figures], list(figures.values())
+
+        wrong = controller_needs.exactly(*told("M92", self._steps), needs.steps)
+        for code, needed in (("M203", needs.speed), ("M201", needs.acceleration)):
+            wrong += controller_needs.at_least(*told(code, self._figures(code, deadline)), needed)
+        for frame in self._command("M211", deadline):
+            if isinstance(frame, marlin.SoftEndstops) and frame.on:
+                free = {
+                    axis: frame.high[axis] - frame.low[axis]
+                    for axis in self._settings.letters
+                    if axis in frame.low and axis in frame.high
+                }
+                if len(free) == AXIS_COUNT:
+                    wrong += controller_needs.at_least(*told("M211 range", free), needs.travel)
+        controller_needs.refuse(wrong)
 
     def _reading(self, frame: marlin.Position, asked: float) -> AxisReading:
         letters = self._settings.letters

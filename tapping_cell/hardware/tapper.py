@@ -161,12 +161,20 @@ class TapperDriver:
         ms."""
         return self._request(Command.STATUS)
 
-    def arm(self, shot: int, energy: float, timeout: float = 3.0) -> Reply:
+    def arm(
+        self,
+        shot: int,
+        energy: float,
+        timeout: float = 3.0,
+        go_on: Callable[[], bool] = lambda: True,
+    ) -> Reply:
         """Draw for ``energy`` in J; returns when drawn. The tapper disarms by itself ``timeout`` s
         after the request, or 500 ms after the last frame.
 
-        ``shot`` must be above every shot tried before. Raises HardwareFault: SHOT_SPENT, INTERLOCK,
-        STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET, REJECTED, DISCONNECTED.
+        ``go_on`` is asked every few milliseconds of the draw; when it says no, the tapper is
+        disarmed at once and its answer to that is returned. ``shot`` must be above every shot tried
+        before. Raises HardwareFault: SHOT_SPENT, INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT,
+        BOARD_RESET, REJECTED, DISCONNECTED.
         """
         energy_uj = round(energy * 1e6) if energy == energy and abs(energy) < 1e9 else -1
         if not (0 < shot <= protocol.MAXIMUM_SHOT and 0 < energy_uj <= protocol.MAXIMUM_ENERGY_UJ):
@@ -196,6 +204,8 @@ class TapperDriver:
                     f"the tapper was not drawn after {self.settings.draw_timeout:g} s: look whether"
                     " the spring or its motor is blocked",
                 )
+            if not go_on():
+                return self.disarm()
             self._listen(self.settings.poll_period)
             reply = self._request(Command.STATUS)
         if reply.shot != shot or round(reply.energy * 1e6) != energy_uj:

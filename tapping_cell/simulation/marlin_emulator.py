@@ -53,6 +53,10 @@ class MarlinMachine:
     homing_rate: float = 60.0
     """Units/s."""
     emergency_parser: bool = True
+    soft_endstops: bool = False
+    soft_low: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    soft_high: tuple[float, float, float, float] = (200.0, 200.0, 200.0, 200.0)
+    """What ``M211`` tells; the emulated firmware does not clip."""
     reply_latency: float = 0.002
     baud: int = 115200
 
@@ -319,9 +323,18 @@ class MarlinEmulator:
             )
             self._say("Cap:SERIAL_XON_XOFF:0", now)
             self._say(f"Cap:EMERGENCY_PARSER:{int(self.machine.emergency_parser)}", now)
-        elif code == "M92" and not words:
-            steps = zip(letters, self.machine.steps, strict=True)
-            self._say("echo:  M92" + "".join(f" {a}{v:.2f}" for a, v in steps), now)
+        elif code in ("M92", "M201", "M203") and not words:
+            machine = self.machine
+            values = {"M92": machine.steps, "M201": machine.acceleration, "M203": machine.max_rate}
+            figures = zip(letters, values[code], strict=True)
+            self._say(f"echo:  {code}" + "".join(f" {a}{v:.2f}" for a, v in figures), now)
+        elif code == "M211" and not words:
+            low, high = (
+                " ".join(f"{a}{v:.2f}" for a, v in zip(letters, ends, strict=True))
+                for ends in (self.machine.soft_low, self.machine.soft_high)
+            )
+            on = "ON" if self.machine.soft_endstops else "OFF"
+            self._say(f"Soft endstops: {on}  Min: {low}  Max: {high}", now)
         elif code not in ("M17", "M105", "M999"):
             return False
         return True

@@ -235,7 +235,7 @@ def test_an_alarm_in_mid_move(plug: Callable[..., PseudoTerminal]) -> None:
 def test_settings_that_differ_are_refused_by_name(plug: Callable[..., PseudoTerminal]) -> None:
     cell = Cell(plug, expected={13: 0.0, 110: 1234.0, 999: 1.0})
     with pytest.raises(
-        HardwareFault, match=r"\$110 is 6900.0, must be 1234; \$999 is miss"
+        HardwareFault, match=r"\$110 is 6900, must be 1234; \$999 is miss"
     ) as caught:
         cell.driver.connect()
     assert caught.value.reason is FaultReason.SETTINGS_MISMATCH

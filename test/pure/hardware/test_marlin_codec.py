@@ -32,7 +32,15 @@ from tapping_cell.hardware import marlin
         ),
         (b'echo:Unknown command: "M9999"', marlin.Unknown("M9999")),
         (b"Cap:EMERGENCY_PARSER:1", marlin.Capability("EMERGENCY_PARSER", True)),
-        (b"echo:  M92 X80.00 Y80.00 Z400.00", marlin.Steps({"X": 80.0, "Y": 80.0, "Z": 400.0})),
+        (
+            b"echo:  M92 X80.00 Y80.00 Z400.00",
+            marlin.AxisFigures("M92", {"X": 80.0, "Y": 80.0, "Z": 400.0}),
+        ),
+        (b"  M203 X115.00 Y143", marlin.AxisFigures("M203", {"X": 115.0, "Y": 143.0})),
+        (
+            b"Soft endstops: On  Min:   X-5.00 Y0.00  Max:   X220.00 Y200.00",
+            marlin.SoftEndstops(True, {"X": -5.0, "Y": 0.0}, {"X": 220.0, "Y": 200.0}),
+        ),
         (
             b"X:1.50 Y:-2.00 Z:0.00 A:90.00 Count X:300 Y:-400 Z:0 A:9000",
             marlin.Position(

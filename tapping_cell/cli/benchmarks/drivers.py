@@ -1,0 +1,184 @@
+"""The drivers: what they add to a tap, how soon a stop is on the wire, how soon they are back.
+
+The overhead is measured in the emulated devices' own time (their lines take as long as real ones at
+115200 baud, with 2 ms for the adapter), so the machine's load does not show in it. Stop and
+reconnection run over real pseudo-terminals in real time. Peers: a bare ``os.write`` through the
+same terminal, and a bare opening of the port.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import tempfile
+import threading
+import time
+import tty
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.cli.fault_trials import Dialect, TrialCell
+from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.faults import HardwareFault
+from tapping_cell.hardware.grbl import STOP
+from tapping_cell.hardware.grbl_dialect import GrblDialect
+from tapping_cell.hardware.marlin_dialect import MarlinDialect
+from tapping_cell.hardware.motion import path_duration, strike_path, withdraw_path
+from tapping_cell.hardware.scara import ScaraGeometry
+from tapping_cell.hardware.serial_transport import SerialTransport
+from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.hardware.transport import Transport
+from tapping_cell.simulation.device_emulator import DeviceEmulator
+from tapping_cell.simulation.grbl_emulator import GrblEmulator
+from tapping_cell.simulation.marlin_emulator import MarlinEmulator
+from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
+
+TAPS = 200
+STOPS = 500
+RETURNS = 20
+
+
+def measure() -> dict[str, Any]:
+    """Overhead a tap in s for each dialect, stop to wire in s, reconnection in s."""
+    return {
+        "overhead": {dialect.value: overhead(dialect, TAPS) for dialect in Dialect},
+        "stop": stop_to_wire(STOPS),
+        "reconnect": reconnect(RETURNS),
+    }
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    rows = [
+        f"{dialect}: {1e3 * figures['to_release']:.1f} ms a tap up to the release beyond motion,"
+        f" settling and draw ({1e3 * figures['whole']:.1f} ms until parked again)"
+        for dialect, figures in report["overhead"].items()
+    ]
+    stop, back = report["stop"], report["reconnect"]
+    rows.append(
+        f"stop to the wire: p99 {1e3 * stop['p99']:.2f} ms, worst {1e3 * stop['worst']:.2f} ms of"
+        f" {stop['stops']}; a bare write {1e3 * stop['bare_p99']:.2f} ms"
+    )
+    medians = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in back["median"].items())
+    rows.append(
+        f"reconnection after the port is back: median {medians}; worst {back['worst']:.2f} s"
+        f"; a bare opening {1e3 * back['bare']:.2f} ms"
+    )
+    return rows
+
+
+def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
+    """Mean times of a tap beyond motion, settling and draw, s: up to the release, and the whole."""
+    cell = TrialCell(dialect, 3)
+    cell.recover()
+    to_release: list[float] = []
+    whole: list[float] = []
+    machine = cell.tapper_device.machine
+    for shot in range(1, taps + 1):
+        began = cell.clock.now
+        here = cell.arm.read_joints()
+        path = strike_path(cell.geometry, here, cell.random_tip(), cell.motion)
+        needed = path_duration(cell.geometry, here, path) + cell.arm.settings.settle_time
+        cell.goal, cell.shot, cell.firing = path[-1].joints, shot, True
+        cell.arm.follow(path)
+        energy = float(cell.rng.uniform(0.001, 0.2))
+        needed += machine.draw_time + machine.draw_time_per_root_joule * energy**0.5
+        cell.tapper.arm(shot, energy)
+        cell.tapper.fire(shot)
+        to_release.append(cell.tapper_device.fires[-1][2] - began - needed)
+        here = cell.arm.read_joints()
+        back = withdraw_path(cell.geometry, here, cell.motion)
+        needed += path_duration(cell.geometry, here, back)
+        for waypoint in back:
+            cell.arm.move_to(waypoint.joints, waypoint.speed)
+        whole.append(cell.clock.now - began - needed)
+    return {"to_release": statistics.fmean(to_release), "whole": statistics.fmean(whole)}
+
+
+def stop_to_wire(stops: int) -> dict[str, float]:
+    """From the call of ``stop`` to its bytes at the other end, while another thread writes, s."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    transport = SerialTransport(os.ttyname(slave))
+    transport.open(1.0)
+    ending = threading.Event()
+
+    def work() -> None:
+        while not ending.is_set():
+            try:
+                transport.write(b"G21G90G94G1X12.345Y12.345Z-1.000A0.000F1000.000\n")
+                transport.read(0.005)
+            except HardwareFault:
+                time.sleep(0.001)
+
+    worker = threading.Thread(target=work, daemon=True)
+    worker.start()
+    stopped: list[float] = []
+    for _ in range(stops):
+        transport.release()
+        time.sleep(0.003)
+        stopped.append(_until_heard(master, lambda: transport.stop(STOP), STOP))
+    ending.set()
+    transport.release()
+    worker.join()
+    bare = [_until_heard(master, lambda: os.write(slave, STOP), STOP) for _ in range(stops)]
+    transport.close()
+    os.close(slave)
+    os.close(master)
+    p99, peer = (float(np.percentile(values, 99)) for values in (stopped, bare))
+    return {"stops": stops, "p99": p99, "worst": max(stopped), "bare_p99": peer}
+
+
+def _until_heard(master: int, act: Callable[[], object], wanted: bytes) -> float:
+    began = time.perf_counter()
+    act()
+    heard = b""
+    while wanted not in heard:
+        heard += os.read(master, 4096)
+    return time.perf_counter() - began
+
+
+def reconnect(times: int) -> dict[str, Any]:
+    """From the port's return to a driver that knows who is there, s; each driver by itself."""
+    found: dict[str, list[float]] = {}
+    bare: list[float] = []
+    now = time.monotonic()
+    geometry = ScaraGeometry()
+    boards: dict[str, tuple[DeviceEmulator, Callable[[Transport], ArmDriver | TapperDriver]]] = {
+        "grbl": (GrblEmulator(now=now), lambda t: ArmDriver(t, GrblDialect(t), geometry)),
+        "marlin": (MarlinEmulator(now=now), lambda t: ArmDriver(t, MarlinDialect(t), geometry)),
+        "tapper": (TapperEmulator(now=now), TapperDriver),
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        for name, (board, make) in boards.items():
+            path = Path(folder) / name
+            with PseudoTerminal(board, path) as terminal:
+                driver = make(SerialTransport(str(path)))
+                driver.connect()
+                found[name] = [_return_of(terminal, driver) for _ in range(times)]
+                driver.close()
+                began = time.monotonic()
+                os.close(os.open(path, os.O_RDWR | os.O_NOCTTY))
+                bare.append(time.monotonic() - began)
+    medians = {name: statistics.median(values) for name, values in found.items()}
+    return {
+        "median": medians,
+        "worst": max(max(values) for values in found.values()),
+        "bare": statistics.median(bare),
+    }
+
+
+def _return_of(terminal: PseudoTerminal, driver: ArmDriver | TapperDriver) -> float:
+    """Pull the cable, let the driver wait for the port, put it back; s until it is understood."""
+    terminal.hang_up()
+    driver.close()
+    back = threading.Timer(0.2, terminal.plug_in)
+    due = time.monotonic() + 0.2
+    back.start()
+    driver.connect(10.0)
+    back.join()
+    return time.monotonic() - due

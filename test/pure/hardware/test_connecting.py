@@ -1,0 +1,166 @@
+"""Who is on the port, and is it set as the cell file says? Real drivers, emulated boards, told
+time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.controller_needs import ControllerNeeds, needs_of
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
+from tapping_cell.hardware.marlin_dialect import MarlinDialect, MarlinSettings
+from tapping_cell.hardware.scara import ScaraGeometry
+from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.simulation.device_emulator import DeviceEmulator
+from tapping_cell.simulation.fault_layer import FaultLayer
+from tapping_cell.simulation.grbl_emulator import GrblEmulator
+from tapping_cell.simulation.grbl_machine import GrblMachine, default_settings
+from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
+from tapping_cell.simulation.virtual_line import VirtualClock, VirtualTransport
+
+MILD = ControllerNeeds(
+    speed=(100.0, 100.0, 200.0, 300.0),
+    acceleration=(400.0, 500.0, 1500.0, 1500.0),
+    travel=(100.0, 100.0, 100.0, 100.0),
+    steps=(200.0, 200.0, 400.0, 100.0),
+)
+
+
+def line_to(board: DeviceEmulator) -> VirtualTransport:
+    clock = VirtualClock()
+    clock.limit = 120.0
+    return VirtualTransport(FaultLayer(board), clock, "port")
+
+
+def grbl(needs: ControllerNeeds, **settings: float) -> ArmDriver:
+    values = default_settings() | {int(name[1:]): value for name, value in settings.items()}
+    line = line_to(GrblEmulator(GrblMachine(settings=values)))
+    return ArmDriver(line, GrblDialect(line, GrblSettings(needs=needs)), ScaraGeometry())
+
+
+def marlin(needs: ControllerNeeds, machine: MarlinMachine | None = None) -> ArmDriver:
+    line = line_to(MarlinEmulator(machine or MarlinMachine()))
+    return ArmDriver(line, MarlinDialect(line, MarlinSettings(needs=needs)), ScaraGeometry())
+
+
+def test_settings_that_allow_the_moves_are_taken() -> None:
+    assert grbl(MILD).connect().name == "Grbl"
+    assert marlin(MILD).connect().remarks == ()
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "words"),
+    [
+        ("s100", 88.9, r"\$100 is 88.9, must be 200"),
+        ("s111", 5000.0, r"\$111 is 5000, must be at least 6000"),
+        ("s122", 20.0, r"\$122 is 20, must be at least 1500"),
+    ],
+)
+def test_a_grbl_that_is_set_otherwise_is_refused_with_both_values(
+    setting: str, value: float, words: str
+) -> None:
+    with pytest.raises(HardwareFault, match=words) as caught:
+        grbl(MILD, **{setting: value}).connect()
+    assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
+
+
+def test_soft_limits_of_grbl_count_only_while_they_are_on() -> None:
+    assert grbl(MILD, s130=50.0).connect()
+    with pytest.raises(HardwareFault, match=r"\$130 is 50, must be at least 100"):
+        grbl(MILD, s130=50.0, s20=1.0).connect()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"steps": (80.0, 200.0, 400.0, 100.0)}, "M92 X is 80, must be 200"),
+        ({"max_rate": (115.0, 50.0, 250.0, 345.0)}, "M203 Y is 50, must be at least 100"),
+        ({"acceleration": (458.0, 573.0, 20.0, 1720.0)}, "M201 Z is 20, must be at least 1500"),
+        (
+            {"soft_endstops": True, "soft_high": (60.0,) * 4},
+            "M211 range A is 60, must be at least 100",
+        ),
+    ],
+    ids=["steps", "rate", "acceleration", "soft end stops"],
+)
+def test_a_marlin_that_is_set_otherwise_is_refused_with_both_values(
+    change: dict[str, object], words: str
+) -> None:
+    with pytest.raises(HardwareFault, match=words) as caught:
+        marlin(MILD, replace(MarlinMachine(), **change)).connect()  # type: ignore[arg-type]
+    assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
+
+
+def test_a_marlin_that_can_only_be_killed_says_so() -> None:
+    (remark,) = marlin(MILD, MarlinMachine(emergency_parser=False)).connect().remarks
+    assert "EMERGENCY_PARSER" in remark and "M112" in remark
+
+
+def test_the_needs_are_the_geometrys_in_degrees_and_millimetres() -> None:
+    needs = needs_of(ScaraGeometry(max_speed=(math.pi, 1.0, 0.25, 1.0)), (1.0, 2.0, 3.0, 4.0))
+    assert needs.speed is not None and needs.steps == (1.0, 2.0, 3.0, 4.0)
+    assert needs.speed[0] == pytest.approx(180.0) and needs.speed[2] == pytest.approx(250.0)
+
+
+def noise(now: float) -> bytes:
+    return np.random.default_rng(int(1000 * now)).bytes(40)
+
+
+class Babbler:
+    """A device that says noise to whatever it hears, in lines."""
+
+    def __init__(self) -> None:
+        self._out = b""
+
+    def receive(self, data: bytes, now: float) -> None:
+        self._out += noise(now) + b"\nok\n@1,1,OK*0000\n<Idle|>\nResend: 7\n"
+
+    def advance(self, now: float) -> None:
+        """Nothing happens by itself."""
+
+    def take_output(self, now: float) -> bytes:
+        out, self._out = self._out, b""
+        return out
+
+    def next_event(self) -> float | None:
+        return None
+
+    def power_cycle(self, now: float) -> None:
+        """It has nothing to forget."""
+
+
+DRIVERS: dict[str, Callable[[VirtualTransport], ArmDriver | TapperDriver]] = {
+    "grbl": lambda line: ArmDriver(line, GrblDialect(line), ScaraGeometry()),
+    "marlin": lambda line: ArmDriver(line, MarlinDialect(line), ScaraGeometry()),
+    "tapper": TapperDriver,
+}
+BOARDS: dict[str, Callable[[], DeviceEmulator]] = {
+    "grbl": GrblEmulator,
+    "marlin": MarlinEmulator,
+    "tapper": TapperEmulator,
+    "babbler": Babbler,
+}
+
+
+@pytest.mark.parametrize(("driver", "board"), [(d, b) for d in DRIVERS for b in BOARDS if b != d])
+def test_a_board_of_another_kind_is_refused_in_time_and_nothing_moves(
+    driver: str, board: str
+) -> None:
+    device = BOARDS[board]()
+    line = line_to(device)
+    with pytest.raises(HardwareFault) as caught:
+        DRIVERS[driver](line).connect(5.0)
+    assert caught.value.reason in (FaultReason.UNKNOWN_FIRMWARE, FaultReason.TIMEOUT)
+    assert "port" in str(caught.value) or "power" in str(caught.value)
+    assert line.now() < 20.0
+    if isinstance(device, GrblEmulator | MarlinEmulator):
+        assert not device.moving(line.now())
+    if isinstance(device, TapperEmulator):
+        assert device.fires == [] and device.state == "SAFE"
