@@ -1,0 +1,501 @@
+"""Where the reference markers lie, from images of them by a calibrated camera.
+
+Bundle adjustment (Triggs et al., Vision Algorithms 1999): the poses of the camera and the planar
+poses of the markers that bring all corners onto the directions in which they were seen. The markers
+lie in one plane; their printed size sets the scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.calibration.camera import CalibrationRefused
+from tapping_cell.se2 import compose, inverse, transform_points, wrap_angle
+from tapping_cell.vision.camera import Array, CameraModel, CameraPose, Image
+from tapping_cell.vision.edges import MarkerEdges, refine, straight_corners
+from tapping_cell.vision.markers import (
+    UNIT_CORNERS,
+    ReferenceMap,
+    ReferenceMarker,
+    find_markers,
+    marker_pattern,
+)
+
+_LENS_NOISE = 0.03
+"""Pixels by which a well calibrated lens still bends a marker's corner, one standard deviation."""
+_STRAY_RATIO, _STRAY_PIXELS = 5.0, 0.6
+"""A marker in an image with this many times the median error, and more than these pixels, is not
+used."""
+_STEPS = 60
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MarkerView:
+    """The markers of one image: ``ids`` (M,), directions of their corners (M, 4, 2), their standard
+    deviations ``noise`` (M,).
+    """
+
+    name: str
+    ids: NDArray[np.intp]
+    rays: Array
+    noise: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Stray:
+    """A marker of an image that was left out: its error against the rest, in pixels."""
+
+    image: str
+    marker: int
+    error: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TableCalibration:
+    """The map, in the frame asked for; ``deviations`` (M, 3) of the markers' x, y (m) and theta
+    (rad) against the frame of all of them; ``rms`` of the corners' distances in pixels, ``seen``
+    (M,) in how many images each marker is used; ``poses`` of the camera, by image.
+    """
+
+    references: ReferenceMap
+    deviations: Array
+    rms: float
+    seen: NDArray[np.intp]
+    poses: tuple[CameraPose, ...]
+    strays: tuple[Stray, ...]
+    warnings: tuple[str, ...]
+
+
+def look(
+    image: Image,
+    name: str,
+    camera: CameraModel,
+    dictionary: str,
+    known: Sequence[int] | None = None,
+) -> MarkerView | str:
+    """The markers of an image (those ``known``, or all), or a sentence why there are none."""
+    problem = camera.check_image(image)
+    if problem:
+        return problem
+    found = find_markers(image, dictionary, thorough=True)
+    ids = [d.id for d in found]
+    twice = {i for i in ids if ids.count(i) > 1}
+    kept = [d for d in found if d.id not in twice and (known is None or d.id in known)]
+    if not kept:
+        return f"no marker of {dictionary} is seen"
+    quads = np.array([d.corners for d in kept])
+    edges = refine(image, quads, marker_pattern(dictionary, kept[0].id).shape[0])
+    good = edges.good
+    if not good.any():
+        return "no marker is seen whole"
+    rays = straight_corners(camera.rays(edges.points), edges.weights)
+    noise = np.hypot(_noise(edges), _LENS_NOISE) / camera.fx
+    numbers = np.array([d.id for d in kept], dtype=np.intp)
+    return MarkerView(name, numbers[good], rays[good], noise[good])
+
+
+def _noise(edges: MarkerEdges) -> Array:
+    """Standard deviation (M,) of a corner in pixels: the end of a line through n points has 4 / n
+    of the variance of one of them, and the grey levels beside the edge add about as much again.
+    """
+    number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
+    return np.asarray(np.sqrt(8.0 / number) * np.maximum(edges.spread, 0.01))
+
+
+def calibrate_table(
+    views: Sequence[MarkerView],
+    sizes: Mapping[int, float],
+    dictionary: str,
+    focal: float,
+) -> TableCalibration:
+    """The map of the markers in the frame of all of them: origin in their middle, x along their
+    mean direction.
+
+    ``sizes`` in m by id; ``focal`` pixels a unit of direction.
+
+    Raises:
+        CalibrationRefused: too few markers or images, or parts of the map that no image joins.
+    """
+    views = [view for view in views if len(view.ids) >= 2]
+    if len(views) < 2:
+        raise CalibrationRefused(
+            f"{len(views)} images show two markers or more; at least 2 are needed, 6 from different"
+            " sides are good"
+        )
+    starts = [_square_up(view, sizes) for view in views]
+    ids, markers, poses = _join(views, starts)
+    problem = _Problem(views, ids, sizes)
+    strays: list[Stray] = []
+    while True:
+        poses, markers = problem.solve(poses, markers)
+        errors = problem.errors(poses, markers) * focal
+        rms = float(np.sqrt((errors[problem.used] ** 2).mean()))
+        limit = max(_STRAY_RATIO * float(np.median(errors[problem.used])), _STRAY_PIXELS)
+        worst = int(np.argmax(np.where(problem.used, errors, -1.0)))
+        if errors[worst] <= limit:
+            break
+        which, row = problem.owner[worst]
+        strays.append(Stray(views[which].name, int(ids[row]), float(errors[worst])))
+        problem.used[worst] = False
+        if problem.counts()[row] == 0:
+            return _without(views, int(ids[row]), float(errors[worst]), sizes, dictionary, focal)
+    frame = _middle(markers)
+    covariance = problem.covariance(poses, markers)
+    markers = compose(inverse(frame), markers)
+    turned = np.kron(np.eye(len(ids)), _turn(-frame[2]))
+    deviations = np.sqrt(np.diag(turned @ covariance @ turned.T)).reshape(-1, 3)
+    unplaced = tuple(ReferenceMarker(int(i), sizes[int(i)], 0.0, 0.0) for i in ids)
+    references = _with_poses(ReferenceMap(dictionary, unplaced), markers, 1.0)
+    seen = problem.counts()
+    return TableCalibration(
+        references=references,
+        deviations=deviations,
+        rms=rms,
+        seen=seen,
+        poses=tuple(poses),
+        strays=tuple(strays),
+        warnings=tuple(_warnings(ids, seen, len(views), strays)),
+    )
+
+
+def _without(
+    views: Sequence[MarkerView],
+    marker: int,
+    error: float,
+    sizes: Mapping[int, float],
+    dictionary: str,
+    focal: float,
+) -> TableCalibration:
+    """The calibration without a marker that fits where the others are in no image."""
+    kept = [
+        MarkerView(v.name, v.ids[own], v.rays[own], v.noise[own])
+        for v in views
+        for own in [v.ids != marker]
+    ]
+    result = calibrate_table(kept, sizes, dictionary, focal)
+    said = (
+        f"marker {marker} is left out: in no image does it fit where the others are (at best"
+        f" {error:.1f} pixels off); it is not flat on the table, not of this size, or was moved"
+    )
+    return replace(result, warnings=(said, *result.warnings))
+
+
+def in_frame(references: ReferenceMap, frame: Array) -> ReferenceMap:
+    """The same markers in another frame, whose pose (x, y, theta) in the old one is ``frame``."""
+    poses = compose(inverse(frame), _poses(references))
+    return _with_poses(references, poses, 1.0)
+
+
+def scaled(references: ReferenceMap, factor: float) -> ReferenceMap:
+    """The same map with all lengths multiplied, the markers' sizes as well."""
+    poses = _poses(references) * np.array([factor, factor, 1.0])
+    return _with_poses(references, poses, factor)
+
+
+def _poses(references: ReferenceMap) -> Array:
+    """Poses (M, 3) of the markers."""
+    return np.array([[m.x, m.y, m.theta] for m in references.markers])
+
+
+def _with_poses(references: ReferenceMap, poses: Array, factor: float) -> ReferenceMap:
+    """The markers at other poses (M, 3), their sizes multiplied."""
+    angles = wrap_angle(poses[:, 2])
+    return ReferenceMap(
+        references.dictionary,
+        tuple(
+            ReferenceMarker(m.id, m.size * factor, float(x), float(y), float(angle))
+            for m, x, y, angle in zip(
+                references.markers, poses[:, 0], poses[:, 1], angles, strict=True
+            )
+        ),
+    )
+
+
+def frame_of_markers(references: ReferenceMap, origin: int, along: int) -> Array:
+    """The frame with its origin on one marker and its x axis through another, shape (3,).
+
+    Raises:
+        CalibrationRefused: one of them is not in the map.
+    """
+    places = {m.id: np.array([m.x, m.y]) for m in references.markers}
+    for number in (origin, along):
+        if number not in places:
+            raise CalibrationRefused(f"marker {number} was not seen; seen are {sorted(places)}")
+    way = places[along] - places[origin]
+    return np.array([*places[origin], np.arctan2(way[1], way[0])])
+
+
+def frame_of_map(references: ReferenceMap, old: ReferenceMap) -> tuple[Array, float]:
+    """The frame in which the markers lie nearest to where ``old`` has them, shape (3,), and the
+    root mean square of the distances that remain, in m.
+
+    Raises:
+        CalibrationRefused: fewer than two markers are in both.
+    """
+    before = {m.id: (m.x, m.y) for m in old.markers}
+    now = {m.id: (m.x, m.y) for m in references.markers}
+    both = sorted(set(before) & set(now))
+    if len(both) < 2:
+        raise CalibrationRefused(
+            f"only the markers {both} are seen of the old table file's {sorted(before)}; two are"
+            " needed to keep its frame"
+        )
+    a, b = np.array([before[i] for i in both]), np.array([now[i] for i in both])
+    frame = _rigid(a, b)
+    left = transform_points(frame, a) - b
+    return frame, float(np.sqrt((left**2).sum(axis=1).mean()))
+
+
+def _rigid(a: Array, b: Array) -> Array:
+    """The pose that brings points ``a`` (N, 2) nearest to points ``b`` (N, 2)."""
+    da, db = a - a.mean(axis=0), b - b.mean(axis=0)
+    cross = (da[:, 0] * db[:, 1] - da[:, 1] * db[:, 0]).sum()
+    angle = float(np.arctan2(cross, (da * db).sum()))
+    origin = b.mean(axis=0) - transform_points(np.array([0.0, 0.0, angle]), a.mean(axis=0))
+    return np.array([*origin, angle])
+
+
+def _middle(markers: Array) -> Array:
+    """The frame of all markers: their middle, their mean direction to the nearest quarter turn."""
+    angles = markers[:, 2] - markers[0, 2]
+    mean = markers[0, 2] + np.angle(np.exp(1j * angles).sum())
+    return np.array([*markers[:, :2].mean(axis=0), mean])
+
+
+def _turn(angle: float) -> Array:
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _square_up(view: MarkerView, sizes: Mapping[int, float]) -> tuple[CameraPose, Array]:
+    """A first pose over the plane from one image, and the markers' poses (M, 3) in that frame.
+
+    Every marker alone offers two planes; taken is the one on which all of them are most nearly
+    squares of their size, refined for that.
+    """
+    side = np.array([sizes[int(i)] for i in view.ids])
+    candidates = []
+    for rays, size in zip(view.rays, side, strict=True):
+        square = np.column_stack([UNIT_CORNERS * size, np.zeros(4)])
+        number, turns, shifts, _ = cv2.solvePnPGeneric(
+            square, rays[:, None], np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE_SQUARE
+        )
+        for turn, shift in zip(turns[:number], shifts[:number], strict=True):
+            rotation = np.asarray(cv2.Rodrigues(turn)[0], dtype=float)
+            candidates.append(CameraPose(rotation, np.asarray(shift, dtype=float).ravel()))
+    best = min(candidates, key=lambda pose: float((_squareness(pose, view, side)[0] ** 2).sum()))
+    # The plane's tilt and distance; where in the plane its frame lies changes nothing.
+    free = np.eye(6)[[0, 1, 5]]
+    for _ in range(20):
+        residual, _ = _squareness(best, view, side)
+        columns = [
+            (_squareness(best.moved(1e-6 * way), view, side)[0] - residual) / 1e-6 for way in free
+        ]
+        step = -np.linalg.lstsq(np.stack(columns, axis=1), residual, rcond=None)[0]
+        best = best.moved(step @ free)
+        if float(np.abs(step).max()) < 1e-9:
+            break
+    return best, _squareness(best, view, side)[1]
+
+
+def _squareness(pose: CameraPose, view: MarkerView, side: Array) -> tuple[Array, Array]:
+    """How far the corners on the plane are from squares, in sizes (8 M,), and the squares' poses
+    (M, 3)."""
+    matrix = np.linalg.inv(pose.plane(0.0))
+    homogeneous = view.rays @ matrix[:, :2].T + matrix[:, 2]
+    points = homogeneous[..., :2] / homogeneous[..., 2:]
+    squares = UNIT_CORNERS * side[:, None, None]
+    poses = np.array([_rigid(squares[k], points[k]) for k in range(len(squares))])
+    left = points - transform_points(poses[:, None], squares)
+    return (left / side[:, None, None]).ravel(), poses
+
+
+def _join(
+    views: Sequence[MarkerView], starts: Sequence[tuple[CameraPose, Array]]
+) -> tuple[NDArray[np.intp], Array, list[CameraPose]]:
+    """One first map from those of the images: ids, poses (M, 3), the camera's poses.
+
+    Raises:
+        CalibrationRefused: images that share fewer than one marker with the others.
+    """
+    first = int(np.argmax([len(view.ids) for view in views]))
+    places: dict[int, Array] = {
+        i: starts[first][1][row] for row, i in enumerate(views[first].ids.tolist())
+    }
+    frames: dict[int, Array] = {first: np.zeros(3)}
+    while len(frames) < len(views):
+        waiting = [k for k in range(len(views)) if k not in frames]
+        shared = {k: [i for i in views[k].ids.tolist() if i in places] for k in waiting}
+        best = max(waiting, key=lambda k: len(shared[k]))
+        if not shared[best]:
+            names = ", ".join(views[k].name for k in waiting[:5])
+            raise CalibrationRefused(
+                f"{names}: no marker in common with the other images; take images that show markers"
+                " of both parts"
+            )
+        own = {i: starts[best][1][row] for row, i in enumerate(views[best].ids.tolist())}
+        if len(shared[best]) == 1:
+            (i,) = shared[best]
+            frame = compose(places[i], inverse(own[i]))
+        else:
+            a = np.stack([own[i] for i in shared[best]])[:, :2]
+            frame = _rigid(a, np.stack([places[i] for i in shared[best]])[:, :2])
+        frames[best] = frame
+        for i, pose in own.items():
+            places.setdefault(i, compose(frame, pose))
+    ids = np.array(sorted(places), dtype=np.intp)
+    poses = []
+    for k in range(len(views)):
+        # Table to this image's own plane, then to the camera.
+        into = inverse(frames[k])
+        turn = _turn(into.tolist()[2])
+        start = starts[k][0]
+        shift = start.rotation @ np.array([into[0], into[1], 0.0]) + start.translation
+        poses.append(CameraPose(start.rotation @ turn, shift))
+    return ids, np.array([places[int(i)] for i in ids]), poses
+
+
+class _Problem:
+    """Corners of all images against poses of the camera and of the markers."""
+
+    def __init__(
+        self, views: Sequence[MarkerView], ids: NDArray[np.intp], sizes: Mapping[int, float]
+    ) -> None:
+        self.owner = [
+            (k, int(np.searchsorted(ids, i))) for k, view in enumerate(views) for i in view.ids
+        ]
+        self.image = np.array([k for k, _ in self.owner])
+        self.marker = np.array([m for _, m in self.owner])
+        self.rays = np.concatenate([view.rays for view in views])
+        self.noise = np.concatenate([view.noise for view in views])
+        self.squares = UNIT_CORNERS * np.array([sizes[int(i)] for i in ids])[:, None, None]
+        self.used = np.ones(len(self.owner), dtype=bool)
+        self.images, self.markers = len(views), len(ids)
+
+    def counts(self) -> NDArray[np.intp]:
+        """In how many images each marker is used."""
+        return np.bincount(self.marker[self.used], minlength=self.markers)
+
+    def _system(self, poses: Sequence[CameraPose], markers: Array) -> tuple[Array, Array, Array]:
+        """Residuals (O, 8), and their derivatives by the camera's (O, 8, 6) and the marker's pose
+        (O, 8, 3), all over the corners' noise."""
+        rotation = np.array([pose.rotation for pose in poses])[self.image]
+        shift = np.array([pose.translation for pose in poses])[self.image]
+        places = markers[self.marker]
+        square = self.squares[self.marker]
+        points = transform_points(places[:, None], square)
+        flat = np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=-1)
+        p = np.einsum("oij,ocj->oci", rotation, flat) + shift[:, None]
+        z = p[..., 2]
+        u, v = p[..., 0] / z, p[..., 1] / z
+        zero = np.zeros_like(z)
+        by_u = np.stack([1.0 / z, zero, -u / z], axis=-1)
+        by_v = np.stack([zero, 1.0 / z, -v / z], axis=-1)
+        by_point = np.stack([by_u, by_v], axis=2)
+        x, y = p[..., 0], p[..., 1]
+        cross = np.stack(
+            [
+                np.stack([zero, z, -y], axis=-1),
+                np.stack([-z, zero, x], axis=-1),
+                np.stack([y, -x, zero], axis=-1),
+            ],
+            axis=-2,
+        )
+        by_pose = np.concatenate([by_point @ cross, by_point], axis=-1)
+        arm = points - places[:, None, :2]
+        tangent = np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
+        local = np.zeros((*points.shape[:2], 3, 3))
+        local[..., 0, 0] = local[..., 1, 1] = 1.0
+        local[..., :2, 2] = tangent
+        by_marker = by_point @ (rotation[:, None] @ local)
+        residual = (self.rays - np.stack([u, v], axis=-1)).reshape(-1, 8)
+        scale = self.used / self.noise
+        return (
+            residual * scale[:, None],
+            by_pose.reshape(-1, 8, 6) * scale[:, None, None],
+            by_marker.reshape(-1, 8, 3) * scale[:, None, None],
+        )
+
+    def errors(self, poses: Sequence[CameraPose], markers: Array) -> Array:
+        """Root mean square distance of the corners of each marker in each image, as directions."""
+        used, self.used = self.used, np.ones_like(self.used)
+        residual, _, _ = self._system(poses, markers)
+        self.used = used
+        return np.asarray(np.sqrt((residual**2).sum(axis=1) / 4.0) * self.noise)
+
+    def _normal(self, poses: Sequence[CameraPose], markers: Array) -> tuple[Array, Array, float]:
+        residual, by_pose, by_marker = self._system(poses, markers)
+        size = 6 * self.images + 3 * self.markers
+        matrix, right = np.zeros((size, size)), np.zeros(size)
+        for k in range(len(self.owner)):
+            a = slice(6 * self.image[k], 6 * self.image[k] + 6)
+            begin = 6 * self.images + 3 * self.marker[k]
+            b = slice(begin, begin + 3)
+            jp, jm, r = by_pose[k], by_marker[k], residual[k]
+            matrix[a, a] += jp.T @ jp
+            matrix[b, b] += jm.T @ jm
+            matrix[a, b] += jp.T @ jm
+            matrix[b, a] += jm.T @ jp
+            right[a] += jp.T @ r
+            right[b] += jm.T @ r
+        return matrix, right, float((residual**2).sum())
+
+    def solve(self, poses: Sequence[CameraPose], markers: Array) -> tuple[list[CameraPose], Array]:
+        """Least squares by Levenberg and Marquardt; the frame stays free and hardly moves."""
+        poses, damping = list(poses), 1e-6
+        matrix, right, cost = self._normal(poses, markers)
+        for _ in range(_STEPS):
+            step = np.linalg.solve(matrix + np.diag(damping * np.diag(matrix) + 1e-9), right)
+            moved = [pose.moved(step[6 * k : 6 * k + 6]) for k, pose in enumerate(poses)]
+            shifted = markers + step[6 * self.images :].reshape(-1, 3)
+            again = self._normal(moved, shifted)
+            if again[2] > cost * (1 + 1e-12):
+                damping = max(10.0 * damping, 1e-6)
+                if damping > 1e6:
+                    break
+                continue
+            gain = cost - again[2]
+            poses, markers, (matrix, right, cost) = moved, shifted, again
+            damping *= 0.1
+            if gain < 1e-9 * cost:
+                break
+        return poses, markers
+
+    def covariance(self, poses: Sequence[CameraPose], markers: Array) -> Array:
+        """Of the markers (3 M, 3 M), against the frame of all of them; noise as the residuals say
+        where they say more."""
+        matrix, _, cost = self._normal(poses, markers)
+        split = 6 * self.images
+        reduced = matrix[split:, split:] - matrix[split:, :split] @ np.linalg.solve(
+            matrix[:split, :split], matrix[:split, split:]
+        )
+        values, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
+        # Moving and turning the whole table changes nothing: three directions without information.
+        inverse_values = np.concatenate([np.zeros(3), 1.0 / values[3:]])
+        free = 8 * int(self.used.sum()) - len(matrix) + 3
+        factor = max(1.0, cost / max(free, 1))
+        return np.asarray(factor * (vectors * inverse_values) @ vectors.T)
+
+
+def _warnings(
+    ids: NDArray[np.intp], seen: NDArray[np.intp], images: int, strays: Sequence[Stray]
+) -> list[str]:
+    said = []
+    lonely = [str(i) for i, count in zip(ids, seen, strict=True) if count < 2]
+    if lonely:
+        said.append(f"markers {', '.join(lonely)} are seen in one image only: take more")
+    if images < 5:
+        said.append(f"{images} images are few: 6 or more from different sides average the lens")
+    for number in sorted({stray.marker for stray in strays}):
+        times = sum(stray.marker == number for stray in strays)
+        if 2 * times >= times + int(seen[np.searchsorted(ids, number)]):
+            said.append(
+                f"marker {number} disagrees with itself in {times} images: was it moved between"
+                " them?"
+            )
+    return said

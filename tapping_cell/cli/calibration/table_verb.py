@@ -1,0 +1,278 @@
+"""Map of the reference markers from images of them, or from a printed sheet and its ruler.
+
+Take six images or more with the calibrated camera, from above and from all sides, each showing
+several markers (move the camera, not the markers). All markers lie flat on the table. The frame is
+that of --table OLD, or its origin is marker --origin with the x axis through marker --x-axis, or
+else it lies in the middle of all markers, along their mean direction. The markers' printed size
+sets the scale; a measured --distance between the middles of two markers is better.
+
+  python -m tapping_cell calibrate table views/*.png --camera camera_info.yaml --size 40 \\
+      --distance 101 103 660.2 --output table.yaml
+  python -m tapping_cell calibrate table --sheet sheet.table.yaml --ruler 99.8 --output table.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.calibration.camera import CalibrationRefused
+from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
+from tapping_cell.calibration.print_sheet import RULER
+from tapping_cell.calibration.table import (
+    MarkerView,
+    TableCalibration,
+    calibrate_table,
+    frame_of_map,
+    frame_of_markers,
+    in_frame,
+    look,
+    scaled,
+)
+from tapping_cell.calibration.table_file import table_yaml
+from tapping_cell.cli.calibration.camera_verb import image_files, one_size, read_grey
+from tapping_cell.cli.output_arguments import add_output_arguments, output_of
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.provenance import Provenance
+from tapping_cell.configuration.table import load_camera_model, load_reference_map
+from tapping_cell.vision import CameraModel, MarkerError, ReferenceMap
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("images", nargs="*", type=Path, metavar="IMAGE", help="images, or folders")
+    parser.add_argument(
+        "--camera",
+        type=Path,
+        default=shared_folder() / "camera_info.yaml",
+        help="ROS camera_info file of the camera that took them",
+    )
+    parser.add_argument(
+        "--table", type=Path, metavar="OLD", help="table file that gives sizes, ids and the frame"
+    )
+    parser.add_argument(
+        "--dictionary", default="APRILTAG_36h11", help="without --table (APRILTAG_36h11)"
+    )
+    parser.add_argument(
+        "--size", type=float, metavar="MM", help="without --table: side of every marker in mm"
+    )
+    parser.add_argument(
+        "--ids", type=int, nargs="+", help="without --table: the reference markers (all seen)"
+    )
+    parser.add_argument("--origin", type=int, metavar="ID", help="marker at the frame's origin")
+    parser.add_argument("--x-axis", type=int, metavar="ID", help="marker on the positive x axis")
+    parser.add_argument(
+        "--distance",
+        nargs=3,
+        metavar=("ID", "ID", "MM"),
+        help="measured between the middles of two markers: sets the scale",
+    )
+    parser.add_argument(
+        "--sheet", type=Path, help="instead of images: table file of a printed sheet"
+    )
+    parser.add_argument(
+        "--ruler", type=float, metavar="MM", help="what the sheet's 100 mm ruler measures"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_output_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the table file; 0 if it was written."""
+    output = output_of(arguments)
+    refuse_existing(output)
+    if arguments.sheet is not None:
+        references, record, result = *_from_sheet(arguments), None
+    else:
+        references, record, result = _from_images(arguments)
+    text = table_yaml(references, record, "Reference markers, measured (calibrate table): m, rad.")
+    write_kept(output, text, record, load_reference_map)
+    found = report(references, record, result, output.path)
+    print(json.dumps(found, indent=1) if arguments.json else "\n".join(lines(found)))
+    return 0
+
+
+def _from_sheet(arguments: argparse.Namespace) -> tuple[ReferenceMap, Provenance]:
+    """The map of a printed sheet at the scale that its ruler shows."""
+    if arguments.images:
+        raise CalibrationRefused("give images or --sheet, not both")
+    if arguments.ruler is None:
+        raise CalibrationRefused("--sheet needs --ruler: what its 100 mm ruler measures, in mm")
+    factor = arguments.ruler / (RULER * 1e3)
+    if not 0.9 <= factor <= 1.1:
+        raise CalibrationRefused(
+            f"a ruler of {arguments.ruler:g} mm is outside 90 to 110 mm: print the sheet at 100 %"
+        )
+    references = scaled(load_reference_map(arguments.sheet), factor)
+    farthest = max(math.hypot(m.x, m.y) for m in references.markers)
+    return references, Provenance(
+        by="calibrate table",
+        made=now(),
+        inputs=fingerprints([arguments.sheet]),
+        observations=1,
+        left_out=0,
+        residual=0.0,
+        residual_of="nothing: one ruler was read",
+        uncertainty=0.0002 / RULER * farthest,
+        uncertainty_of="farthest marker, m, for a ruler read to 0.2 mm",
+        deviations={},
+        notes=(f"the sheet's 100 mm ruler measures {arguments.ruler:g} mm",),
+    )
+
+
+def _from_images(
+    arguments: argparse.Namespace,
+) -> tuple[ReferenceMap, Provenance, TableCalibration]:
+    """The map from images, in the frame asked for."""
+    if not arguments.images:
+        raise CalibrationRefused("give images of the markers, or --sheet with --ruler")
+    camera = load_camera_model(arguments.camera)
+    old = load_reference_map(arguments.table) if arguments.table else None
+    if old is None and arguments.size is None:
+        raise CalibrationRefused("the markers' side is not known: give --size in mm, or --table")
+    dictionary = old.dictionary if old else arguments.dictionary
+    known = [m.id for m in old.markers] if old else arguments.ids
+    paths = image_files(arguments.images)
+    views, unseen = _views(paths, camera, dictionary, known)
+    seen = sorted({int(i) for view in views for i in view.ids})
+    sizes = {m.id: m.size for m in old.markers} if old else _sizes(seen, arguments.size)
+    try:
+        result = calibrate_table(views, sizes, dictionary, camera.fx)
+    except CalibrationRefused as error:
+        raise CalibrationRefused("; ".join([str(error), *unseen])) from error
+    references, notes = _placed(result.references, arguments, old)
+    largest = float(np.hypot(result.deviations[:, 0], result.deviations[:, 1]).max())
+    record = Provenance(
+        by="calibrate table",
+        made=now(),
+        inputs=fingerprints([*paths, arguments.camera]),
+        observations=int(result.seen.sum()),
+        left_out=len(result.strays),
+        residual=result.rms,
+        residual_of="root mean square of the distances of corners, pixels",
+        uncertainty=largest,
+        uncertainty_of="position of the least known marker against all of them, m",
+        deviations={
+            f"{name}{m.id}": float(value)
+            for m, row in zip(references.markers, result.deviations, strict=True)
+            for name, value in zip(("x", "y", "theta"), row, strict=True)
+        },
+        notes=(*notes, *unseen, *stray_lines(result), *result.warnings),
+    )
+    return references, record, result
+
+
+def _views(
+    paths: list[Path], camera: CameraModel, dictionary: str, known: list[int] | None
+) -> tuple[list[MarkerView], list[str]]:
+    """What the images show, and sentences about those that show nothing."""
+    images = {path: read_grey(path) for path in paths}
+    unseen = [f"{path.name}: cannot be read" for path, image in images.items() if image is None]
+    kept = {path: image for path, image in images.items() if image is not None}
+    one_size({path.name: image.shape[::-1] for path, image in kept.items()})
+    views = []
+    for path, image in kept.items():
+        try:
+            found = look(image, path.name, camera, dictionary, known)
+        except MarkerError as error:
+            raise CalibrationRefused(str(error)) from error
+        if isinstance(found, str):
+            unseen.append(f"{path.name}: {found}")
+        else:
+            views.append(found)
+    return views, unseen
+
+
+def _sizes(ids: list[int], size: float) -> Mapping[int, float]:
+    if not 3.0 <= size <= 1000.0:
+        raise CalibrationRefused(f"markers of {size:g} mm are outside 3 to 1000 mm; --size is mm")
+    return {number: size / 1e3 for number in ids}
+
+
+def _placed(
+    references: ReferenceMap, arguments: argparse.Namespace, old: ReferenceMap | None
+) -> tuple[ReferenceMap, list[str]]:
+    """The map at the scale and in the frame asked for, and notes about both."""
+    notes = []
+    if arguments.distance:
+        references, factor = _at_distance(references, arguments.distance)
+        notes.append(f"scale by a measured distance: the printed sizes were off by {factor:.5f}")
+    if arguments.origin is not None or arguments.x_axis is not None:
+        if arguments.origin is None or arguments.x_axis is None:
+            raise CalibrationRefused("--origin and --x-axis go together: give both markers")
+        frame = frame_of_markers(references, arguments.origin, arguments.x_axis)
+        notes.append(f"origin: marker {arguments.origin}; x axis through {arguments.x_axis}")
+        return in_frame(references, frame), notes
+    if old is not None:
+        frame, moved = frame_of_map(references, old)
+        notes.append(f"frame of {arguments.table.name}; markers moved by {moved * 1e3:.3f} mm rms")
+        return in_frame(references, frame), notes
+    return references, [*notes, "origin in the middle of the markers, x along their mean direction"]
+
+
+def _at_distance(references: ReferenceMap, words: list[str]) -> tuple[ReferenceMap, float]:
+    """The map scaled so that two markers are as far apart as was measured; and the factor."""
+    try:
+        first, second, wanted = int(words[0]), int(words[1]), float(words[2]) / 1e3
+    except ValueError as error:
+        raise CalibrationRefused(
+            f"--distance {' '.join(words)}: give two ids and the distance in mm"
+        ) from error
+    places = {m.id: (m.x, m.y) for m in references.markers}
+    for number in (first, second):
+        if number not in places:
+            raise CalibrationRefused(f"--distance: marker {number} was not seen")
+    apart = math.dist(places[first], places[second])
+    if first == second or not 0.8 * apart <= wanted <= 1.25 * apart:
+        raise CalibrationRefused(
+            f"--distance: markers {first} and {second} are about {apart * 1e3:.1f} mm apart by"
+            f" their printed size; {wanted * 1e3:g} mm cannot be"
+        )
+    return scaled(references, wanted / apart), wanted / apart
+
+
+def stray_lines(result: TableCalibration) -> list[str]:
+    """A sentence for every marker of an image that was left out."""
+    return [
+        f"left out: marker {s.marker} in {s.image}, {s.error:.1f} pixels off" for s in result.strays
+    ]
+
+
+def report(
+    references: ReferenceMap, record: Provenance, result: TableCalibration | None, path: Path
+) -> dict[str, Any]:
+    """The result for programs."""
+    rows = []
+    for number, m in enumerate(references.markers):
+        row: dict[str, Any] = {"id": m.id, "x": m.x, "y": m.y, "theta": m.theta, "size": m.size}
+        if result is not None:
+            row["deviations"] = result.deviations[number].tolist()
+            row["images"] = int(result.seen[number])
+        rows.append(row)
+    return {
+        "output": str(path),
+        "markers": rows,
+        "rms_px": None if result is None else result.rms,
+        "notes": list(record.notes),
+    }
+
+
+def lines(found: dict[str, Any]) -> list[str]:
+    """The report for people: mm and degrees."""
+    rows = [f"{'marker':>6} {'x mm':>10} {'y mm':>10} {'theta deg':>10} {'sd mm':>7} images"]
+    for m in found["markers"]:
+        sd = f"{1e3 * math.hypot(*m['deviations'][:2]):>7.3f}" if "deviations" in m else f"{'':>7}"
+        rows.append(
+            f"{m['id']:>6} {1e3 * m['x']:>10.3f} {1e3 * m['y']:>10.3f}"
+            f" {math.degrees(m['theta']):>10.3f} {sd} {m.get('images', ''):>6}"
+        )
+    rows += [f"note: {text}" for text in found["notes"]]
+    if found["rms_px"] is not None:
+        rows.append(f"corners lie within {found['rms_px']:.3f} px rms")
+    return [*rows, f"written: {found['output']}"]
