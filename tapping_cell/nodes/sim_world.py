@@ -25,6 +25,7 @@ from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.conversions import from_message, is_finite, to_message
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import SimulatedDevices
+from tapping_cell.simulation.pacing import Pace
 from tapping_cell.simulation.pseudo_terminal import PortTakenError
 from tapping_cell.simulation.rendered_camera import SceneRenderer
 from tapping_cell.simulation.scene import make_renderer
@@ -46,6 +47,14 @@ class Parameters:
         "where the tapper's port appears; empty for the cell file's", default=""
     )
     frame_rate: float = quantity("rate of the camera", "Hz", 1.0, 120.0, default=30.0)
+    slow_motion: float = quantity(
+        "times slower than real that a slide is played, for a machine too slow for the camera's "
+        "rate; stamps are true",
+        "",
+        1.0,
+        100.0,
+        default=1.0,
+    )
 
 
 class SimWorld(CellNode[Parameters]):
@@ -62,6 +71,8 @@ class SimWorld(CellNode[Parameters]):
         self._lock = threading.Lock()
         self._late: deque[tuple[float, Image]] = deque()
         self._frames = 0
+        self._world_began = Time(nanoseconds=0)
+        self._pace = Pace(1.0 / self.settings.frame_rate, self.settings.slow_motion)
         self._image_publisher = self.create_publisher(Image, "camera/image_raw", images.PICTURES)
         self._info_publisher = self.create_publisher(
             CameraInfo, "camera/camera_info", images.PICTURES
@@ -121,25 +132,35 @@ class SimWorld(CellNode[Parameters]):
                 self._world.strike(tip, height, speed, now)
 
     def _expose(self) -> None:
-        """Take a picture now; send the one whose latency is over."""
+        """Take a picture where one is due; send the one whose latency is over."""
         if not self.active or self._world is None:
             return
         assert self._renderer is not None and self._truth is not None
         camera = self._truth.camera
-        now = time.monotonic()
+        self._send_late()
+        now, clock = time.monotonic(), self.get_clock().now()
         with self._lock:
-            self._world.advance(now - camera.exposure)
+            taken = self._pace.next_picture(now, self._world.at_rest)
+            if taken is None:
+                return
+            self._world.advance(taken - camera.exposure)
             opening = self._world.pose
-            self._world.advance(now - camera.exposure / 2)
+            self._world.advance(taken - camera.exposure / 2)
             middle = self._world.pose
-            self._world.advance(now)
+            self._world.advance(taken)
             closing = self._world.pose
-        stamp = self.get_clock().now() - Duration(seconds=camera.exposure / 2)
+        if taken == now:
+            # Kept through a slide: a switch of tasks between the two clocks would shift a picture.
+            self._world_began = clock - Duration(seconds=now)
+        stamp = self._world_began + Duration(seconds=taken - camera.exposure / 2)
         self._publish_truth(middle, stamp)
         picture = images.to_message(self._renderer.render(opening, closing), "mono8")
         picture.header.frame_id = "camera_optical"
         picture.header.stamp = stamp.to_msg()
         self._late.append((now + camera.latency, picture))
+        self._send_late()
+
+    def _send_late(self) -> None:
         while self._late and self._late[0][0] <= time.monotonic():
             self._send(self._late.popleft()[1])
 

@@ -1,0 +1,467 @@
+"""Measure an object by single taps: every striker speed with every incidence, again and again.
+
+Starts the simulated cell (or the hardware with --hardware, or joins a running graph with --attach),
+taps the object about the middle of the table, and records each tap: the object's poses picture by
+picture, where it started and ended, the striker's speed. A tap that might send the object off the
+table or out of the camera's view is refused. Ctrl-C stops between or within trials; what is done is
+kept, and --resume goes on with it. The verb `fit` reads the folder.
+
+    python -m tapping_cell single-tap
+    python -m tapping_cell single-tap --speeds 600 900 1200 --incidences 15 -40 --trials 5
+    python -m tapping_cell single-tap --resume runs/single-tap_2026-01-31_12-00-00
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from tapping_cell_msgs.msg import ErrorCode
+
+from tapping_cell.calibration.csv_table import RecordError
+from tapping_cell.calibration.design import (
+    INCIDENCES,
+    SPEEDS,
+    TRIALS,
+    Design,
+    read_design,
+    write_design,
+)
+from tapping_cell.calibration.design import progress as progress_of
+from tapping_cell.calibration.experiment import (
+    HEADER_FILE,
+    ExperimentFile,
+    StrikerSection,
+    write_header,
+)
+from tapping_cell.calibration.trials import Trial, completed, read_trials, run_name
+from tapping_cell.cli import session
+from tapping_cell.cli.graph import (
+    HARDWARE,
+    SIMULATED,
+    Graph,
+    NodeDied,
+    own_domain,
+    with_own_ports,
+)
+from tapping_cell.cli.tap_series import READY_PATIENCE_S, Done, SeriesStopped, TapSeries
+from tapping_cell.cli.up import node_parameters
+from tapping_cell.configuration import assembly
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.schema import ConfigurationError, load
+from tapping_cell.nodes.single_tap_client import NoAnswer, SingleTapClient
+from tapping_cell.planning import (
+    FreeSpace,
+    Gains,
+    PlanningError,
+    PrescribedSession,
+    Prescription,
+    Refusal,
+    StrikeSpace,
+    cautious,
+)
+from tapping_cell.report.bag import BagError, BagWriter
+from tapping_cell.simulation.truth import TruthFile
+
+LOOK_AT_RATE_S = 1.0
+SLOW_MOTION = 3.0
+STEP_OF_SEED = 1000
+"""Between the seeds of two sessions of one experiment: a world seeded as before would repeat its
+scatter."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the verb."""
+    parser.add_argument(
+        "--speeds",
+        nargs="+",
+        type=float,
+        metavar="MM_S",
+        help=f"striker speeds in mm/s (default: {_listed(1000 * v for v in SPEEDS)})",
+    )
+    parser.add_argument(
+        "--incidences",
+        nargs="+",
+        type=float,
+        metavar="DEG",
+        help="angles from the contact normal to the striker's axis in degrees (default: "
+        f"{_listed(math.degrees(v) for v in INCIDENCES)})",
+    )
+    parser.add_argument("--trials", type=int, help=f"trials of each run (default: {TRIALS})")
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument(
+        "--runs-folder",
+        type=Path,
+        default=Path("runs"),
+        help="where the folder of the records is made (default: runs)",
+    )
+    place.add_argument("--resume", type=Path, metavar="FOLDER", help="go on with an experiment")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument(
+        "--hardware", action="store_true", help="start the nodes of the real camera, arm and tapper"
+    )
+    how.add_argument("--attach", action="store_true", help="join a graph that is running")
+    parser.add_argument("--namespace", default="", help="with --attach: namespace of the nodes")
+    parser.add_argument(
+        "--camera", default="/dev/video0", help="with --hardware: device, video file or folder"
+    )
+    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
+    parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
+    parser.add_argument("--truth", type=Path, help="simulated: truth file of the world")
+    parser.add_argument("--seed", type=int, help="simulated: of noise and scatter (default: 1)")
+    parser.add_argument(
+        "--camera-rate", type=float, default=30.0, help="simulated: pictures a second (default: 30)"
+    )
+    parser.add_argument(
+        "--slow-motion",
+        type=float,
+        default=SLOW_MOTION,
+        metavar="TIMES",
+        help="simulated: play slides so many times slower, with true stamps, so that a busy "
+        f"machine loses no picture of them (default: {SLOW_MOTION:g})",
+    )
+    parser.add_argument(
+        "--exposure",
+        type=float,
+        metavar="MS",
+        help="the camera's time of exposure in ms, if known (default: simulated, the world's own)",
+    )
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
+    parser.set_defaults(planner=None)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb; 0 complete, 1 stopped by a failure, 2 wrong input, 130 interrupted."""
+    console = Console(stderr=arguments.json)
+    session.end_on_signals()
+    try:
+        cell = load_cell(arguments.cell, object_path=arguments.object)
+        folder, design = _open(arguments)
+        trials = _recorded(folder)
+        refusal = _refused(cell, design)
+        if refusal:
+            console.print(f"[red]refused:[/red] {refusal}", highlight=False)
+            return 2
+        if not arguments.resume:
+            write_design(folder, design)
+    except (ConfigurationError, RecordError, PlanningError, OSError, ValueError) as error:
+        console.print(f"[red]error:[/red] {error}", highlight=False)
+        return 2
+    made: list[Done] = []
+    code, sentence, status = ErrorCode.NONE, "", 0
+    try:
+        _measure(arguments, cell, folder, design, trials, made, console)
+    except SeriesStopped as error:
+        code, sentence, status = error.code, str(error), 1
+    except (NodeDied, NoAnswer, session.NotReadyInTime) as error:
+        code = ErrorCode.INTERNAL if isinstance(error, NodeDied) else ErrorCode.NOT_READY
+        sentence, status = str(error), 1
+    except (RecordError, BagError, ConfigurationError, OSError) as error:
+        code, sentence, status = ErrorCode.CONFIGURATION_CONFLICT, str(error), 1
+    except KeyboardInterrupt:
+        sentence, status = "interrupted", 130
+    _tell(arguments, folder, design, trials, (code, sentence), console)
+    return status
+
+
+def _open(arguments: argparse.Namespace) -> tuple[Path, Design]:
+    """The experiment's folder and design: of one that is gone on with, or new."""
+    asked: dict[str, object] = {}
+    if arguments.speeds:
+        asked["speeds"] = tuple(speed / 1000 for speed in arguments.speeds)
+    if arguments.incidences:
+        asked["incidences"] = tuple(math.radians(angle) for angle in arguments.incidences)
+    if arguments.trials is not None:
+        asked["trials"] = arguments.trials
+    if arguments.seed is not None:
+        asked["seed"] = arguments.seed
+    if not arguments.resume:
+        if arguments.trials is not None and arguments.trials < 1:
+            raise RecordError(f"--trials is {arguments.trials}; it must be at least 1")
+        name = f"single-tap_{datetime.now():%Y-%m-%d_%H-%M-%S}"
+        return (arguments.runs_folder / name).resolve(), Design(**asked)  # type: ignore[arg-type]
+    folder = arguments.resume.resolve()
+    design = read_design(folder)
+    for name, value in asked.items():
+        kept = getattr(design, name)
+        if not np.allclose(kept, value) if np.shape(kept) == np.shape(value) else True:
+            raise RecordError(
+                f"--{name} differs from what {folder} was begun with; leave the option out, or "
+                "begin a new experiment"
+            )
+    return folder, design
+
+
+def _recorded(folder: Path) -> list[Trial]:
+    """The trials that are there already.
+
+    Raises:
+        RecordError: a row of them cannot be read.
+    """
+    if not any(folder.glob("run_*.csv")):
+        return []
+    found = read_trials(folder)
+    if found.left_out:
+        raise RecordError(f"{found.left_out[0]}; mend or remove the row, then resume")
+    return list(found.trials)
+
+
+def _refused(cell: Cell, design: Design) -> str:
+    """Why one of the design's taps cannot be made even from the middle; empty where all can."""
+    space = assembly.make_strike_space(cell)
+    limits = space.settings
+    cautiously = assembly.make_strike_space(cell, cautious(space))
+    free = FreeSpace(space)
+    for run in design.runs:
+        what = (
+            f"run {run.number} ({1000 * run.striker_speed:.0f} mm/s, "
+            f"{math.degrees(run.incidence):.1f} deg)"
+        )
+        if not limits.slowest <= run.striker_speed <= limits.fastest:
+            return (
+                f"{what}: the tapper makes {1000 * limits.slowest:.0f} to "
+                f"{1000 * limits.fastest:.0f} mm/s; ask for speeds between these"
+            )
+        problem = _problem(cell, cautiously, free, Prescription(run.striker_speed, run.incidence))
+        if problem:
+            return f"{what}: {problem}"
+    return ""
+
+
+def _problem(cell: Cell, space: StrikeSpace, free: FreeSpace, tap: Prescription) -> str:
+    """Why a tap cannot be made with the object in the middle of the table."""
+    decision = PrescribedSession(tap, space, free, Gains.start()).decide(
+        (0.0, 0.0, 0.0), in_view=cell.references.corners().reshape(-1, 2)
+    )
+    return decision.sentence if isinstance(decision, Refusal) else ""
+
+
+def _measure(
+    arguments: argparse.Namespace,
+    cell: Cell,
+    folder: Path,
+    design: Design,
+    trials: list[Trial],
+    made: list[Done],
+    console: Console,
+) -> None:
+    """Make what is left of the design, each trial on disk before the next."""
+    sessions = sum(1 for entry in folder.glob("session_*") if entry.is_dir())
+    name = f"session_{sessions + 1:02d}"
+    seed = design.seed + STEP_OF_SEED * sessions
+    with (
+        _graph(arguments, cell, folder / "logs", seed, console) as check,
+        SingleTapClient("single_tap_client", arguments.namespace) as client,
+    ):
+        session.wait_until_ready(client, READY_PATIENCE_S, check, console)
+        assert client.object_state is not None
+        if client.object_state.object_id != cell.object.name:
+            raise RecordError(
+                f"the camera looks for '{client.object_state.object_id}', but the records would be "
+                f"of '{cell.object.name}'; give the graph's own --object"
+            )
+        header = _header(arguments, cell, client, check)
+        _keep_header(folder, header)
+        with BagWriter(folder / name, notes={"experiment": folder.name, "session": name}) as bag:
+            client.begin_bag(bag)
+            series = TapSeries(
+                client, folder, design, header, assembly.make_tap(cell), bag, trials, check
+            )
+            try:
+                _follow(series, design, trials, made, console)
+            finally:
+                client.write_bag(bag)
+
+
+@contextmanager
+def _graph(
+    arguments: argparse.Namespace, cell: Cell, logs: Path, seed: int, console: Console
+) -> Iterator[Callable[[], None]]:
+    """The graph, started here or joined; gives what raises once a node of it died."""
+    if arguments.attach:
+        yield lambda: None
+        return
+    domain = own_domain()
+    # As in the verb demo: the client of this process must meet the nodes, and nobody else.
+    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    console.print(f"records in {logs.parent}; watch with ROS_DOMAIN_ID={domain.number}")
+    parameters = node_parameters(argparse.Namespace(**{**vars(arguments), "seed": seed}), cell)
+    parameters["sim_world"] |= {
+        "frame_rate": arguments.camera_rate,
+        "slow_motion": arguments.slow_motion,
+    }
+    with tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports:
+        if not arguments.hardware:
+            parameters = with_own_ports(parameters, Path(ports))
+        nodes = HARDWARE if arguments.hardware else SIMULATED
+        with Graph(nodes, parameters, logs) as graph:
+            yield graph.check
+
+
+def _header(
+    arguments: argparse.Namespace, cell: Cell, client: SingleTapClient, check: Callable[[], None]
+) -> ExperimentFile:
+    """What holds for every trial of this session."""
+    tapper = cell.file.tapper
+    own_world = not (arguments.attach or arguments.hardware)
+    exposure = 0.0 if arguments.exposure is None else arguments.exposure / 1000
+    if arguments.exposure is None and own_world:
+        truth = arguments.truth or shared_folder() / "truth" / "default.yaml"
+        exposure = load(TruthFile, truth).camera.exposure
+    rate = arguments.camera_rate if own_world else client.camera_rate(LOOK_AT_RATE_S, check)
+    return ExperimentFile(
+        format=1,
+        made=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        source="simulated" if client.simulated else "hardware",
+        description=f"single taps of the {cell.object.name}",
+        striker=StrikerSection(tapper.mass, tapper.tip_radius, tapper.constraint),
+        object=cell.object,
+        camera_rate_hz=round(rate, 2) if math.isfinite(rate) else None,
+        exposure=exposure,
+        rest_position_std=cell.file.camera.position_noise,
+        rest_rotation_std=cell.file.camera.angle_noise,
+    )
+
+
+def _keep_header(folder: Path, header: ExperimentFile) -> None:
+    """Write the header, or see that the one which is there speaks of the same things.
+
+    Raises:
+        RecordError: it speaks of another object, striker or source.
+    """
+    if not (folder / HEADER_FILE).exists():
+        write_header(folder, header)
+        return
+    kept = load(ExperimentFile, folder / HEADER_FILE)
+    for name in ("source", "object", "striker"):
+        if getattr(kept, name) != getattr(header, name):
+            raise RecordError(
+                f"{folder / HEADER_FILE}: its {name} is not that of this cell; resume with the "
+                "files that the experiment was begun with, or begin a new one"
+            )
+
+
+def _follow(
+    series: TapSeries, design: Design, trials: list[Trial], made: list[Done], console: Console
+) -> None:
+    """Make the trials and show how far it is; nothing is shown where there is no terminal."""
+    wanted = len(design.runs) * design.trials
+    with Progress(
+        *Progress.get_default_columns(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[last]}"),
+        console=console,
+        disable=not console.is_terminal,
+        transient=True,
+    ) as shown:
+        used = sum(trial.outcome == "ok" for trial in trials)
+        bar = shown.add_task("trials", total=wanted, completed=used, last="")
+        for done in series.run():
+            made.append(done)
+            used += done.trial.outcome == "ok"
+            shown.update(bar, completed=used, last=_trial_text(done))
+
+
+def _trial_text(done: Done) -> str:
+    trial = completed(done.trial)
+    what = f"run {trial.run}, trial {trial.trial}: "
+    if trial.outcome != "ok":
+        return what + f"{trial.outcome} ({trial.note})"
+    return what + (
+        f"{1000 * trial.displacement:.1f} mm and {math.degrees(trial.rotation):+.1f} deg "
+        f"({1000 * done.expected:.1f} mm expected)"
+    )
+
+
+def _tell(
+    arguments: argparse.Namespace,
+    folder: Path,
+    design: Design,
+    trials: list[Trial],
+    end: tuple[int, str],
+    console: Console,
+) -> None:
+    """The summary: a row a run, and how it ended."""
+    rows = [_row(design, trials, number) for number in range(len(design.runs))]
+    code, sentence = end
+    if arguments.json:
+        content = {
+            "folder": str(folder),
+            "complete": all(row["used"] == design.trials for row in rows),
+            "error_code": code,
+            "error_msg": sentence,
+            "runs": rows,
+        }
+        print(json.dumps(content, indent=2))
+        return
+    table = Table(title=f"single taps in {folder.name}")
+    for title in ("run", "striker mm/s", "incidence deg", "used", "left out", "mm", "deg"):
+        table.add_column(title, justify="right")
+    for row in rows:
+        table.add_row(
+            str(row["run"]),
+            f"{row['striker_speed_mm_s']:.0f}",
+            f"{row['incidence_deg']:.1f}",
+            f"{row['used']} of {design.trials}",
+            ", ".join(f"{n} {word}" for word, n in row["left_out"].items()) or "none",
+            _spread_text(row["displacement_mm"]),
+            _spread_text(row["rotation_deg"]),
+        )
+    console.print(table)
+    if not sentence:
+        console.print(
+            f"[green]complete[/green]; next: python -m tapping_cell fit {folder}", highlight=False
+        )
+        return
+    console.print(
+        f"[red]stopped[/red] (code {code}): {sentence}; what is done is kept, go on with "
+        f"--resume {folder}",
+        highlight=False,
+    )
+
+
+def _row(design: Design, trials: list[Trial], index: int) -> dict[str, object]:
+    """What is known of one run."""
+    run = design.runs[index]
+    own = [completed(trial) for trial in trials if trial.run == run.number]
+    used = [trial for trial in own if trial.outcome == "ok"]
+    bad = [trial.outcome for trial in own if trial.outcome != "ok"]
+    return {
+        "run": run.number,
+        "striker_speed_mm_s": 1000 * run.striker_speed,
+        "incidence_deg": math.degrees(run.incidence),
+        "used": progress_of(design, trials)[run.number].used,
+        "left_out": {word: bad.count(word) for word in sorted(set(bad))},
+        "displacement_mm": _mean_and_deviation([1000 * t.displacement for t in used]),
+        "rotation_deg": _mean_and_deviation([math.degrees(t.rotation) for t in used]),
+        "file": run_name(run.number) if own else None,
+    }
+
+
+def _mean_and_deviation(values: list[float]) -> list[float] | None:
+    """Mean and standard deviation; None where there is nothing."""
+    if not values:
+        return None
+    deviation = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
+    return [round(float(np.mean(values)), 4), round(deviation, 4)]
+
+
+def _spread_text(spread: object) -> str:
+    return f"{spread[0]:.1f} +- {spread[1]:.1f}" if isinstance(spread, list) else ""
+
+
+def _listed(values: Iterable[float]) -> str:
+    return " ".join(f"{value:.0f}" for value in values)
