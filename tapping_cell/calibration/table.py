@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.calibration.camera import CalibrationRefused
-from tapping_cell.se2 import compose, inverse, transform_points, wrap_angle
+from tapping_cell.calibration.table_frame import rigid, with_poses
+from tapping_cell.se2 import compose, inverse, transform_points
 from tapping_cell.vision.camera import Array, CameraModel, CameraPose, Image
 from tapping_cell.vision.edges import MarkerEdges, refine, straight_corners
 from tapping_cell.vision.markers import (
@@ -150,7 +151,7 @@ def calibrate_table(
     turned = np.kron(np.eye(len(ids)), _turn(-frame[2]))
     deviations = np.sqrt(np.diag(turned @ covariance @ turned.T)).reshape(-1, 3)
     unplaced = tuple(ReferenceMarker(int(i), sizes[int(i)], 0.0, 0.0) for i in ids)
-    references = _with_poses(ReferenceMap(dictionary, unplaced), markers, 1.0)
+    references = with_poses(ReferenceMap(dictionary, unplaced), markers, 1.0)
     seen = problem.counts()
     return TableCalibration(
         references=references,
@@ -183,81 +184,6 @@ def _without(
         f" {error:.1f} pixels off); it is not flat on the table, not of this size, or was moved"
     )
     return replace(result, warnings=(said, *result.warnings))
-
-
-def in_frame(references: ReferenceMap, frame: Array) -> ReferenceMap:
-    """The same markers in another frame, whose pose (x, y, theta) in the old one is ``frame``."""
-    poses = compose(inverse(frame), _poses(references))
-    return _with_poses(references, poses, 1.0)
-
-
-def scaled(references: ReferenceMap, factor: float) -> ReferenceMap:
-    """The same map with all lengths multiplied, the markers' sizes as well."""
-    poses = _poses(references) * np.array([factor, factor, 1.0])
-    return _with_poses(references, poses, factor)
-
-
-def _poses(references: ReferenceMap) -> Array:
-    """Poses (M, 3) of the markers."""
-    return np.array([[m.x, m.y, m.theta] for m in references.markers])
-
-
-def _with_poses(references: ReferenceMap, poses: Array, factor: float) -> ReferenceMap:
-    """The markers at other poses (M, 3), their sizes multiplied."""
-    angles = wrap_angle(poses[:, 2])
-    return ReferenceMap(
-        references.dictionary,
-        tuple(
-            ReferenceMarker(m.id, m.size * factor, float(x), float(y), float(angle))
-            for m, x, y, angle in zip(
-                references.markers, poses[:, 0], poses[:, 1], angles, strict=True
-            )
-        ),
-    )
-
-
-def frame_of_markers(references: ReferenceMap, origin: int, along: int) -> Array:
-    """The frame with its origin on one marker and its x axis through another, shape (3,).
-
-    Raises:
-        CalibrationRefused: one of them is not in the map.
-    """
-    places = {m.id: np.array([m.x, m.y]) for m in references.markers}
-    for number in (origin, along):
-        if number not in places:
-            raise CalibrationRefused(f"marker {number} was not seen; seen are {sorted(places)}")
-    way = places[along] - places[origin]
-    return np.array([*places[origin], np.arctan2(way[1], way[0])])
-
-
-def frame_of_map(references: ReferenceMap, old: ReferenceMap) -> tuple[Array, float]:
-    """The frame in which the markers lie nearest to where ``old`` has them, shape (3,), and the
-    root mean square of the distances that remain, in m.
-
-    Raises:
-        CalibrationRefused: fewer than two markers are in both.
-    """
-    before = {m.id: (m.x, m.y) for m in old.markers}
-    now = {m.id: (m.x, m.y) for m in references.markers}
-    both = sorted(set(before) & set(now))
-    if len(both) < 2:
-        raise CalibrationRefused(
-            f"only the markers {both} are seen of the old table file's {sorted(before)}; two are"
-            " needed to keep its frame"
-        )
-    a, b = np.array([before[i] for i in both]), np.array([now[i] for i in both])
-    frame = _rigid(a, b)
-    left = transform_points(frame, a) - b
-    return frame, float(np.sqrt((left**2).sum(axis=1).mean()))
-
-
-def _rigid(a: Array, b: Array) -> Array:
-    """The pose that brings points ``a`` (N, 2) nearest to points ``b`` (N, 2)."""
-    da, db = a - a.mean(axis=0), b - b.mean(axis=0)
-    cross = (da[:, 0] * db[:, 1] - da[:, 1] * db[:, 0]).sum()
-    angle = float(np.arctan2(cross, (da * db).sum()))
-    origin = b.mean(axis=0) - transform_points(np.array([0.0, 0.0, angle]), a.mean(axis=0))
-    return np.array([*origin, angle])
 
 
 def _middle(markers: Array) -> Array:
@@ -310,7 +236,7 @@ def _squareness(pose: CameraPose, view: MarkerView, side: Array) -> tuple[Array,
     homogeneous = view.rays @ matrix[:, :2].T + matrix[:, 2]
     points = homogeneous[..., :2] / homogeneous[..., 2:]
     squares = UNIT_CORNERS * side[:, None, None]
-    poses = np.array([_rigid(squares[k], points[k]) for k in range(len(squares))])
+    poses = np.array([rigid(squares[k], points[k]) for k in range(len(squares))])
     left = points - transform_points(poses[:, None], squares)
     return (left / side[:, None, None]).ravel(), poses
 
@@ -344,7 +270,7 @@ def _join(
             frame = compose(places[i], inverse(own[i]))
         else:
             a = np.stack([own[i] for i in shared[best]])[:, :2]
-            frame = _rigid(a, np.stack([places[i] for i in shared[best]])[:, :2])
+            frame = rigid(a, np.stack([places[i] for i in shared[best]])[:, :2])
         frames[best] = frame
         for i, pose in own.items():
             places.setdefault(i, compose(frame, pose))

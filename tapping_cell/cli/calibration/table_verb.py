@@ -29,13 +29,15 @@ from tapping_cell.calibration.table import (
     MarkerView,
     TableCalibration,
     calibrate_table,
+    look,
+)
+from tapping_cell.calibration.table_file import table_yaml
+from tapping_cell.calibration.table_frame import (
     frame_of_map,
     frame_of_markers,
     in_frame,
-    look,
     scaled,
 )
-from tapping_cell.calibration.table_file import table_yaml
 from tapping_cell.cli.calibration.camera_verb import image_files, one_size, read_grey
 from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.files import shared_folder
