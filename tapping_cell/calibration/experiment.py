@@ -46,7 +46,13 @@ class ExperimentFile:
     object: ObjectFile | None = section(
         "the object as the planner knew it; without it fit needs --object", default=None
     )
-    camera_rate_hz: float = quantity("poses a second", "", 1.0, 1e5, default=30.0)
+    camera_rate_hz: float | None = quantity(
+        "poses a second, where a row gives none; else by the tracks' own times",
+        "Hz",
+        1.0,
+        1e5,
+        default=None,
+    )
     exposure: float = quantity("time of exposure of a frame", "s", 0.0, 0.1, default=0.0)
     rest_position_std: float = quantity(
         "of one axis of the position at rest", "m", 0.0, 0.1, default=0.00005

@@ -22,7 +22,9 @@ Array = NDArray[np.float64]
 
 TORQUE_FACTORS = (0.1, 15.0)
 """Torque factors that a fit looks for."""
-_GRID = 0.01  # in ln(torque factor): interpolation errs by 1e-5 of the rotation
+FINE, COARSE = 0.02, 0.12
+"""Spacing of the tables in ln(torque factor): the interpolation errs by 3e-5 and by 1e-3 of the
+rotation. A table costs a tenth of a second; a search begins on the coarse ones."""
 _FARTHEST = 14.0  # ln of the largest ratio of spin and speed that is told from a pure motion
 _NEAREST = -20.0  # ln of the least distance from the terminal ratio
 _KNOTS = 1000
@@ -103,18 +105,36 @@ class _Curve:
 
 
 @lru_cache(maxsize=512)
-def _curve(support: str, gamma: float, step: int) -> _Curve:
-    return _Curve(support, gamma * math.exp(step * _GRID))
+def _curve(support: str, gamma: float, log_torque_factor: float) -> _Curve:
+    return _Curve(support, gamma * math.exp(log_torque_factor))
 
 
 class SlideCurves:
     """Slides of a support: ``support`` is "disk" or "ring", ``radius`` R in m, gamma m R^2 / I."""
 
-    def __init__(self, support: str, radius: float, gamma: float, gravity: float) -> None:
+    def __init__(
+        self, support: str, radius: float, gamma: float, gravity: float, grid: float = FINE
+    ) -> None:
         self._support = support
         self._radius = radius
         self._gamma = gamma
         self._gravity = gravity
+        self._grid = grid
+
+    def on(self, grid: float) -> SlideCurves:
+        """The same with tables of another spacing."""
+        return SlideCurves(self._support, self._radius, self._gamma, self._gravity, grid)
+
+    def _around(self, log_torque_factor: float) -> tuple[_Curve, _Curve, float]:
+        """The tables below and above, and the place between them from 0 to 1."""
+        low, high = (math.log(limit) for limit in (0.05, 20.0))
+        place = min(max(log_torque_factor, low), high) / self._grid
+        step = math.floor(place)
+        return (
+            _curve(self._support, self._gamma, step * self._grid),
+            _curve(self._support, self._gamma, (step + 1) * self._grid),
+            place - step,
+        )
 
     def at(
         self,
@@ -133,14 +153,8 @@ class SlideCurves:
         rim = np.abs(spin) * self._radius
         sign_v, sign_s = np.sign(speed)[rows], np.sign(spin)[rows]
         pull = (friction * self._gravity)[rows]
-        place = min(max(log_torque_factor, math.log(0.05)), math.log(20.0)) / _GRID
-        step = math.floor(place)
-        states = [
-            _curve(self._support, self._gamma, step + k).at(np.abs(speed), rim, pull * time, rows)
-            for k in (0, 1)
-        ]
-        low, high = states
-        part = place - step
+        below, above, part = self._around(log_torque_factor)
+        low, high = (curve.at(np.abs(speed), rim, pull * time, rows) for curve in (below, above))
         mixed = State(*(a + part * (b - a) for a, b in zip(low, high, strict=True)))
         turned = sign_s / (pull * self._radius)
         return (
@@ -151,8 +165,8 @@ class SlideCurves:
                 sign_s * mixed.spin / self._radius,
             ),
             Slopes(
-                sign_v * (high.distance - low.distance) / (pull * _GRID),
-                turned * (high.rotation - low.rotation) / _GRID,
+                sign_v * (high.distance - low.distance) / (pull * self._grid),
+                turned * (high.rotation - low.rotation) / self._grid,
             ),
         )
 
@@ -161,14 +175,10 @@ class SlideCurves:
     ) -> tuple[Array, Array, tuple[Array, Array]]:
         """Speeds and spins (n,) that end there, and their derivatives by ln(torque factor)."""
         pull = friction * self._gravity
-        place = min(max(log_torque_factor, math.log(0.05)), math.log(20.0)) / _GRID
-        step = math.floor(place)
+        below, above, part = self._around(log_torque_factor)
         (v0, s0), (v1, s1) = (
-            _curve(self._support, self._gamma, step + k).table.launch_many(
-                distance * pull, rotation * pull * self._radius
-            )
-            for k in (0, 1)
+            curve.table.launch_many(distance * pull, rotation * pull * self._radius)
+            for curve in (below, above)
         )
-        part = place - step
-        slopes = ((v1 - v0) / _GRID, (s1 - s0) / (_GRID * self._radius))
+        slopes = ((v1 - v0) / self._grid, (s1 - s0) / (self._grid * self._radius))
         return v0 + part * (v1 - v0), (s0 + part * (s1 - s0)) / self._radius, slopes

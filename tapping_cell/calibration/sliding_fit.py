@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.calibration.slide_curves import TORQUE_FACTORS, SlideCurves, Slopes, State
+from tapping_cell.calibration.slide_curves import COARSE, TORQUE_FACTORS, SlideCurves, Slopes, State
 from tapping_cell.calibration.track import Slide
 from tapping_cell.mechanics import Body
 
@@ -141,11 +141,13 @@ def fit_slides(motions: Sequence[Motion], body: Body, gravity: float) -> SlideFi
     if len(motions) < 2:
         raise ValueError(f"{len(motions)} slides cannot be fitted; two are needed at least")
     problem = _problem(motions, body, gravity)
+    fine, coarse = problem.curves, problem.curves.on(COARSE)
+    problem = problem._replace(curves=coarse)
     start = min(
         (_solve(problem, _first_guess(problem, motions, k), _LEAST_SCATTER) for k in _STARTS),
         key=lambda solution: solution.cost,
     )
-    problem = _weighted(_unblurred(problem, motions, start), start)
+    problem = _weighted(_unblurred(problem, motions, start), start)._replace(curves=fine)
     start = _solve(problem, start, _LEAST_SCATTER)
     problem = _weighted(problem, start)
     own, own_std = _own_friction(problem, _solve(problem, start, _FREE, shared=False))
@@ -174,14 +176,18 @@ def _problem(motions: Sequence[Motion], body: Body, gravity: float) -> _Problem:
             parts.append((np.full(s.time.size, float(index)), *columns))
         rest = (index, math.inf, m.displacement, m.rotation, m.displacement_std, m.rotation_std)
         parts.append(tuple(np.array([value], dtype=float) for value in rest))
-    columns = tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+    rows, time, distance, rotation, distance_std, rotation_std = (
+        np.concatenate(column) for column in zip(*parts, strict=True)
+    )
     given = np.array([[m.speed, m.spin, m.speed_std, m.spin_std] for m in motions])
     return _Problem(
         curves=SlideCurves(body.support, body.support_radius, body.gamma, gravity),
         radius=body.support_radius,
         gravity=gravity,
         tracked=np.array([m.slide is not None for m in motions]),
-        samples=_Samples(columns[0].astype(np.intp), *columns[1:6]),
+        samples=_Samples(
+            rows.astype(np.intp), time, distance, rotation, distance_std, rotation_std
+        ),
         given=_Given(*given.T),
     )
 

@@ -1,0 +1,156 @@
+"""Fitted values with their intervals, beside the old ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.calibration.bootstrap import spread
+from tapping_cell.calibration.csv_table import RecordError
+from tapping_cell.calibration.impact_fit import ImpactFit
+from tapping_cell.calibration.prediction import Launches
+from tapping_cell.calibration.sliding_fit import SlideFit
+from tapping_cell.configuration.objects import ObjectFile
+
+Array = NDArray[np.float64]
+
+_LEAST_SCATTER_TRIALS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A fitted value with its 95 % interval and standard deviation, beside the old one.
+
+    ``old`` is NaN where the object's file had none. A value that the data do not determine is kept:
+    ``fitted`` is False, and low, high and std are NaN.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    std: float
+    old: float
+    unit: str = ""
+    fitted: bool = True
+
+
+def slide_estimates(
+    slide: SlideFit, runs: Sequence[int], content: ObjectFile, seed: int
+) -> list[Estimate]:
+    """Friction and torque factor; ``runs`` says which trials belong together.
+
+    Raises:
+        RecordError: the trials do not determine both.
+    """
+    try:
+        width = spread(slide.score, slide.information, runs, seed)
+    except ValueError as problem:
+        raise RecordError(
+            "the trials do not determine friction and torque factor together: the object hardly "
+            "turned. Tap with an incidence of 20 degrees and more"
+        ) from problem
+    values = (slide.friction, slide.torque_factor)
+    old = (content.friction, content.torque_factor)
+    return [
+        Estimate(
+            name,
+            value,
+            value * math.exp(width.low[k]),
+            value * math.exp(width.high[k]),
+            value * float(width.std[k]),
+            old[k],
+        )
+        for k, (name, value) in enumerate(zip(("friction", "torque_factor"), values, strict=True))
+    ]
+
+
+def impact_estimates(
+    impact: ImpactFit, runs: Sequence[int], content: ObjectFile, seed: int
+) -> list[Estimate]:
+    """All parameters of the impact, those that were not fitted as well."""
+    old = {
+        "restitution": content.restitution,
+        "contact_friction": content.contact_friction,
+        "scale_b1": content.impact_scale[0],
+        "scale_b2": content.impact_scale[1],
+        "scale_b3": content.impact_scale[2],
+    }
+    try:
+        width = spread(impact.score, impact.information, runs, seed + 1)
+    except ValueError:
+        width = None
+    estimates = []
+    for name, value in impact.values.items():
+        if name not in impact.free or width is None:
+            kept = Estimate(name, value, *(math.nan,) * 3, old[name], fitted=False)
+            estimates.append(kept)
+            continue
+        k = impact.free.index(name)
+        shift = 1.0 if name == "restitution" else 0.0  # fitted as ln(1 + e)
+        ends = [
+            (value + shift) * math.exp(offset) - shift
+            for offset in (float(width.low[k]), float(width.high[k]))
+        ]
+        if name == "restitution":
+            ends = [min(max(end, 0.0), 1.0) for end in ends]
+        std = (value + shift) * float(width.std[k])
+        estimates.append(Estimate(name, value, ends[0], ends[1], std, old[name]))
+    return estimates
+
+
+def scatter_estimates(
+    measured: Launches,
+    tapped: Launches,
+    impact: ImpactFit,
+    runs: Sequence[int],
+    content: ObjectFile,
+    seed: int,
+) -> list[Estimate]:
+    """Scatter of launches (speed, spin, direction) and of displacements (distance, rotation)."""
+    clear = np.abs(tapped.rotation) > 0.01 * tapped.distance / 0.05
+    columns = {
+        "scatter_speed": (impact.deviations[:, 0], math.nan, impact.scatter[0]),
+        "scatter_spin": (
+            np.where(clear, impact.deviations[:, 1], math.nan),
+            math.nan,
+            impact.scatter[1],
+        ),
+        "scatter_direction": (
+            impact.deviations[:, 2],
+            content.scatter.direction,
+            impact.scatter[2],
+        ),
+        "scatter_distance": (
+            measured.distance / tapped.distance - 1,
+            content.scatter.distance,
+            math.nan,
+        ),
+        "scatter_rotation": (
+            np.where(clear, measured.rotation / tapped.rotation - 1, math.nan),
+            content.scatter.rotation,
+            math.nan,
+        ),
+    }
+    found = []
+    for name, (off, old, value) in columns.items():
+        known = np.isfinite(off)
+        unit = "rad" if name == "scatter_direction" else ""
+        if known.sum() < _LEAST_SCATTER_TRIALS:
+            continue
+        total = math.sqrt(float(np.mean(off[known] ** 2)))
+        value = total if math.isnan(value) else value
+        square = (off[known] / total) ** 2
+        width = spread(
+            (1 - square)[:, None],
+            np.full((int(known.sum()), 1, 1), 2.0),
+            [run for run, is_known in zip(runs, known, strict=True) if is_known],
+            seed + 2,
+        )
+        low, high = (value * math.exp(float(end[0])) for end in (width.low, width.high))
+        found.append(Estimate(name, value, low, high, value * float(width.std[0]), old, unit))
+    return found

@@ -1,0 +1,216 @@
+"""Which parameters the trials tell apart, and which further experiment would.
+
+The Fisher information of the launches (the squares of their derivatives by the parameters, over
+the scatter of a tap) is asked about all parameters at once, also those that the fit keeps: a
+parameter whose standard deviation with all others free is as large as itself is not determined, and
+the eigenvectors of the information without weight say which combinations are not. Candidates for
+the next experiment are added to the information, and the best is named.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.calibration.impact_fit import NAMES, ImpactModel, Strikes, weighted_slopes
+
+Array = NDArray[np.float64]
+
+GAIN = "striker_speed_gain"
+_ALL = (*NAMES, GAIN)
+_WORDS = {
+    "restitution": "restitution",
+    "contact_friction": "contact friction",
+    "scale_b1": "scale of B1",
+    "scale_b2": "scale of B2",
+    "scale_b3": "scale of B3",
+    GAIN: "gain of the striker's speed",
+}
+_UNKNOWN = 0.5  # relative standard deviation from which a parameter is not determined
+_SHARE = 0.3  # of an eigenvector's largest component
+_LARGE = 1e6
+_TAPS = 10
+_REBOUND_STD = 0.02  # of the striker's speed, if one measured it after the impact
+_INCIDENCES = tuple(math.radians(angle) for angle in (0, 10, 20, 30, 40, 50, 60))
+
+
+@dataclass(frozen=True, slots=True)
+class Identifiability:
+    """``alone`` and ``together``: relative standard deviation of each parameter with the others
+    known, and with all free (inf: not determined). ``sentences`` are for people."""
+
+    alone: Mapping[str, float]
+    together: Mapping[str, float]
+    sentences: tuple[str, ...]
+
+
+def identifiability(
+    model: ImpactModel,
+    values: Mapping[str, float],
+    scatter: Sequence[float],
+    speed_known: float,
+) -> Identifiability:
+    """What the impacts tell of all parameters of the impact.
+
+    ``speed_known``: relative standard deviation to which the strikers' speeds as a whole are known,
+    inf where only commanded ones are.
+    """
+    information = _information(model, values, scatter, speed_known)
+    alone, together = _deviations(information, values)
+    sentences = [
+        *_confounded(information, speed_known),
+        *_advice(model, values, scatter, information),
+    ]
+    return Identifiability(
+        dict(zip(_ALL, alone.tolist(), strict=True)),
+        dict(zip(_ALL, together.tolist(), strict=True)),
+        tuple(sentences),
+    )
+
+
+def _information(
+    model: ImpactModel, values: Mapping[str, float], scatter: Sequence[float], speed_known: float
+) -> Array:
+    launch = model.launch(values)
+    deviation = model.deviation_std(launch, scatter)
+    slopes = weighted_slopes(model, values, NAMES, deviation)
+    gain = np.zeros((len(launch), 3, 1))
+    gain[:, 0, 0] = -launch[:, 0] / deviation[:, 0]
+    every = np.concatenate([slopes, gain], axis=2)
+    information = np.einsum("nkp,nkq->pq", every, every)
+    if math.isfinite(speed_known):
+        information[-1, -1] += speed_known**-2
+    return np.asarray(information)
+
+
+def _deviations(information: Array, values: Mapping[str, float]) -> tuple[Array, Array]:
+    """Relative standard deviations with the other parameters known, and with none."""
+    restitution = values["restitution"]
+    to_relative = np.ones(len(information))
+    to_relative[0] = (1 + restitution) / max(restitution, 1e-3)
+    diagonal = np.diag(information)
+    alone = to_relative * np.where(
+        diagonal > 0, 1 / np.sqrt(np.maximum(diagonal, 1e-300)), math.inf
+    )
+    together = to_relative * np.sqrt(
+        np.diag(np.linalg.inv(information + np.eye(len(diagonal)) / _LARGE))
+    )
+    return (
+        np.where(alone > _UNKNOWN, math.inf, alone),
+        np.where(together > _UNKNOWN, math.inf, together),
+    )
+
+
+def _confounded(information: Array, speed_known: float) -> list[str]:
+    sentences = []
+    values, vectors = np.linalg.eigh(information)
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value > _UNKNOWN**-2:
+            continue
+        largest = float(np.max(np.abs(vector)))
+        names = [
+            _WORDS[name]
+            for name, part in zip(_ALL, vector, strict=True)
+            if abs(part) > _SHARE * largest
+        ]
+        if len(names) == 1:
+            sentences.append(f"The trials say nothing of the {names[0]}.")
+        else:
+            listed = ", ".join(names[:-1]) + " and " + names[-1]
+            sentences.append(f"The trials cannot tell apart {listed}: only a combination counts.")
+    if not math.isfinite(speed_known):
+        sentences.append(
+            "The striker's speed was not measured: the restitution is that of a striker with "
+            "exactly the commanded speed. What holds without it: friction, torque factor, contact "
+            "friction, and predictions by the same tapper."
+        )
+    return sentences
+
+
+def _advice(
+    model: ImpactModel, values: Mapping[str, float], scatter: Sequence[float], information: Array
+) -> list[str]:
+    """For each parameter that is not determined, the next taps that would help most."""
+    sentences = []
+    known = _deviations(information, values)[1]
+    for index, name in enumerate(_ALL):
+        if math.isfinite(float(known[index])):
+            continue
+        found = []
+        for words, more in _candidates(model, values, scatter):
+            after = float(_deviations(information + more, values)[1][index])
+            found.append((after, words))
+        after, words = min(found)
+        if after < _UNKNOWN:
+            sentences.append(
+                f"{_TAPS} more taps {words} would determine the {_WORDS[name]} to "
+                f"{100 * after:.0f} %."
+            )
+    return sentences
+
+
+def _candidates(
+    model: ImpactModel, values: Mapping[str, float], scatter: Sequence[float]
+) -> list[tuple[str, Array]]:
+    strikes = model.strikes
+    speed = float(np.median(strikes.speed))
+    found = []
+    for incidence in _INCIDENCES:
+        taps = _alike(strikes, speed, incidence)
+        other = model.with_strikes(taps)
+        information = _information(other, values, scatter, math.inf)
+        angle = f"at {speed:.2f} m/s and an incidence of {math.degrees(incidence):.0f} degrees"
+        found.append((angle, information))
+        rebound = _rebound(other, values)
+        found.append(
+            (
+                angle + " with the striker's speed measured before and after the impact",
+                information + rebound,
+            )
+        )
+    return found
+
+
+def _alike(strikes: Strikes, speed: float, incidence: float) -> Strikes:
+    """Taps with the middle trial's measurement, to both sides."""
+
+    def many(column: Array) -> Array:
+        return np.full(_TAPS, float(np.nanmedian(column)))
+
+    side = np.where(np.arange(_TAPS) % 2 == 0, 1.0, -1.0)
+    contact = np.repeat(np.median(strikes.contact, axis=0)[None], _TAPS, axis=0)
+    measured = np.isfinite(strikes.angle).any()
+    return replace(
+        strikes,
+        speed=np.full(_TAPS, speed),
+        speed_std=many(strikes.speed_std),
+        incidence=side * incidence,
+        contact=contact,
+        launch_speed=many(strikes.launch_speed),
+        launch_speed_std=many(strikes.launch_speed_std),
+        spin=many(strikes.spin),
+        spin_std=many(strikes.spin_std),
+        angle=np.full(_TAPS, 0.0 if measured else math.nan),
+        angle_std=many(strikes.angle_std),
+    )
+
+
+def _rebound(model: ImpactModel, values: Mapping[str, float]) -> Array:
+    """Information of the striker's speed before and after the impact."""
+    columns = []
+    strikes = model.strikes
+    for name in NAMES:
+        ends = [model.rebound({**values, name: values[name] * factor}) for factor in (1.01, 0.99)]
+        by_log = (ends[0] - ends[1]) / 0.02
+        if name == "restitution":
+            by_log *= (1 + values[name]) / max(values[name], 1e-3)
+        columns.append(by_log)
+    columns.append(model.rebound(values))
+    slopes = np.stack(columns, axis=1) / (_REBOUND_STD * strikes.speed[:, None])
+    information = slopes.T @ slopes
+    information[-1, -1] += _TAPS / _REBOUND_STD**2
+    return np.asarray(information)

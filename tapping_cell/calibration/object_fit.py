@@ -1,0 +1,388 @@
+"""From the records of single taps to the object's parameters: what is read, left out, fitted, and
+how far each figure can be trusted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.calibration.csv_table import RecordError
+from tapping_cell.calibration.estimates import (
+    Estimate,
+    impact_estimates,
+    scatter_estimates,
+    slide_estimates,
+)
+from tapping_cell.calibration.experiment import Experiment
+from tapping_cell.calibration.identifiability import Identifiability, identifiability
+from tapping_cell.calibration.impact_fit import (
+    ImpactFit,
+    ImpactModel,
+    Strikes,
+    contact_frame,
+    fit_impact,
+)
+from tapping_cell.calibration.paper_criterion import PaperFit, paper_fit
+from tapping_cell.calibration.prediction import Launches, RunErrors, run_errors
+from tapping_cell.calibration.screening import LEAST_TRIALS, Used, enough, run_of, screen
+from tapping_cell.calibration.slide_curves import SlideCurves
+from tapping_cell.calibration.sliding_fit import SlideFit, fit_slides
+from tapping_cell.calibration.trials import LeftOut
+from tapping_cell.configuration.objects import GRAVITY, ObjectFile
+from tapping_cell.mechanics import Body, Polygon, Striker
+
+Array = NDArray[np.float64]
+
+_OUTLIER = 6.0  # robust standard deviations
+_LEAST_FRICTION_SPREAD = 0.01
+_MISFIT = 5.0
+_MOST_OUTLIERS = 0.25
+_CORRELATED = 0.9
+
+
+class SpeedPoint(NamedTuple):
+    """The tapper at one setting: draw (m, NaN if none) and commanded speed, and what it made."""
+
+    draw: float
+    commanded: float
+    measured: float
+    scatter: float
+    trials: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectFit:
+    """Everything that ``fit`` found. Arrays have one entry a used trial."""
+
+    content: ObjectFile
+    estimates: tuple[Estimate, ...]
+    used: tuple[Used, ...]
+    left_out: tuple[LeftOut, ...]
+    labels: tuple[str, ...]
+    slide: SlideFit
+    impact: ImpactFit | None
+    paper: PaperFit
+    measured: Launches
+    by_sliding: Launches
+    by_tapping: Launches
+    runs: tuple[RunErrors, ...]
+    identifiability: Identifiability | None
+    tapper: tuple[SpeedPoint, ...]
+    sentences: tuple[str, ...]
+
+    def estimate(self, name: str) -> Estimate:
+        """The estimate of that name; KeyError if there is none."""
+        for entry in self.estimates:
+            if entry.name == name:
+                return entry
+        raise KeyError(name)
+
+
+def fit_object(experiments: Sequence[Experiment], content: ObjectFile, seed: int = 0) -> ObjectFit:
+    """Fit the object's parameters; ``content`` gives shape, mass and the old values.
+
+    Raises:
+        RecordError: the records cannot be used; the message says why.
+    """
+    body = content.body()
+    used, left_out = screen(experiments, body, GRAVITY)
+    slide = _fit_slides(used, body)
+    strange = _strangers(used, slide)
+    if strange:
+        kept = [entry for index, entry in enumerate(used) if index not in strange]
+        used, left_out = enough(kept, (*left_out, *strange.values()))
+        slide = _fit_slides(used, body)
+    labels = _labels(used)
+    numbers = [labels.index(label) for label in labels]
+    measured = _measured(used, slide)
+    estimates = slide_estimates(slide, numbers, content, seed)
+    striker = _striker(experiments)
+    sentences: list[str] = []
+    impacts = _fit_impact(used, slide, content, striker, sentences)
+    by_tapping = _tapped(used, slide, impacts, body)
+    found = None
+    if impacts is not None:
+        impact = impacts.fit
+        struck = [numbers[row] for row in impacts.rows]
+        estimates += impact_estimates(impact, struck, content, seed)
+        sentences.extend(f"{note[0].upper()}{note[1:]}." for note in impact.notes)
+        known = _speed_known([used[row] for row in impacts.rows])
+        found = identifiability(impacts.model, impact.values, impact.scatter, known)
+        sentences.extend(found.sentences)
+        estimates += scatter_estimates(
+            measured.of(impacts.rows), by_tapping.of(impacts.rows), impact, struck, content, seed
+        )
+    by_sliding = _slid(measured, slide, body)
+    sentences.extend(_slide_sentences(slide, estimates, labels))
+    return ObjectFit(
+        content=content,
+        estimates=tuple(estimates),
+        used=used,
+        left_out=left_out,
+        labels=tuple(labels),
+        slide=slide,
+        impact=None if impacts is None else impacts.fit,
+        paper=paper_fit(measured, labels, body, GRAVITY, (slide.friction, slide.torque_factor)),
+        measured=measured,
+        by_sliding=by_sliding,
+        by_tapping=by_tapping,
+        runs=run_errors(labels, measured, by_sliding, by_tapping),
+        identifiability=found,
+        tapper=_tapper(used),
+        sentences=tuple(sentences),
+    )
+
+
+def _fit_slides(used: Sequence[Used], body: Body) -> SlideFit:
+    return fit_slides([entry.motion for entry in used], body, GRAVITY)
+
+
+def _labels(used: Sequence[Used]) -> list[str]:
+    """Names of the runs, with the folder where there are several."""
+    folders = list(dict.fromkeys(run_of(entry.trial)[0] for entry in used))
+    several = len(folders) > 1
+    return [
+        (f"{folders.index(folder) + 1}." if several else "") + str(run)
+        for folder, run in (run_of(entry.trial) for entry in used)
+    ]
+
+
+def _strangers(used: Sequence[Used], slide: SlideFit) -> dict[int, LeftOut]:
+    """Trials that do not slide like the others: a push, a hand, a bump in the table."""
+    own = np.log(slide.own_friction)
+    centred = own - np.median(own)
+    width = max(1.4826 * float(np.median(np.abs(centred))), _LEAST_FRICTION_SPREAD)
+    width_each = np.maximum(width, np.nan_to_num(slide.own_friction_std, posinf=1.0))
+    usual = max(float(np.median(slide.misfit)), 1.0)
+    found: dict[int, LeftOut] = {}
+    for index, entry in enumerate(used):
+        reason = ""
+        if abs(centred[index]) > _OUTLIER * width_each[index]:
+            reason = (
+                f"it slows down {100 * math.expm1(centred[index]):+.0f} % beside the other trials"
+            )
+        elif slide.misfit[index] > _MISFIT * usual:
+            reason = f"its track is {slide.misfit[index] / usual:.0f} times as far from any slide"
+        if reason:
+            sentence = f"the object does not slide as in the other trials: {reason}"
+            found[index] = LeftOut(entry.trial.file, entry.trial.row, "disturbed", sentence)
+    if len(found) > _MOST_OUTLIERS * len(used):
+        raise RecordError(
+            f"{len(found)} of {len(used)} trials do not slide alike, the first: "
+            f"{next(iter(found.values()))}. The records hold several objects or tables, or wrong "
+            "units; fit them apart"
+        )
+    return found
+
+
+def _striker(experiments: Sequence[Experiment]) -> Striker | None:
+    strikers = {e.header.striker.striker() for e in experiments if e.header.striker is not None}
+    if len(strikers) > 1:
+        raise RecordError("the experiments were made with different strikers; fit them apart")
+    return next(iter(strikers), None)
+
+
+def predict(fit: ObjectFit, experiments: Sequence[Experiment]) -> tuple[RunErrors, ...]:
+    """How well a fit predicts other taps: errors of each run, relative.
+
+    Raises:
+        RecordError: the records cannot be used.
+    """
+    body = fit.content.body()
+    used, _ = screen(experiments, body, GRAVITY)
+    own = _fit_slides(used, body)
+    measured = _measured(used, own)
+    impacts = None
+    striker = _striker(experiments)
+    if fit.impact is not None and striker is not None:
+        strikes, known = _strikes(used, own, body)
+        rows = np.flatnonzero(known)
+        model = ImpactModel(strikes.of(rows), body, striker, dict(fit.impact.values))
+        impacts = _Impacts(fit.impact, model, rows)
+    return run_errors(
+        _labels(used),
+        measured,
+        _slid(measured, fit.slide, body),
+        _tapped(used, fit.slide, impacts, body),
+    )
+
+
+def _measured(used: Sequence[Used], slide: SlideFit) -> Launches:
+    return Launches(
+        slide.speed,
+        slide.spin,
+        np.array([entry.motion.displacement for entry in used]),
+        np.array([entry.motion.rotation for entry in used]),
+    )
+
+
+class _Impacts(NamedTuple):
+    """The impact's fit, its model, and the trials (indices) that it was made from."""
+
+    fit: ImpactFit
+    model: ImpactModel
+    rows: NDArray[np.intp]
+
+
+def _fit_impact(
+    used: Sequence[Used],
+    slide: SlideFit,
+    content: ObjectFile,
+    striker: Striker | None,
+    sentences: list[str],
+) -> _Impacts | None:
+    if striker is None:
+        sentences.append("No header gives the striker: the impact is not fitted.")
+        return None
+    body = content.body()
+    strikes, known = _strikes(used, slide, body)
+    rows = np.flatnonzero(known)
+    if rows.size < len(used):
+        sentences.append(
+            f"{len(used) - rows.size} of {len(used)} trials lack the striker's speed, the incidence"
+            " or a polygon's contact angle: the impact is "
+            + ("fitted without them." if rows.size >= LEAST_TRIALS else "not fitted.")
+        )
+    if rows.size < LEAST_TRIALS:
+        return None
+    # A new fit stands on the model's own constants, not on those of the last one.
+    old = {"restitution": content.restitution, "contact_friction": content.contact_friction}
+    scales = {"scale_b1": 1.0, "scale_b2": 1.0, "scale_b3": 1.0}
+    model = ImpactModel(strikes.of(rows), body, striker, old | scales)
+    return _Impacts(fit_impact(model), model, rows)
+
+
+def _strikes(
+    used: Sequence[Used], slide: SlideFit, body: Body
+) -> tuple[Strikes, NDArray[np.bool_]]:
+    trials = [entry.trial for entry in used]
+    speed = np.array(
+        [
+            t.striker_speed if math.isnan(t.striker_speed_measured) else t.striker_speed_measured
+            for t in trials
+        ]
+    )
+    share = np.array([entry.header.striker_speed_std for entry in used])
+    given = np.array([t.striker_speed_std for t in trials])
+    contact_angle = np.array([t.contact_angle for t in trials])
+    local, inward = contact_frame(body, contact_angle)
+    start = np.array([t.start_theta for t in trials])
+    direction = np.array([t.direction for t in trials])
+    angle = np.remainder(direction - start - inward + math.pi, math.tau) - math.pi
+    place = np.array([entry.header.rest_position_std for entry in used])
+    turn = np.array([entry.header.rest_rotation_std for entry in used])
+    distance = np.array([entry.motion.displacement for entry in used])
+    incidence = np.array([t.incidence for t in trials])
+    strikes = Strikes(
+        speed=speed,
+        speed_std=np.where(np.isnan(given), share * speed, given),
+        incidence=incidence,
+        contact=local,
+        launch_speed=slide.speed,
+        launch_speed_std=slide.speed_std,
+        spin=slide.spin,
+        spin_std=slide.spin_std,
+        angle=angle,
+        angle_std=np.hypot(turn, place * np.hypot(1 / distance, 1 / body.bounding_radius)),
+    )
+    known = np.isfinite(speed + incidence)
+    if isinstance(body, Polygon):
+        known &= np.isfinite(contact_angle)
+    return strikes, known
+
+
+def _speed_known(used: Sequence[Used]) -> float:
+    """To what share the strikers' speeds as a whole are known."""
+    measured = [not math.isnan(entry.trial.striker_speed_measured) for entry in used]
+    if not all(measured):
+        return math.inf
+    return max(entry.header.striker_speed_std for entry in used) / math.sqrt(len(used))
+
+
+def _slid(measured: Launches, slide: SlideFit, body: Body) -> Launches:
+    """Displacements from measured velocities, and velocities from measured displacements."""
+    curves = SlideCurves(body.support, body.support_radius, body.gamma, GRAVITY)
+    log_factor = math.log(slide.torque_factor)
+    distance, rotation = _rest(curves, slide, measured.speed, measured.spin)
+    speed, spin, _ = curves.launch(measured.distance, measured.rotation, slide.friction, log_factor)
+    return Launches(speed, spin, distance, rotation)
+
+
+def _rest(curves: SlideCurves, slide: SlideFit, speed: Array, spin: Array) -> tuple[Array, Array]:
+    rows = np.arange(speed.size)
+    friction = np.full(speed.size, slide.friction)
+    state, _ = curves.at(
+        (speed, spin), np.full(speed.size, math.inf), rows, friction, math.log(slide.torque_factor)
+    )
+    return state.distance, state.rotation
+
+
+def _tapped(
+    used: Sequence[Used], slide: SlideFit, impacts: _Impacts | None, body: Body
+) -> Launches:
+    """Velocities and displacements by the striker's speed and the incidence alone."""
+    columns = np.full((4, len(used)), math.nan)
+    if impacts is not None:
+        launch = impacts.model.launch(impacts.fit.values)
+        speed, spin = launch[:, 0], launch[:, 0] * launch[:, 1]
+        curves = SlideCurves(body.support, body.support_radius, body.gamma, GRAVITY)
+        columns[:, impacts.rows] = speed, spin, *_rest(curves, slide, speed, spin)
+    return Launches(*columns)
+
+
+def _slide_sentences(
+    slide: SlideFit, estimates: Sequence[Estimate], labels: Sequence[str]
+) -> list[str]:
+    total = slide.information.sum(axis=0)
+    covariance = np.linalg.inv(total)
+    correlation = covariance[0, 1] / math.sqrt(covariance[0, 0] * covariance[1, 1])
+    sentences = []
+    if abs(correlation) > _CORRELATED:
+        sentences.append(
+            f"Friction and torque factor are hardly told apart (correlation {correlation:.2f})."
+        )
+    torque = next(entry for entry in estimates if entry.name == "torque_factor")
+    names = np.array(labels)
+    each = {
+        label: float(np.mean(slide.information[names == label, 1, 1]))
+        for label in dict.fromkeys(labels)
+    }
+    best = max(each, key=lambda label: each[label])
+    share = (torque.high - torque.low) / (2 * torque.value)
+    if share > 0.05:
+        more = 10 * each[best]
+        after = share * math.sqrt(float(total[1, 1]) / (float(total[1, 1]) + more))
+        sentences.append(
+            f"The torque factor is known to {100 * share:.0f} %. Ten more taps like those of run "
+            f"{best}, which tell most of it, would bring {100 * after:.0f} %; taps that turn the "
+            "object more tell more."
+        )
+    return sentences
+
+
+def _tapper(used: Sequence[Used]) -> tuple[SpeedPoint, ...]:
+    """Measured striker speed by draw, or by commanded speed."""
+    settings: dict[tuple[float, float], list[float]] = {}
+    for entry in used:
+        trial = entry.trial
+        if math.isfinite(trial.striker_speed_measured):
+            draw = -1.0 if math.isnan(trial.draw) else trial.draw
+            key = (draw, round(trial.striker_speed, 6) if draw < 0 else -1.0)
+            settings.setdefault(key, []).append(trial.striker_speed_measured)
+    points = []
+    for (draw, commanded), speeds in sorted(settings.items()):
+        points.append(
+            SpeedPoint(
+                math.nan if draw < 0 else draw,
+                math.nan if commanded < 0 else commanded,
+                float(np.mean(speeds)),
+                float(np.std(speeds, ddof=1)) if len(speeds) > 1 else math.nan,
+                len(speeds),
+            )
+        )
+    return tuple(points)

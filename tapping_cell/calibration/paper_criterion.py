@@ -1,0 +1,62 @@
+"""The paper's criterion (section 3.1.2): the sum over the runs of the squares of the average
+difference between the measured initial velocities and those calculated from the displacements.
+
+Spins are counted in the direction of the rotation and times the support's radius, so that both
+differences are speeds. Averaging first lets the noise of single trials cancel; what it gives away
+is their weight, so it is the less exact of the two fits, and here for comparison.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from tapping_cell.calibration.prediction import Launches
+from tapping_cell.calibration.slide_curves import TORQUE_FACTORS, SlideCurves
+from tapping_cell.mechanics import Body
+
+Array = NDArray[np.float64]
+
+
+class PaperFit(NamedTuple):
+    """Friction and torque factor by the paper's criterion; ``rms`` (m/s) of the differences."""
+
+    friction: float
+    torque_factor: float
+    rms: float
+
+
+def paper_fit(
+    measured: Launches,
+    labels: Sequence[str],
+    body: Body,
+    gravity: float,
+    start: tuple[float, float],
+) -> PaperFit:
+    """Fit both; ``start`` holds the friction and the torque factor where the search begins."""
+    curves = SlideCurves(body.support, body.support_radius, body.gamma, gravity)
+    names = np.array(labels)
+    runs = [names == label for label in dict.fromkeys(labels)]
+    turn = np.sign(measured.rotation)
+
+    def differences(x: Array) -> Array:
+        speed, spin, _ = curves.launch(
+            measured.distance, measured.rotation, math.exp(x[0]), float(x[1])
+        )
+        along = measured.speed - speed
+        around = body.support_radius * turn * (measured.spin - spin)
+        return np.array([float(np.mean(part[run])) for part in (along, around) for run in runs])
+
+    low = [math.log(0.003), math.log(TORQUE_FACTORS[0])]
+    high = [math.log(5.0), math.log(TORQUE_FACTORS[1])]
+    found = least_squares(
+        differences, [math.log(value) for value in start], bounds=(low, high), diff_step=1e-3
+    )
+    return PaperFit(
+        math.exp(found.x[0]), math.exp(found.x[1]), math.sqrt(float(np.mean(found.fun**2)))
+    )
