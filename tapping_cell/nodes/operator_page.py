@@ -22,10 +22,17 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 from sensor_msgs.msg import CameraInfo, Image
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.action import PositionObject
-from tapping_cell_msgs.msg import ArmState, ErrorCode, ObjectState, PlanState, TapperState
+from tapping_cell_msgs.msg import (
+    ArmState,
+    ErrorCode,
+    GoalReport,
+    ObjectState,
+    PlanState,
+    TapperState,
+)
 
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell, load_cell
@@ -35,6 +42,7 @@ from tapping_cell.nodes.cell_node import LATCHED, CellNode, NotReady, run
 from tapping_cell.nodes.conversions import camera_from_message, is_finite, seconds, to_message
 from tapping_cell.nodes.goals import REFUSALS
 from tapping_cell.nodes.page import guard, server
+from tapping_cell.nodes.page.archive import make_archive
 from tapping_cell.nodes.page.cell_view import CellView
 from tapping_cell.nodes.page.ghost import Ghost
 from tapping_cell.nodes.page.node_watch import NodeWatch
@@ -88,6 +96,7 @@ class OperatorPage(CellNode[Parameters]):
         super().__init__("operator_page", Parameters)
         self._cell: Cell | None = None
         self._server: server.PageServer | None = None
+        self.urls: list[str] = []
         self._view = CellView()
         self._ghost: Ghost | None = None
         self._camera: CameraModel | None = None
@@ -105,8 +114,12 @@ class OperatorPage(CellNode[Parameters]):
             name: self.create_client(Trigger, f"{name}/clear_fault")
             for name in ("scara_arm", "tapper_trigger")
         }
+        self._home_client = self.create_client(Trigger, "scara_arm/home")
         self._button_client = self.create_client(Trigger, "sim_world/press_clear_button")
+        self._last_run: Path | None = None
         self.create_subscription(PlanState, "plan_state", self._view.on_plan, LATCHED)
+        self.create_subscription(GoalReport, "goal_report", self._view.on_report, LATCHED)
+        self.create_subscription(String, "last_run", self._on_last_run, LATCHED)
 
     # Life cycle
 
@@ -135,7 +148,8 @@ class OperatorPage(CellNode[Parameters]):
             ) from error
         self._server = server.PageServer(rules, self, sockets)
         self._server.start()
-        for url in guard.urls(address, sockets[0].getsockname()[1], rules.token):
+        self.urls = guard.urls(address, sockets[0].getsockname()[1], rules.token)
+        for url in self.urls:
             self.get_logger().info(f"operator page: {url}")
 
     def deactivate(self) -> None:
@@ -150,12 +164,16 @@ class OperatorPage(CellNode[Parameters]):
         self.deactivate()
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """How many pages are open."""
-        return DiagnosticStatus.OK, "ok", {"pages": self._pages}
+        """Where the page is, without its token, and how many are open."""
+        places = ", ".join(url.partition("#")[0] for url in self.urls)
+        return DiagnosticStatus.OK, "ok", {"url": places, "pages": self._pages}
 
     def _on_emergency_stop(self, message: Bool) -> None:
         super()._on_emergency_stop(message)
         self._view.emergency_stop = message.data
+
+    def _on_last_run(self, message: String) -> None:
+        self._last_run = Path(message.data) if message.data else None
 
     # While a page looks
 
@@ -243,9 +261,19 @@ class OperatorPage(CellNode[Parameters]):
         state["nodes"] = self._watch.rows()
         state["simulated"] = self._watch.runs("sim_world")
         state["placeable"] = self._ghost is not None
-        state["run"] = {"ready": False, "text": "no run recorder is up: nothing to download"}
+        state["run"] = self._run_state()
         state["pages"] = self._pages
         self._server.show(state)
+
+    def _run_state(self) -> dict[str, object]:
+        run = self._last_run
+        if run is not None and run.is_dir():
+            return {"ready": True, "text": f"The last run is {run.name}."}
+        if run is not None:
+            return {"ready": False, "text": f"The last run, {run}, is not on this machine."}
+        if self._watch is not None and self._watch.runs("run_recorder"):
+            return {"ready": False, "text": "No run was recorded yet."}
+        return {"ready": False, "text": "Runs are not kept: run_recorder is not up."}
 
     # What pages ask for; on_request, greet and open_run are called by the server
 
@@ -262,8 +290,14 @@ class OperatorPage(CellNode[Parameters]):
         }
 
     def open_run(self) -> tuple[str, Path] | str:
-        """An archive of the last run."""
-        return "no run recorder is up: nothing to download"
+        """An archive of the last run (a thread of the server's pool)."""
+        run = self._last_run
+        if run is None:
+            return "no run was recorded yet"
+        try:
+            return f"{run.name}.zip", make_archive(run)
+        except OSError as error:
+            return f"the run {run} cannot be packed: {error.strerror or error}"
 
     def on_request(self, request: Request, who: str, answer: server.Answer) -> None:
         """Serve a page's request (server's thread)."""
@@ -280,6 +314,7 @@ class OperatorPage(CellNode[Parameters]):
             serve = {
                 "clear": self._clear,
                 "cancel": self._cancel,
+                "home": self._home,
                 "press_button": self._press_button,
                 "download": self._download,
             }[request.name]
@@ -325,7 +360,7 @@ class OperatorPage(CellNode[Parameters]):
                 return
             answer(_answer("goal", False, f"{result.error_msg} ({result.error_code})"))
 
-        self._view.note(f"goal sent from the page ({who})")
+        self._view.note_own_goal(pose, who)
         self._action.send_goal_async(goal).add_done_callback(taken)
 
     def _cancel(self, who: str, answer: server.Answer) -> None:
@@ -351,6 +386,10 @@ class OperatorPage(CellNode[Parameters]):
         self._view.note(f"faults cleared on the page ({who})")
         for name, client in self._clear_clients.items():
             self._call(client, Trigger.Request(), "clear", name, answer)
+
+    def _home(self, who: str, answer: server.Answer) -> None:
+        self._view.note(f"homing asked for on the page ({who})")
+        self._call(self._home_client, Trigger.Request(), "home", "scara_arm", answer)
 
     def _press_button(self, _: str, answer: server.Answer) -> None:
         self._call(

@@ -7,7 +7,7 @@ import time
 from collections import deque
 
 from sensor_msgs.msg import Image
-from tapping_cell_msgs.msg import ArmState, PlanState, TapperState, TapRecord
+from tapping_cell_msgs.msg import ArmState, GoalReport, PlanState, TapperState, TapRecord
 
 from tapping_cell.nodes.cell_monitor import CellMonitor
 from tapping_cell.nodes.conversions import covariance_from_message, from_message, seconds
@@ -56,6 +56,11 @@ def shown(value: float, digits: int = 2) -> float | None:
     return round(value, digits) if math.isfinite(value) else None
 
 
+def pose_text(pose: Pose) -> str:
+    """A pose for people."""
+    return f"x {1e3 * pose.x:.1f} mm, y {1e3 * pose.y:.1f} mm, {math.degrees(pose.theta):.1f} deg"
+
+
 class CellView:
     """Hears the topics; called in the executor's thread alone."""
 
@@ -65,6 +70,8 @@ class CellView:
         self._plan_heard = -math.inf
         self._taps: list[dict[str, object]] = []
         self._picture: tuple[float, float] | None = None
+        self._own_goal: Pose | None = None
+        self._report: GoalReport | None = None
         self._log: deque[dict[str, object]] = deque(maxlen=LOG_LENGTH)
         self._mode = ""
         self.emergency_stop = False
@@ -81,9 +88,14 @@ class CellView:
         self._picture = None
         self._mode = ""
 
-    def note(self, text: str, kind: str = "") -> None:
-        """Add a line to what happened; ``kind`` is "good", "bad" or nothing."""
-        self._log.append({"time": round(time.time(), 1), "text": text, "kind": kind})
+    def note(self, text: str, kind: str = "", at: float | None = None) -> None:
+        """Add a line to what happened; ``kind`` is "good", "bad" or nothing, ``at`` in s."""
+        self._log.append({"time": round(at or time.time(), 1), "text": text, "kind": kind})
+
+    def note_own_goal(self, goal: Pose, who: str) -> None:
+        """A goal is sent from a page."""
+        self._own_goal = goal
+        self.note(f"goal {pose_text(goal)} sent from the page ({who})")
 
     def on_picture(self, message: Image) -> None:
         """Hear of a picture."""
@@ -100,20 +112,27 @@ class CellView:
             if tap.number == 1:
                 self._taps.clear()
             self._taps.append(tap_row(tap, from_message(message.goal.pose)))
-        self._note_plan(before, message)
+        was_busy = before is not None and before.state not in (PlanState.IDLE, *FINAL)
+        if self.busy and (before is None or not was_busy or before.goal != message.goal):
+            goal = from_message(message.goal.pose)
+            own, self._own_goal = self._own_goal, None
+            if own is None or own.distance_to(goal) > 1e-6:
+                self.note(f"goal {pose_text(goal)}")
 
-    def _note_plan(self, before: PlanState | None, now: PlanState) -> None:
-        changed = before is None or (before.state, before.error_msg) != (now.state, now.error_msg)
-        if not changed:
+    def on_report(self, message: GoalReport) -> None:
+        """Hear ``goal_report``: how a goal ended, also one that was refused."""
+        if message == self._report:
             return
-        x, y, angle = triple(from_message(now.goal.pose))
-        if now.state == PlanState.WAITING_FOR_CELL and not now.taps:
-            self.note(f"goal x {x} mm, y {y} mm, {angle} deg")
-        elif now.state == PlanState.REACHED:
-            self.note(f"goal reached after {now.taps} taps", "good")
-        elif now.error_code:
-            kind = "" if now.state == PlanState.CANCELED else "bad"
-            self.note(f"{now.error_msg} ({now.error_code})", kind)
+        self._report = message
+        sentence, kind = f"{message.error_msg} ({message.error_code})", "bad"
+        if message.refused:
+            sentence = f"goal refused: {sentence}"
+        elif not message.error_code:
+            sentence, kind = f"goal reached after {message.taps} taps", "good"
+        elif message.state == PlanState.CANCELED:
+            kind = ""
+        # The last report is told again to whoever joins: it happened when it was made.
+        self.note(sentence, kind, seconds(message.header.stamp))
 
     @property
     def busy(self) -> bool:
@@ -130,7 +149,7 @@ class CellView:
             if state is not None and state.state == value
         ]
         if stopped:
-            return "stopped", stopped[0]
+            return "stopped", "; ".join(dict.fromkeys(stopped))
         if self.emergency_stop and self._monitor.lost():
             return "stopped", "the emergency stop is pressed; arm or tapper do not answer"
         fault = self._monitor.fault()

@@ -11,12 +11,22 @@ const MODE_WORDS = {
 };
 const ANSWERS = {
   goal: "goal-answer", cancel: "goal-answer", stop: "attention-answer", clear: "attention-answer",
-  press_button: "attention-answer", download: "run-answer",
+  press_button: "attention-answer", home: "attention-answer", download: "run-answer",
 };
 
 let socket = null, connected = false, refusedFor = "", attempts = 0, retryAt = 0;
 let lostAt = performance.now(), heardAt = 0, state = null, cell = null, picture = null;
-let sent = null, followed = "";
+let sent = null, followed = "", asking = "";
+const CONFIRMED = {
+  clear: {
+    words: "Clear the faults? Arm and tapper may move again. Is the cause mended, and is everybody clear of the cell?",
+    yes: "Yes, clear the faults",
+  },
+  home: {
+    words: "Home the arm? It moves at once, all the way to its end switches. Is its way free, and is everybody clear of it?",
+    yes: "Yes, home the arm",
+  },
+};
 const waiting = new Map();          // requests that wait for an answer
 
 function setText(element, text) {
@@ -191,28 +201,54 @@ function render() {
   setText($("mode-sentence"), connected && state ? state.sentence : "");
   renderBanner();
   renderPicture();
-  for (const id of ["send", "goal-x", "goal-y", "goal-angle", "clear", "press-button"]) $(id).disabled = !connected;
+  for (const id of ["send", "goal-x", "goal-y", "goal-angle", "clear", "home", "press-button", "confirm-yes"]) $(id).disabled = !connected;
   $("stop").disabled = !connected;
   setText(document.querySelector(".stop-note"), connected ? "arm and tapper" : "no connection: use the wired stop");
   if (!state) {
     for (const id of ["cancel", "home-ghost", "download"]) $(id).disabled = true;
     return;
   }
-  const halted = mode === "stopped" || mode === "fault";
-  $("attention").hidden = !halted;
-  if (halted) {
-    setText($("attention-title"), mode === "stopped" ? "The cell is stopped" : "The cell has a fault");
-    setText($("attention-words"), state.sentence);
-  } else if (connected) {
-    show("clear", "", "");
-  }
-  $("press-button").hidden = !state.simulated;
+  renderAttention(mode);
   renderGoal();
   renderTaps();
   renderNodes();
   renderLog();
   setText($("run-words"), state.run.text);
   $("download").disabled = !connected || !state.run.ready;
+}
+
+function renderAttention(mode) {
+  const halted = mode === "stopped" || mode === "fault";
+  const homeless = mode === "not ready" && state.arm.state === "not homed";
+  const card = $("attention"), shown = halted ? "halted" : homeless ? "homeless" : "";
+  card.hidden = !shown;
+  if (card.dataset.shown !== shown && mode !== "lost") {
+    card.dataset.shown = shown;
+    setText($("attention-answer"), "");
+  }
+  if (mode !== "lost" && asking && asking !== (halted ? "clear" : homeless ? "home" : "")) ask("");
+  card.classList.toggle("mild", homeless);
+  setText($("attention-title"), { stopped: "The cell is stopped", fault: "The cell has a fault" }[mode]
+    || "The arm is not homed");
+  setText($("attention-words"), halted ? state.sentence : "It does not know where it is, and takes no tap.");
+  $("clear").hidden = homeless;
+  $("home").hidden = !homeless;
+  $("press-button").hidden = !state.simulated || homeless;
+}
+
+// What moves the cell again is asked back, beside the card: a window on top would hide the stop button.
+function ask(what) {
+  const before = asking;
+  asking = what;
+  $("confirm").hidden = !what;
+  $("attention-buttons").hidden = Boolean(what);
+  if (what) {
+    setText($("confirm-words"), CONFIRMED[what].words);
+    setText($("confirm-yes"), CONFIRMED[what].yes);
+    $("confirm-no").focus();
+  } else if (before && !$("attention").hidden) {
+    $(before).focus();
+  }
 }
 
 function renderBanner() {
@@ -249,7 +285,8 @@ function renderGoal() {
     const within = plan.tolerance[0] ? `, within ${plan.tolerance[0]} mm and ${plan.tolerance[1]}\u00b0` : "";
     words = `Goal x ${signed(x)} mm, y ${signed(y)} mm, ${signed(angle)}\u00b0${within}: ${plan.state}.`;
   }
-  if (plan.code) words += ` ${plan.sentence} (${plan.code})`;
+  const why = plan.code ? `${plan.sentence} (${plan.code})` : "";
+  if (why && why !== $("goal-answer").textContent) words += ` ${why}`;
   setText($("goal-words"), words);
   if (sent && plan.busy && plan.goal && plan.goal.every((n, i) => Math.abs(n - sent[i]) < 0.02)) {
     sent = null;
@@ -269,7 +306,7 @@ function follow(pose) {
 
 function triple(values) {
   const [x, y, angle] = values;
-  return x === null ? "not seen" : `${signed(x)}, ${signed(y)} mm; ${signed(angle)}\u00b0`;
+  return x === null ? ["not seen"] : [`${signed(x)}, ${signed(y)} mm`, `${signed(angle)}\u00b0`];
 }
 
 function renderTaps() {
@@ -282,21 +319,21 @@ function renderTaps() {
   const [mm, degrees] = state.plan.tolerance || [0, 0];
   body.replaceChildren(...taps.map((tap) => {
     const row = document.createElement("tr");
-    const cell = (name, text, kind = "", note = "") => {
+    const cell = (name, lines, kind = "", note = "") => {
       const made = row.insertCell();
       made.dataset.name = name;
       made.className = kind;
-      made.textContent = text;
+      made.append(...lines.map((text) => Object.assign(document.createElement("span"), { textContent: text })));
       if (note) made.append(Object.assign(document.createElement("small"), { textContent: note }));
     };
     const speed = tap.speed === null ? "" : `${tap.speed.toFixed(0)} mm/s, `;
-    cell("Tap", String(tap.number), "", `${speed}${tap.outcome}, ${tap.method}`);
+    cell("Tap", [String(tap.number)], "", `${speed}${tap.outcome}, ${tap.method}`);
     cell("Commanded", triple(tap.commanded));
     cell("Predicted", triple(tap.predicted));
     cell("Measured", triple(tap.measured));
     const [distance, angle] = tap.remaining;
     const inside = distance !== null && distance <= mm && Math.abs(angle) <= degrees;
-    cell("Remaining", distance === null ? "not seen" : `${distance.toFixed(2)} mm; ${signed(angle, 2)}\u00b0`,
+    cell("Remaining", distance === null ? ["not seen"] : [`${distance.toFixed(2)} mm`, `${signed(angle, 2)}\u00b0`],
       "remaining" + (inside ? " inside" : ""));
     return row;
   }));
@@ -365,6 +402,7 @@ const ghost = new Ghost(say, (pose, typed) => {
     setText($("goal-trouble"), pose.trouble);
     return;
   }
+  if (ghost.hold) show("goal", "", "");
   if (!typed) {
     for (const name of ["x", "y", "angle"]) {
       FIELDS[name].value = pose[name].toFixed(1);
@@ -377,6 +415,7 @@ const ghost = new Ghost(say, (pose, typed) => {
 for (const [name, field] of Object.entries(FIELDS)) {
   field.addEventListener("input", () => {
     ghost.touched = true;
+    show("goal", "", "");
     const goal = readGoal();
     if (goal) ghost.place(goal.x, goal.y, goal.angle, true);
   });
@@ -399,6 +438,7 @@ $("goal-form").addEventListener("submit", (event) => {
   }
   sent = [goal.x, goal.y, Math.atan2(Math.sin(goal.angle * Math.PI / 180), Math.cos(goal.angle * Math.PI / 180)) * 180 / Math.PI];
   document.activeElement.blur();
+  setText($("goal-trouble"), "");
   request("goal", goal);
 });
 $("stop").addEventListener("click", () => request("stop"));
@@ -409,11 +449,15 @@ $("home-ghost").addEventListener("click", () => {
   ghost.touched = true;
   ghost.place(...state.object.pose);
 });
-$("clear").addEventListener("click", () => $("clear-dialog").showModal());
-$("clear-dialog").addEventListener("close", () => {
-  if ($("clear-dialog").returnValue === "yes") request("clear");
-  $("clear-dialog").returnValue = "no";
+$("clear").addEventListener("click", () => ask("clear"));
+$("home").addEventListener("click", () => ask("home"));
+$("confirm-no").addEventListener("click", () => ask(""));
+$("confirm-yes").addEventListener("click", () => {
+  const what = asking;
+  ask("");
+  request(what);
 });
+$("confirm").addEventListener("keydown", (event) => { if (event.key === "Escape") ask(""); });
 $("token-form").addEventListener("submit", (event) => {
   event.preventDefault();
   sessionStorage.setItem("token", $("token").value.trim());
