@@ -159,10 +159,10 @@ def run(arguments: argparse.Namespace) -> int:
     except (ConfigurationError, RecordError, PlanningError, OSError, ValueError) as error:
         console.print(f"[red]error:[/red] {error}", highlight=False)
         return 2
-    made: list[Done] = []
     code, sentence, status = ErrorCode.NONE, "", 0
     try:
-        _measure(arguments, cell, folder, design, trials, made, console)
+        if any(far.used < design.trials for far in progress_of(design, trials).values()):
+            _measure(arguments, cell, folder, design, trials, console)
     except SeriesStopped as error:
         code, sentence, status = error.code, str(error), 1
     except (NodeDied, NoAnswer, session.NotReadyInTime) as error:
@@ -254,7 +254,6 @@ def _measure(
     folder: Path,
     design: Design,
     trials: list[Trial],
-    made: list[Done],
     console: Console,
 ) -> None:
     """Make what is left of the design, each trial on disk before the next."""
@@ -280,7 +279,7 @@ def _measure(
                 client, folder, design, header, assembly.make_tap(cell), bag, trials, check
             )
             try:
-                _follow(series, design, trials, made, console)
+                _follow(series, design, trials, console)
             finally:
                 client.write_bag(bag)
 
@@ -354,9 +353,7 @@ def _keep_header(folder: Path, header: ExperimentFile) -> None:
             )
 
 
-def _follow(
-    series: TapSeries, design: Design, trials: list[Trial], made: list[Done], console: Console
-) -> None:
+def _follow(series: TapSeries, design: Design, trials: list[Trial], console: Console) -> None:
     """Make the trials and show how far it is; nothing is shown where there is no terminal."""
     wanted = len(design.runs) * design.trials
     with Progress(
@@ -370,7 +367,6 @@ def _follow(
         used = sum(trial.outcome == "ok" for trial in trials)
         bar = shown.add_task("trials", total=wanted, completed=used, last="")
         for done in series.run():
-            made.append(done)
             used += done.trial.outcome == "ok"
             shown.update(bar, completed=used, last=_trial_text(done))
 
