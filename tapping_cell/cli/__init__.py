@@ -17,6 +17,7 @@ VERBS = {
     "goal": "send a goal pose to a running graph",
     "evaluate": "many positioning trials of a planning method",
     "single-tap": "measure an object: a designed experiment of single taps",
+    "fit": "an object's friction and impact from records of single taps",
     "sensitivity": "how the tap's result answers errors of the striker's pose",
     "locate": "where the object is in image files",
     "calibrate": "camera, table, arm, tapper: from measurements to a file; printed sheets",

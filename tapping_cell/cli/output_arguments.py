@@ -8,12 +8,14 @@ from pathlib import Path
 from tapping_cell.calibration.keep import Output
 
 
-def add_output_arguments(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    """Declare --output, --force and --accept-worse."""
+def add_output_arguments(
+    parser: argparse.ArgumentParser, default: str | None = None, required: bool = True
+) -> None:
+    """Declare --output, --force and --accept-worse; without it and not ``required``, None."""
     parser.add_argument(
         "--output",
         type=Path,
-        required=default is None,
+        required=required and default is None,
         default=default and Path(default),
         metavar="FILE",
         help="the file to write" + (f" ({default})" if default else ""),

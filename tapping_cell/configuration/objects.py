@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.schema import (
     ConfigurationError,
     choice,
@@ -91,6 +92,9 @@ class ObjectFile:
         "smallest distance that the tapper makes reliably", "m", 0.0001, 0.1, default=0.0017
     )
     scatter: ScatterSection = section("scatter of a tap", default=ScatterSection())
+    calibration: Provenance | None = section(
+        "where fitted values come from (written by fit)", default=None
+    )
 
     def body(self) -> Disk | Ring | Polygon:
         """The body of the mechanics."""

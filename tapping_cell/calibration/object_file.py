@@ -1,0 +1,92 @@
+"""The fitted object as a file for ``config/objects``: the same keys, with the fit's record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from tapping_cell.calibration.experiment import plain
+from tapping_cell.calibration.keep import fingerprints, now
+from tapping_cell.calibration.object_fit import ObjectFit
+from tapping_cell.configuration.objects import ObjectFile, ScatterSection
+from tapping_cell.configuration.provenance import Provenance, provenance_yaml
+
+_DIGITS = 6
+_VALUES = ("friction", "torque_factor", "restitution", "contact_friction")
+_SCALES = ("scale_b1", "scale_b2", "scale_b3")
+_SCATTER = ("distance", "rotation", "direction")
+_MOST_SCATTER = {"distance": 0.5, "rotation": 1.0, "direction": 0.5}
+
+
+def fitted_object(fit: ObjectFit, record: Provenance) -> ObjectFile:
+    """The object with the fitted values; what was not fitted stays as it was."""
+    found = {entry.name: _rounded(entry.value) for entry in fit.estimates if entry.fitted}
+    values = {name: found[name] for name in _VALUES if name in found}
+    scatter = {
+        name: min(found[f"scatter_{name}"], _MOST_SCATTER[name])
+        for name in _SCATTER
+        if f"scatter_{name}" in found
+    }
+    old: ScatterSection = replace(fit.content.scatter, **scatter)
+    scale = fit.content.impact_scale
+    if fit.impact is not None:
+        one, two, three = (_rounded(fit.impact.values[name]) for name in _SCALES)
+        scale = (one, two, three)
+    return replace(
+        fit.content,
+        impact_scale=scale,
+        scatter=old,
+        calibration=record,
+        **values,  # type: ignore[arg-type]
+    )
+
+
+def fit_record(fit: ObjectFit, inputs: Sequence[Path]) -> Provenance:
+    """Where the values come from, and the two figures by which a later fit is compared."""
+    off = fit.by_sliding.distance / fit.measured.distance - 1
+    torque = fit.estimate("torque_factor")
+    kept = [entry.name for entry in fit.estimates if not entry.fitted]
+    intervals = "; ".join(
+        f"{entry.name} {entry.low:.4g} to {entry.high:.4g}"
+        for entry in fit.estimates
+        if entry.fitted
+    )
+    return Provenance(
+        by="fit",
+        made=now(),
+        inputs=fingerprints(inputs),
+        observations=len(fit.used),
+        left_out=len(fit.left_out),
+        residual=float(np.sqrt(np.mean(off**2))),
+        residual_of="displacements calculated from the initial velocities, relative",
+        uncertainty=torque.std / torque.value,
+        uncertainty_of="torque factor, relative",
+        deviations={
+            entry.name: entry.std
+            for entry in fit.estimates
+            if entry.fitted and math.isfinite(entry.std)
+        },
+        notes=(
+            f"95 % intervals: {intervals}",
+            *((f"not fitted: {', '.join(kept)}",) if kept else ()),
+        ),
+    )
+
+
+def object_yaml(content: ObjectFile, record: Provenance) -> str:
+    """The file's text."""
+    keys = plain(asdict(replace(content, calibration=None)))
+    text = yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    title = (
+        "# Fitted to single taps (tapping_cell fit). Lengths in m, masses in kg, angles in rad.\n"
+    )
+    return title + text + provenance_yaml(record)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")

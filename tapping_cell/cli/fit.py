@@ -1,0 +1,234 @@
+"""Fit an object's friction, torque factor and impact to records of single taps.
+
+RECORDS are folders with experiment.yaml, run_01.csv ... and tracks, as single-tap writes them, or
+CSV files that somebody else filled in (docs/calibration.md says what the columns hold). Rows that
+cannot be used are named by file and row and left out.
+
+Shape and mass are those of --object, or of the object in the records' header. With --output the
+fitted values go to an object file that the planner reads; without it nothing is written. No file is
+replaced unless --force is given, and one with smaller residuals or uncertainty only with
+--accept-worse as well.
+
+  python -m tapping_cell fit records/ --output config/objects/my_disk.yaml --report fit_report
+  python -m tapping_cell fit mine.csv --object config/objects/aluminium_disk.yaml --json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tapping_cell.calibration.experiment import Experiment
+    from tapping_cell.calibration.object_fit import Estimate, ObjectFit
+    from tapping_cell.configuration.objects import ObjectFile
+
+_WORDS = {
+    "friction": "friction with the table",
+    "torque_factor": "torque factor",
+    "restitution": "restitution",
+    "contact_friction": "friction with the striker",
+    "scale_b1": "scale of B1",
+    "scale_b2": "scale of B2",
+    "scale_b3": "scale of B3",
+    "scatter_speed": "scatter of launch speed (%)",
+    "scatter_spin": "scatter of launch spin (%)",
+    "scatter_direction": "scatter of direction (degrees)",
+    "scatter_distance": "scatter of distance (%)",
+    "scatter_rotation": "scatter of rotation (%)",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    from tapping_cell.cli.output_arguments import add_output_arguments
+
+    parser.add_argument("records", nargs="+", type=Path, metavar="RECORDS", help="folders or CSVs")
+    parser.add_argument(
+        "--object", type=Path, metavar="FILE", help="object file: shape, mass and the old values"
+    )
+    parser.add_argument("--report", type=Path, metavar="DIR", help="write figures and report.html")
+    parser.add_argument("--seed", type=int, default=0, help="of the bootstrap (0)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_output_arguments(parser, required=False)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fit; 0 done, 2 records or files that cannot be used."""
+    from tapping_cell.calibration.csv_table import RecordError
+    from tapping_cell.calibration.experiment import read_experiment
+    from tapping_cell.calibration.keep import KeptFile, refuse_existing, write_kept
+    from tapping_cell.calibration.object_file import fit_record, fitted_object, object_yaml
+    from tapping_cell.calibration.object_fit import fit_object
+    from tapping_cell.cli.output_arguments import output_of
+    from tapping_cell.configuration.objects import load_object
+    from tapping_cell.configuration.schema import ConfigurationError
+
+    try:
+        output = None if arguments.output is None else output_of(arguments)
+        if output is not None:
+            refuse_existing(output)
+        experiments = [read_experiment(place.expanduser()) for place in arguments.records]
+        content = _content(experiments, arguments.object)
+        fit = fit_object(experiments, content, arguments.seed)
+        record = fit_record(fit, sorted({Path(entry.trial.file) for entry in fit.used}))
+        if output is not None:
+            text = object_yaml(fitted_object(fit, record), record)
+            write_kept(output, text, record, load_object)
+        if arguments.report is not None:
+            from tapping_cell.cli.fit_report import write_report
+
+            write_report(arguments.report.expanduser(), fit, record)
+    except (RecordError, KeptFile, ConfigurationError, OSError) as error:
+        print(f"fit: {error}", file=sys.stderr)
+        return 2
+    if arguments.json:
+        print(json.dumps(figures(fit), indent=1))
+    else:
+        print("\n".join(lines(fit)))
+        if arguments.report is not None:
+            print(f"report in {arguments.report / 'report.html'}")
+        print(
+            "nothing written; give --output FILE to keep the values"
+            if output is None
+            else f"written to {output.path}"
+        )
+    return 0
+
+
+def _content(experiments: Sequence[Experiment], path: Path | None) -> ObjectFile:
+    """The object that was tapped: the given file, or what the header of the records says."""
+    from tapping_cell.calibration.csv_table import RecordError
+    from tapping_cell.configuration.objects import load_object
+
+    if path is not None:
+        return load_object(path.expanduser())
+    headers = [entry.header.object for entry in experiments]
+    first = headers[0]
+    if first is None:
+        raise RecordError(
+            f"{experiments[0].folder}: the header names no object; give --object FILE"
+        )
+    if any(other is None or other.shape != first.shape for other in headers):
+        raise RecordError("the records are of objects of different shapes; fit them apart")
+    return first
+
+
+def figures(fit: ObjectFit) -> dict[str, Any]:
+    """Everything that was found, SI."""
+    return {
+        "object": fit.content.name,
+        "trials": len(fit.used),
+        "runs": len(fit.runs),
+        "estimates": {
+            entry.name: {
+                "value": entry.value,
+                "low": _number(entry.low),
+                "high": _number(entry.high),
+                "std": _number(entry.std),
+                "old": _number(entry.old),
+                "fitted": entry.fitted,
+            }
+            for entry in fit.estimates
+        },
+        "paper_criterion": fit.paper._asdict(),
+        "runs_errors": [
+            {name: _number(getattr(run, name)) for name in run.__slots__} for run in fit.runs
+        ],
+        "left_out": [entry._asdict() for entry in fit.left_out],
+        "identifiability": list(fit.sentences),
+        "striker_speeds": [
+            {name: _number(value) for name, value in point._asdict().items()}
+            for point in fit.tapper
+        ],
+        "friction_scatter": fit.slide.friction_scatter,
+        "track_position_rms": _number(fit.slide.position_rms),
+        "track_rotation_rms": _number(fit.slide.rotation_rms),
+    }
+
+
+def _number(value: Any) -> Any:
+    """JSON knows no NaN."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def lines(fit: ObjectFit) -> list[str]:
+    """The result for people: mm, degrees, percent."""
+    text = [
+        f"{fit.content.name}: {len(fit.used)} trials in {len(fit.runs)} runs, "
+        f"{len(fit.left_out)} left out",
+        *(f"  left out: {entry}" for entry in fit.left_out),
+        "",
+        f"  {'':<32}{'old':>9}{'fitted':>9}   95 % interval",
+    ]
+    text.extend(_row(entry) for entry in fit.estimates)
+    text.append(
+        f"  by the paper's criterion: friction {fit.paper.friction:.4f}, torque factor "
+        f"{fit.paper.torque_factor:.3f}"
+    )
+    text += ["", "  prediction error of each run's mean in percent:"]
+    text.extend(_run_rows(fit))
+    if fit.tapper:
+        text += ["", "  striker speed, mm/s:"]
+        for point in fit.tapper:
+            setting = (
+                f"commanded {1e3 * point.commanded:.0f}"
+                if math.isnan(point.draw)
+                else f"draw {1e3 * point.draw:.2f} mm"
+            )
+            text.append(
+                f"    {setting}: {1e3 * point.measured:.1f} +- {1e3 * point.scatter:.1f} in "
+                f"{point.trials} taps"
+            )
+    text += ["", *(f"  {sentence}" for sentence in fit.sentences)]
+    return text
+
+
+def shown(entry: Estimate) -> tuple[str, float]:
+    """Words for an estimate, and the factor to the unit in them."""
+    factor = 1.0
+    if entry.name.startswith("scatter"):
+        factor = 180 / math.pi if entry.unit == "rad" else 100.0
+    return _WORDS[entry.name], factor
+
+
+def _row(entry: Estimate) -> str:
+    words, factor = shown(entry)
+    old = "-" if math.isnan(entry.old) else f"{factor * entry.old:.4g}"
+    row = f"  {words:<32}{old:>9}{factor * entry.value:>9.4g}"
+    if not entry.fitted:
+        return row + "   not fitted"
+    return row + f"   {factor * entry.low:.4g} to {factor * entry.high:.4g}"
+
+
+def _run_rows(fit: ObjectFit) -> Iterator[str]:
+    titles = (
+        ("sliding", "displacement from measured velocity"),
+        ("inverse", "velocity from measured displacement"),
+        ("impact", "velocity from the striker"),
+        ("tap", "displacement from the striker"),
+    )
+    yield "    run  trials" + "".join(f"  {title:>36}" for _, title in titles)
+    for run in fit.runs:
+        cells = []
+        for name, _ in titles:
+            linear, turning = (
+                ("speed", "spin")
+                if name in ("inverse", "impact")
+                else (
+                    "distance",
+                    "rotation",
+                )
+            )
+            pair = (getattr(run, f"{name}_{linear}"), getattr(run, f"{name}_{turning}"))
+            cells.append(
+                "-"
+                if math.isnan(pair[0])
+                else f"{linear} {100 * pair[0]:+.1f}, {turning} {100 * pair[1]:+.1f}"
+            )
+        yield f"    {run.label:<5}{run.trials:>5} " + "".join(f"  {cell:>36}" for cell in cells)
