@@ -206,7 +206,8 @@ def _square_up(view: MarkerView, sizes: Mapping[int, float]) -> tuple[CameraPose
     """
     side = np.array([sizes[int(i)] for i in view.ids])
     candidates = []
-    for rays, size in zip(view.rays, side, strict=True):
+    for row, size in enumerate(side):
+        rays = view.rays[row]
         square = np.column_stack([UNIT_CORNERS * size, np.zeros(4)])
         number, turns, shifts, _ = cv2.solvePnPGeneric(
             square, rays[:, None], np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE_SQUARE

@@ -11,6 +11,7 @@ import numpy as np
 
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import ObjectFile, load_object
+from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.schema import (
     ConfigurationError,
     choice,
@@ -100,6 +101,14 @@ class ArmSection:
     home: FourNumbers = quantity(
         "joints where homing ends: rad, rad, m, rad", "", -20.0, 20.0, default=(0.0,) * 4
     )
+    joint_offset: FourNumbers = quantity(
+        "true joints minus the controller's, as calibrated: rad, rad, m, rad",
+        "",
+        -1.0,
+        1.0,
+        default=(0.0,) * 4,
+    )
+    calibration: Provenance | None = section("what base and offsets were made from", default=None)
     steps_per_unit: tuple[float, ...] = quantity(
         "steps per degree or mm that the controller must be set to, four; empty: not checked",
         "",
@@ -129,6 +138,7 @@ class ArmSection:
             max_speed=self.max_speed,
             max_acceleration=self.max_acceleration,
             singularity_margin=self.singularity_margin,
+            joint_offset=self.joint_offset,
         )
 
     def controller_needs(self) -> ControllerNeeds:
@@ -176,6 +186,7 @@ class TapperSection:
     speeds: tuple[float, ...] = quantity(
         "striker speeds at those energies, rising", "m/s", 0.0, 100.0
     )
+    calibration: Provenance | None = section("what the curve was made from", default=None)
 
     def curve(self) -> EnergyCurve:
         """Striker speed against energy.

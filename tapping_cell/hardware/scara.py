@@ -7,7 +7,8 @@ at shoulder angle zero, z up. Joint order everywhere: shoulder in rad, elbow in 
     w = L1 (cos q1, sin q1) + L2 (cos(q1 + q2), sin(q1 + q2)),
 
 the tool's heading is h = q1 + q2 + q4, the tip stands at w + R(h) (tip_forward, tip_side) and looks
-(its line of travel) along h + tip_yaw. The inverse is the two-circle construction of the planar
+(its line of travel) along h + tip_yaw. Joints are those of the controller throughout; the true q is
+theirs plus ``joint_offset``, which a calibration finds. The inverse is the two-circle construction of the planar
 two-link arm (Craig, *Introduction to Robotics*, section 4.4, algebraic solution).
 """
 
@@ -142,6 +143,8 @@ class ScaraGeometry:
     """Joint accelerations: rad/s2, rad/s2, m/s2, rad/s2."""
     singularity_margin: float = 0.05
     """Least angle of the elbow from straight and from folded, rad."""
+    joint_offset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    """True joints minus the controller's: rad, rad, m, rad."""
 
     def __post_init__(self) -> None:
         if not (self.upper_arm > 0 and self.forearm > 0):
@@ -168,7 +171,7 @@ class ScaraGeometry:
 
     def forward_many(self, joints: ArrayLike) -> Array:
         """Tip poses (..., 4) = x, y, z in m, yaw in rad of joints (..., 4); limits unchecked."""
-        q = np.asarray(joints, dtype=float)
+        q = np.asarray(joints, dtype=float) + self.joint_offset
         reach = q[..., 0] + q[..., 1]
         heading = reach + q[..., 3]
         cos, sin = np.cos(heading), np.sin(heading)
@@ -186,7 +189,8 @@ class ScaraGeometry:
 
     def branch_of(self, joints: ArrayLike) -> Branch:
         """Which way the elbow of these joints bends; straight counts as positive."""
-        return Branch.NEGATIVE if float(np.asarray(joints)[1]) < 0 else Branch.POSITIVE
+        elbow = float(np.asarray(joints)[1]) + self.joint_offset[1]
+        return Branch.NEGATIVE if elbow < 0 else Branch.POSITIVE
 
     def limit_excess(self, joints: ArrayLike) -> tuple[ReachCode, float]:
         """The first joint outside its limits and by how much (rad or m); (REACHED, 0) if none."""
@@ -227,12 +231,12 @@ class ScaraGeometry:
         shoulder = np.arctan2(wy, wx) - np.arctan2(
             self.forearm * np.sin(elbow), self.upper_arm + self.forearm * np.cos(elbow)
         )
-        shoulder, shoulder_excess = _into_range(shoulder, self.lower[0], self.upper[0], close[0])
-        tool, tool_excess = _into_range(
-            heading - shoulder - elbow, self.lower[3], self.upper[3], close[3]
-        )
-        quill = safe[..., 2] - self.tip_height
         bend = np.abs(elbow)
+        tool = heading - shoulder - elbow - self.joint_offset[3]
+        shoulder, elbow = shoulder - self.joint_offset[0], elbow - self.joint_offset[1]
+        shoulder, shoulder_excess = _into_range(shoulder, self.lower[0], self.upper[0], close[0])
+        tool, tool_excess = _into_range(tool, self.lower[3], self.upper[3], close[3])
+        quill = safe[..., 2] - self.tip_height - self.joint_offset[2]
         margin = self.singularity_margin
         excesses = (
             (ReachCode.NOT_FINITE, np.where(finite, 0.0, math.inf)),

@@ -30,7 +30,12 @@ def urdf(geometry: ScaraGeometry, name: str = "scara_arm") -> str:
         )
         ElementTree.SubElement(element, "parent", link=chain[index])
         ElementTree.SubElement(element, "child", link=chain[index + 1])
-        ElementTree.SubElement(element, "origin", xyz=_numbers(*places[index]), rpy="0 0 0")
+        x, y, z = places[index]
+        offset = geometry.joint_offset[index]
+        lift, turn = (offset, 0.0) if sliding else (0.0, offset)
+        ElementTree.SubElement(
+            element, "origin", xyz=_numbers(x, y, z + lift), rpy=_numbers(0, 0, turn)
+        )
         ElementTree.SubElement(element, "axis", xyz="0 0 1")
         ElementTree.SubElement(
             element,

@@ -26,6 +26,12 @@ def geometries(draw: st.DrawFn) -> ScaraGeometry:
         tip_yaw=draw(angles),
         lower=(-draw(st.floats(0.5, 3.1)), -draw(st.floats(0.5, 3.0)), -0.15, -3.5),
         upper=(draw(st.floats(0.5, 3.1)), draw(st.floats(0.5, 3.0)), 0.0, 3.5),
+        joint_offset=(
+            draw(st.floats(-0.1, 0.1)),
+            draw(st.floats(-0.03, 0.03)),
+            draw(st.floats(-0.005, 0.005)),
+            draw(st.floats(-0.2, 0.2)),
+        ),
     )
 
 
@@ -35,13 +41,14 @@ def joints_inside(draw: st.DrawFn, geometry: ScaraGeometry) -> Joints:
         draw(st.floats(low, high)) for low, high in zip(geometry.lower, geometry.upper, strict=True)
     ]
     margin = geometry.singularity_margin
-    if abs(values[1]) < margin:
-        values[1] = math.copysign(margin * 1.01, values[1])
+    if abs(values[1] + geometry.joint_offset[1]) < margin:
+        values[1] = math.copysign(margin * 1.01, values[1]) - geometry.joint_offset[1]
     return Joints(*values)
 
 
 def independent_tip(geometry: ScaraGeometry, joints: Joints) -> complex:
     """The tip as a chain of complex numbers, not as the module writes it."""
+    joints = Joints(*(a + b for a, b in zip(joints, geometry.joint_offset, strict=True)))
     first = geometry.upper_arm * np.exp(1j * joints.shoulder)
     second = geometry.forearm * np.exp(1j * joints.elbow) * np.exp(1j * joints.shoulder)
     tool = complex(geometry.tip_forward, geometry.tip_side) * np.exp(
@@ -56,7 +63,7 @@ def test_forward_is_the_chain_of_the_links(data: st.DataObject) -> None:
     joints = data.draw(joints_inside(geometry))
     tip = geometry.forward(joints)
     assert complex(tip.x, tip.y) == pytest.approx(independent_tip(geometry, joints), abs=1e-12)
-    assert tip.z == pytest.approx(geometry.tip_height + joints.quill)
+    assert tip.z == pytest.approx(geometry.tip_height + joints.quill + geometry.joint_offset[2])
 
 
 @given(st.data())
@@ -95,11 +102,12 @@ def test_a_refused_pose_is_truly_out_and_an_accepted_one_in(
         assert solution.joints is not None
         assert geometry.limit_excess(solution.joints)[0] is ReachCode.REACHED
         assert np.allclose(geometry.forward(solution.joints)[:3], tip[:3], atol=1e-9)
-        assert math.copysign(1, solution.joints.elbow) == branch.value
+        assert geometry.branch_of(solution.joints) is branch
         return
     assert solution.joints is None and solution.reason and solution.residual > 0
     code = solution.code
-    quill = z - geometry.tip_height
+    off = geometry.joint_offset
+    quill = z - geometry.tip_height - off[2]
     if code is ReachCode.TOO_FAR:
         assert reach > geometry.upper_arm + geometry.forearm
     elif code is ReachCode.TOO_NEAR:
@@ -117,13 +125,13 @@ def test_a_refused_pose_is_truly_out_and_an_accepted_one_in(
                 abs(elbow) > math.pi - geometry.singularity_margin
             )
         elif code is ReachCode.ELBOW_LIMIT:
-            assert not geometry.lower[1] <= elbow <= geometry.upper[1]
+            assert not geometry.lower[1] <= elbow - off[1] <= geometry.upper[1]
         elif code is ReachCode.SHOULDER_LIMIT:
             inner = math.acos(
                 (reach**2 + geometry.upper_arm**2 - geometry.forearm**2)
                 / (2 * reach * geometry.upper_arm)
             )
-            shoulder = math.atan2(wrist.imag, wrist.real) - branch.value * inner
+            shoulder = math.atan2(wrist.imag, wrist.real) - branch.value * inner - off[0]
             assert not any(
                 geometry.lower[0] + 1e-6 <= shoulder + 2 * math.pi * k <= geometry.upper[0] - 1e-6
                 for k in (-1, 0, 1)
