@@ -9,7 +9,9 @@ is slow sees fewer pictures, one that does not read at all is dropped.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
+import os
 import secrets
 import socket
 import struct
@@ -48,6 +50,8 @@ MOST_MESSAGES = 100
 MOST_ANSWERS = 64
 """Waiting for one page to read them."""
 TICKET_LIFE_S = 30.0
+PIECE_PATIENCE_S = 60.0
+"""How long a download may stand still."""
 
 # Codes of a WebSocket's end, 4000 to 4999 being for programs' own use.
 BAD_TOKEN = 4401
@@ -278,16 +282,13 @@ class RunHandler(_Guarded):
         name, path = found
         self.set_header("Content-Type", "application/zip")
         self.set_header("Content-Disposition", f'attachment; filename="{name}"')
-        try:
-            self.set_header("Content-Length", str(path.stat().st_size))
-            with path.open("rb") as archive:
+        with path.open("rb") as archive:
+            path.unlink()  # however the download ends, nothing is left
+            self.set_header("Content-Length", str(os.fstat(archive.fileno()).st_size))
+            with contextlib.suppress(StreamClosedError, asyncio.TimeoutError):
                 while piece := archive.read(1 << 18):
                     self.write(piece)
-                    await asyncio.wait_for(self.flush(), 60.0)
-        except (StreamClosedError, TimeoutError):
-            return
-        finally:
-            path.unlink(missing_ok=True)
+                    await asyncio.wait_for(self.flush(), PIECE_PATIENCE_S)
 
 
 class PageSocket(_Guarded, WebSocketHandler):

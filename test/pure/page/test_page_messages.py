@@ -1,0 +1,223 @@
+"""What a browser says is read strictly; who may speak is decided by Host, Origin and token."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tapping_cell.nodes.page.ghost import Ghost
+from tapping_cell.nodes.page.guard import Guard, is_loopback, urls
+from tapping_cell.nodes.page.requests import (
+    BadRequest,
+    Command,
+    Hello,
+    Move,
+    Place,
+    Seen,
+    SendGoal,
+    Turn,
+    parse,
+)
+from tapping_cell.se2 import Pose
+from tapping_cell.vision import CameraModel, CameraPose, View
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=5,
+)
+
+
+# ---- messages
+
+
+@given(st.text() | JSON.map(json.dumps) | st.binary())
+def test_anything_else_than_a_request_is_refused_in_a_sentence(message: str | bytes) -> None:
+    with pytest.raises(BadRequest) as refused:
+        parse(message)
+    assert len(str(refused.value)) > 15
+
+
+@given(
+    st.sampled_from(["hello", "seen", "move", "turn", "place", "goal", "stop"]),
+    st.dictionaries(
+        st.sampled_from(["number", "x", "y", "angle", "u", "v", "token"]), JSON, max_size=7
+    ),
+)
+def test_a_request_with_any_content_is_read_or_refused_and_every_number_is_finite(
+    kind: str, content: dict[str, object]
+) -> None:
+    try:
+        request = parse(json.dumps({**content, "do": kind}))
+    except BadRequest:
+        return
+    numbers = {
+        Move: lambda r: (r.u, r.v, r.angle),
+        Turn: lambda r: (r.x, r.y, r.u, r.v),
+        Place: lambda r: r.pose,
+        SendGoal: lambda r: r.pose,
+        Seen: lambda r: (r.number,),
+    }.get(type(request), lambda _: ())
+    assert all(math.isfinite(number) for number in numbers(request))
+
+
+def test_a_goal_is_in_millimetres_and_degrees() -> None:
+    goal = parse('{"do": "goal", "x": 12.5, "y": -3, "angle": 90}')
+    assert goal == SendGoal(Pose(0.0125, -0.003, math.radians(90)))
+    assert parse('{"do": "stop"}') == Command("stop")
+    assert parse('{"do": "hello", "token": 5}') == Hello(5)
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        ('{"do": "goal", "x": NaN, "y": 0, "angle": 0}', "x is NaN"),
+        ('{"do": "goal", "x": 1e999, "y": 0, "angle": 0}', "x is Infinity"),
+        ('{"do": "goal", "x": null, "y": 0, "angle": 0}', "x is null, not a number"),
+        ('{"do": "goal", "x": "7", "y": 0, "angle": 0}', 'x is "7", not a number'),
+        ('{"do": "goal", "x": true, "y": 0, "angle": 0}', "x is true, not a number"),
+        ('{"do": "goal", "x": 2e6, "y": 0, "angle": 0}', "x is 2000000.0; a number between"),
+        ('{"do": "goal", "x": 0, "angle": 0}', "y is null"),
+        ('{"do": "seen", "number": -1}', "number is -1, not a whole number"),
+        ('{"do": "fly"}', "'do' is \"fly\"; known are hello"),
+        ("[1]", "not a JSON object"),
+        ('{"do"', "not JSON"),
+        ("[" * 4000, "not JSON"),
+        (b"{}", "binary"),
+    ],
+)
+def test_what_is_wrong_is_said(message: str | bytes, words: str) -> None:
+    with pytest.raises(BadRequest) as refused:
+        parse(message)
+    assert words in str(refused.value)
+
+
+# ---- who may speak
+
+LOCAL = Guard.make("localhost", (), "")
+OPEN = Guard.make("0.0.0.0", ["Cell.example"], "")
+
+
+def test_the_network_needs_a_token_and_this_machine_does_not() -> None:
+    assert is_loopback("127.0.0.1") and is_loopback("::1") and is_loopback("localhost")
+    assert not any(is_loopback(each) for each in ("0.0.0.0", "::", "192.168.1.5", "cell", ""))
+    assert LOCAL.token == "" and LOCAL.admits(None)
+    assert len(OPEN.token) >= 20 and OPEN.token != Guard.make("0.0.0.0", (), "").token
+    assert Guard.make("::", (), "mine").token == "mine"
+    assert Guard.make("127.0.0.1", (), "mine").admits("mine")
+
+
+@given(JSON)
+def test_only_the_right_token_is_admitted(token: object) -> None:
+    assert not OPEN.admits(token)
+    assert OPEN.admits(OPEN.token)
+
+
+@pytest.mark.parametrize(
+    ("guard", "host", "origin"),
+    [
+        (LOCAL, "localhost:8010", "http://localhost:8010"),
+        (LOCAL, "127.0.0.1:8010", "http://127.0.0.1:8010"),
+        (LOCAL, "[::1]:8010", "http://[::1]:8010"),
+        (LOCAL, "localhost:9000", "http://localhost:9000"),  # through a tunnel
+        (OPEN, "192.168.1.5:8010", "http://192.168.1.5:8010"),
+        (OPEN, "[fd00::5]:8010", "http://[fd00::5]:8010"),
+        (OPEN, "cell.example", "https://cell.example"),  # behind a proxy
+    ],
+)
+def test_the_pages_own_origin_may_command(guard: Guard, host: str, origin: str) -> None:
+    assert guard.refusal(host, origin, command=True) == ""
+    assert guard.refusal(host, None, command=False) == ""
+
+
+@pytest.mark.parametrize(
+    ("guard", "host", "origin"),
+    [
+        (LOCAL, "localhost:8010", None),
+        (LOCAL, "localhost:8010", "null"),
+        (LOCAL, "localhost:8010", "http://evil.example"),
+        (LOCAL, "localhost:8010", "http://localhost:3000"),  # another program of this machine
+        (LOCAL, "localhost:8010", "http://localhost:8010.evil.example"),
+        (LOCAL, "localhost:8010", "http://localhost:8010@evil.example"),
+        (LOCAL, "localhost:8010", "file://localhost:8010"),
+        (LOCAL, "localhost:8010", "http://127.0.0.1:8010"),
+        (LOCAL, "evil.example:8010", "http://evil.example:8010"),  # a name made to point here
+        (LOCAL, "192.168.1.5:8010", "http://192.168.1.5:8010"),
+        (LOCAL, "", "http://"),
+        (LOCAL, "localhost:99999", "http://localhost:99999"),
+        (LOCAL, "evil@localhost:8010", "http://evil@localhost:8010"),
+        (OPEN, "evil.example:8010", "http://evil.example:8010"),
+        (OPEN, "192.168.1.5.evil.example", "http://192.168.1.5.evil.example"),
+    ],
+)
+def test_everybody_else_may_not(guard: Guard, host: str, origin: str | None) -> None:
+    assert len(guard.refusal(host, origin, command=True)) > 15
+
+
+@given(st.text(), st.text() | st.none())
+def test_any_other_host_is_refused_in_words(host: str, origin: str | None) -> None:
+    assert LOCAL.refusal(host, origin, command=True)
+
+
+def test_a_token_stands_where_browsers_do_not_send_it() -> None:
+    assert urls("localhost", 8010, "") == ["http://localhost:8010/"]
+    assert urls("::1", 80, "") == ["http://[::1]:80/"]
+    assert urls("192.168.1.5", 8010, "abc") == ["http://192.168.1.5:8010/#token=abc"]
+    assert all(url.endswith(":8010/#token=abc") for url in urls("0.0.0.0", 8010, "abc"))
+
+
+# ---- the ghost
+
+TRIANGLE = np.array([(0.04, -0.02), (0.0, 0.05), (-0.04, -0.02)])
+CAMERA = CameraModel(1280, 1024, 1150.0, 1140.0, 630.0, 520.0, (-0.12, 0.08, 0.0004, -0.0003, 0.0))
+
+
+def ghost(spin: float = 0.1) -> Ghost:
+    view = View(CAMERA, CameraPose.above((0.05, -0.08, 0.7), (0.01, 0.0), spin))
+    return Ghost(view, TRIANGLE, 0.012, lambda pose: "too far" if pose.x > 0.2 else "")
+
+
+places = st.builds(
+    Pose, st.floats(-0.25, 0.25), st.floats(-0.18, 0.18), st.floats(-math.pi, math.pi)
+)
+
+
+@given(places)
+def test_a_ghost_put_where_it_is_seen_lies_where_it_was(pose: Pose) -> None:
+    made = ghost()
+    seen = made.answer(Place(1, pose))
+    (u, v), (hu, hv) = seen["centre"], seen["handle"]
+    moved = made.pose(Move(2, u, v, pose.theta))
+    assert moved.distance_to(pose) < 2e-5  # the shares are rounded to 1e-5 of the picture
+    turned = made.pose(Turn(3, pose.x, pose.y, hu, hv))
+    assert abs(turned.rotation_to(pose)) < 5e-4
+    assert seen["refusal"] == ("too far" if pose.x > 0.2 else "")
+    assert len(seen["outline"]) == len(TRIANGLE)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(-1e4, 1e4))
+def test_any_pixel_and_any_pose_gets_numbers_or_a_sentence(a: float, b: float, c: float) -> None:
+    made = ghost()
+    for request in (Move(1, a, b, c), Turn(1, a, b, c, a), Place(1, Pose(a, b, c))):
+        try:
+            json.dumps(made.answer(request), allow_nan=False)
+        except BadRequest as refused:
+            assert "no table" in str(refused)
+
+
+@pytest.mark.parametrize(
+    ("turns", "right"), [(0, 0), (1, 90), (2, 180), (3, -90)], ids=["0", "90", "180", "270"]
+)
+def test_the_arrow_keys_follow_the_picture(turns: int, right: int) -> None:
+    made = ghost(spin=turns * math.pi / 2 + 0.1)
+    before = made.answer(Place(1, Pose(0.0, 0.0, 0.0)))
+    way = math.radians(before["right"])
+    after = made.answer(Place(2, Pose(0.02 * math.cos(way), 0.02 * math.sin(way), 0.0)))
+    du, dv = np.subtract(after["centre"], before["centre"])
+    assert du > 0.01 and abs(dv) < du
+    assert before["right"] == right

@@ -1,0 +1,355 @@
+"""The web server alone, spoken to as browsers and attackers do: no ROS in here."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import random
+import socket
+import time
+import urllib.error
+import urllib.request
+import zipfile
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tornado.httpclient import HTTPClientError, HTTPRequest
+from tornado.websocket import WebSocketClientConnection, websocket_connect
+
+from tapping_cell.nodes.page import server
+from tapping_cell.nodes.page.archive import make_archive
+from tapping_cell.nodes.page.guard import Guard
+from tapping_cell.nodes.page.requests import Command, Request
+
+PATIENCE_S = 10.0
+
+
+class Desk:
+    """A desk that remembers."""
+
+    def __init__(self) -> None:
+        self.requests: list[Request] = []
+        self.counts: list[int] = []
+        self.archive: Path | None = None
+
+    def greet(self) -> dict[str, object]:
+        return {"cell": "test"}
+
+    def on_pages(self, count: int) -> None:
+        self.counts.append(count)
+
+    def on_request(self, request: Request, who: str, answer: server.Answer) -> None:
+        self.requests.append(request)
+        answer({"type": "answer", "to": "test", "ok": True, "text": who})
+
+    def open_run(self) -> tuple[str, Path] | str:
+        return ("run.zip", self.archive) if self.archive else "no run"
+
+
+class Site:
+    """A running server."""
+
+    def __init__(self, token: str) -> None:
+        self.desk = Desk()
+        sockets = server.bind("127.0.0.1", 0)
+        self.port = sockets[0].getsockname()[1]
+        self.host = f"127.0.0.1:{self.port}"
+        self.server = server.PageServer(Guard.make("127.0.0.1", (), token), self.desk, sockets)
+        self.server.start()
+
+    def get(self, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
+        request = urllib.request.Request(f"http://{self.host}/{path}", headers=headers)
+        try:
+            with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
+                return answer.status, dict(answer.headers), answer.read()
+        except urllib.error.HTTPError as error:
+            return error.code, dict(error.headers), error.read()
+
+    @contextlib.asynccontextmanager
+    async def page(
+        self, hello: dict[str, object] | None = None, **headers: str
+    ) -> AsyncIterator[WebSocketClientConnection]:
+        """A WebSocket; with ``hello`` None nothing is said."""
+        given = {"Origin": f"http://{self.host}", **headers}
+        asked = HTTPRequest(f"ws://{self.host}/live", headers=given)
+        connection = await websocket_connect(asked, max_message_size=1 << 24)
+        if hello is not None:
+            await connection.write_message(json.dumps({"do": "hello", **hello}))
+        try:
+            yield connection
+        finally:
+            connection.close()
+
+
+async def read(connection: WebSocketClientConnection) -> Any:
+    """The next message; None where the server closed."""
+    message = await asyncio.wait_for(asyncio.ensure_future(connection.read_message()), PATIENCE_S)
+    return json.loads(message) if isinstance(message, str) else message
+
+
+async def until(condition: Callable[[], object]) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        await asyncio.sleep(0.01)
+
+
+@pytest.fixture(params=[""], ids=["open"])
+def site(request: pytest.FixtureRequest) -> Iterator[Site]:
+    made = Site(request.param)
+    yield made
+    made.server.close()
+
+
+with_token = pytest.mark.parametrize("site", ["the-right-token"], indirect=True, ids=["token"])
+
+
+# ---- the files
+
+
+def test_the_page_is_served_with_headers_that_allow_nothing_foreign(site: Site) -> None:
+    for path, kind in (("", "text/html"), ("page.js", "javascript"), ("style.css", "text/css")):
+        status, headers, body = site.get(path)
+        assert status == 200 and kind in headers["Content-Type"] and len(body) > 1000
+        policy = headers["Content-Security-Policy"]
+        assert "default-src 'none'" in policy and "unsafe" not in policy
+        assert "frame-ancestors 'none'" in policy
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert "Tornado" not in headers["Server"]
+        # nothing is fetched from elsewhere, and nothing runs that stands in the page itself
+        assert b"//cdn" not in body and b"https://" not in body
+    assert b"onclick" not in site.get("")[2] and b"style=" not in site.get("")[2]
+
+
+@pytest.mark.parametrize(
+    "path", ["../server.py", "..%2fserver.py", "%2e%2e/server.py", "nothing", "//etc/passwd"]
+)
+def test_no_other_file_is_served(site: Site, path: str) -> None:
+    status, _, body = site.get(path)
+    assert status in (403, 404) and b"import" not in body and b"root:" not in body
+
+
+def test_a_foreign_name_gets_no_file(site: Site) -> None:
+    status, _, body = site.get("", Host="evil.example")
+    assert status == 403 and b"not served under the name 'evil.example'" in body
+
+
+# ---- who may connect
+
+
+@pytest.mark.parametrize(
+    ("headers", "words"),
+    [
+        ({"Origin": "http://evil.example"}, "http://evil.example may not speak"),
+        ({"Origin": "null"}, "null may not speak"),
+        ({"Origin": ""}, "without an Origin"),
+        ({"Host": "evil.example", "Origin": "http://evil.example"}, "not served under the name"),
+    ],
+    ids=["other site", "sandbox", "no origin", "rebound name"],
+)
+def test_another_web_site_cannot_open_a_socket(
+    site: Site, headers: dict[str, str], words: str
+) -> None:
+    async def scenario() -> None:
+        with pytest.raises(HTTPClientError) as refused:
+            async with site.page({}, **headers):
+                pass
+        assert refused.value.code == 403
+        assert words in refused.value.response.body.decode()
+
+    asyncio.run(scenario())
+    assert site.desk.counts == [] and site.desk.requests == []
+
+
+@with_token
+@pytest.mark.parametrize("hello", [{}, {"token": "wrong"}, {"token": ""}, {"token": ["the"]}])
+def test_without_the_token_nothing_is_shown_and_nothing_is_done(
+    site: Site, hello: dict[str, object]
+) -> None:
+    async def scenario() -> None:
+        async with site.page(hello) as page:
+            await page.write_message('{"do": "stop"}')
+            assert await read(page) is None
+            assert page.close_code == server.BAD_TOKEN
+
+    asyncio.run(scenario())
+    assert site.desk.requests == [] and site.desk.counts == []
+
+
+@with_token
+def test_the_first_word_must_be_hello_and_soon(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "HELLO_PATIENCE_S", 0.2)
+
+    async def scenario() -> None:
+        async with site.page() as page:
+            await page.write_message('{"do": "stop"}')
+            assert await read(page) is None and page.close_code == server.BAD_TOKEN
+        async with site.page() as page:
+            assert await read(page) is None and page.close_code == server.BAD_TOKEN
+        async with site.page({"token": "the-right-token"}) as page:
+            assert (await read(page))["cell"] == "test"
+            await asyncio.sleep(0.4)
+            await page.write_message('{"do": "stop"}')
+            assert (await read(page))["ok"]
+
+    asyncio.run(scenario())
+    assert site.desk.requests == [Command("stop")]
+
+
+# ---- what is said
+
+
+def test_nonsense_is_answered_in_words_and_harms_nobody(site: Site) -> None:
+    noise = random.Random(1)
+    nonsense: list[str | bytes] = ["", "{", "[]", "null", '{"do": 7}', '{"do": "goal", "x": NaN}']
+    nonsense += ["[" * 3000, '{"do": {"do": {}}}', bytes(noise.randbytes(64)), "\x00\ud7ff"]
+    nonsense += ["".join(chr(noise.randrange(32, 900)) for _ in range(50)) for _ in range(20)]
+
+    async def scenario() -> None:
+        async with site.page({}) as page:
+            assert (await read(page))["type"] == "welcome"
+            for message in nonsense:
+                await page.write_message(message, binary=isinstance(message, bytes))
+                answer = await read(page)
+                assert answer["ok"] is False and len(answer["text"]) > 15
+            await page.write_message('{"do": "stop"}')
+            assert (await read(page))["ok"]
+
+    asyncio.run(scenario())
+    assert site.desk.requests == [Command("stop")]
+
+
+def test_a_message_that_is_too_long_or_one_too_many_ends_the_connection(site: Site) -> None:
+    async def scenario() -> None:
+        async with site.page({}) as page:
+            await read(page)
+            await page.write_message(json.dumps({"do": "stop", "x": "a" * 5000}))
+            assert await read(page) is None and page.close_code == 1009
+        async with site.page({}) as page:
+            await read(page)
+            with contextlib.suppress(Exception):
+                for _ in range(400):
+                    await page.write_message('{"do": "cancel"}')
+            while await read(page) is not None:
+                pass
+            assert page.close_code == server.TOO_MANY_MESSAGES
+
+    asyncio.run(scenario())
+    assert Command("stop") not in site.desk.requests
+
+
+# ---- several pages
+
+
+def test_every_page_sees_the_same_state_and_the_room_is_bounded(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "MOST_PAGES", 2)
+
+    async def scenario() -> None:
+        async with site.page({}) as first, site.page({}) as second:
+            await read(first)
+            await read(second)
+            site.server.show({"mode": "ready"})
+            assert await read(first) == await read(second) == {"type": "state", "mode": "ready"}
+            async with site.page({}) as third:
+                assert await read(third) is None
+                assert third.close_code == server.TOO_MANY_PAGES
+        await until(lambda: site.desk.counts[-1] == 0)
+
+    asyncio.run(scenario())
+    assert max(site.desk.counts) == 2
+
+
+def test_a_page_gets_the_next_picture_when_it_has_drawn_the_last_and_then_the_latest(
+    site: Site,
+) -> None:
+    async def scenario() -> None:
+        async with site.page({}) as slow, site.page({}) as quick:
+            await read(slow)
+            await read(quick)
+            for number in range(1, 6):
+                site.server.show_picture(b"jpeg %d" % number, 10.0 + number, 0.05)
+                frame = await read(quick)
+                head = server.PICTURE_HEADER.unpack(frame[:20])
+                assert head == (number, 10.0 + number, 0.05) and frame[20:] == b"jpeg %d" % number
+                await quick.write_message(json.dumps({"do": "seen", "number": number}))
+                await until(lambda: site.server.wants_picture)
+            assert (await read(slow))[20:] == b"jpeg 1"
+            await slow.write_message('{"do": "seen", "number": 1}')
+            await until(lambda: all(page.wants_picture for page in site.server.pages))
+            site.server.show_picture(b"jpeg 6", 16.0, 0.05)
+            assert (await read(slow))[20:] == b"jpeg 6"
+
+    asyncio.run(scenario())
+
+
+def test_a_page_that_does_not_read_is_dropped_and_the_others_go_on(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "WRITE_PATIENCE_S", 0.3)
+
+    def deaf() -> socket.socket:
+        """A page that says hello, asks for nothing and reads nothing."""
+        line = socket.socket()
+        line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        line.connect(("127.0.0.1", site.port))
+        line.sendall(
+            f"GET /live HTTP/1.1\r\nHost: {site.host}\r\nOrigin: http://{site.host}\r\n"
+            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+        )
+        hello = b'{"do":"hello"}'
+        line.sendall(bytes([0x81, 0x80 | len(hello), 0, 0, 0, 0]) + hello)
+        return line
+
+    async def scenario() -> None:
+        line = deaf()
+        async with site.page({}) as page:
+            await read(page)
+            await until(lambda: len(site.server.pages) == 2)
+            state = {"text": "x" * 1_000_000}
+            longest = 0.0
+            while len(site.server.pages) == 2:
+                began = time.monotonic()
+                site.server.show(state)
+                assert len((await read(page))["text"]) == 1_000_000
+                longest = max(longest, time.monotonic() - began)
+                await asyncio.sleep(0.05)
+            assert longest < 5.0
+        line.close()
+
+    asyncio.run(asyncio.wait_for(scenario(), 30.0))
+
+
+# ---- downloads
+
+
+def test_a_run_is_downloaded_once_with_a_ticket(site: Site, tmp_path: Path) -> None:
+    run = tmp_path / "2026-run"
+    (run / "logs").mkdir(parents=True)
+    (run / "summary.json").write_text("{}")
+    (run / "logs" / "node.log").write_text("said")
+    (run / "secret").symlink_to("/etc/hostname")
+    site.desk.archive = archive = make_archive(run)
+    assert site.get("run/abcdefghij")[0] == 403
+    status, headers, body = site.get(f"run/{site.server.make_ticket()}")
+    assert status == 200 and headers["Content-Disposition"] == 'attachment; filename="run.zip"'
+    packed = tmp_path / "got.zip"
+    packed.write_bytes(body)
+    with zipfile.ZipFile(packed) as got:
+        assert sorted(got.namelist()) == ["2026-run/logs/node.log", "2026-run/summary.json"]
+        assert got.read("2026-run/logs/node.log") == b"said"
+    assert not archive.exists()
+    ticket = site.server.make_ticket()
+    site.desk.archive = None
+    assert site.get(f"run/{ticket}")[0] == 404
+    assert site.get(f"run/{ticket}")[0] == 403
+
+
+def test_a_port_that_is_taken_is_an_error_at_once(site: Site) -> None:
+    with pytest.raises(OSError, match="in use"):
+        server.bind("127.0.0.1", site.port)
