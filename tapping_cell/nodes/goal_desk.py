@@ -117,11 +117,9 @@ class GoalDesk:
         return Task(request.message, goal, tolerance, max_taps, session, request.handle)
 
     def accept_tap(self, handle: ServerGoalHandle, pose: Pose | None) -> SingleTapTask | Refused:
-        """A task for a single tap, or why there is none. ``pose``: where the object is now."""
+        """A task for a single tap, or why there is none. ``pose``: where the object is, if seen."""
         asked = handle.request
         curve = self.cell.file.tapper.curve()
-        if pose is None:
-            return Refused(ErrorCode.OBJECT_NOT_SEEN, "the object is not seen; uncover its marker")
         if not curve.slowest <= asked.striker_speed <= curve.fastest:
             return Refused(
                 ErrorCode.TAPPER_SPEED_OUT_OF_RANGE,
@@ -137,11 +135,13 @@ class GoalDesk:
         session = PrescribedSession(
             tap, self._experiments, self._free, self._gains, adapt=self._adapt
         )
-        message = PoseStamped(pose=to_message(pose))
+        # Until the tap is decided on, its goal is where the object lies.
+        goal = pose or Pose(0.0, 0.0, 0.0)
+        message = PoseStamped(pose=to_message(goal))
         message.header.frame_id = "table"
         return SingleTapTask(
             message=message,
-            goal=pose,
+            goal=goal,
             tolerance=self.cell.tolerance,
             max_taps=1,
             session=session,

@@ -61,6 +61,7 @@ class Actors:
     arm_error: tuple[int, str] = (0, "")
     tapper_answers: int | None = TapperState.FIRED
     tapper_talks: bool = True
+    references: tuple[int, ...] = tuple(range(101, 109))
     commands: list[TapCommand] = field(default_factory=list)
     plans: list[PlanState] = field(default_factory=list)
     _tap: TapCommand | None = None
@@ -103,6 +104,7 @@ class Actors:
                 )
                 seen.header.stamp, seen.header.frame_id = now, "table"
                 seen.pose.pose = to_message(self.pose)
+                seen.references_used = list(self.references)
                 seen.pose.covariance = covariance_to_message(np.diag([1e-10, 1e-10, 1e-8]))
                 self._object.publish(seen)
             if self.arm_talks:

@@ -169,8 +169,15 @@ def test_it_is_done_after_the_tap_whatever_came_of_it(cell):
 
 @pytest.mark.parametrize(
     "numbers",
-    [(0.0, 0.1), (math.nan, 0.1), (0.5, math.nan), (0.5, 1.2), (0.5, 0.1, math.inf)]
-    + [(0.5, 0.1, None, -0.1), (0.5, 0.1, None, math.nan)],
+    [
+        (0.0, 0.1),
+        (math.nan, 0.1),
+        (0.5, math.nan),
+        (0.5, 1.2),
+        (0.5, 0.1, math.inf),
+        (0.5, 0.1, None, -0.1),
+        (0.5, 0.1, None, math.nan),
+    ],
     ids=str,
 )
 def test_numbers_that_cannot_be_are_refused(numbers):
