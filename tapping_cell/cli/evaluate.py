@@ -5,9 +5,9 @@ example:
 
 Lengths are in mm, angles in degrees, shares in percent. The model "abstract" answers a tap with the
 wanted displacement and its scatter; "physics" strikes, collides and slides by true parameters that
-the planner does not know (--truth). With --table the trials run on the cell's table, within the
-arm's reach, with edges and keep-outs; goals that cannot be reached must be refused before the first
-tap.
+the planner does not know (--truth, and --truth-object where the planner believes a fitted --object).
+With --table the trials run on the cell's table, within the arm's reach, with edges and keep-outs;
+goals that cannot be reached must be refused before the first tap.
 """
 
 from __future__ import annotations
@@ -128,6 +128,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     numbers("--cell", type=Path, metavar="FILE", help="cell file (physics and --table)")
     numbers("--object", type=Path, metavar="FILE", help="object file (physics and --table)")
     numbers("--truth", type=Path, metavar="FILE", help="true parameters (physics)")
+    numbers(
+        "--truth-object",
+        type=Path,
+        metavar="FILE",
+        help="object file that the true parameters start from, where the planner believes another "
+        "(physics; --object)",
+    )
     numbers("--most-taps", type=int, default=100, metavar="N", help="then a trial is endless (100)")
     numbers("--seed", type=int, default=0, help="of the random numbers (0)")
     numbers("--processes", type=int, metavar="N", help="default: one a core")
@@ -268,13 +275,21 @@ def _cell_space(cell: Path | None, content: Path | None) -> StrikeSpace:
 def _physics(arguments: argparse.Namespace, cell: Any, scatter: Any) -> PhysicsWorld:
     from tapping_cell.configuration.assembly import make_tap
     from tapping_cell.configuration.files import shared_folder
-    from tapping_cell.configuration.schema import load
+    from tapping_cell.configuration.objects import load_object
+    from tapping_cell.configuration.schema import ConfigurationError, load
     from tapping_cell.planning.evaluation import PhysicsWorld
     from tapping_cell.simulation.truth import TruthFile
 
     path = arguments.truth or shared_folder() / "truth" / "default.yaml"
     truth = load(TruthFile, Path(path).expanduser())
     known = cell.object
+    if arguments.truth_object is not None:
+        known = load_object(arguments.truth_object.expanduser())
+        if known.shape != cell.object.shape or known.mass != cell.object.mass:
+            raise ConfigurationError(
+                f"{arguments.truth_object}: is of another shape or mass than the planner's object; "
+                "give files of one object"
+            )
     actual = replace(
         known,
         friction=known.friction * truth.support.friction_factor,
