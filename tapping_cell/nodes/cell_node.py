@@ -42,6 +42,11 @@ COMMAND = QoSProfile(
 """For commands: all arrive, and none is delivered to somebody who was not there."""
 
 
+PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+PROFILES = {True: "fastdds_profile.xml", False: "fastdds_messages.xml"}
+"""The middleware's profile for what carries pictures, and for what does not."""
+
+
 class NotReady(RuntimeError):
     """The node cannot be configured or activated yet; the sentence says why. Tried again."""
 
@@ -56,6 +61,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
     actor = False
     """True for a node that moves something: an emergency stop latches it until clear_fault."""
+    carries_pictures = True
+    """False for a node that sends and takes no pictures: see :func:`choose_transport`."""
     changeable: tuple[str, ...] = ()
     """Parameters that may be set at run time; :meth:`change` takes them in."""
 
@@ -221,12 +228,21 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self._diagnostics.publish(message)
 
 
+def choose_transport(pictures: bool) -> None:
+    """Choose the middleware's profile, unless somebody else's stands in the environment.
+
+    Without a shared-memory segment of several frames nearly every picture is lost; but a process
+    that is killed can leave shared memory in a state in which its successor hears nothing. So only
+    what carries pictures uses it. The middleware reads the variable when the first node is made.
+    """
+    chosen = os.environ.get(PROFILE_VARIABLE, "")
+    if not chosen or Path(chosen).name in PROFILES.values():
+        os.environ[PROFILE_VARIABLE] = str(shared_folder() / PROFILES[pictures])
+
+
 def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None = None) -> int:
     """Run one node until Ctrl-C, a termination signal or a fatal error; returns the exit status."""
-    # Without a shared-memory segment of several frames the transport drops nearly every image;
-    # the middleware reads the variable when the first node is made.
-    profile = shared_folder() / "fastdds_profile.xml"
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
+    choose_transport(getattr(make_node, "carries_pictures", True))
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.ALL)
     node: CellNode[Any] | None = None
     executor = SingleThreadedExecutor()

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from std_srvs.srv import Trigger
+from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.nodes.cell_node import CellNode, NotReady
@@ -43,6 +44,7 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
     """
 
     actor = True
+    carries_pictures = False
     stopped_state: int
     """The snapshot's state after a stop."""
     stopped_trouble: tuple[int, str]
@@ -51,18 +53,25 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
     """The snapshot's state after a fault ..."""
     fault_state: int
     """... and after any other fault."""
+    healthy_states: ClassVar[frozenset[int]]
+    """States in which there is nothing to clear."""
     idle_period: float
     """Between two calls of :meth:`idle`, s."""
+    told_at_once: tuple[str, ...] = ("state", "tap_id", "error_code")
+    """Fields of the snapshot whose change is published without waiting for the timer."""
 
     def __init__(self, name: str, parameters: type[Parameters], unconnected: Snapshot) -> None:
         super().__init__(name, parameters)
         self.driver: Driver | None = None
+        self.port = ""
         self.abandoned = threading.Event()
         """Set while what is under way must not go on."""
         self._unconnected = unconnected
         self._snapshot: Any = unconnected
         self._lock = threading.Lock()
         self._worker: Worker | None = None
+        # A guard condition brings a change from the worker's thread to the executor's.
+        self._changed = self.create_guard_condition(self.publish_state)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/clear_fault", self._on_clear_fault)
 
@@ -81,10 +90,15 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
     def give_up(self) -> None:
         """What a stop ends besides the driver's motion; in the executor's thread."""
 
+    def publish_state(self) -> None:
+        """Publish the snapshot, in the executor's thread."""
+
     # The driver and its worker
 
-    def connect(self, driver: Driver) -> Any:
+    def connect(self, driver: Driver, port: str) -> Any:
         """Connect, keep the driver and start the worker; returns what ``connect`` answers.
+
+        ``port``: its path, for diagnostics.
 
         Raises:
             NotReady: the device is not there or not understood; tried again by the life cycle.
@@ -95,7 +109,10 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
             driver.close()
             self.set(error_code=self.code_of(fault), error_msg=fault.sentence)
             raise NotReady(fault.sentence) from fault
-        self.driver = driver
+        self.driver, self.port = driver, port
+        if self.stopped:
+            # A stop that was latched before there was a driver holds for it as well.
+            self.stop_now()
         self._worker = Worker(self.get_name(), lambda: self._guarded(self.idle), self.idle_period)
         self._worker.start()
         return answer
@@ -110,12 +127,21 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
             job()
         except HardwareFault as fault:
             self.fail(fault)
+        except Exception as defect:
+            self.set(
+                state=self.fault_state,
+                error_code=ErrorCode.INTERNAL,
+                error_msg=f"a defect of this program ({defect!r}): please report it with the log,"
+                " then start the node again",
+            )
+            raise
 
-    def fail(self, fault: HardwareFault) -> None:
-        """Say a fault once, in the log, and keep saying it in the state."""
+    def fail(self, fault: HardwareFault, **changes: object) -> None:
+        """Say a fault once, in the log, and keep saying it in the state, with other changes."""
         own_stop = fault.reason is FaultReason.STOPPED
         if own_stop and (self.stopped or fault.reason not in self.fault_states):
             # The fault that stopped the device was said before, and says more.
+            self.set(**changes)
             return
         if self._snapshot.error_msg != fault.sentence:
             self.get_logger().error(fault.sentence)
@@ -123,6 +149,7 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
             state=self.fault_states.get(fault.reason, self.fault_state),
             error_code=self.code_of(fault),
             error_msg=fault.sentence,
+            **changes,
         )
 
     def require(self) -> Driver:
@@ -161,7 +188,11 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
             if self._snapshot.state == self.stopped_state and self.stopped:
                 for name in ("state", "error_code", "error_msg"):
                     changes.pop(name, None)
-            self._snapshot = replace(self._snapshot, **changes)
+            before = self._snapshot
+            self._snapshot = replace(before, **changes)
+            news = any(getattr(before, n) != getattr(self._snapshot, n) for n in self.told_at_once)
+        if news:
+            self._changed.trigger()
 
     # Stop and clear
 
@@ -182,6 +213,8 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
     def _on_clear_fault(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self.driver is None:
             return answer(response, False, self._snapshot.error_msg)
+        if self._snapshot.state in self.healthy_states and not self.stopped:
+            return answer(response, True, "there is no fault to clear")
         self.stopped = False
         self.submit(self.clear)
         return answer(response, True, "clearing; the node's state tells the result")

@@ -10,28 +10,36 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.duration import Duration
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand
 from trajectory_msgs.msg import JointTrajectory
 
-from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.cell import ArmSection, Cell, load_cell
 from tapping_cell.configuration.schema import quantity, text
-from tapping_cell.hardware.arm import ArmDriver, ArmSettings, HomingStrategy
+from tapping_cell.hardware.arm import ArmDriver, ArmReading, ArmSettings, HomingStrategy
+from tapping_cell.hardware.dialect import ArmDialect
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.grbl_dialect import GrblDialect
-from tapping_cell.hardware.marlin_dialect import MarlinDialect
-from tapping_cell.hardware.motion import Waypoint, move_duration, strike_path, withdraw_path
+from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
+from tapping_cell.hardware.marlin_dialect import MarlinDialect, MarlinSettings
+from tapping_cell.hardware.motion import (
+    Waypoint,
+    check_limits,
+    move_duration,
+    strike_path,
+    withdraw_path,
+)
 from tapping_cell.hardware.scara import Joints, TipPose
 from tapping_cell.hardware.serial_transport import SerialTransport
+from tapping_cell.nodes import tap_commands
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, run
-from tapping_cell.nodes.conversions import from_message, is_finite, to_message
+from tapping_cell.nodes.conversions import from_message, to_message
 from tapping_cell.nodes.driver_node import CONNECT_PATIENCE_S, DriverNode, answer
 from tapping_cell.nodes.error_codes import of_arm
 from tapping_cell.se2 import Pose
 
-DIALECTS = {"grbl": GrblDialect, "marlin": MarlinDialect}
 RELEASE_GUARD_S = 0.1
 """From saying that it withdraws to moving: longer than arm_state takes to the tapper and a release
 takes to end."""
@@ -80,6 +88,15 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         FaultReason.HOMING_FAILED: ArmState.NOT_HOMED,
     }
     fault_state = ArmState.FAULT
+    healthy_states = frozenset(
+        {
+            ArmState.HOMING,
+            ArmState.IDLE,
+            ArmState.MOVING,
+            ArmState.IN_POSITION,
+            ArmState.WITHDRAWING,
+        }
+    )
     idle_period = READ_PERIOD_S
 
     def __init__(self) -> None:
@@ -92,7 +109,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         self.create_subscription(TapCommand, "tap_command", self._on_tap_command, COMMAND)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, COMMAND)
         self.create_service(Trigger, "~/home", self._on_home)
-        self.create_timer(1.0 / self.settings.state_rate, self._publish)
+        self.create_timer(1.0 / self.settings.state_rate, self.publish_state)
 
     # Life cycle
 
@@ -102,10 +119,15 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         arm = cell.file.arm
         port = str(self.port_path(self.settings.port or arm.port))
         transport = SerialTransport(port, arm.baud)
-        dialect = DIALECTS[arm.dialect](transport)
-        driver = ArmDriver(transport, dialect, arm.geometry(), ArmSettings(home_joints=arm.home))
+        driver = ArmDriver(
+            transport,
+            controller_dialect(arm, transport),
+            arm.geometry(),
+            ArmSettings(home_joints=arm.home),
+        )
         self._cell = cell
-        self.connect(driver)
+        for remark in self.connect(driver, port).remarks:
+            self.get_logger().warning(remark)
         self._set_standing()
 
     def activate(self) -> None:
@@ -114,10 +136,13 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         strategy = HomingStrategy(self._cell.file.arm.homing)
         if self.settings.home_on_activate and strategy is not HomingStrategy.MANUAL_POSE:
             self.submit(self._home)
+        else:
+            self.submit(self._set_standing)
 
     def deactivate(self) -> None:
         """Abandon what is under way; the arm stays where it comes to a stand."""
         self.abandoned.set()
+        self.submit(self._stand_inactive)
 
     def code_of(self, fault: HardwareFault) -> int:
         """The ErrorCode of a fault of the arm."""
@@ -128,22 +153,28 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         driver, now = self.driver, self.snapshot
         if driver is None:
             return DiagnosticStatus.WARN, now.error_msg, {}
+        firmware, counters, line = driver.firmware, driver.counters, driver.line_counters
         values: dict[str, object] = {
-            "hardware_id": driver.firmware.name if driver.firmware else "",
-            "firmware": f"{driver.firmware.name} {driver.firmware.version}"
-            if driver.firmware
-            else "",
+            "hardware_id": firmware.name if firmware else "",
+            "port": self.port,
+            "firmware": f"{firmware.name} {firmware.version}" if firmware else "",
+            "remarks": " ".join(firmware.remarks) if firmware else "",
             "homed": driver.homed,
-            "moves": driver.counters.moves,
-            "retries": driver.counters.retries,
-            "reconnects": driver.counters.reconnects,
-            "stops": driver.counters.stops,
-            "last error": driver.counters.last_error,
+            "moves": counters.moves,
+            "retries": counters.retries + line.retries,
+            "resends": line.resends,
+            "timeouts": line.timeouts,
+            "bad lines": line.bad_lines,
+            "reconnects": counters.reconnects,
+            "stops": counters.stops,
+            "last error": counters.last_error,
         }
         if self.defect is not None:
             return DiagnosticStatus.ERROR, f"defect: {self.defect!r}", values
         if now.error_code:
-            return DiagnosticStatus.ERROR, now.error_msg, values
+            refused = now.state == ArmState.IDLE
+            level = DiagnosticStatus.WARN if refused else DiagnosticStatus.ERROR
+            return level, now.error_msg, values
         return DiagnosticStatus.OK, "ok", values
 
     # Commands
@@ -155,8 +186,9 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
                 self.submit(self._withdraw)
             return
         refusal = self._refusal(command)
-        if refusal:
-            self.get_logger().error(f"tap {command.tap_id} refused: {refusal}")
+        if refusal is not None:
+            code, sentence = refusal
+            self._refuse(code, f"tap {command.tap_id} refused: {sentence}")
             return
         self._last_tap_id = command.tap_id
         self.abandoned.clear()
@@ -165,51 +197,39 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         expiry = Time.from_msg(command.expiry)
         self.submit(lambda: self._place(pose, command.tap_id, expiry))
 
-    def _refusal(self, command: TapCommand) -> str:
-        """Why a tap command is not taken; empty when it is."""
+    def _refusal(self, command: TapCommand) -> tuple[int, str] | None:
+        """Why a tap command is not taken; None when it is."""
+        now = self.get_clock().now()
         if not self.active:
-            return "the node is not active; activate it first"
+            return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
         if self.stopped or self.snapshot.state != ArmState.IDLE:
-            return f"the arm is not idle ({self.snapshot.error_msg or 'it is busy'})"
-        if command.tap_id <= self._last_tap_id:
-            return (
-                f"tap ids rise, and {self._last_tap_id} was served already; a tap is never served "
-                "twice"
-            )
-        if command.header.frame_id != "table":
-            return f"its frame is '{command.header.frame_id}', but must be 'table'"
-        if not is_finite(command.strike_pose):
-            return "its strike pose holds a number that is not finite"
-        if self.get_clock().now() > Time.from_msg(command.expiry):
-            return "its expiry has passed"
-        return ""
+            reason = self.snapshot.error_msg or "it is busy"
+            return ErrorCode.ARM_BUSY, f"the arm is not idle ({reason})"
+        if tap_commands.expired(command, now):
+            return ErrorCode.ARM_COMMAND_EXPIRED, "its expiry has passed"
+        return tap_commands.refusal(command, now, self._last_tap_id)
+
+    def _refuse(self, code: int, sentence: str) -> None:
+        """Say why a command is not taken; an idle arm keeps saying it until the next command."""
+        self.get_logger().error(sentence)
+        if self.snapshot.state == ArmState.IDLE:
+            self.set(error_code=code, error_msg=sentence)
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
-        names = list(Joints._fields)
         if not self.active or self.snapshot.state != ArmState.IDLE:
-            self.get_logger().error(
-                f"trajectory refused: the arm is not idle ({self.snapshot.error_msg or 'busy'})"
-            )
+            code = ErrorCode.ARM_BUSY if self.active else ErrorCode.NOT_ACTIVE
+            reason = self.snapshot.error_msg or "busy"
+            self._refuse(code, f"trajectory refused: the arm is not idle ({reason})")
             return
-        if sorted(message.joint_names) != sorted(names) or not message.points:
-            self.get_logger().error(
-                f"trajectory refused: its joints are {list(message.joint_names)} with "
-                f"{len(message.points)} points; it needs points for {names}"
-            )
+        try:
+            targets = trajectory_targets(message)
+            for target, _ in targets:
+                check_limits(self.require().geometry, target)
+        except (ValueError, HardwareFault) as error:
+            self._refuse(ErrorCode.TRAJECTORY_INVALID, f"trajectory refused: {error}")
             return
-        order = [list(message.joint_names).index(name) for name in names]
-        targets: list[tuple[Joints, float]] = []
-        for point in message.points:
-            if len(point.positions) != len(names) or not all(map(math.isfinite, point.positions)):
-                self.get_logger().error(
-                    f"trajectory refused: a point has the positions {list(point.positions)}; it "
-                    "needs four finite numbers (rad, rad, m, rad)"
-                )
-                return
-            seconds = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
-            targets.append((Joints(*(point.positions[index] for index in order)), seconds))
         self.abandoned.clear()
-        self.set(state=ArmState.MOVING, clear_of_camera=False)
+        self.set(state=ArmState.MOVING, clear_of_camera=False, error_code=0, error_msg="")
         self.submit(lambda: self._follow_trajectory(targets))
 
     def _on_home(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -243,9 +263,11 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         )
         self.set(clear_of_camera=False)
         if self._move_along(path, expiry):
-            self._read()
-            self.set(state=ArmState.IN_POSITION, expiry=expiry)
-        elif not self.abandoned.is_set():
+            self._take_in(driver.settle(path[-1].joints if path else None))
+            if not self.abandoned.is_set():
+                self.set(state=ArmState.IN_POSITION, expiry=expiry)
+                return
+        if not self.abandoned.is_set():
             self._withdraw()
 
     def _withdraw(self) -> None:
@@ -259,7 +281,6 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         driver, cell = self.require(), self._require_cell()
         path = withdraw_path(driver.geometry, driver.read_joints(), cell.file.arm.motion())
         if self._move_along(path):
-            self._read()
             self.set(state=ArmState.IDLE, tap_id=0, clear_of_camera=True, expiry=None)
 
     def _follow_trajectory(self, targets: Sequence[tuple[Joints, float]]) -> None:
@@ -271,7 +292,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
             if speed > 0 and not self._move_along((Waypoint(target, speed, "trajectory"),)):
                 break
             here, before = target, at
-        self._read()
+        self._take_in(driver.settle(None))
         self.set(state=ArmState.IDLE)
 
     def _move_along(self, path: Sequence[Waypoint], expiry: Time | None = None) -> bool:
@@ -280,10 +301,18 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         for waypoint in path:
             if self.abandoned.is_set() or (expiry and self.get_clock().now() > expiry):
                 return False
-            driver.move_to(waypoint.joints, waypoint.speed)
-            self._read()
-        driver.follow(())
+            self._take_in(driver.move_to(waypoint.joints, waypoint.speed))
         return not self.abandoned.is_set()
+
+    def _stand_inactive(self) -> None:
+        if self.driver is not None and not self.stopped:
+            self.set(
+                state=ArmState.FAULT,
+                tap_id=0,
+                expiry=None,
+                error_code=ErrorCode.NOT_ACTIVE,
+                error_msg="the arm's node is not active; activate it",
+            )
 
     def clear(self) -> None:
         """End a stop or a fault; the arm must be homed afterwards."""
@@ -299,6 +328,8 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         if not driver.connected:
             driver.connect(timeout=CONNECT_PATIENCE_S)
             self._set_standing()
+            if not self.active:
+                self._stand_inactive()
         self._read()
         expiry = self.snapshot.expiry
         if expiry is not None and self.get_clock().now() > expiry:
@@ -306,11 +337,14 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
             self._withdraw()
 
     def _read(self) -> None:
+        self._take_in(self.require().read())
+
+    def _take_in(self, reading: ArmReading) -> None:
+        """Keep a reading with the time at which it was asked for."""
         driver = self.require()
-        before = self.get_clock().now()
-        reading = driver.read()
         if driver.homed:
-            self.set(joints=reading.joints, read_at=before)
+            age = Duration(seconds=max(driver.now() - reading.stamp, 0.0))
+            self.set(joints=reading.joints, read_at=self.get_clock().now() - age)
 
     def _set_standing(self) -> None:
         """The state of an arm that was just connected or cleared."""
@@ -332,7 +366,8 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
 
     # State
 
-    def _publish(self) -> None:
+    def publish_state(self) -> None:
+        """Publish what is known of the arm."""
         now = self.snapshot
         message = ArmState(
             state=now.state,
@@ -355,6 +390,40 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
             joints.header.stamp = message.header.stamp
             self._joint_publisher.publish(joints)
         self._published = now
+
+
+def controller_dialect(arm: ArmSection, transport: SerialTransport) -> ArmDialect:
+    """The language of the cell's controller, with what its settings must be."""
+    needs = arm.controller_needs()
+    if arm.dialect == "marlin":
+        return MarlinDialect(transport, MarlinSettings(needs=needs))
+    # $13 = 0: reports in mm and degrees.
+    expected = {13: 0.0} | {int(number): value for number, value in arm.grbl_settings}
+    return GrblDialect(transport, GrblSettings(expected=expected, needs=needs))
+
+
+def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:
+    """Joints and time from the start in s of every point; ValueError with what is wrong."""
+    names = list(Joints._fields)
+    if sorted(message.joint_names) != sorted(names) or not message.points:
+        raise ValueError(
+            f"its joints are {list(message.joint_names)} with {len(message.points)} points; it"
+            f" needs points for {names}"
+        )
+    order = [list(message.joint_names).index(name) for name in names]
+    targets: list[tuple[Joints, float]] = []
+    for number, point in enumerate(message.points, start=1):
+        if len(point.positions) != len(names) or not all(map(math.isfinite, point.positions)):
+            raise ValueError(
+                f"point {number} has the positions {list(point.positions)}; it needs four finite"
+                " numbers (rad, rad, m, rad)"
+            )
+        at = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+        before = targets[-1][1] if targets else 0.0
+        if at < 0 or (targets and at <= before):
+            raise ValueError(f"point {number} is due at {at:g} s, the one before at {before:g} s")
+        targets.append((Joints(*(point.positions[index] for index in order)), at))
+    return targets
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

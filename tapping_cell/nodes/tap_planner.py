@@ -54,6 +54,7 @@ BEAT_PERIOD_S = 0.1
 class TapPlanner(CellNode[Parameters]):
     """See the module's docstring."""
 
+    carries_pictures = False
     changeable = ("planner",)
 
     def __init__(self) -> None:

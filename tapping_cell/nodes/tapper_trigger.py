@@ -11,7 +11,14 @@ from typing import ClassVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.time import Time
-from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand, TapperState
+from tapping_cell_msgs.msg import (
+    ArmState,
+    ErrorCode,
+    ObjectState,
+    PlanState,
+    TapCommand,
+    TapperState,
+)
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import quantity, text
@@ -19,10 +26,12 @@ from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
-from tapping_cell.hardware.tapper_protocol import Reply
+from tapping_cell.hardware.tapper_protocol import Reply, State
+from tapping_cell.nodes import tap_commands
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, run
 from tapping_cell.nodes.driver_node import CONNECT_PATIENCE_S, DriverNode
 from tapping_cell.nodes.error_codes import of_tapper
+from tapping_cell.nodes.peer_watch import PeerWatch
 
 READ_PERIOD_S = 0.1
 OUTCOMES = {
@@ -42,6 +51,13 @@ class Parameters:
     state_rate: float = quantity("rate of tapper_state", "Hz", 1.0, 200.0, default=20.0)
     arm_freshness: float = quantity(
         "greatest age of the arm's read-back at the moment of firing", "s", 0.02, 2.0, default=0.3
+    )
+    silence_limit: float = quantity(
+        "longest silence of planner and camera with which a tap is drawn and fired",
+        "s",
+        0.1,
+        5.0,
+        default=0.4,
     )
 
 
@@ -87,6 +103,10 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         FaultReason.NEEDS_PERSON: TapperState.STOPPED,
     }
     fault_state = TapperState.FAULT
+    healthy_states = frozenset(
+        {TapperState.SAFE, TapperState.DRAWING, TapperState.READY, TapperState.FIRING}
+    )
+    told_at_once = ("state", "tap_id", "outcome", "error_code")
     idle_period = READ_PERIOD_S
 
     def __init__(self) -> None:
@@ -94,10 +114,13 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         self._curve: EnergyCurve | None = None
         self._pending: Pending | None = None
         self._heard: tuple[ArmState | None, float] = (None, 0.0)
+        self._peers = PeerWatch(self.settings.silence_limit)
         self._last_tap_id = 0
         self._publisher = self.create_publisher(TapperState, "tapper_state", LATCHED)
         self.create_subscription(TapCommand, "tap_command", self._on_tap_command, COMMAND)
         self.create_subscription(ArmState, "arm_state", self._on_arm_state, LATCHED)
+        self.create_subscription(PlanState, "plan_state", self._on_plan_state, LATCHED)
+        self.create_subscription(ObjectState, "object_state", self._peers.on_object, LATCHED)
         self.create_timer(1.0 / self.settings.state_rate, self._tick)
 
     # Life cycle
@@ -107,7 +130,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         cell = load_cell(self.settings.cell_file or None)
         tapper = cell.file.tapper
         port = str(self.port_path(self.settings.port or tapper.port))
-        reply = self.connect(TapperDriver(SerialTransport(port, tapper.baud)))
+        reply = self.connect(TapperDriver(SerialTransport(port, tapper.baud)), port)
         self._curve = tapper.curve()
         self._set_safe(reply)
 
@@ -133,6 +156,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         counters = driver.counters
         values: dict[str, object] = {
             "hardware_id": "tapper",
+            "port": self.port,
             "firmware": driver.version,
             "shots fired": counters.fired,
             "outcome unknown": counters.unknown,
@@ -160,7 +184,8 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         if refusal is not None:
             code, sentence = refusal
             self.get_logger().error(f"tap {command.tap_id} refused: {sentence}")
-            if command.tap_id > self._last_tap_id:
+            # While another tap is under way the state tells of that one, and of no other.
+            if command.tap_id > self._last_tap_id and not self._serving():
                 self._last_tap_id = command.tap_id
                 self.set(
                     tap_id=command.tap_id,
@@ -172,6 +197,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         assert self._curve is not None
         self._last_tap_id = command.tap_id
         self.abandoned.clear()
+        self._peers.begin_tap()
         self._pending = Pending(
             command.tap_id,
             self._curve.energy_for(command.striker_speed),
@@ -185,36 +211,48 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
             error_msg="",
         )
 
+    def _serving(self) -> bool:
+        """Whether a tap waits or is under way."""
+        return self._pending is not None or self.snapshot.state in (
+            TapperState.DRAWING,
+            TapperState.READY,
+            TapperState.FIRING,
+        )
+
     def _refusal(self, command: TapCommand) -> tuple[int, str] | None:
         """Why a tap command is not taken; None when it is."""
+        now = self.get_clock().now()
         if not self.active or self._curve is None:
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
-        if self.stopped or self.snapshot.state != TapperState.SAFE or self._pending is not None:
-            reason = self.snapshot.error_msg or "it serves another tap"
-            return ErrorCode.TAPPER_BUSY, f"the tapper is not at rest: {reason}"
-        if command.tap_id <= self._last_tap_id:
-            return (
-                ErrorCode.COMMAND_REPEATED,
-                f"tap ids rise, and {self._last_tap_id} was served already; a tap is never fired "
-                "twice",
-            )
-        if self.get_clock().now() > Time.from_msg(command.expiry):
+        if self._serving():
+            return ErrorCode.TAPPER_BUSY, f"it serves tap {self.snapshot.tap_id}"
+        if self.stopped or self.snapshot.state != TapperState.SAFE:
+            return ErrorCode.TAPPER_BUSY, f"the tapper is not at rest: {self.snapshot.error_msg}"
+        if tap_commands.expired(command, now):
             return ErrorCode.TAPPER_COMMAND_EXPIRED, "its expiry has passed"
         speed = command.striker_speed
-        if not self._curve.slowest <= speed <= self._curve.fastest:
+        if math.isfinite(speed) and not self._curve.slowest <= speed <= self._curve.fastest:
             return (
                 ErrorCode.TAPPER_SPEED_OUT_OF_RANGE,
                 f"a striker speed of {1000 * speed:.1f} mm/s is outside the tapper's "
                 f"{1000 * self._curve.slowest:.1f} to {1000 * self._curve.fastest:.1f} mm/s",
             )
-        return None
+        return tap_commands.refusal(command, now, self._last_tap_id)
+
+    def _on_plan_state(self, message: PlanState) -> None:
+        self._peers.on_plan(message)
+        gone = self._peers.given_up()
+        if self._pending is not None and gone is not None:
+            code, sentence = gone
+            self._abandon(sentence, code)
 
     def _on_arm_state(self, message: ArmState) -> None:
         # One assignment, because the worker reads it in the moment before it fires.
         self._heard = (message, time.monotonic())
         pending = self._pending
-        if pending is not None and self._arm_refusal(pending.tap_id) is None:
+        if pending is not None and self._doubt(pending.tap_id) is None:
             self._pending = None
+            self.set(state=TapperState.DRAWING)
             self.submit(lambda: self._shoot(pending))
 
     def _abandon(self, why: str, code: int) -> None:
@@ -241,17 +279,32 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
             return f"the arm's read-back is {age:.2f} s old, more than {limit:.2f} s"
         return None
 
+    def _doubt(self, tap_id: int) -> tuple[int, str] | None:
+        """What arm, planner or camera say, or fail to say, against this tap; None for nothing."""
+        sentence = self._arm_refusal(tap_id)
+        if sentence is not None:
+            return ErrorCode.TAPPER_ARM_NOT_IN_POSITION, sentence
+        return self._peers.given_up() or self._peers.missing()
+
     # Jobs of the worker's thread
 
     def _shoot(self, tap: Pending) -> None:
         driver = self.require()
+        refusal: tuple[int, str] | None = None
+
+        def go_on() -> bool:
+            nonlocal refusal
+            refusal = refusal or self._last_check(tap)
+            return refusal is None
+
         try:
-            self.set(state=TapperState.DRAWING)
-            driver.arm(tap.tap_id, tap.energy)
-            self.set(state=TapperState.READY)
-            refusal = self._last_check(tap)
+            if go_on():
+                reply = driver.arm(tap.tap_id, tap.energy, go_on=go_on)
+                if reply.state is State.DRAWN:
+                    self.set(state=TapperState.READY)
+                    if not go_on():
+                        driver.disarm()
             if refusal is not None:
-                driver.disarm()
                 code, sentence = refusal
                 self.set(
                     state=TapperState.SAFE,
@@ -264,22 +317,21 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
             result = driver.fire(tap.tap_id)
         except HardwareFault as fault:
             # Every fault that is raised was met before FIRE went out.
-            self.set(outcome=TapperState.NOT_FIRED)
-            self.fail(fault)
+            self.fail(fault, outcome=TapperState.NOT_FIRED)
             return
         code = ErrorCode.NONE
         if result.outcome is FireOutcome.NOT_FIRED:
             code = ErrorCode.TAPPER_FAULT
         elif result.outcome is FireOutcome.UNKNOWN:
             code = ErrorCode.TAPPER_OUTCOME_UNKNOWN
+        told: dict[str, object] = {"outcome": OUTCOMES[result.outcome]}
+        if code != ErrorCode.NONE:
+            told |= {"error_code": code, "error_msg": result.sentence}
         try:
             # The measured speed belongs to the same report as the outcome.
-            self._read()
+            self._read(**told)
         except HardwareFault as fault:
-            self.fail(fault)
-        self.set(outcome=OUTCOMES[result.outcome])
-        if code != ErrorCode.NONE:
-            self.set(error_code=code, error_msg=result.sentence)
+            self.fail(fault, **told)
 
     def _last_check(self, tap: Pending) -> tuple[int, str] | None:
         """What forbids to fire, looked at in the last moment; None when nothing does."""
@@ -287,10 +339,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
             return ErrorCode.NONE, ""
         if self.get_clock().now() > tap.expiry:
             return ErrorCode.TAPPER_COMMAND_EXPIRED, "the tap's expiry passed while it was drawn"
-        sentence = self._arm_refusal(tap.tap_id)
-        if sentence is not None:
-            return ErrorCode.TAPPER_ARM_NOT_IN_POSITION, sentence
-        return None
+        return self._doubt(tap.tap_id)
 
     def clear(self) -> None:
         """End a stop or a fault; after a stop the tapper wants a person at the cell as well."""
@@ -307,39 +356,47 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         else:
             self._read()
 
-    def _read(self) -> None:
-        driver = self.require()
-        reply = driver.status()
+    def _read(self, **told: object) -> None:
+        """Ask for the state and keep it, in one piece with what else is told."""
+        reply = self.require().status()
         if reply.stop_latched:
-            self.set(
-                state=TapperState.STOPPED,
-                error_code=ErrorCode.TAPPER_STOPPED,
-                error_msg="the tapper's stop is latched; make the cell safe, then call clear_fault",
-            )
+            stopped: dict[str, object] = {
+                "state": TapperState.STOPPED,
+                "error_code": ErrorCode.TAPPER_STOPPED,
+                "error_msg": "the tapper's stop is latched; make the cell safe, then call"
+                " clear_fault",
+            }
+            self.set(**{**told, **stopped})
             return
-        self._report(reply)
-        self.set(state=TapperState.SAFE)
+        self.set(**{"state": TapperState.SAFE, **self._found(reply), **told})
 
-    def _report(self, reply: Reply) -> None:
+    def _found(self, reply: Reply) -> dict[str, object]:
+        """What a reply says, as fields of the snapshot."""
         ours = reply.last_fired == self.snapshot.tap_id and reply.speed is not None
-        self.set(
-            measured_speed=reply.speed if ours else math.nan,
-            shots_fired=self.require().counters.fired,
-            boot_number=reply.boot,
-            interlock_closed=reply.interlock_closed,
-        )
+        return {
+            "measured_speed": reply.speed if ours else math.nan,
+            "shots_fired": self.require().counters.fired,
+            "boot_number": reply.boot,
+            "interlock_closed": reply.interlock_closed,
+        }
 
     def _set_safe(self, reply: Reply) -> None:
-        self._report(reply)
-        self.set(state=TapperState.SAFE, error_code=0, error_msg="")
+        found = self._found(reply)
+        self.set(state=TapperState.SAFE, error_code=0, error_msg="", **found)
 
     def _tick(self) -> None:
         pending = self._pending
         if pending is not None and self.get_clock().now() > pending.expiry:
+            doubt = self._doubt(pending.tap_id)
+            why = f": {doubt[1]}" if doubt is not None else ""
             self._abandon(
-                "the tap's expiry passed before the arm was in position",
+                f"the tap's expiry passed before it could be fired{why}",
                 ErrorCode.TAPPER_COMMAND_EXPIRED,
             )
+        self.publish_state()
+
+    def publish_state(self) -> None:
+        """Publish what is known of the tapper."""
         now = self.snapshot
         message = TapperState(
             state=now.state,

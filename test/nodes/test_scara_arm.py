@@ -6,11 +6,13 @@ import math
 import shutil
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from harness import Bench, bench
 from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
@@ -44,6 +46,7 @@ class Cell:
     terminal: PseudoTerminal
     states: list[ArmState]
     joints: list[JointState]
+    arm: ScaraArm
 
     def __post_init__(self) -> None:
         node = self.bench.probe
@@ -87,29 +90,38 @@ class Cell:
         return moved
 
 
-@pytest.fixture
-def cell(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Cell]:
-    dialect = getattr(request, "param", "grbl")
-    folder = tmp_path / "config"
-    shutil.copytree(shared_folder(), folder)
-    cell_file = folder / "cell.yaml"
+@contextmanager
+def arm_cell(folder: Path, dialect: str = "grbl", **parameters: object) -> Iterator[Cell]:
+    shutil.copytree(shared_folder(), folder / "config")
+    cell_file = folder / "config" / "cell.yaml"
     cell_file.write_text(cell_file.read_text().replace("dialect: grbl", f"dialect: {dialect}"))
     settings = load_cell(cell_file).file.arm
     device = arm_emulator(settings, ArmTruth(), 1, time.monotonic())
-    path = tmp_path / "arm"
-    with (
-        PseudoTerminal(device, path) as terminal,
-        bench(lambda: [ScaraArm()], {"scara_arm": {"port": path, "cell_file": cell_file}}) as b,
-    ):
+    path = folder / "arm"
+    nodes: list[ScaraArm] = []
+
+    def make() -> list[ScaraArm]:
+        nodes.append(ScaraArm())
+        return nodes
+
+    given = {"port": path, "cell_file": cell_file} | parameters
+    with PseudoTerminal(device, path) as terminal, bench(make, {"scara_arm": given}) as b:
         made = Cell(
             b,
             device,
             terminal,
             b.listen(ArmState, "arm_state", LATCHED),
             b.listen(JointState, "joint_states"),
+            nodes[0],
         )
-        made.wait_state(ArmState.IDLE)
         b.wait(lambda: made.commands.get_subscription_count() == 1, "the node listens")
+        yield made
+
+
+@pytest.fixture
+def cell(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Cell]:
+    with arm_cell(tmp_path, getattr(request, "param", "grbl")) as made:
+        made.wait_state(ArmState.IDLE)
         yield made
 
 
@@ -239,18 +251,101 @@ def test_a_joint_trajectory_is_followed_in_any_order_of_names(cell: Cell) -> Non
     assert not cell.last.clear_of_camera
 
 
-def test_a_bad_trajectory_moves_nothing(cell: Cell) -> None:
+BAD_TRAJECTORIES: dict[str, tuple[list[str], list[tuple[list[float], float]], str]] = {
+    "three joints": (JOINT_NAMES[:3], [([0.0, 0.0, 0.0], 1.0)], "its joints are"),
+    "a name twice": (["shoulder", *JOINT_NAMES[:3]], [([0.0] * 4, 1.0)], "its joints are"),
+    "no points": (JOINT_NAMES, [], "0 points"),
+    "NaN": (JOINT_NAMES, [([0.0, math.nan, 0.0, 0.0], 1.0)], "four finite"),
+    "two positions": (JOINT_NAMES, [([0.0, 0.0], 1.0)], "four finite"),
+    "beyond a limit": (
+        JOINT_NAMES,
+        [([0.3, 1.0, -0.01, 0.5], 1.0), ([3.0, 1.0, -0.01, 0.5], 2.0)],
+        "171.89 deg is outside -131.78 to 131.78 deg",
+    ),
+    "back in time": (
+        JOINT_NAMES,
+        [([0.3, 1.0, -0.01, 0.5], 2.0), ([0.2, 1.0, -0.01, 0.5], 1.0)],
+        "point 2 is due at 1 s, the one before at 2 s",
+    ),
+}
+
+
+def test_a_bad_trajectory_is_refused_in_words_and_moves_nothing(cell: Cell) -> None:
     cell.bench.wait(lambda: cell.trajectory.get_subscription_count() == 1, "the node listens")
-    for names, positions in (
-        (JOINT_NAMES[:3], [0.0, 0.0, 0.0]),
-        (JOINT_NAMES, [0.0, math.nan, 0.0, 0.0]),
-        (JOINT_NAMES, [0.0, 0.0]),
-    ):
-        cell.trajectory.publish(
-            JointTrajectory(joint_names=names, points=[JointTrajectoryPoint(positions=positions)])
-        )
-    assert not cell.moves(0.6)
+    for names, points, words in BAD_TRAJECTORIES.values():
+        message = JointTrajectory(joint_names=names)
+        for positions, at in points:
+            point = JointTrajectoryPoint(positions=positions)
+            point.time_from_start.sec = int(at)
+            message.points.append(point)
+        cell.trajectory.publish(message)
+        cell.bench.wait(lambda w=words: w in cell.last.error_msg, words)
+        assert cell.last.error_code == ErrorCode.TRAJECTORY_INVALID
+    assert not cell.moves(0.3)
     assert cell.last.state == ArmState.IDLE
+    cell.command(100)
+    cell.wait_state(ArmState.IN_POSITION)
+    assert cell.last.error_code == 0
+
+
+def test_foreign_clients_on_the_bus_do_not_disturb_a_tap(cell: Cell) -> None:
+    cell.command(100)
+    cell.wait_state(ArmState.MOVING)
+    cell.command(999, Pose(0.1, 0.1, 0.0))
+    cell.withdraw(999)
+    cell.services["home"].call_async(Trigger.Request())
+    cell.services["clear_fault"].call_async(Trigger.Request())
+    cell.trajectory.publish(JointTrajectory(joint_names=JOINT_NAMES))
+    cell.wait_state(ArmState.IN_POSITION)
+    assert cell.last.tap_id == 100 and cell.last.error_code == 0
+    assert from_message(cell.last.tip_pose).distance_to(STRIKE) < 0.0005
+    cell.withdraw(100)
+    cell.wait_state(ArmState.IDLE)
+    cell.command(101)
+    cell.wait_state(ArmState.MOVING)
+
+
+def test_a_deactivated_arm_comes_to_a_stand_and_says_what_it_needs(cell: Cell) -> None:
+    cell.command(100, Pose(0.15, -0.1, 0.0))
+    cell.wait_state(ArmState.MOVING)
+    cell.arm.trigger_deactivate()
+    cell.wait_state(ArmState.FAULT)
+    assert cell.last.error_code == ErrorCode.NOT_ACTIVE and cell.last.tap_id == 0
+    assert not cell.moves(0.5)
+    cell.command(101)
+    assert not cell.moves(0.3)
+    cell.arm.trigger_activate()
+    cell.wait_state(ArmState.IDLE)
+    cell.command(102)
+    cell.wait_state(ArmState.IN_POSITION)
+
+
+def test_a_stop_published_before_the_node_was_there_keeps_it_from_homing(tmp_path: Path) -> None:
+    with arm_cell(tmp_path, autostart=False) as cell:
+        cell.stop.publish(Bool(data=True))
+        cell.bench.wait(lambda: cell.arm.stopped, "the stop is heard")
+        cell.arm.trigger_configure()
+        cell.arm.trigger_activate()
+        assert not cell.moves(1.0)
+        cell.wait_state(ArmState.STOPPED)
+        cell.services["clear_fault"].call_async(Trigger.Request())
+        cell.wait_state(ArmState.NOT_HOMED)
+        assert not cell.moves(0.3)
+
+
+@pytest.mark.parametrize("cell", ["marlin"], indirect=True)
+def test_diagnostics_tell_of_port_firmware_homing_and_the_line(cell: Cell) -> None:
+    heard = cell.bench.listen(DiagnosticArray, "/diagnostics")
+
+    def values() -> dict[str, str]:
+        ours = [s for m in heard for s in m.status if s.name == "/scara_arm"]
+        return {entry.key: entry.value for entry in ours[-1].values} if ours else {}
+
+    cell.bench.wait(values, "diagnostics")
+    told = values()
+    assert told["port"] == str(cell.terminal.path)
+    assert told["firmware"].startswith("Marlin 2.1") and told["homed"] == "True"
+    assert {"retries", "resends", "timeouts", "bad lines", "last error"} <= set(told)
 
 
 def test_a_pulled_cable_is_noticed_and_mended(cell: Cell) -> None:

@@ -9,16 +9,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from harness import Bench, bench
 from rclpy.duration import Duration
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
-from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand, TapperState
+from tapping_cell_msgs.msg import (
+    ArmState,
+    ErrorCode,
+    ObjectState,
+    PlanState,
+    TapCommand,
+    TapperState,
+)
 
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.tapper_trigger import TapperTrigger
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
-from tapping_cell.simulation.tapper_emulator import TapperEmulator
+from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 
 
 @dataclass
@@ -36,6 +44,8 @@ class Cell:
         self.node = node
         self.commands = node.create_publisher(TapCommand, "tap_command", COMMAND)
         self.arm = node.create_publisher(ArmState, "arm_state", LATCHED)
+        self.plan = node.create_publisher(PlanState, "plan_state", LATCHED)
+        self.camera = node.create_publisher(ObjectState, "object_state", LATCHED)
         self.stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
         self.clear = node.create_client(Trigger, "tapper_trigger/clear_fault")
 
@@ -73,13 +83,23 @@ class Cell:
 
 
 @contextmanager
-def tapper_cell(folder: Path) -> Iterator[Cell]:
-    device = TapperEmulator(now=time.monotonic())
+def tapper_cell(
+    folder: Path,
+    machine: TapperMachine | None = None,
+    made: list[TapperTrigger] | None = None,
+) -> Iterator[Cell]:
+    device = TapperEmulator(machine, now=time.monotonic())
     path = folder / "tapper"
     parameters = {"tapper_trigger": {"port": path}}
+    nodes = made if made is not None else []
+
+    def make() -> list[TapperTrigger]:
+        nodes.append(TapperTrigger())
+        return nodes
+
     with (
         PseudoTerminal(device, path) as terminal,
-        bench(lambda: [TapperTrigger()], parameters) as b,
+        bench(make, parameters) as b,
     ):
         cell = Cell(b, device, terminal, b.listen(TapperState, "tapper_state", LATCHED))
         cell.ready()
@@ -184,3 +204,161 @@ def test_it_opens_the_port_again_when_the_cable_returns(cell: Cell) -> None:
     cell.bench.wait(lambda: cell.states[-1].state == TapperState.DISCONNECTED, "disconnected")
     cell.terminal.plug_in()
     cell.bench.wait(lambda: cell.states[-1].state == TapperState.SAFE, "safe again", 4.0)
+
+
+SLOW = TapperMachine(draw_time=2.0)
+"""A spring that takes so long to draw that whoever falls silent does so in mid-draw."""
+
+
+@pytest.mark.parametrize("lost", ["planner", "arm", "camera"])
+def test_whoever_falls_silent_has_the_striker_let_down_within_half_a_second(
+    tmp_path: Path, lost: str
+) -> None:
+    with tapper_cell(tmp_path, SLOW) as cell:
+
+        def all_speak(*but: str) -> None:
+            if "planner" not in but:
+                cell.plan.publish(PlanState(state=PlanState.FIRING))
+            if "camera" not in but:
+                cell.camera.publish(ObjectState())
+            if "arm" not in but:
+                cell.say_arm(100)
+
+        cell.command(100)
+        cell.bench.wait(
+            lambda: (all_speak(), time.sleep(0.04), cell.device.state == "DRAWING")[2],
+            "the draw begins",
+        )
+        began = time.monotonic()
+        while cell.device.state == "DRAWING":
+            all_speak(lost)
+            time.sleep(0.01)
+            assert time.monotonic() < began + 1.0
+        assert time.monotonic() - began < 0.5
+        cell.bench.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
+        assert lost in cell.states[-1].error_msg
+        assert cell.shots() == []
+
+
+def test_nothing_is_drawn_while_the_planner_is_silent_and_goes_on_when_it_is_heard(
+    cell: Cell,
+) -> None:
+    cell.plan.publish(PlanState(state=PlanState.PLACING))
+    cell.command(100)
+    time.sleep(0.6)
+    keep_saying(cell, 0.6, tap_id=100)
+    assert cell.device.state == "SAFE" and cell.outcome(100) == TapperState.NONE
+    end = time.monotonic() + 5.0
+    while cell.outcome(100) == TapperState.NONE and time.monotonic() < end:
+        cell.plan.publish(PlanState(state=PlanState.FIRING))
+        keep_saying(cell, 0.05, tap_id=100)
+    assert cell.shots() == [100]
+
+
+def test_a_planner_that_was_restarted_does_not_fire_the_tap_of_the_one_before(cell: Cell) -> None:
+    cell.command(100)
+    cell.bench.wait(lambda: cell.states[-1].tap_id == 100, "taken")
+    cell.plan.publish(PlanState(state=PlanState.PLACING))
+    time.sleep(0.2)
+    cell.plan.publish(PlanState(state=PlanState.WAITING_FOR_CELL))
+    cell.bench.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "given up")
+    assert "planner" in cell.states[-1].error_msg
+    keep_saying(cell, 0.5, tap_id=100)
+    assert cell.shots() == []
+
+
+def test_a_foreign_command_changes_nothing_of_the_tap_under_way(cell: Cell) -> None:
+    cell.command(100)
+    cell.bench.wait(lambda: cell.states[-1].tap_id == 100, "taken")
+    cell.command(999)
+    cell.withdraw(999)
+    time.sleep(0.3)
+    assert cell.states[-1].tap_id == 100 and cell.outcome(100) == TapperState.NONE
+    keep_saying(cell, 0.8, tap_id=100)
+    cell.bench.wait(lambda: cell.outcome(100) == TapperState.FIRED, "fired")
+    assert cell.shots() == [100]
+    # And the next tap of the planner is taken although 999 was heard.
+    cell.command(101)
+    keep_saying(cell, 0.8, tap_id=101)
+    assert cell.shots() == [100, 101]
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"request": 7}, ErrorCode.COMMAND_INVALID),
+        ({"frame": "map"}, ErrorCode.COMMAND_INVALID),
+        ({"speed": float("nan")}, ErrorCode.COMMAND_INVALID),
+        ({"valid": 1e5}, ErrorCode.COMMAND_INVALID),
+        ({"ahead": 60.0}, ErrorCode.STAMP_INVALID),
+    ],
+    ids=["request", "frame", "NaN", "expires in a day", "from the future"],
+)
+def test_a_command_that_makes_no_sense_is_refused_in_words_and_blocks_nobody(
+    cell: Cell, change: dict[str, float], code: int
+) -> None:
+    message = TapCommand(request=int(change.get("request", TapCommand.TAP)), tap_id=100)
+    message.header.frame_id = str(change.get("frame", "table"))
+    message.striker_speed = float(change.get("speed", 0.3))
+    now = cell.node.get_clock().now()
+    message.header.stamp = (now + Duration(seconds=change.get("ahead", 0.0))).to_msg()
+    message.expiry = (now + Duration(seconds=change.get("valid", 5.0))).to_msg()
+    cell.commands.publish(message)
+    cell.bench.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "refused")
+    assert cell.states[-1].error_code == code
+    assert len(cell.states[-1].error_msg) > 20
+    cell.command(101)
+    keep_saying(cell, 0.8, tap_id=101)
+    assert cell.shots() == [101]
+
+
+def test_deactivating_in_mid_draw_lets_the_striker_down(tmp_path: Path) -> None:
+    nodes: list[TapperTrigger] = []
+    with tapper_cell(tmp_path, SLOW, nodes) as cell:
+        cell.command(100)
+        cell.bench.wait(
+            lambda: (cell.say_arm(100), time.sleep(0.04), cell.device.state == "DRAWING")[2],
+            "the draw begins",
+        )
+        nodes[0].trigger_deactivate()
+        cell.bench.wait(lambda: cell.device.state == "SAFE", "let down", 0.5)
+        cell.bench.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
+        assert cell.shots() == []
+
+
+def test_a_stop_published_before_the_node_was_there_holds(tmp_path: Path) -> None:
+    device = TapperEmulator(now=time.monotonic())
+    path = tmp_path / "tapper"
+    parameters = {"tapper_trigger": {"port": path, "autostart": False}}
+    nodes: list[TapperTrigger] = []
+
+    def make() -> list[TapperTrigger]:
+        nodes.append(TapperTrigger())
+        return nodes
+
+    with PseudoTerminal(device, path), bench(make, parameters) as b:
+        cell = Cell(b, device, None, b.listen(TapperState, "tapper_state", LATCHED))  # type: ignore[arg-type]
+        cell.stop.publish(Bool(data=True))
+        b.wait(lambda: nodes[0].stopped, "the stop is heard")
+        nodes[0].trigger_configure()
+        nodes[0].trigger_activate()
+        b.wait(lambda: device.state == "STOPPED", "the board is stopped as well")
+        cell.command(100)
+        keep_saying(cell, 0.5, tap_id=100)
+        assert cell.shots() == [] and cell.states[-1].state == TapperState.STOPPED
+
+
+def test_diagnostics_tell_of_port_firmware_and_shots(cell: Cell) -> None:
+    heard = cell.bench.listen(DiagnosticArray, "/diagnostics")
+    cell.command(100)
+    keep_saying(cell, 0.8, tap_id=100)
+
+    def values() -> dict[str, str]:
+        ours = [s for m in heard for s in m.status if s.name == "/tapper_trigger"]
+        return {entry.key: entry.value for entry in ours[-1].values} if ours else {}
+
+    cell.bench.wait(lambda: values().get("shots fired") == "1", "the shot is counted")
+    told = values()
+    assert told["port"] == str(cell.terminal.path)
+    assert told["firmware"].startswith("1.")
+    assert {"retries", "timeouts", "bad frames", "reconnects", "stops", "last error"} <= set(told)
