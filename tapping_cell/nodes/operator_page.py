@@ -166,7 +166,10 @@ class OperatorPage(CellNode[Parameters]):
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Where the page is, without its token, and how many are open."""
         places = ", ".join(url.partition("#")[0] for url in self.urls)
-        return DiagnosticStatus.OK, "ok", {"url": places, "pages": self._pages}
+        values: dict[str, object] = {"url": places, "pages": self._pages}
+        if self._server is None:
+            return DiagnosticStatus.WARN, self._last_complaint or "the page is not served", values
+        return DiagnosticStatus.OK, "ok", values
 
     def _on_emergency_stop(self, message: Bool) -> None:
         super()._on_emergency_stop(message)

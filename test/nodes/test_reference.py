@@ -26,6 +26,7 @@ NODES = (
     "scara_arm",
     "tapper_trigger",
     "sim_world",
+    "operator_page",
 )
 
 
@@ -59,8 +60,10 @@ def test_every_error_code_stands_in_the_page() -> None:
 
 def test_every_topic_and_service_of_the_nodes_stands_in_the_page() -> None:
     from tapping_cell.nodes.camera_pose import CameraPose
+    from tapping_cell.nodes.operator_page import OperatorPage
 
-    kinds = (OverheadCamera, CameraPose, TapPlanner, ScaraArm, TapperTrigger, SimWorld)
+    cell = (OverheadCamera, CameraPose, TapPlanner, ScaraArm, TapperTrigger, SimWorld)
+    kinds = (*cell, OperatorPage)
     still = {name: {"autostart": False} for name in NODES}
     with bench(lambda: [kind() for kind in kinds], still) as b:
         node = b.probe

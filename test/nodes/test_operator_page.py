@@ -1,0 +1,444 @@
+"""The operator's page over real DDS: planted messages, a real planner, and a browser's socket."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from harness import Bench, bench
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
+from tapping_cell_msgs.msg import (
+    ArmState,
+    ErrorCode,
+    ObjectState,
+    PlanState,
+    TapperState,
+    TapRecord,
+)
+from tornado.httpclient import HTTPClientError, HTTPRequest
+from tornado.websocket import WebSocketClientConnection, websocket_connect
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.nodes import images
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.conversions import camera_to_message, to_message
+from tapping_cell.nodes.operator_page import OperatorPage
+from tapping_cell.nodes.page.server import PICTURE_HEADER
+from tapping_cell.nodes.tap_planner import TapPlanner
+from tapping_cell.se2 import Pose
+from tapping_cell.vision import CameraPose, View
+
+PATIENCE_S = 20.0
+PARAMETERS: dict[str, dict[str, object]] = {"operator_page": {"port": 0}}
+
+
+@dataclass
+class Cell:
+    """The node under test, and hands to play the rest of the cell."""
+
+    bench: Bench
+    page: OperatorPage
+    publishers: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.bench.wait(lambda: self.page.urls, "the page is served")
+        self.address = self.page.urls[0].removeprefix("http://").partition("/")[0]
+
+    def publish(self, topic: str, message: Any, profile: Any = LATCHED) -> None:
+        assert self.bench.probe is not None
+        if topic not in self.publishers:
+            self.publishers[topic] = self.bench.probe.create_publisher(
+                type(message), topic, profile
+            )
+        self.publishers[topic].publish(message)
+
+    def plant(self) -> None:
+        """An arm, a tapper and an object that are well."""
+        self.publish("arm_state", ArmState(state=ArmState.IDLE, homed=True, clear_of_camera=True))
+        self.publish("tapper_state", TapperState(state=TapperState.SAFE, interlock_closed=True))
+        seen = ObjectState(visible=True, at_rest=True, frames_fused=30)
+        seen.pose.pose = to_message(Pose(0.01, -0.02, 0.5))
+        self.publish("object_state", seen)
+        self.publish("plan_state", PlanState(state=PlanState.IDLE))
+
+    @asynccontextmanager
+    async def open(self) -> AsyncIterator[Browser]:
+        """A page that was let in."""
+        asked = HTTPRequest(
+            f"ws://{self.address}/live", headers={"Origin": f"http://{self.address}"}
+        )
+        browser = Browser(await websocket_connect(asked))
+        await browser.say({"do": "hello"})
+        try:
+            yield browser
+        finally:
+            browser.connection.close()
+
+
+@dataclass
+class Browser:
+    """What a page says and hears."""
+
+    connection: WebSocketClientConnection
+
+    async def say(self, content: dict[str, object]) -> None:
+        await self.connection.write_message(json.dumps(content))
+
+    async def hear(self, wanted: Callable[[Any], bool]) -> Any:
+        """The next message that is wanted; texts as objects, pictures as bytes."""
+
+        async def search() -> Any:
+            while True:
+                message = await self.connection.read_message()
+                assert message is not None, "the page was closed"
+                content = json.loads(message) if isinstance(message, str) else message
+                if wanted(content):
+                    return content
+
+        return await asyncio.wait_for(search(), PATIENCE_S)
+
+    async def state(self, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+        """The next state for which the condition holds."""
+        found: dict[str, Any] = await self.hear(
+            lambda m: isinstance(m, dict) and m["type"] == "state" and bool(wanted(m))
+        )
+        return found
+
+    async def answer(self, to: str) -> dict[str, Any]:
+        """The next answer to a request."""
+        found: dict[str, Any] = await self.hear(
+            lambda m: isinstance(m, dict) and m["type"] == "answer" and m.get("to") == to
+        )
+        return found
+
+
+def play(scenario: Callable[[], Awaitable[None]]) -> None:
+    async def run() -> None:
+        await asyncio.wait_for(scenario(), 60.0)
+
+    asyncio.run(run())
+
+
+@pytest.fixture
+def cell() -> Iterator[Cell]:
+    made: list[OperatorPage] = []
+
+    def make() -> list[Any]:
+        made.append(OperatorPage())
+        return list(made)
+
+    with bench(make, PARAMETERS) as b:
+        yield Cell(b, made[0])
+
+
+def tap(number: int, measured: Pose) -> TapRecord:
+    record = TapRecord(tap_id=100 + number, number=number, planner="optimal", dx=0.02, dy=-0.01)
+    record.dtheta, record.striker_speed, record.outcome = 0.1, 0.8, TapperState.FIRED
+    record.object_pose = to_message(Pose(0.0, 0.0, 0.0))
+    record.predicted_pose = to_message(Pose(0.019, -0.01, 0.1))
+    record.measured_pose.pose = to_message(measured)
+    return record
+
+
+def plan(state: int, goal: Pose, *, taps: int = 0, last: TapRecord | None = None) -> PlanState:
+    message = PlanState(state=state, taps=taps, position_tolerance=0.001, angle_tolerance=0.0175)
+    message.goal.header.frame_id = "table"
+    message.goal.pose = to_message(goal)
+    message.residual_distance = message.residual_rotation = math.nan
+    message.last_tap = last or TapRecord()
+    return message
+
+
+def test_every_page_sees_the_taps_also_one_that_joins_late(cell: Cell) -> None:
+    goal = Pose(0.03, -0.01, 0.2)
+
+    async def scenario() -> None:
+        async with cell.open() as first:
+            cell.plant()
+            await first.state(lambda s: s["mode"] == "ready")
+            cell.publish("plan_state", plan(PlanState.PLACING, goal))
+            moving = await first.state(lambda s: s["mode"] == "moving")
+            assert moving["sentence"] == "tap 1: placing the striker"
+            assert moving["plan"]["goal"] == [30.0, -10.0, 11.46] and moving["taps"] == []
+            for number in (1, 2):
+                record = tap(number, Pose(0.02, -0.01, 0.15))
+                cell.publish("plan_state", plan(PlanState.LOOKING, goal, taps=number, last=record))
+                await first.state(lambda s, n=number: len(s["taps"]) == n)
+            lost = tap(3, Pose(math.nan, math.nan, math.nan))
+            cell.publish("plan_state", plan(PlanState.FAILED, goal, taps=3, last=lost))
+            told = (await first.state(lambda s: len(s["taps"]) == 3))["taps"]
+            async with cell.open() as second:
+                assert (await second.state(lambda s: s["taps"]))["taps"] == told
+            cell.publish("plan_state", plan(PlanState.LOOKING, Pose(0.0, 0.0, 0.0)))
+            await first.state(lambda s: s["taps"] == [])
+        assert told[0]["commanded"] == [20.0, -10.0, 5.73]
+        assert told[0]["predicted"] == [19.0, -10.0, 5.73]
+        assert told[0]["measured"] == [20.0, -10.0, 8.59]
+        assert told[0]["remaining"] == [10.0, 2.86] and told[0]["speed"] == 800
+        assert told[2]["measured"] == [None] * 3 and told[2]["remaining"] == [None] * 2
+
+    play(scenario)
+
+
+def test_nodes_and_devices_are_told_in_words(cell: Cell) -> None:
+    async def scenario() -> None:
+        async with cell.open() as page:
+            cell.plant()
+            ready = await page.state(lambda s: s["mode"] == "ready")
+            assert ready["object"]["pose"] == [10.0, -20.0, 28.65]
+            rows = {row["name"]: row for row in ready["nodes"]}
+            assert rows["scara_arm"]["life"] == "not running"
+            status = DiagnosticStatus(name="/tapper_trigger", level=DiagnosticStatus.ERROR)
+            status.message = "the interlock is open"
+            foreign = DiagnosticStatus(name="/cell_b/tapper_trigger", message="not ours")
+            cell.publish("/diagnostics", DiagnosticArray(status=[status, foreign]), 10)
+            own = await page.state(
+                lambda s: any(
+                    row["name"] == "operator_page" and row["level"] == "ok" for row in s["nodes"]
+                )
+            )
+            rows = {row["name"]: row for row in own["nodes"]}
+            assert rows["operator_page"]["life"] == "active"
+            assert "not ours" not in json.dumps(own)
+            fault = ArmState(state=ArmState.FAULT, error_code=ErrorCode.ARM_ALARM)
+            fault.error_msg = "the arm hit an end switch"
+            cell.publish("arm_state", fault)
+            told = await page.state(lambda s: s["mode"] == "fault")
+            assert told["sentence"] == "the arm hit an end switch (503)"
+            assert told["log"][-1]["text"] == told["sentence"]
+            silent = await page.state(lambda s: s["arm"]["state"] == "silent")
+            assert silent["object"]["sentence"]
+            assert silent["run"] == {
+                "ready": False,
+                "text": "Runs are not kept: run_recorder is not up.",
+            }
+
+    play(scenario)
+
+
+def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell) -> None:
+    probe = cell.bench.probe
+    assert probe is not None
+    camera = load_cell().camera
+    view = View(camera, CameraPose.above((0.02, -0.05, 0.7), (0.0, 0.0), 0.1))
+    colours = np.zeros((camera.height, camera.width, 3), np.uint8)
+    colours[:] = (200, 30, 60)
+    height = load_cell().object.height
+
+    def listeners() -> int:
+        return int(probe.count_subscribers("/camera/image_annotated"))
+
+    def show() -> None:
+        for topic, message, profile in (
+            ("camera/camera_info", images.to_camera_info(camera), images.PICTURES),
+            ("camera/image_annotated", images.to_message(colours, "bgr8"), images.PICTURES),
+            ("camera/pose", PoseStamped(pose=camera_to_message(view.pose)), LATCHED),
+        ):
+            message.header.stamp = probe.get_clock().now().to_msg()
+            cell.publish(topic, message, profile)
+
+    async def pictures(page: Browser) -> bytes:
+        """Show until one arrives."""
+        while True:
+            show()
+            try:
+                found = await asyncio.wait_for(page.connection.read_message(), 0.1)
+            except asyncio.TimeoutError:
+                continue
+            if isinstance(found, bytes):
+                return found
+
+    async def scenario() -> None:
+        assert listeners() == 0
+        async with cell.open() as page:
+            frame = await asyncio.wait_for(pictures(page), PATIENCE_S)
+            number, _, age = PICTURE_HEADER.unpack(frame[:20])
+            picture = cv2.imdecode(np.frombuffer(frame[20:], np.uint8), cv2.IMREAD_COLOR)
+            assert picture.shape == colours.shape and 0.0 <= age < 10.0
+            assert np.abs(picture[500, 600].astype(int) - colours[0, 0]).max() < 12
+            for _ in range(5):  # not drawn yet: no other picture comes
+                show()
+                await asyncio.sleep(0.1)
+            with pytest.raises(asyncio.TimeoutError):
+                await asyncio.wait_for(page.hear(lambda m: isinstance(m, bytes)), 0.5)
+            await page.say({"do": "seen", "number": number})
+            again = await asyncio.wait_for(pictures(page), PATIENCE_S)
+            assert PICTURE_HEADER.unpack(again[:20])[0] > number
+            await ghost(page)
+        cell.bench.wait(lambda: listeners() == 0, "nobody listens when nobody looks")
+
+    async def ghost(page: Browser) -> None:
+        """A pixel of the picture is the place on the table that the camera sees there."""
+        wanted = Pose(0.08, -0.05, 0.6)
+        pixel = view.project([[wanted.x, wanted.y]], height)[0]
+        u, v = (pixel + 0.5) / (camera.width, camera.height)
+        await page.say({"do": "move", "number": 7, "u": u, "v": v, "angle": 30.0})
+        answer = await page.hear(lambda m: isinstance(m, dict) and m["type"] == "ghost")
+        assert answer["number"] == 7 and answer["refusal"] == ""
+        assert (answer["x"], answer["y"]) == pytest.approx((80.0, -50.0), abs=0.05)
+        assert answer["angle"] == 30.0
+        await page.say({"do": "place", "number": 8, "x": 400, "y": 0, "angle": 0})
+        answer = await page.hear(lambda m: isinstance(m, dict) and m["type"] == "ghost")
+        assert "(103)" in answer["refusal"] and "400.0 mm" in answer["refusal"]
+
+    play(scenario)
+
+
+def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_said(cell: Cell) -> None:
+    heard = cell.bench.listen(Bool, "emergency_stop", LATCHED)
+    cleared: list[str] = []
+
+    def clear(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        cleared.append("scara_arm")
+        response.success, response.message = True, "clearing"
+        return response
+
+    assert cell.bench.probe is not None
+    cell.bench.probe.create_service(Trigger, "scara_arm/clear_fault", clear)
+
+    async def scenario() -> None:
+        async with cell.open() as page:
+            await page.say({"do": "stop"})
+            assert (await page.answer("stop"))["ok"]
+            cell.bench.wait(lambda: [m.data for m in heard] == [True], "the stop")
+            await asyncio.sleep(1.0)
+            await page.say({"do": "clear"})
+            answers = [await page.answer("clear"), await page.answer("clear")]
+            assert {(a["ok"], a["text"]) for a in answers} == {
+                (True, "scara_arm: clearing"),
+                (False, "tapper_trigger: does not answer; is it up?"),
+            }
+            cell.bench.wait(lambda: [m.data for m in heard] == [True, False], "the latch ends")
+            for name in ("cancel", "home", "press_button"):
+                await page.say({"do": name})
+                answer = await page.answer(name)
+                assert answer["ok"] is False and "does not answer" in answer["text"]
+            await page.say({"do": "goal", "x": 0, "y": 0, "angle": 0})
+            assert "start tap_planner" in (await page.answer("goal"))["text"]
+            log = (await page.state(lambda s: len(s["log"]) >= 2))["log"]
+            assert "stop pressed on the page" in log[0]["text"]
+
+    play(scenario)
+    assert cleared == ["scara_arm"]
+
+
+def test_a_goal_gets_the_planners_own_refusal_and_may_be_canceled() -> None:
+    nodes: list[Any] = []
+
+    def make() -> list[Any]:
+        nodes.extend([OperatorPage(), TapPlanner()])
+        return list(nodes)
+
+    with bench(make, PARAMETERS) as b:
+        cell = Cell(b, nodes[0])
+        b.wait(lambda: nodes[1].active, "the planner is active", 40.0)
+
+        async def scenario() -> None:
+            async with cell.open() as page:
+                await page.state(lambda s: s["plan"]["state"] == "idle")
+                await page.say({"do": "goal", "x": 400, "y": 0, "angle": 0})
+                assert (await page.answer("goal"))["text"] == "goal sent"
+                refused = await page.answer("goal")
+                assert refused["ok"] is False and refused["text"].endswith("(103)")
+                assert "400.0 mm" in refused["text"]
+                log = (await page.state(lambda s: len(s["log"]) >= 2))["log"]
+                assert log[-1]["text"] == f"goal refused: {refused['text']}"
+                await page.say({"do": "cancel"})
+                assert "no goal of an action" in (await page.answer("cancel"))["text"]
+                await page.say({"do": "goal", "x": 50, "y": 0, "angle": 10})
+                await page.state(lambda s: s["plan"]["busy"])
+                await page.say({"do": "cancel"})
+                assert (await page.answer("cancel"))["ok"]
+                ended = await page.answer("goal")
+                assert ended["text"] == f"the goal was canceled ({ErrorCode.GOAL_CANCELED})"
+
+        play(scenario)
+
+
+def test_a_recorded_run_may_be_downloaded(cell: Cell, tmp_path: Any) -> None:
+    run = tmp_path / "a-run"
+    run.mkdir()
+    (run / "summary.json").write_text("{}")
+
+    async def scenario() -> None:
+        async with cell.open() as page:
+            cell.publish("last_run", String(data=str(run)))
+            state = await page.state(lambda s: s["run"]["ready"])
+            assert state["run"]["text"] == "The last run is a-run."
+            await page.say({"do": "download"})
+            ticket = await page.hear(lambda m: isinstance(m, dict) and m["type"] == "download")
+            assert ticket["path"].startswith("run/")
+            (run / "summary.json").unlink()
+            run.rmdir()
+            state = await page.state(lambda s: not s["run"]["ready"])
+            assert "is not on this machine" in state["run"]["text"]
+
+    play(scenario)
+
+
+def test_on_the_network_the_page_wants_its_token_and_other_sites_are_kept_out() -> None:
+    made: list[Any] = []
+
+    def make() -> list[Any]:
+        made.append(OperatorPage())
+        return list(made)
+
+    parameters = {"operator_page": {"port": 0, "address": "0.0.0.0"}}
+    with bench(make, parameters) as b:
+        cell = Cell(b, made[0])
+        url, _, token = cell.page.urls[0].partition("#token=")
+        assert len(token) > 20 and url.startswith("http://")
+        assert token not in str(cell.page.health())
+        port = cell.address.rpartition(":")[2]
+        cell.address = f"127.0.0.1:{port}"
+
+        async def scenario() -> None:
+            async with cell.open() as page:
+                assert await page.connection.read_message() is None
+                assert page.connection.close_code == 4401
+            asked = HTTPRequest(
+                f"ws://{cell.address}/live", headers={"Origin": "http://evil.example"}
+            )
+            with pytest.raises(HTTPClientError, match="403"):
+                await websocket_connect(asked)
+            async with cell.open() as page:  # refused as well: the page says hello without it
+                await page.say({"do": "hello", "token": token})
+                assert await page.connection.read_message() is None
+
+        play(scenario)
+
+
+def test_a_port_in_use_is_said_and_taken_when_it_is_free() -> None:
+    made: list[Any] = []
+
+    def make() -> list[Any]:
+        made.append(OperatorPage())
+        return list(made)
+
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with bench(make, {"operator_page": {"port": port}}) as b:
+            heard = b.listen(DiagnosticArray, "/diagnostics")
+
+            def complaints() -> list[str]:
+                return [s.message for m in heard for s in m.status if f"port {port}" in s.message]
+
+            b.wait(complaints, "the taken port is said")
+            assert "in use" in complaints()[0] and "set the parameters" in complaints()[0]
+            taken.close()
+            b.wait(lambda: made[0].active, "the page is served")
+            assert made[0].urls == [f"http://localhost:{port}/"]
