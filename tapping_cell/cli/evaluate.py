@@ -5,7 +5,7 @@ example:
 
 Lengths are in mm, angles in degrees, shares in percent. The model "abstract" answers a tap with the
 wanted displacement and its scatter; "physics" strikes, collides and slides by true parameters that
-the planner does not know (--truth, and --truth-object where the planner believes a fitted --object).
+the planner does not know (--truth; --truth-object where the planner believes a fitted --object).
 With --table the trials run on the cell's table, within the arm's reach, with edges and keep-outs;
 goals that cannot be reached must be refused before the first tap.
 """
