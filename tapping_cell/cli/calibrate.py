@@ -27,6 +27,7 @@ from tapping_cell.configuration.schema import ConfigurationError
 SUBVERBS = {
     "camera": "focal lengths and lens from photographs of a target",
     "table": "where the reference markers are, from images or a printed sheet",
+    "arm": "pose of the arm and zero of its elbow, from a record of poses",
     "print": "true-to-scale sheets: targets, reference markers, object markers",
 }
 

@@ -1,0 +1,408 @@
+"""Where the arm stands and where its joints' zeros are, from poses of a marker that it holds, or
+from touched points.
+
+With complex numbers for points of the table, base b and turn c = exp(i yaw), a point (m, on the
+tool) is seen at
+
+    p = b + c (L1 exp(i q1) + L2 exp(i (q1 + q2)) + m exp(i (q1 + q2 + q4)))
+
+and turned by yaw + q1 + q2 + q4 + its own angle on the tool. With q2 as the controller says plus
+the elbow's zero. The shoulder's zero only adds to the base's yaw, and the tool's to the angle of
+what it holds: no record of poses tells these apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from tapping_cell.calibration.camera import CalibrationRefused
+from tapping_cell.hardware.scara import ScaraGeometry
+from tapping_cell.se2 import wrap_angle
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+LEAST_POSES = 6
+NAMES = ("base_x", "base_y", "base_yaw", "elbow_zero", "mount_x", "mount_y", "mount_angle")
+LINKS = ("upper_arm", "forearm")
+_LOOSE = {"m": 0.005, "rad": np.radians(1.0)}
+"""Standard deviations beyond which a value is not taken from the record."""
+_TIED = 0.97
+"""Correlation from which two values are said to be known only together."""
+_OUTLIER = 4.5
+"""Robust standard deviations from which a row is an outlier, with the floors below."""
+_POSITION_FLOOR, _ANGLE_FLOOR = 2e-5, 2e-4
+_SUBSETS = 200
+_IN_WORDS = {
+    "base_x": "x of the base",
+    "base_y": "y of the base",
+    "base_yaw": "yaw of the base",
+    "elbow_zero": "zero of the elbow",
+    "mount_x": "place of the marker or tip ahead of the quill",
+    "mount_y": "place of the marker or tip beside the quill",
+    "mount_angle": "angle of the marker on the tool",
+    "upper_arm": "length of the upper arm",
+    "forearm": "length of the forearm",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmRecord:
+    """Joints of the controller (N, 3): shoulder, elbow, tool in rad; where the camera saw the
+    marker, or the touched point, ``points`` (N, 2) in m; the marker's ``angles`` (N,) in rad, None
+    for touched points; ``rows`` (N,) of the file.
+    """
+
+    joints: Array
+    points: Array
+    angles: Array | None
+    rows: NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class ArmOutlier:
+    """A row that was left out, and by how much it misses: m, rad (NaN without angles)."""
+
+    row: int
+    distance: float
+    angle: float
+
+    def __str__(self) -> str:
+        turn = "" if np.isnan(self.angle) else f" and {np.degrees(self.angle):.2f} deg"
+        return f"row {self.row}: {self.distance * 1e3:.2f} mm{turn} off the other poses"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmCalibration:
+    """``values`` by name (NAMES, LINKS; m and rad), standard ``deviations`` of those that were
+    fitted (``held`` names the others), ``residuals`` (N, 2) in m and ``turns`` (N,) in rad of the
+    rows used; ``wrist_deviation`` of the wrist's place over the record's poses in m,
+    ``heading_deviation`` of the forearm's heading in rad; ``notes`` in words.
+    """
+
+    values: dict[str, float]
+    deviations: dict[str, float]
+    held: tuple[str, ...]
+    residuals: Array
+    turns: Array | None
+    outliers: tuple[ArmOutlier, ...]
+    wrist_deviation: float
+    heading_deviation: float
+    notes: tuple[str, ...]
+
+    @property
+    def position_rms(self) -> float:
+        """Root mean square distance between seen and predicted points, m."""
+        return float(np.sqrt((self.residuals**2).sum(axis=1).mean()))
+
+    @property
+    def angle_rms(self) -> float | None:
+        """Root mean square of the angles' residuals, rad."""
+        return None if self.turns is None else float(np.sqrt((self.turns**2).mean()))
+
+
+def calibrate_arm(
+    record: ArmRecord, geometry: ScaraGeometry, links: bool = False
+) -> ArmCalibration:
+    """The base, the elbow's zero and the mount that bring the record together; the links as well
+    where ``links``.
+
+    Raises:
+        CalibrationRefused: too few poses, or they do not even tell where the base is.
+    """
+    if len(record.rows) < LEAST_POSES:
+        raise CalibrationRefused(
+            f"{len(record.rows)} poses are too few: {LEAST_POSES} are the least, 20 are good"
+        )
+    start, used = _begin(record, geometry)
+    names = [*NAMES[:6], *(("mount_angle",) if record.angles is not None else ())]
+    names += list(LINKS) if links else []
+    held: list[str] = []
+    sigma = np.array([1e-4, 1.7e-3])
+    while True:
+        free = [name for name in names if name not in held]
+        values, covariance, sigma, used = _robust(record, start, free, used, sigma)
+        spread = dict(zip(free, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+        loose = {name: spread[name] / _LOOSE[_unit(name)] for name in free}
+        worst = max(loose, key=lambda name: loose[name])
+        if loose[worst] <= 1.0 and np.isfinite(loose[worst]):
+            break
+        worst = _to_hold(free, loose)
+        if worst.startswith("base"):
+            raise CalibrationRefused(
+                f"the poses do not tell the {_IN_WORDS[worst]}: spread them over the table, with"
+                " the elbow bent by different angles"
+            )
+        held.append(worst)
+        start = {**values, worst: start[worst]}
+    return _result(record, values, free, held, covariance, used)
+
+
+def _unit(name: str) -> str:
+    return "rad" if name.endswith(("yaw", "zero", "angle")) else "m"
+
+
+def _to_hold(free: Sequence[str], loose: dict[str, float]) -> str:
+    """Which value to keep as the file has it: what a file knows best and the record least."""
+    order = ("forearm", "upper_arm", "elbow_zero", "mount_x", "mount_y", "mount_angle")
+    known = [name for name in order if name in free and not loose[name] <= 1.0]
+    return known[0] if known else max(loose, key=lambda name: loose[name])
+
+
+def wrist(joints: Array, values: dict[str, float]) -> Complex:
+    """The quill's axis in the arm's base, (N,), for joints (N, 3) of the controller."""
+    reach = joints[:, 0] + joints[:, 1] + values["elbow_zero"]
+    return np.asarray(
+        values["upper_arm"] * np.exp(1j * joints[:, 0]) + values["forearm"] * np.exp(1j * reach)
+    )
+
+
+def predicted(joints: Array, values: dict[str, float]) -> tuple[Complex, Array]:
+    """Points (N,) and angles (N,) of what the arm holds, in table."""
+    heading = joints.sum(axis=1) + values["elbow_zero"]
+    mount = complex(values["mount_x"], values["mount_y"]) * np.exp(1j * heading)
+    turn = np.exp(1j * values["base_yaw"])
+    base = complex(values["base_x"], values["base_y"])
+    points = base + turn * (wrist(joints, values) + mount)
+    return points, heading + values["base_yaw"] + values["mount_angle"]
+
+
+def _begin(
+    record: ArmRecord, geometry: ScaraGeometry
+) -> tuple[dict[str, float], NDArray[np.bool_]]:
+    """First values by linear least squares on the best of many subsets, and the rows that agree.
+
+    With the file's lengths and zeros the model is linear in b, c and c m.
+    """
+    offset = geometry.joint_offset
+    values = {name: 0.0 for name in NAMES} | {
+        "elbow_zero": offset[1],
+        "mount_x": geometry.tip_forward,
+        "mount_y": geometry.tip_side,
+        "upper_arm": geometry.upper_arm,
+        "forearm": geometry.forearm,
+    }
+    reach = wrist(record.joints, values)
+    heading = np.exp(1j * (record.joints.sum(axis=1) + offset[1]))
+    seen = record.points[:, 0] + 1j * record.points[:, 1]
+    columns = np.stack([np.ones_like(reach), reach, heading], axis=1)
+    singular = np.linalg.svd(columns, compute_uv=False)
+    if singular[-1] < 1e-3 * singular[0]:
+        # The tool always points one way against the forearm: keep the file's mount.
+        columns = columns[:, :2]
+        columns[:, 1] += complex(geometry.tip_forward, geometry.tip_side) * heading
+    random = np.random.default_rng(0)
+    best, least = None, np.inf
+    for _ in range(_SUBSETS):
+        rows = random.choice(len(seen), columns.shape[1] + 1, replace=False)
+        try:
+            found = np.linalg.lstsq(columns[rows], seen[rows], rcond=1e-9)[0]
+        except np.linalg.LinAlgError:
+            continue
+        # A turn has length one; a subset that says otherwise is nearly singular or wrong.
+        misfit = abs(abs(found[1]) - 1.0)
+        error = float(np.median(np.abs(columns @ found - seen))) * (1.0 + 10.0 * misfit)
+        if error < least:
+            best, least = found, error
+    if best is None or abs(best[1]) < 1e-6:
+        raise CalibrationRefused("the poses do not tell where the base is: spread them more")
+    errors = np.abs(columns @ best - seen)
+    agree = errors <= max(6.0 * least, 0.01)
+    found = np.linalg.lstsq(columns[agree], seen[agree], rcond=1e-9)[0]
+    turn = found[1] / abs(found[1])
+    values["base_yaw"] = float(np.angle(turn))
+    values["base_x"], values["base_y"] = float(found[0].real), float(found[0].imag)
+    if columns.shape[1] == 3:
+        mount = found[2] / found[1]
+        values["mount_x"], values["mount_y"] = float(mount.real), float(mount.imag)
+    if record.angles is not None:
+        apart = record.angles - record.joints.sum(axis=1) - offset[1] - values["base_yaw"]
+        values["mount_angle"] = float(
+            np.angle(
+                np.median(np.exp(1j * apart[agree]).real)
+                + 1j * np.median(np.exp(1j * apart[agree]).imag)
+            )
+        )
+    return values, np.asarray(agree)
+
+
+def _misses(record: ArmRecord, values: dict[str, float]) -> tuple[Array, Array | None]:
+    """Seen minus predicted: points (N, 2) in m, angles (N,) in rad."""
+    points, angles = predicted(record.joints, values)
+    left = record.points - np.stack([points.real, points.imag], axis=1)
+    if record.angles is None:
+        return left, None
+    return left, wrap_angle(record.angles - angles)
+
+
+def _robust(
+    record: ArmRecord,
+    start: dict[str, float],
+    free: Sequence[str],
+    used: NDArray[np.bool_],
+    sigma: Array,
+) -> tuple[dict[str, float], Array, Array, NDArray[np.bool_]]:
+    """Least squares of the rows that agree: values, covariance, noise (m, rad), rows used."""
+    values = dict(start)
+    for _ in range(12):
+        values, _ = _least_squares(record, values, free, used, sigma)
+        left, turns = _misses(record, values)
+        distance = np.linalg.norm(left, axis=1)
+        count = max(1.0, 1.0 - len(free) / max(1, (2 + (turns is not None)) * int(used.sum())))
+        sigma = np.array(
+            [
+                max(_spread(distance[used]) / 1.1774 / count, _POSITION_FLOOR),
+                1.0 if turns is None else max(1.4826 * _spread(np.abs(turns[used])), _ANGLE_FLOOR),
+            ]
+        )
+        again = distance <= _OUTLIER * sigma[0]
+        if turns is not None:
+            again &= np.abs(turns) <= _OUTLIER * sigma[1]
+        if again.sum() < max(LEAST_POSES, len(record.rows) // 2):
+            raise CalibrationRefused(
+                f"only {int(again.sum())} of {len(record.rows)} rows agree with each other: are the"
+                " joints those of the controller, in the right unit, and the marker the same in all"
+                " rows?"
+            )
+        if np.array_equal(again, used):
+            break
+        used = again
+    values, jacobian = _least_squares(record, values, free, used, sigma)
+    left, turns = _misses(record, values)
+    squares = float((left[used] ** 2).sum() / sigma[0] ** 2)
+    number = 2 * int(used.sum())
+    if turns is not None:
+        squares += float((turns[used] ** 2).sum() / sigma[1] ** 2)
+        number += int(used.sum())
+    factor = squares / max(number - len(free), 1)
+    covariance = np.asarray(factor * np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-14), float)
+    return values, covariance, sigma, used
+
+
+def _spread(errors: Array) -> float:
+    return float(np.median(errors))
+
+
+def _least_squares(
+    record: ArmRecord,
+    start: dict[str, float],
+    free: Sequence[str],
+    used: NDArray[np.bool_],
+    sigma: Array,
+) -> tuple[dict[str, float], Array]:
+    """Values that fit the rows ``used``, and the residuals' derivatives (over the noise)."""
+    scale = np.array([1.0 if _unit(name) == "rad" else 0.1 for name in free])
+
+    def residuals(unknown: Array) -> Array:
+        values = {**start, **dict(zip(free, (unknown * scale).tolist(), strict=True))}
+        left, turns = _misses(record, values)
+        parts = [left[used].ravel() / sigma[0]]
+        if turns is not None:
+            parts.append(turns[used] / sigma[1])
+        return np.concatenate(parts)
+
+    begin = np.array([start[name] for name in free]) / scale
+    found = least_squares(residuals, begin, method="lm", xtol=1e-12, ftol=1e-12)
+    values = {**start, **dict(zip(free, (found.x * scale).tolist(), strict=True))}
+    return values, np.asarray(found.jac / scale)
+
+
+def _result(
+    record: ArmRecord,
+    values: dict[str, float],
+    free: Sequence[str],
+    held: Sequence[str],
+    covariance: Array,
+    used: NDArray[np.bool_],
+) -> ArmCalibration:
+    left, turns = _misses(record, values)
+    distance = np.linalg.norm(left, axis=1)
+    outliers = tuple(
+        ArmOutlier(
+            int(record.rows[k]), float(distance[k]), np.nan if turns is None else float(turns[k])
+        )
+        for k in np.flatnonzero(~used)
+    )
+    spread = np.sqrt(np.diag(covariance))
+    arm = [k for k, name in enumerate(free) if not name.startswith("mount")]
+    place = _by_differences(record.joints[used], values, [free[k] for k in arm])
+    own = covariance[np.ix_(arm, arm)]
+    wrist_variance = np.einsum("nai,ij,naj->n", place[:, :2], own, place[:, :2])
+    heading_variance = np.einsum("ni,ij,nj->n", place[:, 2], own, place[:, 2])
+    return ArmCalibration(
+        values=values,
+        deviations=dict(zip(free, spread.tolist(), strict=True)),
+        held=tuple(held),
+        residuals=left[used],
+        turns=None if turns is None else turns[used],
+        outliers=outliers,
+        wrist_deviation=float(np.sqrt(wrist_variance.mean())),
+        heading_deviation=float(np.sqrt(heading_variance.mean())),
+        notes=tuple(_notes(record, values, free, held, covariance, used)),
+    )
+
+
+def _by_differences(joints: Array, values: dict[str, float], names: Sequence[str]) -> Array:
+    """Derivatives (N, 3, len(names)) of the wrist's x, y and the forearm's heading in table."""
+
+    def place(values: dict[str, float]) -> Array:
+        base = complex(values["base_x"], values["base_y"])
+        at = base + np.exp(1j * values["base_yaw"]) * wrist(joints, values)
+        turned = joints[:, 0] + joints[:, 1] + values["elbow_zero"] + values["base_yaw"]
+        return np.stack([at.real, at.imag, turned], axis=1)
+
+    step = 1e-6
+    columns = [
+        (place({**values, n: values[n] + step}) - place({**values, n: values[n] - step}))
+        / (2 * step)
+        for n in names
+    ]
+    return np.stack(columns, axis=2)
+
+
+def _notes(
+    record: ArmRecord,
+    values: dict[str, float],
+    free: Sequence[str],
+    held: Sequence[str],
+    covariance: Array,
+    used: NDArray[np.bool_],
+) -> list[str]:
+    """What the record cannot tell, and which poses would."""
+    said = [
+        "the shoulder's zero and the base's yaw have one and the same effect: their sum stands in"
+        " the base's yaw"
+    ]
+    for name in held:
+        said.append(
+            f"the poses do not tell the {_IN_WORDS[name]}: kept as in the cell file; "
+            + (
+                "turn the tool against the forearm from pose to pose"
+                if name.startswith("mount")
+                else "bend the elbow by more different angles, to both sides if it can"
+            )
+        )
+    spread = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(spread, spread)
+    for a in range(len(free)):
+        for b in range(a):
+            if abs(correlation[a, b]) > _TIED:
+                said.append(
+                    f"{_IN_WORDS[free[b]]} and {_IN_WORDS[free[a]]} are known mainly together"
+                    f" (correlation {correlation[a, b]:+.3f}); what they do to the wrist is known"
+                    " better than each"
+                )
+    elbow = record.joints[used, 1] + values["elbow_zero"]
+    if not (elbow.min() < -0.1 and elbow.max() > 0.1):
+        said.append(
+            "all poses bend the elbow to one side; poses on both sides tell its zero from the base"
+            " better"
+        )
+    if int(used.sum()) < 15:
+        said.append(f"{int(used.sum())} poses are few: 20 over the whole table are good")
+    return said

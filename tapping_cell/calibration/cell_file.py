@@ -1,0 +1,37 @@
+"""A cell file with a calibrated section: everything else in it, comments included, stays."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from tapping_cell.calibration.yaml_edit import numbers_text, with_section, with_value
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.configuration.provenance import Provenance
+
+
+def calibrated_cell(
+    cell: Cell,
+    section: str,
+    values: Mapping[str, float | Sequence[float]],
+    record: Provenance,
+    target: Path,
+) -> str:
+    """The text of the cell's file with ``values`` and ``record`` in its ``section``.
+
+    The names of the table, camera and object files are made to hold from the folder of ``target``.
+
+    Raises:
+        ConfigurationError: the section is written in braces.
+    """
+    text = cell.path.read_text(encoding="utf-8")
+    texts = {key: numbers_text(value) for key, value in values.items()}
+    text = with_section(text, section, texts, record, str(cell.path))
+    here, there = cell.path.parent.resolve(), target.parent.resolve()
+    if here != there:
+        for key in ("reference_markers", "camera_info", "object"):
+            path = os.path.relpath(here / getattr(cell.file, key), there)
+            text = with_value(text, key, json.dumps(path))
+    return text

@@ -1,0 +1,87 @@
+"""Change values in a YAML file's text and leave everything else, comments included, as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import yaml
+
+from tapping_cell.configuration.provenance import Provenance, provenance_yaml
+from tapping_cell.configuration.schema import ConfigurationError
+
+
+def numbers_text(value: float | Sequence[float]) -> str:
+    """A number or a list of numbers as YAML, to a tenth of a millionth of most."""
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(numbers_text(entry) for entry in value) + "]"
+    return repr(float(f"{value:.9g}"))
+
+
+def with_section(
+    text: str, name: str, values: Mapping[str, str], record: Provenance, source: str
+) -> str:
+    """The text with keys of the section ``name`` set to YAML ``values`` and its record of
+    calibration replaced; keys that are not there are added at the section's end.
+
+    Raises:
+        ConfigurationError: there is no such section, or it is not written one key a line.
+    """
+    root = yaml.compose(text)
+    section = _child(root, name)
+    if not isinstance(section, yaml.MappingNode) or section.flow_style or not section.value:
+        raise ConfigurationError(
+            f"{source}: the section '{name}' is missing or written in braces; write it one key a"
+            " line"
+        )
+    indent = section.value[0][0].start_mark.column
+    changes: list[tuple[int, int, str]] = []
+    for key, value in values.items():
+        node = _child(section, key)
+        if node is not None:
+            changes.append((node.start_mark.index, node.end_mark.index, value))
+    end = _end(text, section)
+    added = [f"{key}: {value}" for key, value in values.items() if _child(section, key) is None]
+    tail = "".join(" " * indent + line + "\n" for line in added)
+    tail += provenance_yaml(record, indent)
+    for key_node, value_node in section.value:
+        if key_node.value == "calibration":
+            start = key_node.start_mark.index - key_node.start_mark.column
+            changes.append((start, _line_end(text, _last(value_node)), ""))
+    changes.append((end, end, tail if text[:end].endswith("\n") else "\n" + tail))
+    for start, stop, new in sorted(changes, reverse=True):
+        text = text[:start] + new + text[stop:]
+    return text
+
+
+def with_value(text: str, name: str, value: str) -> str:
+    """The text with the value of a key of the document replaced."""
+    node = _child(yaml.compose(text), name)
+    if node is None:
+        return text
+    return text[: node.start_mark.index] + value + text[node.end_mark.index :]
+
+
+def _child(node: yaml.Node | None, name: str) -> yaml.Node | None:
+    if not isinstance(node, yaml.MappingNode):
+        return None
+    return next((value for key, value in node.value if key.value == name), None)
+
+
+def _last(node: yaml.Node) -> int:
+    """Where the last scalar or flow collection of a node ends."""
+    if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
+        last = node.value[-1]
+        return _last(last[1] if isinstance(last, tuple) else last)
+    return int(node.end_mark.index)
+
+
+def _line_end(text: str, index: int) -> int:
+    """The beginning of the line after ``index``; an index at a line's beginning stays."""
+    if index and text[index - 1 : index] == "\n":
+        return index
+    after = text.find("\n", index)
+    return len(text) if after < 0 else after + 1
+
+
+def _end(text: str, section: yaml.Node) -> int:
+    return _line_end(text, _last(section))

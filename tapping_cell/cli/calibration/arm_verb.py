@@ -1,0 +1,195 @@
+"""Pose of the arm's base and zero of its elbow, from a CSV record of poses.
+
+One row a pose: the controller's joints (columns shoulder, elbow, tool in rad, or shoulder_deg and
+so on) and, of a marker held by the arm, what the camera saw (x, y in m or x_mm, y_mm; theta or
+theta_deg) in the frame table. Without theta the rows are points of the table that the tip touched.
+20 poses over the whole table, the elbow bent by different angles to both sides, the tool turned.
+Writes a copy of the cell file with the new values in its section arm.
+
+  python -m tapping_cell calibrate arm poses.csv --cell config/cell.yaml --output cell.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.calibration.arm import (
+    ArmCalibration,
+    ArmRecord,
+    calibrate_arm,
+)
+from tapping_cell.calibration.cell_file import calibrated_cell
+from tapping_cell.calibration.csv_table import Column, CsvTable, read_csv
+from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
+from tapping_cell.cli.output_arguments import add_output_arguments, output_of
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.provenance import Provenance
+from tapping_cell.se2 import Pose
+
+COLUMNS = (
+    Column("shoulder", "rad", -7.0, 7.0, least_largest=0.1),
+    Column("elbow", "rad", -7.0, 7.0, least_largest=0.1),
+    Column("tool", "rad", -20.0, 20.0),
+    Column("x", "m", -3.0, 3.0, least_largest=0.01),
+    Column("y", "m", -3.0, 3.0, least_largest=0.01),
+    Column("theta", "rad", -20.0, 20.0, required=False),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("record", type=Path, metavar="RECORD.csv", help="the poses")
+    parser.add_argument(
+        "--cell", type=Path, metavar="FILE", help="cell file to start from (the package's own)"
+    )
+    parser.add_argument("--links", action="store_true", help="fit the links' lengths as well")
+    parser.add_argument(
+        "--marker-on-tip",
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "THETA"),
+        help="pose of the held marker in the frame striker (mm, mm, deg), if it is known: then the"
+        " tip's place on the tool is calibrated too",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_output_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Calibrate; 0 if the file was written."""
+    output = output_of(arguments, ("arm", "calibration"))
+    refuse_existing(output)
+    cell = load_cell(arguments.cell)
+    table = read_csv(arguments.record, COLUMNS)
+    result = calibrate_arm(record_of(table), cell.file.arm.geometry(), arguments.links)
+    values = file_values(result, cell, arguments.marker_on_tip)
+    record = _provenance(result, table, arguments)
+    text = calibrated_cell(cell, "arm", values, record, output.path)
+    write_kept(output, text, record, load_cell)
+    found = report(result, values, table, output.path)
+    print(json.dumps(found, indent=1) if arguments.json else "\n".join(lines(found)))
+    return 0
+
+
+def record_of(table: CsvTable) -> ArmRecord:
+    """The poses of the good rows; angles only if every row has one."""
+    angles = table.values.get("theta")
+    if angles is not None and not np.isfinite(angles).all():
+        angles = None
+    return ArmRecord(
+        joints=table.columns("shoulder", "elbow", "tool"),
+        points=table.columns("x", "y"),
+        angles=angles,
+        rows=table.rows,
+    )
+
+
+def file_values(
+    result: ArmCalibration, cell: Cell, marker: list[float] | None
+) -> dict[str, float | list[float]]:
+    """What changes in the section arm of the cell file."""
+    v, arm = result.values, cell.file.arm
+    offset = list(arm.joint_offset)
+    # The shoulder's zero of the file goes on, so its part is taken off the base's yaw.
+    base = [v["base_x"], v["base_y"], math.remainder(v["base_yaw"] - offset[0], 2 * math.pi)]
+    offset[1] = v["elbow_zero"]
+    values: dict[str, float | list[float]] = {"base": base, "joint_offset": offset}
+    if "upper_arm" in result.deviations:
+        values |= {"upper_arm": v["upper_arm"], "forearm": v["forearm"]}
+    # In the fit the tool's heading is the controller's, without the file's zero of the tool.
+    mount = Pose(v["mount_x"], v["mount_y"], v["mount_angle"])
+    into_tool = Pose(0.0, 0.0, -offset[3])
+    if marker is not None and result.turns is not None:
+        on_tip = Pose(marker[0] / 1e3, marker[1] / 1e3, math.radians(marker[2]))
+        tip = into_tool @ mount @ on_tip.inverse()
+        yaw = math.remainder(tip.theta, 2 * math.pi)
+        values |= {"tip_forward": tip.x, "tip_side": tip.y, "tip_yaw": yaw}
+    elif result.turns is None and not {"mount_x", "mount_y"} & set(result.held):
+        tip = into_tool @ mount
+        values |= {"tip_forward": tip.x, "tip_side": tip.y}
+    return values
+
+
+def _provenance(
+    result: ArmCalibration, table: CsvTable, arguments: argparse.Namespace
+) -> Provenance:
+    tip = []
+    if result.turns is None:
+        tip.append("tip_yaw is kept: touched points do not tell the line of travel")
+    elif arguments.marker_on_tip is None:
+        tip.append(
+            "the tip on the tool is kept: the tool's zero and the marker's place on it cannot be"
+            " told apart unless --marker-on-tip says where it sits"
+        )
+    turned = result.angle_rms
+    angle = [] if turned is None else [f"angles left: {math.degrees(turned):.4f} deg rms"]
+    return Provenance(
+        by="calibrate arm",
+        made=now(),
+        inputs=fingerprints([arguments.record]),
+        observations=len(result.residuals),
+        left_out=len(result.outliers) + len(table.faults),
+        residual=result.position_rms,
+        residual_of="root mean square distance of points, m",
+        uncertainty=result.wrist_deviation,
+        uncertainty_of="place of the wrist over the poses, m",
+        deviations=dict(result.deviations),
+        notes=(
+            *angle,
+            *(str(fault) for fault in table.faults),
+            *(f"{table.path}, {outlier}" for outlier in result.outliers),
+            *tip,
+            *result.notes,
+        ),
+    )
+
+
+def report(
+    result: ArmCalibration,
+    values: dict[str, float | list[float]],
+    table: CsvTable,
+    path: Path,
+) -> dict[str, Any]:
+    """The result for programs: SI."""
+    return {
+        "output": str(path),
+        "values": values,
+        "fitted": {name: result.values[name] for name in result.deviations},
+        "deviations": result.deviations,
+        "held": list(result.held),
+        "position_rms": result.position_rms,
+        "angle_rms": result.angle_rms,
+        "wrist_deviation": result.wrist_deviation,
+        "heading_deviation": result.heading_deviation,
+        "used": len(result.residuals),
+        "left_out": [str(fault) for fault in table.faults]
+        + [f"{table.path}, {outlier}" for outlier in result.outliers],
+        "notes": list(result.notes),
+    }
+
+
+def lines(found: dict[str, Any]) -> list[str]:
+    """The report for people: mm and degrees."""
+    rows = []
+    for name, value in found["fitted"].items():
+        turn = name.endswith(("yaw", "zero", "angle"))
+        scale, unit = (math.degrees(1.0), "deg") if turn else (1e3, "mm")
+        spread = found["deviations"][name]
+        rows.append(f"{name:<12} {scale * value:>11.4f} +- {scale * spread:.4f} {unit}")
+    rows += [f"left out: {text}" for text in found["left_out"]]
+    turned = found["angle_rms"]
+    rows.append(
+        f"{found['used']} poses; points left {1e3 * found['position_rms']:.3f} mm rms"
+        + ("" if turned is None else f", angles {math.degrees(turned):.3f} deg rms")
+    )
+    rows.append(
+        f"the wrist is known to {1e3 * found['wrist_deviation']:.3f} mm, the forearm's heading to"
+        f" {math.degrees(found['heading_deviation']):.4f} deg (one standard deviation)"
+    )
+    return [*rows, *(f"note: {text}" for text in found["notes"]), f"written: {found['output']}"]
