@@ -1,10 +1,11 @@
-"""Find the object in image files: where it is on the table, how well that is known, how long it
+"""Find objects in image files: where each is on the table, how well that is known, how long it
 took.
 
 Every image is judged by itself, by the same pipeline as the live camera's frames; with --sequence
 they are frames of one steady camera in the order given, so that the table's pose is averaged and
-frames at rest are fused. Lengths are in mm, angles in degrees, in the frame `table`. Exit status 1
-if the object was found in none.
+frames at rest are fused. Several objects (--object given more than once) are told apart by their
+markers' ids or by their outlines. Lengths are in mm, angles in degrees, in the frame `table`. Exit
+status 1 if no object was found in any image.
 
   python -m tapping_cell locate shot1.png shot2.png --camera config/camera_info.yaml \\
       --table config/table.yaml --object config/objects/aluminium_disk.yaml --annotate pictures
@@ -17,6 +18,7 @@ import json
 import math
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,16 +27,32 @@ import cv2
 import numpy as np
 
 from tapping_cell.configuration.files import shared_folder
-from tapping_cell.configuration.objects import MarkerSection, ShapeSection
+from tapping_cell.configuration.objects import (
+    MarkerSection,
+    OutlineSection,
+    ShapeSection,
+    seen_as,
+)
 from tapping_cell.configuration.schema import (
     ConfigurationError,
     build,
     quantity,
     read_yaml,
     section,
+    text,
 )
 from tapping_cell.configuration.table import load_camera_model, load_reference_map
-from tapping_cell.vision import ObjectMarker, Observation, PoseTracker, annotate
+from tapping_cell.vision import (
+    CameraModel,
+    ObjectMarker,
+    ObjectOutline,
+    Observation,
+    PoseTracker,
+    ReferenceMap,
+    TrackerSettings,
+    annotate,
+    marker_ids,
+)
 
 FRAME_PERIOD = 1.0 / 30.0
 """Seconds between the images of a --sequence, as far as speeds are concerned."""
@@ -46,14 +64,15 @@ class SeenObject:
 
     shape: ShapeSection = section("outline of the object")
     height: float = quantity("height of the top above the table", "m", 0.0, 0.5)
-    marker: MarkerSection = section("marker on the top")
+    marker: MarkerSection | None = section("marker on the top", default=None)
+    outline: OutlineSection | None = section("looks of an object without a marker", default=None)
+    name: str = text("name of the object, for people", default="")
 
-    def object_marker(self) -> ObjectMarker:
-        """The marker as the tracker looks for it."""
-        m = self.marker
-        return ObjectMarker(m.dictionary, m.id, m.size, self.height, tuple(m.offset))
+    def seen(self) -> ObjectMarker | ObjectOutline:
+        """What the tracker looks for."""
+        return seen_as(self.shape, self.height, self.marker, self.outline)
 
-    def outline(self) -> np.ndarray:
+    def rim(self) -> np.ndarray:
         """Points (N, 2) of the outline in the object's frame, in m."""
         if self.shape.vertices is not None:
             return np.array(self.shape.vertices)
@@ -74,8 +93,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--object",
         type=Path,
-        default=folder / "objects" / "aluminium_disk.yaml",
-        help="shape, height and marker of the object",
+        action="append",
+        help="shape, height and marker (or outline) of an object; may be given several times "
+        "(default: the aluminium disk)",
     )
     parser.add_argument(
         "--sequence", action="store_true", help="the images are frames of one steady camera"
@@ -91,32 +111,33 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         camera = load_camera_model(arguments.camera)
         table = load_reference_map(arguments.table)
-        seen_object = load_seen_object(arguments.object)
-        marker = seen_object.object_marker()
+        paths = arguments.object or [shared_folder() / "objects" / "aluminium_disk.yaml"]
+        objects = [load_seen_object(path) for path in paths]
+        search = Search(camera, table, [seen.seen() for seen in objects])
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
     cv2.setNumThreads(1)
     results = []
-    tracker = PoseTracker(camera, table, marker)
     for number, path in enumerate(arguments.images):
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if image is None:
             sentence = f"{path} cannot be read as an image; give a PNG, JPEG, TIFF or PGM file"
-            results.append(unread(path, sentence))
+            results.extend(unread(path, seen.name, sentence) for seen in objects)
             continue
         if not arguments.sequence:
-            tracker = PoseTracker(camera, table, marker)
-        begin = time.perf_counter()
-        observation = tracker.update(image, number * FRAME_PERIOD)
-        milliseconds = (time.perf_counter() - begin) * 1e3
-        results.append(result(path, observation, milliseconds))
-        if arguments.annotate is not None:
-            picture = annotate(
-                image, tracker.view, observation, seen_object.outline(), seen_object.height
-            )
+            search.reset()
+        for seen, tracker in zip(objects, search.trackers, strict=True):
+            begin = time.perf_counter()
+            observation = tracker.update(image, number * FRAME_PERIOD)
+            milliseconds = (time.perf_counter() - begin) * 1e3
+            results.append(result(path, seen.name, observation, milliseconds))
+            if arguments.annotate is None:
+                continue
+            picture = annotate(image, tracker.view, observation, seen.rim(), seen.height)
+            name = path.stem if len(objects) == 1 else f"{path.stem}_{seen.name}"
             try:
-                write_picture(arguments.annotate, path, picture)
+                write_picture(arguments.annotate, name, picture)
             except OSError as error:
                 print(f"{arguments.annotate}: cannot be written: {error}", file=sys.stderr)
                 return 2
@@ -127,8 +148,29 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if any(entry["visible"] for entry in results) else 1
 
 
+class Search:
+    """A tracker for every object, each of which knows of the others."""
+
+    def __init__(
+        self,
+        camera: CameraModel,
+        table: ReferenceMap,
+        seen: Sequence[ObjectMarker | ObjectOutline],
+    ) -> None:
+        """Raises ValueError where two objects have the same marker."""
+        self._camera, self._table, self._seen = camera, table, tuple(seen)
+        self._settings = TrackerSettings(other_ids=marker_ids(self._seen))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was seen."""
+        self.trackers = [
+            PoseTracker(self._camera, self._table, seen, self._settings) for seen in self._seen
+        ]
+
+
 def load_seen_object(path: Path) -> SeenObject:
-    """Shape, height and marker out of an object file.
+    """Shape, height and marker or outline out of an object file.
 
     Raises:
         ConfigurationError: names file, key, value and range.
@@ -136,13 +178,20 @@ def load_seen_object(path: Path) -> SeenObject:
     document = read_yaml(path)
     if not isinstance(document, dict):
         raise ConfigurationError(f"{path}: must be a mapping with shape, height and marker")
-    wanted = {key: document[key] for key in ("shape", "height", "marker") if key in document}
-    return build(SeenObject, wanted, str(path))
+    keys = ("shape", "height", "marker", "outline", "name")
+    wanted = {key: document[key] for key in keys if key in document}
+    wanted.setdefault("name", path.stem)
+    content = build(SeenObject, wanted, str(path))
+    try:
+        content.seen()
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: {error}") from error
+    return content
 
 
-def result(path: Path, observation: Observation, milliseconds: float) -> dict[str, Any]:
-    """One image's answer: mm and degrees."""
-    entry = unread(path, observation.sentence)
+def result(path: Path, name: str, observation: Observation, milliseconds: float) -> dict[str, Any]:
+    """The answer for one object in one image: mm and degrees."""
+    entry = unread(path, name, observation.sentence)
     entry["milliseconds"] = round(milliseconds, 2)
     entry["references"] = list(observation.references_used)
     entry["problem"] = None if observation.visible else observation.problem.name.lower()
@@ -162,10 +211,11 @@ def result(path: Path, observation: Observation, milliseconds: float) -> dict[st
     return entry
 
 
-def unread(path: Path, sentence: str) -> dict[str, Any]:
+def unread(path: Path, name: str, sentence: str) -> dict[str, Any]:
     """The answer for an image in which nothing was found."""
     return {
         "image": str(path),
+        "object": name,
         "visible": False,
         "x": None,
         "y": None,
@@ -182,27 +232,31 @@ def unread(path: Path, sentence: str) -> dict[str, Any]:
     }
 
 
-def write_picture(folder: Path, path: Path, picture: np.ndarray) -> None:
-    """Write an annotated picture under the image's name, as PNG.
+def write_picture(folder: Path, name: str, picture: np.ndarray) -> None:
+    """Write an annotated picture under a name, as PNG.
 
     Raises:
         OSError: the folder or the file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    target = folder / f"{path.stem}.png"
+    target = folder / f"{name}.png"
     if not cv2.imwrite(str(target), picture):
         raise OSError(f"{target} was not written")
 
 
 def table_of(results: list[dict[str, Any]]) -> str:
     """The answers as lines for people."""
-    width = max(5, *(len(Path(entry["image"]).name) for entry in results))
+    several = len({entry["object"] for entry in results}) > 1
+    names = [
+        Path(entry["image"]).name + (f" {entry['object']}" if several else "") for entry in results
+    ]
+    width = max(5, *(len(name) for name in names))
     lines = [
         f"{'image':<{width}}  {'x mm':>10} {'y mm':>10} {'theta deg':>10}"
         f"  {'sd mm':>7} {'sd deg':>7}  {'ms':>6}  references"
     ]
-    for entry in results:
-        name = f"{Path(entry['image']).name:<{width}}"
+    for entry, shown in zip(results, names, strict=True):
+        name = f"{shown:<{width}}"
         if not entry["visible"]:
             lines.append(f"{name}  not found: {entry['sentence']}")
             continue

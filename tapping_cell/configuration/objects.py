@@ -1,4 +1,4 @@
-"""The object file: shape, support, impact, scatter of a tap and marker of one object."""
+"""The object file: shape, support, impact, scatter of a tap and looks of one object."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tapping_cell.configuration.schema import (
     text,
 )
 from tapping_cell.mechanics import Disk, Impact, Polygon, Ring, Sliding, Striker, Tap
-from tapping_cell.vision import ObjectMarker
+from tapping_cell.vision import Dot, ObjectMarker, ObjectOutline
 
 GRAVITY = 9.81
 """Standard acceleration of gravity in m/s^2, to the digits that the friction is known."""
@@ -58,6 +58,53 @@ class MarkerSection:
 
 
 @dataclass(frozen=True, slots=True)
+class DotSection:
+    """A round dot on the top of an object without a marker."""
+
+    radius: float = quantity("radius of the dot", "m", 0.002, 0.2)
+    offset: tuple[float, float] = quantity(
+        "x and y of the dot's middle in the object's frame", "m", -0.5, 0.5
+    )
+    shade: str = choice("the dot beside the top around it", "darker", "brighter")
+
+
+@dataclass(frozen=True, slots=True)
+class OutlineSection:
+    """How an object without a marker is seen: by its outline."""
+
+    shade: str = choice("the object's top beside the table", "darker", "brighter")
+    dot: DotSection | None = section(
+        "a dot off the middle; needed where the outline does not show the angle", default=None
+    )
+
+
+def seen_as(
+    shape: ShapeSection,
+    height: float,
+    marker: MarkerSection | None,
+    outline: OutlineSection | None,
+) -> ObjectMarker | ObjectOutline:
+    """What the camera looks for.
+
+    Raises:
+        ValueError: both or none of marker and outline are given, or they cannot be seen.
+    """
+    if (marker is None) == (outline is None):
+        raise ValueError(
+            "give either the key 'marker' (a printed marker on the top) or the key 'outline' (an "
+            "object without one, seen by its shape)"
+        )
+    if marker is not None:
+        return ObjectMarker(marker.dictionary, marker.id, marker.size, height, marker.offset)
+    assert outline is not None
+    dot = None
+    if outline.dot is not None:
+        spot = outline.dot
+        dot = Dot(spot.radius, spot.offset, spot.shade == "brighter")
+    return ObjectOutline(height, outline.shade == "brighter", shape.radius, shape.vertices, dot)
+
+
+@dataclass(frozen=True, slots=True)
 class ScatterSection:
     """One standard deviation of a tap's result, as the planner expects it."""
 
@@ -80,7 +127,8 @@ class ObjectFile:
     )
     restitution: float = quantity("coefficient of restitution with the striker", "", 0.0, 1.0)
     contact_friction: float = quantity("coefficient of friction with the striker", "", 0.001, 2.0)
-    marker: MarkerSection = section("marker on the top")
+    marker: MarkerSection | None = section("marker on the top", default=None)
+    outline: OutlineSection | None = section("looks of an object without a marker", default=None)
     impact_scale: tuple[float, float, float] = quantity(
         "calibrated factors of the impact constants B1, B2, B3",
         "",
@@ -125,19 +173,17 @@ class ObjectFile:
             smallest_distance=self.smallest_tap,
         )
 
-    def object_marker(self) -> ObjectMarker:
-        """The marker as the camera looks for it."""
-        return ObjectMarker(
-            dictionary=self.marker.dictionary,
-            id=self.marker.id,
-            size=self.marker.size,
-            offset=self.marker.offset,
-            height=self.height,
-        )
+    def seen(self) -> ObjectMarker | ObjectOutline:
+        """What the camera looks for: a marker, or the outline.
+
+        Raises:
+            ValueError: both or none are given, or they cannot be seen.
+        """
+        return seen_as(self.shape, self.height, self.marker, self.outline)
 
 
 def load_object(path: Path | str) -> ObjectFile:
-    """An object file; its body is built once so that an impossible shape is refused here.
+    """An object file; its body and looks are built once so that an impossible one is refused here.
 
     Raises:
         ConfigurationError: names file, key, value and range.
@@ -147,4 +193,8 @@ def load_object(path: Path | str) -> ObjectFile:
         content.body()
     except ValueError as error:
         raise ConfigurationError(f"{path}: key 'shape': {error}") from error
+    try:
+        content.seen()
+    except ValueError as error:
+        raise ConfigurationError(f"{path}: {error}") from error
     return content

@@ -52,6 +52,10 @@ CODES = {
     Problem.DUPLICATE_MARKER: ErrorCode.MARKER_AMBIGUOUS,
     Problem.MIRRORED_MARKER: ErrorCode.OBJECT_NOT_SEEN,
     Problem.MISSHAPEN_MARKER: ErrorCode.OBJECT_NOT_SEEN,
+    Problem.DUPLICATE_OBJECT: ErrorCode.MARKER_AMBIGUOUS,
+    Problem.MISSHAPEN_OBJECT: ErrorCode.OBJECT_NOT_SEEN,
+    Problem.WRONG_OBJECT: ErrorCode.OBJECT_NOT_SEEN,
+    Problem.DOT_HIDDEN: ErrorCode.OBJECT_NOT_SEEN,
 }
 
 CAMERA_PERIOD_S = 1.0
@@ -145,9 +149,7 @@ class CameraPose(CellNode[Parameters]):
         self._camera_problem = ""
         if camera != self._camera:
             self._camera = camera
-            self._tracker = PoseTracker(
-                camera, self._cell.references, self._cell.object.object_marker()
-            )
+            self._tracker = PoseTracker(camera, self._cell.references, self._cell.object.seen())
 
     def _on_image(self, message: Image) -> None:
         self._heard = time.monotonic()

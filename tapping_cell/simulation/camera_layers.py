@@ -70,29 +70,30 @@ def outline_layer(outline: ArrayLike, reflectance: float, pixel: float, blur: fl
     reach = float(np.max(np.abs(points))) + 4.0 * blur
     texels = int(np.clip(np.ceil(16.0 * reach / pixel), 64, 1600))
     texel = 2.0 * reach / texels
-    coverage = convex_coverage(points / texel + texels / 2.0, texels)[::-1]
+    coverage = convex_coverage(points / texel + texels / 2.0, texels, texels)[::-1]
     return _blurred(coverage * reflectance, coverage, texel, blur)
 
 
-def convex_coverage(points: ArrayLike, cells: int, rows_each: int = 4) -> NDArray[np.float64]:
-    """Share of every cell of a (cells, cells) grid that a convex polygon covers.
+def convex_coverage(
+    points: ArrayLike, rows: int, columns: int, rows_each: int = 4
+) -> NDArray[np.float64]:
+    """Share of every cell of a (rows, columns) grid that a convex polygon covers.
 
     ``points`` (N, 2) count in cells, row index along y. Exact along x, ``rows_each`` samples along
     y.
     """
     p = np.asarray(points, dtype=float)
-    y = (np.arange(cells * rows_each) + 0.5) / rows_each
-    left, right = np.full(y.size, np.inf), np.full(y.size, -np.inf)
-    for a, b in zip(p, np.roll(p, -1, axis=0), strict=True):
-        low, high = sorted((a[1], b[1]))
-        first, last = np.searchsorted(y, [low, high])
-        if last > first:
-            x = a[0] + (y[first:last] - a[1]) * (b[0] - a[0]) / (b[1] - a[1])
-            left[first:last] = np.minimum(left[first:last], x)
-            right[first:last] = np.maximum(right[first:last], x)
-    edge = np.arange(cells)
+    p = np.roll(p, -int(p[:, 1].argmin()), axis=0)
+    turn = int(p[:, 1].argmax())
+    there, back = p[: turn + 1], np.concatenate([p[:1], p[: turn - 1 if turn else None : -1]])
+    y = (np.arange(rows * rows_each) + 0.5) / rows_each
+    ends = [np.interp(y, chain[:, 1], chain[:, 0]) for chain in (there, back)]
+    within = (y >= p[0, 1]) & (y <= p[turn, 1])
+    left = np.where(within, np.minimum(*ends), np.inf)
+    right = np.where(within, np.maximum(*ends), -np.inf)
+    edge = np.arange(columns)
     share = np.minimum(right[:, None], edge + 1.0) - np.maximum(left[:, None], edge)
-    covered = np.clip(share, 0.0, 1.0).reshape(cells, rows_each, cells)
+    covered = np.clip(share, 0.0, 1.0).reshape(rows, rows_each, columns)
     return np.asarray(covered.mean(axis=1), dtype=float)
 
 

@@ -16,13 +16,25 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from tapping_cell import se2
-from tapping_cell.simulation.camera_layers import Array32, Layer, marker_layer, outline_layer
+from tapping_cell.simulation.camera_layers import (
+    Array32,
+    Layer,
+    convex_coverage,
+    marker_layer,
+    outline_layer,
+)
 from tapping_cell.vision.camera import CameraModel, CameraPose, Image, View
 from tapping_cell.vision.markers import ObjectMarker, ReferenceMap
+from tapping_cell.vision.outline import ObjectOutline
 
 TABLE_REFLECTANCE = 0.50
 TOP_REFLECTANCE = 0.30
 WALL_REFLECTANCE = 0.16
+BRIGHT_TOP_REFLECTANCE = 0.78
+BRIGHT_WALL_REFLECTANCE = 0.42
+"""Of an object brighter than the table."""
+DARK_DOT_REFLECTANCE = 0.08
+BRIGHT_DOT_REFLECTANCE = 0.95
 WHITE_LEVEL = 230.0
 """Grey level of reflectance 1 where the light is brightest."""
 _FRACTION = 16
@@ -33,7 +45,9 @@ _FRACTION = 16
 class SceneSettings:
     """Light and sensor. ``light_falloff`` is the share of the light lost from the brightest side to
     the darkest, towards ``light_direction`` (rad, in table); ``noise`` one standard deviation in
-    grey levels; ``blur`` the point spread's sigma in pixels, the pixel's own area included.
+    grey levels; ``blur`` the point spread's sigma in pixels, the pixel's own area included;
+    ``shadow`` how far (m, in table) the object's shadow falls, ``shadow_depth`` the share of the
+    light that it takes.
     """
 
     noise: float = 2.0
@@ -41,6 +55,8 @@ class SceneSettings:
     light_direction: float = 0.6
     vignetting: float = 0.1
     blur: float = 0.65
+    shadow: tuple[float, float] = (0.0, 0.0)
+    shadow_depth: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +71,8 @@ class SceneRenderer:
     """Renders the table with its reference markers and one object.
 
     ``camera`` and ``pose`` are the true ones; ``outline`` the convex outline of the object in its
-    frame, points (N, 2) in m; ``marker`` carries the height of the top. Frames depend on ``seed``.
+    frame, points (N, 2) in m; ``marker`` is what its top shows and how high that is: a marker, or
+    the plain top of an object without one. Frames depend on ``seed``.
     """
 
     def __init__(
@@ -64,7 +81,7 @@ class SceneRenderer:
         pose: CameraPose,
         references: ReferenceMap,
         outline: ArrayLike,
-        marker: ObjectMarker,
+        marker: ObjectMarker | ObjectOutline,
         settings: SceneSettings | None = None,
         seed: int = 0,
     ) -> None:
@@ -72,7 +89,9 @@ class SceneRenderer:
         self.settings = settings or SceneSettings()
         self._random = np.random.default_rng(seed)
         self._outline = np.asarray(outline, dtype=float)
-        self._marker = marker
+        self._height = marker.height
+        # The coverage of whole pixels already holds a pixel's own area.
+        self._point_spread = max(0.1, np.sqrt(max(0.0, self.settings.blur**2 - 1.0 / 12.0)))
         distance = float(pose.position[2])
         pixel = distance / camera.fx
         blur = self.settings.blur * pixel
@@ -82,10 +101,15 @@ class SceneRenderer:
         background = self._background(ground, references, pixel, blur)
         self._background16 = _fixed_point(background)
         self._background_image = background
-        top = self.view.rays_on_plane(rays, marker.height)
-        self._x, self._y = (np.ascontiguousarray(top[..., i], dtype=np.float32) for i in (0, 1))
-        self._body = outline_layer(self._outline, TOP_REFLECTANCE, pixel, blur)
-        self._label = marker_layer(marker.dictionary, marker.id, marker.size, pixel, blur)
+        above = self.view.rays_on_plane(rays, marker.height)
+        self._x, self._y = (np.ascontiguousarray(above[..., i], dtype=np.float32) for i in (0, 1))
+        if self.settings.shadow_depth > 0.0:
+            self._ground = ground.astype(np.float32)
+        bright = isinstance(marker, ObjectOutline) and marker.brighter
+        top = BRIGHT_TOP_REFLECTANCE if bright else TOP_REFLECTANCE
+        self._wall = BRIGHT_WALL_REFLECTANCE if bright else WALL_REFLECTANCE
+        self._body = outline_layer(self._outline, top, pixel, blur)
+        self._label, self._label_pose = _label(marker, pixel, blur)
         self._noise = self._noise_pool()
         self._clean = self._background16.copy()
         self._drawn: tuple[slice, slice] | None = None
@@ -176,8 +200,9 @@ class SceneRenderer:
             self._drawn = None
         ends = np.stack([start, end])
         base = se2.transform_points(ends[:, None, :], self._outline)
-        rims = np.stack([self.view.project(base), self.view.project(base, self._marker.height)])
-        window = self._window(rims.reshape(-1, 2))
+        rims = np.stack([self.view.project(base), self.view.project(base, self._height)])
+        fallen = self.view.project(base + np.array(self.settings.shadow))
+        window = self._window(np.concatenate([rims.reshape(-1, 2), fallen.reshape(-1, 2)]))
         if window is None:
             return
         travel = float(np.max(np.abs(rims[:, 1] - rims[:, 0])))
@@ -192,34 +217,33 @@ class SceneRenderer:
     def _patch(self, window: tuple[slice, slice], pose: NDArray[np.float64]) -> Array32:
         """The scene in a window with the object at one pose."""
         light = self._light[window] * np.float32(WHITE_LEVEL)
-        wall = self._wall_coverage(window, pose)
-        patch = self._background_image[window] * (1 - wall) + wall * light * WALL_REFLECTANCE
+        body = self._body_coverage(window, pose)
+        floor = self._background_image[window]
+        if self.settings.shadow_depth > 0.0:
+            ground = self._ground[window]
+            fallen = pose + np.array([*self.settings.shadow, 0.0])
+            _, shaded = self._body.sample(*_local(fallen, ground[..., 0], ground[..., 1]))
+            floor = floor * (1 - np.float32(self.settings.shadow_depth) * shaded)
         x, y = self._x[window], self._y[window]
-        on_object = Layer.sample(self._body, *_local(pose, x, y))
-        label_pose = se2.compose(pose, self._marker.offset)
-        on_label = Layer.sample(self._label, *_local(label_pose, x, y))
-        for reflected, coverage in (on_object, on_label):
-            patch = patch * (1 - coverage) + reflected * light
+        top, covered = self._body.sample(*_local(pose, x, y))
+        # Top, wall and floor share every pixel: where no wall is seen none shows between them.
+        behind = np.maximum(body - covered, 0.0) * light * np.float32(self._wall)
+        patch = floor * (1 - np.maximum(body, covered)) + behind + top * light
+        if self._label is not None:
+            label_pose = se2.compose(pose, self._label_pose)
+            reflected, covered = self._label.sample(*_local(label_pose, x, y))
+            patch = patch * (1 - covered) + reflected * light
         return np.asarray(patch, dtype=np.float32)
 
-    def _wall_coverage(self, window: tuple[slice, slice], pose: NDArray[np.float64]) -> Array32:
-        """Coverage of all that lies between the outline on the table and the one on top."""
+    def _body_coverage(self, window: tuple[slice, slice], pose: NDArray[np.float64]) -> Array32:
+        """Coverage by the whole body: from the outline on the table to the one on top."""
         base = se2.transform_points(pose, self._outline)
-        rims = np.concatenate(
-            [self.view.project(base), self.view.project(base, self._marker.height)]
-        )
+        rims = np.concatenate([self.view.project(base), self.view.project(base, self._height)])
         hull = cv2.convexHull(rims.astype(np.float32))[:, 0]
-        fine = 4
-        origin = np.array([window[1].start, window[0].start])
-        corners = ((hull - origin + 0.5) * fine - 0.5) * 16.0
-        shape = (
-            (window[0].stop - window[0].start) * fine,
-            (window[1].stop - window[1].start) * fine,
-        )
-        mask = np.zeros(shape, dtype=np.uint8)
-        cv2.fillConvexPoly(mask, np.round(corners).astype(np.int32), (255,), shift=4)
-        small = cv2.resize(mask, (shape[1] // fine, shape[0] // fine), interpolation=cv2.INTER_AREA)
-        soft = cv2.GaussianBlur(small.astype(np.float32) / 255.0, (0, 0), self.settings.blur)
+        corner = np.array([window[1].start, window[0].start]) - 0.5
+        rows, columns = (part.stop - part.start for part in window)
+        sharp = convex_coverage(hull - corner, rows, columns).astype(np.float32)
+        soft = cv2.GaussianBlur(sharp, (0, 0), self._point_spread)
         return np.asarray(soft, dtype=np.float32)
 
     def _noise_pool(self) -> NDArray[np.int16]:
@@ -236,6 +260,21 @@ class SceneRenderer:
         row = self._random.integers(rows - camera.height)
         column = self._random.integers(columns - camera.width)
         return self._noise[which, row : row + camera.height, column : column + camera.width]
+
+
+def _label(
+    shown: ObjectMarker | ObjectOutline, pixel: float, blur: float
+) -> tuple[Layer | None, NDArray[np.float64]]:
+    """What is on the object's top, and its pose in the object's frame."""
+    if isinstance(shown, ObjectMarker):
+        layer = marker_layer(shown.dictionary, shown.id, shown.size, pixel, blur)
+        return layer, np.array(shown.offset)
+    if shown.dot is None:
+        return None, np.zeros(3)
+    angle = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
+    circle = shown.dot.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    reflectance = BRIGHT_DOT_REFLECTANCE if shown.dot.brighter else DARK_DOT_REFLECTANCE
+    return outline_layer(circle, reflectance, pixel, blur), np.array([*shown.dot.offset, 0.0])
 
 
 def _local(pose: NDArray[np.float64], x: Array32, y: Array32) -> tuple[Array32, Array32]:

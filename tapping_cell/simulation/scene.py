@@ -32,7 +32,7 @@ def make_renderer(cell: Cell, truth: CameraTruth, outline: ArrayLike, seed: int)
         pose=CameraPose.above(truth.position, truth.aim, truth.turn),
         references=cell.references,
         outline=outline,
-        marker=cell.object.object_marker(),
+        marker=cell.object.seen(),
         settings=SceneSettings(noise=truth.noise, light_falloff=truth.light_falloff),
         seed=seed,
     )

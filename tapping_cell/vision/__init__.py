@@ -9,6 +9,8 @@ from tapping_cell.vision.markers import (
     ReferenceMarker,
 )
 from tapping_cell.vision.observation import Observation, Problem
+from tapping_cell.vision.others import OtherObjects, Sighting, marker_ids
+from tapping_cell.vision.outline import Dot, ObjectOutline, OutlineError
 from tapping_cell.vision.rest import RestSettings
 from tapping_cell.vision.table import TableSettings
 from tapping_cell.vision.tracker import PoseTracker, TrackerSettings
@@ -17,16 +19,22 @@ __all__ = [
     "CameraError",
     "CameraModel",
     "CameraPose",
+    "Dot",
     "MarkerError",
     "ObjectMarker",
+    "ObjectOutline",
     "Observation",
+    "OtherObjects",
+    "OutlineError",
     "PoseTracker",
     "Problem",
     "ReferenceMap",
     "ReferenceMarker",
     "RestSettings",
+    "Sighting",
     "TableSettings",
     "TrackerSettings",
     "View",
     "annotate",
+    "marker_ids",
 ]

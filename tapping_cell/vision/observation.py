@@ -27,6 +27,10 @@ class Problem(enum.Enum):
     DUPLICATE_MARKER = 12
     MIRRORED_MARKER = 13
     MISSHAPEN_MARKER = 14
+    DUPLICATE_OBJECT = 15
+    MISSHAPEN_OBJECT = 16
+    WRONG_OBJECT = 17
+    DOT_HIDDEN = 18
 
 
 @dataclass(frozen=True, slots=True, eq=False)

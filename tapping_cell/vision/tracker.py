@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from tapping_cell.vision.gate import FrameGate
 from tapping_cell.vision.markers import UNIT_CORNERS, ObjectMarker, ReferenceMap, marker_pattern
 from tapping_cell.vision.object import PoseFit, fit_marker, marker_pose, object_pose
 from tapping_cell.vision.observation import Observation, Problem
+from tapping_cell.vision.outline import ObjectOutline
+from tapping_cell.vision.outline_finder import OutlineFinder
+from tapping_cell.vision.outline_fit import OutlineFit
 from tapping_cell.vision.photometric import Template, align, make_template
 from tapping_cell.vision.rest import Motion, RestSettings, Track
 from tapping_cell.vision.search import Census, census, near, patterns_agree
@@ -42,7 +45,7 @@ class TrackerSettings:
     them while the object or the table is not seen; ``references_each`` reference markers measured
     in a frame; ``references_timeout`` (s) that the table may go unseen; ``size_tolerance``: share
     that the marker's apparent side may differ from the configured one; ``dark`` and ``bright`` grey
-    levels.
+    levels; ``other_ids`` markers of other objects, of the object's dictionary, that may be there.
     """
 
     audit_period: float = 1.0
@@ -52,6 +55,7 @@ class TrackerSettings:
     size_tolerance: float = 0.03
     dark: float = 12.0
     bright: float = 250.0
+    other_ids: frozenset[int] = frozenset()
     table: TableSettings = field(default_factory=TableSettings)
     rest: RestSettings = field(default_factory=RestSettings)
 
@@ -68,25 +72,36 @@ class _Found:
 class PoseTracker:
     """Follows one object on the table.
 
-    ``camera`` is the calibrated camera, ``table`` the map of reference markers, ``object_marker``
-    what to look for. Frames go to :meth:`update` in the order in which they were taken.
+    ``camera`` is the calibrated camera, ``table`` the map of reference markers, ``seen`` what to
+    look for: the object's marker, or its outline. Frames go to :meth:`update` in the order in
+    which they were taken.
     """
 
     def __init__(
         self,
         camera: CameraModel,
         table: ReferenceMap,
-        object_marker: ObjectMarker,
+        seen: ObjectMarker | ObjectOutline,
         settings: TrackerSettings | None = None,
     ) -> None:
         self.camera = camera
-        self.marker = object_marker
+        self.height = seen.height
+        self._seen = seen
         self.settings = settings or TrackerSettings()
         self.table = TableTracker(camera, table, self.settings.table)
         self._map = table
-        self._track = Track(self.settings.rest)
         self._patterns = [marker_pattern(table.dictionary, m.id) for m in table.markers]
-        self._pattern = marker_pattern(object_marker.dictionary, object_marker.id)
+        self._finder: OutlineFinder | None = None
+        rest = self.settings.rest
+        if isinstance(seen, ObjectOutline):
+            self._finder = OutlineFinder(seen, table)
+            # A plain outline is not as sharp as a marker: rest may take more frames to prove.
+            rest = replace(rest, longest=max(rest.longest, 18))
+        else:
+            # Only there where the object has a marker.
+            self.marker = seen
+            self._pattern = marker_pattern(seen.dictionary, seen.id)
+        self._track = Track(rest)
         self._gate = FrameGate(camera, self.settings.dark, self.settings.bright)
         self._group = 0
         self._last_search = -math.inf
@@ -110,7 +125,7 @@ class PoseTracker:
 
     def reset(self) -> None:
         """Forget the table and the object, e.g. after a refused move of the camera."""
-        self.__init__(self.camera, self._map, self.marker, self.settings)  # type: ignore[misc]
+        self.__init__(self.camera, self._map, self._seen, self.settings)  # type: ignore[misc]
 
     def update(self, image: Image, stamp: float) -> Observation:
         """Judge one frame: mono8 image (height, width), time of its exposure in s.
@@ -122,7 +137,8 @@ class PoseTracker:
             return self._nothing(stamp, *refusal)
         seen, object_quad, trouble = self._look(image, stamp)
         found = self._measure(image, seen, object_quad)
-        if found.object_row is None and trouble is None and self.view is not None:
+        marked = self._finder is None
+        if marked and found.object_row is None and trouble is None and self.view is not None:
             found = self._search_object(image, stamp, found)
         state = self._update_table(found, stamp)
         problem = self._table_problem(state, stamp)
@@ -154,20 +170,26 @@ class PoseTracker:
 
     def _object_quad(self, stamp: float) -> Array | None:
         """Where the object's marker should be in the image, from its last pose and velocity."""
-        view = self._working
-        if self._object is None or view is None:
+        view, ahead = self._working, self._expected(stamp)
+        if ahead is None or view is None or self._finder is not None:
             return None
-        then, pose, velocity = self._object
-        ahead = pose + velocity * min(stamp - then, 0.1)
         corners = _square(marker_pose(ahead, self.marker), self.marker.size)
         return view.project(corners, self.marker.height)
+
+    def _expected(self, stamp: float) -> Array | None:
+        """Where the object (3,) should be, from its last pose and velocity."""
+        if self._object is None:
+            return None
+        then, pose, velocity = self._object
+        return np.asarray(pose + velocity * min(stamp - then, 0.1))
 
     def _search_all(
         self, image: Image, stamp: float
     ) -> tuple[dict[int, Array], Array | None, tuple[Problem, str] | None]:
         self._last_search = stamp
         self._search_next = False
-        same = self._map.dictionary == self.marker.dictionary
+        marked = self._finder is None
+        same = not marked or self._map.dictionary == self.marker.dictionary
         rows = {int(i): row for row, i in enumerate(self.table.ids)}
         # The thorough search and its explanations take several frames' time: once in a while.
         slow = stamp - self._last_thorough >= self.settings.audit_period
@@ -177,13 +199,16 @@ class PoseTracker:
             table = census(image, self._map.dictionary, thorough)
             objects = table if same else census(image, self.marker.dictionary, thorough)
             enough = len(rows.keys() & table.single) >= self.settings.table.least_references
-            if enough and self.marker.id in {*objects.single, *objects.repeated}:
+            if enough and (not marked or self.marker.id in {*objects.single, *objects.repeated}):
                 break
         quads = {rows[i]: quad for i, quad in table.single.items() if i in rows}
         if self._reference_quads is not None:
             # Whatever the table's pose was: the next frames look where the markers are now.
             for row, quad in quads.items():
                 self._reference_quads[row] = quad
+        if self._finder is not None:
+            self._finder.search()
+            return quads, None, None
         if self.marker.id in objects.repeated:
             self._object = None
             return (
@@ -213,7 +238,8 @@ class PoseTracker:
                 f"marker {self.marker.id} is seen mirrored; turn off mirroring or print "
                 "the marker again",
             )
-        others = sorted(set(objects.single) - expected - {self.marker.id})
+        known = expected | self.settings.other_ids | {self.marker.id}
+        others = sorted(set(objects.single) - known)
         if others:
             return (
                 Problem.WRONG_MARKER,
@@ -318,12 +344,13 @@ class PoseTracker:
 
     def _observe(self, image: Image, found: _Found, stamp: float) -> Observation:
         view = self._working
+        if self._finder is not None and view is not None:
+            return self._observe_outline(self._finder, image, view, stamp)
         fit = None
         if found.object_row is not None and view is not None:
             fit = fit_marker(view, found.edges, found.object_row, self.marker)
         if fit is None or view is None:
-            if self._object is not None and stamp - self._object[0] > 0.1:
-                self._object = (self._object[0], self._object[1], np.zeros(3))
+            self._stand_still(stamp)
             return self._nothing(
                 stamp,
                 Problem.OBJECT_HIDDEN,
@@ -342,7 +369,33 @@ class PoseTracker:
                 f"(limit {self.settings.size_tolerance * 100:.0f} %): "
                 "lifted, tilted or not of the object file's size and height",
             )
-        pose, covariance = self._measured(image, view, fit)
+        return self._follow(stamp, *self._measured(image, view, fit))
+
+    def _observe_outline(
+        self, finder: OutlineFinder, image: Image, view: View, stamp: float
+    ) -> Observation:
+        """The same for an object without a marker."""
+        step: Array = np.zeros(2)
+        if self._object is not None:
+            step = self._object[2][:2] * min(stamp - self._object[0], 0.1)
+        answer = finder.look(image, view, self._expected(stamp), step)
+        if isinstance(answer, OutlineFit):
+            pose = answer.pose.copy()
+            pose[2] = wrap_angle(pose[2])
+            return self._follow(stamp, pose, answer.covariance)
+        self._stand_still(stamp)
+        self._search_next = True
+        if answer[0] is Problem.DUPLICATE_OBJECT:
+            self._object = None
+        return self._nothing(stamp, *answer)
+
+    def _stand_still(self, stamp: float) -> None:
+        """An object not seen for a while is looked for where it was, not where it was going."""
+        if self._object is not None and stamp - self._object[0] > 0.1:
+            self._object = (self._object[0], self._object[1], np.zeros(3))
+
+    def _follow(self, stamp: float, pose: Array, covariance: Array) -> Observation:
+        """A pose measured in this frame, as the track takes it."""
         if self._references_seen < stamp and not self._track.stays(pose, covariance):
             return self._nothing(
                 stamp,
@@ -399,8 +452,8 @@ class PoseTracker:
         view, working = self.view, self._working
         assert view is not None and working is not None
         points = transform_points(pose, CROSS)
-        seen = working.pose.apply(np.column_stack([points, np.full(4, self.marker.height)]))
-        newest = view.rays_on_plane(seen[:, :2] / seen[:, 2:], self.marker.height)
+        seen = working.pose.apply(np.column_stack([points, np.full(4, self.height)]))
+        newest = view.rays_on_plane(seen[:, :2] / seen[:, 2:], self.height)
         moved = pose + pose_changes(points, newest - points)
         moved[2] = wrap_angle(moved[2])
         return moved
@@ -411,7 +464,10 @@ class PoseTracker:
         key = self.table.field_number
         known = self._judged
         if known is None or known[0] != key or np.abs(known[1] - pose)[:2].max() > again:
-            known = (key, pose, *self.table.judge(pose, self.marker.height))
+            error, shared = self.table.judge(pose, self.height)
+            if self._finder is not None:
+                shared = shared + self._finder.shared()
+            known = (key, pose, error, shared)
             self._judged = known
         return known[2], known[3]
 

@@ -25,6 +25,7 @@ ARROWS = {
         "hardware",
         "vision.camera",
         "vision.markers",
+        "vision.outline",
         "configuration",
     },
     "calibration": {"se2", "mechanics", "vision", "hardware", "configuration"},

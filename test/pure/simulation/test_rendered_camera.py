@@ -144,7 +144,7 @@ def test_coverage_of_a_polygon_is_its_area():
         polygon = 30.0 + random.uniform(8, 25) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         x, y = polygon.T
         area = 0.5 * abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))
-        share = convex_coverage(polygon, 60)
+        share = convex_coverage(polygon, 60, 60)
         assert share.sum() == pytest.approx(area, rel=5e-3)
         centroid = np.einsum(
             "yx,yxc->c", share, np.stack(np.meshgrid(np.arange(60), np.arange(60)), -1)

@@ -1,0 +1,192 @@
+"""Objects without a marker: the outline of their top, a disk or a convex polygon, perhaps a dot.
+
+Everything is in the object's frame, in m. An outline that looks the same after a turn (a disk, a
+square, a rectangle) says its angle only with a dot off its middle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tapping_cell.vision.camera import Array
+
+_SAME = 0.03
+"""Outlines that differ by less than this share of their mean radius (rms) after a turn are taken
+for the same: a tenth of that is how exactly objects are made, the rest is for a hidden part."""
+_ANGLES = 720
+_LEAST_DOT = 0.002
+"""Least radius (m) of a dot, and its least distance from rim and middle: three pixels each."""
+
+
+class OutlineError(ValueError):
+    """An outline that cannot be found, or whose angle nothing shows; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dot:
+    """A round dot on the top: radius and middle in m; ``brighter`` than the top around it."""
+
+    radius: float
+    offset: tuple[float, float]
+    brighter: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectOutline:
+    """How an object without a marker is seen: a disk of ``radius`` or a convex polygon of
+    ``vertices`` (counter-clockwise) in m, its top ``height`` m over the table and ``brighter`` or
+    darker than that.
+    """
+
+    height: float
+    brighter: bool
+    radius: float | None = None
+    vertices: tuple[tuple[float, float], ...] | None = None
+    dot: Dot | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be found, with the value and what to do."""
+        if (self.radius is None) == (self.vertices is None):
+            raise OutlineError("an outline is either a disk (radius) or a polygon (vertices)")
+        if self.vertices is not None:
+            _check_convex(np.array(self.vertices))
+        turns = self.turns()
+        if self.dot is None:
+            if len(turns) != 1:
+                what = "every turn" if not turns else f"a turn of {math.degrees(turns[1]):.0f} deg"
+                raise OutlineError(
+                    f"the outline looks the same after {what}, so that nothing shows the angle: "
+                    "put a dot on it off its middle ('outline.dot'), or a marker"
+                )
+            return
+        self._check_dot(self.dot, turns)
+
+    def _check_dot(self, dot: Dot, turns: tuple[float, ...]) -> None:
+        if dot.radius < _LEAST_DOT:
+            raise OutlineError(
+                f"the dot's radius is {dot.radius * 1e3:.1f} mm, but must be at least "
+                f"{_LEAST_DOT * 1e3:.0f} mm to be seen"
+            )
+        distance = float(self.distance(np.array([dot.offset]))[0][0])
+        if distance > -(dot.radius + _LEAST_DOT):
+            raise OutlineError(
+                f"the dot comes within {max(0.0, -distance - dot.radius) * 1e3:.1f} mm of the rim; "
+                f"keep at least {_LEAST_DOT * 1e3:.0f} mm between them"
+            )
+        if len(turns) == 1:
+            return
+        apart = math.hypot(*(np.array(dot.offset) - self.middle))
+        if turns:
+            apart *= 2.0 * math.sin(0.5 * min(turns[1], 2.0 * math.pi - turns[-1]))
+        if apart < 1.5 * dot.radius:
+            raise OutlineError(
+                f"the dot lies {apart * 1e3:.1f} mm from where it would be after a turn that the "
+                f"outline does not show; at least {1.5 * dot.radius * 1e3:.1f} mm are needed: put "
+                "it farther from the middle"
+            )
+
+    @property
+    def middle(self) -> Array:
+        """Centre (2,) of the area, around which a symmetric outline looks the same, in m."""
+        if self.vertices is None:
+            return np.zeros(2)
+        p = np.array(self.vertices)
+        q = np.roll(p, -1, axis=0)
+        cross = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
+        return np.asarray(((p + q) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
+
+    @property
+    def area(self) -> float:
+        """Area of the top in m^2."""
+        if self.vertices is None:
+            assert self.radius is not None
+            return math.pi * self.radius**2
+        p = np.array(self.vertices)
+        q = np.roll(p, -1, axis=0)
+        return 0.5 * float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum())
+
+    @property
+    def reach(self) -> float:
+        """Greatest distance of the outline from its middle, in m."""
+        return float(np.linalg.norm(self.points() - self.middle, axis=1).max())
+
+    def points(self, count: int = 72) -> Array:
+        """Corners of the polygon, or ``count`` points of the disk's rim, (N, 2)."""
+        if self.vertices is not None:
+            return np.array(self.vertices)
+        assert self.radius is not None
+        angle = np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
+        return self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+    def distance(self, points: ArrayLike) -> tuple[Array, Array]:
+        """How far points (..., 2) lie outside (inside: below 0), in m, and that distance's gradient
+        (..., 2).
+        """
+        p = np.asarray(points, dtype=float)
+        if self.vertices is None:
+            assert self.radius is not None
+            length = np.sqrt((p * p).sum(axis=-1))
+            return length - self.radius, p / np.maximum(length, 1e-12)[..., None]
+        normals, offsets = self.sides()
+        outside = p @ normals.T - offsets
+        nearest = outside.argmax(axis=-1)
+        return np.take_along_axis(outside, nearest[..., None], -1)[..., 0], normals[nearest]
+
+    def sides(self) -> tuple[Array, Array]:
+        """Outward normals (K, 2) of the polygon's sides, and their distances (K,) from the
+        origin."""
+        p = np.array(self.vertices)
+        along = np.roll(p, -1, axis=0) - p
+        normals = np.stack([along[:, 1], -along[:, 0]], axis=-1)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return normals, (normals * p).sum(axis=1)
+
+    def radii(self, count: int = _ANGLES) -> Array:
+        """Distance (count,) of the rim from the middle, at angles from 0 up to one turn, in m."""
+        angle = np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
+        direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        if self.vertices is None:
+            assert self.radius is not None
+            return np.full(count, self.radius)
+        normals, offsets = self.sides()
+        facing = direction @ normals.T
+        room = offsets - normals @ self.middle
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.where(facing > 1e-12, room / facing, np.inf).min(axis=1))
+
+    def turns(self) -> tuple[float, ...]:
+        """Turns (rad, from 0 up to one turn) after which the outline looks the same; none at all
+        where every turn does that.
+        """
+        differences = turn_differences(self.radii(), self.radii()) / float(self.radii().mean())
+        same = differences < _SAME
+        if same.all():
+            return ()
+        lowest = (differences <= np.roll(differences, 1)) & (
+            differences <= np.roll(differences, -1)
+        )
+        step = 2.0 * math.pi / len(differences)
+        chosen = [float(k) * step for k in np.flatnonzero(lowest & same)]
+        return tuple(turn for turn in chosen if turn == 0.0 or min(turn, 2 * math.pi - turn) > 0.05)
+
+
+def turn_differences(radii: Array, model: Array) -> Array:
+    """Root mean square of radii (N,) minus the model's turned by k of N steps, for every k, in
+    m."""
+    spectrum = np.fft.rfft(radii) * np.conj(np.fft.rfft(model))
+    product = np.fft.irfft(spectrum, len(radii)) / len(radii)
+    square = float((radii**2).mean() + (model**2).mean())
+    return np.asarray(np.sqrt(np.maximum(square - 2.0 * product, 0.0)))
+
+
+def _check_convex(vertices: Array) -> None:
+    if len(vertices) < 3:
+        raise OutlineError(f"a polygon needs 3 corners or more; {len(vertices)} given")
+    along = np.roll(vertices, -1, axis=0) - vertices
+    after = np.roll(along, -1, axis=0)
+    if np.any(along[:, 0] * after[:, 1] - along[:, 1] * after[:, 0] <= 0.0):
+        raise OutlineError("the polygon's corners must be convex and go counter-clockwise")

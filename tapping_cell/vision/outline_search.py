@@ -1,0 +1,295 @@
+"""Finding an outline of which nothing is known but its shape: rough places, looked at one by one.
+
+Rough places are blobs of about the right area against the light around them (morphological closing
+or opening of a small image; several thresholds, because nobody said how dark the object is). A
+polygon's angle comes from the distances of its rim from its middle; which of several like turns it
+is, and the angle of a disk, the dot says.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tapping_cell.se2 import Pose, transform_points
+from tapping_cell.vision.camera import Array, Image, View
+from tapping_cell.vision.outline import Dot, ObjectOutline, turn_differences
+from tapping_cell.vision.outline_fit import (
+    COARSE,
+    LEAST_CONTRAST,
+    SIZE_SPREAD,
+    USUAL_BLUR,
+    OutlineFit,
+    fit_outline,
+)
+
+_LEAST_SEEN = {"disk": 0.55, "polygon": 0.7}
+"""Share of the rim that must be seen. An arc of a circle has one place only; a polygon that is one
+side's width off still has all sides along that direction right."""
+LARGEST_STRETCH = 0.03
+"""Share that an object may seem larger or smaller than its file says."""
+_CERTAIN = 1e-5
+_SMALL = 32
+"""Pixels that the object measures in the image that is searched."""
+_SHADES = (0.06, 0.1, 0.16, 0.25, 0.4, 0.7)
+"""Thresholds tried: by how much of the light around it a thing is darker or brighter."""
+_AREAS = (0.65, 1.45)
+_BULGE = 1.18
+"""Least and greatest area relative to the object's top (walls show, shadows join), and greatest
+area of the convex hull relative to the blob's."""
+_FORM = 0.12
+"""Greatest difference of a blob's form (rms, share of its size): walls and covered parts are in
+it."""
+_CANDIDATES = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A thing of about the right size that is not the object; ``reason`` is one of the words
+    below."""
+
+    reason: str
+    sentence: str
+
+
+OTHER_SHAPE, OTHER_SIZE, NO_DOT, TWO_DOTS = "shape", "size", "no dot", "two dots"
+
+
+def least_seen(outline: ObjectOutline) -> float:
+    """Share of the rim that must be seen for the outline to be believed."""
+    return _LEAST_SEEN["disk" if outline.vertices is None else "polygon"]
+
+
+def find_outlines(
+    image: Image, view: View, outline: ObjectOutline, known: Array, blur: float = USUAL_BLUR
+) -> tuple[list[OutlineFit], list[Refused]]:
+    """All places where the outline is, and what looked like it and is not.
+
+    ``known`` (M, 4, 2) are the corners in table of the reference markers' black squares.
+    """
+    found: list[OutlineFit] = []
+    refused: list[Refused] = []
+    for start in rough_places(image, view, outline, known):
+        answer = look_closely(image, view, outline, start, blur)
+        if isinstance(answer, OutlineFit):
+            apart = [math.hypot(*(answer.pose - other.pose)[:2]) for other in found]
+            if not apart or min(apart) > 0.5 * outline.reach:
+                found.append(answer)
+        else:
+            refused.append(answer)
+    return found, refused
+
+
+def look_closely(
+    image: Image, view: View, outline: ObjectOutline, start: Array, blur: float = USUAL_BLUR
+) -> OutlineFit | Refused:
+    """The outline near a rough place (3,), or why that is not it."""
+    rough = rim = None
+    # A shadow makes a dark object seem larger, so first the size is taken for granted.
+    for size_spread in (_CERTAIN, 5.0 * SIZE_SPREAD):
+        rough = fit_outline(
+            image,
+            view,
+            outline,
+            start,
+            width=COARSE,
+            blur=blur,
+            with_dot=False,
+            size_spread=size_spread,
+        )
+        if rough is None or rough.seen < 0.5 * least_seen(outline):
+            continue
+        rim = fit_outline(image, view, outline, rough.pose, blur=blur, with_dot=False)
+        if rim is not None and rim.seen >= least_seen(outline):
+            break
+    else:
+        return _unlike(outline, rough, rim)
+    if outline.dot is None:
+        return accept(rim, outline)
+    turned = turn_by_dot(image, view, outline, outline.dot, rim.pose)
+    if isinstance(turned, Refused):
+        return turned
+    whole = fit_outline(image, view, outline, turned, blur=blur)
+    if whole is None:
+        return Refused(NO_DOT, "its dot is not seen where it should be")
+    return accept(whole, outline)
+
+
+def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | None) -> Refused:
+    """Why neither look made out the rim."""
+    least = least_seen(outline)
+    if rough is not None and rough.seen >= least and abs(rough.size - 1.0) > LARGEST_STRETCH:
+        return wrong_size(rough)
+    seen = 0.0 if rim is None else rim.seen
+    return Refused(
+        OTHER_SHAPE,
+        f"what is there agrees with its outline along {seen * 100:.0f} % of the rim (at least "
+        f"{least * 100:.0f} % are needed)",
+    )
+
+
+def accept(fit: OutlineFit, outline: ObjectOutline) -> OutlineFit | Refused:
+    """The fit if it is the object's, else why not."""
+    if abs(fit.size - 1.0) > LARGEST_STRETCH:
+        return wrong_size(fit)
+    least = least_seen(outline)
+    if fit.seen < least or fit.contrast < LEAST_CONTRAST:
+        return Refused(
+            OTHER_SHAPE,
+            f"{fit.seen * 100:.0f} % of its rim are seen with a contrast of {fit.contrast:.0f} "
+            f"grey levels (at least {least * 100:.0f} % and {LEAST_CONTRAST:.0f} are needed)",
+        )
+    if outline.dot is not None and fit.dot_contrast < LEAST_CONTRAST:
+        return Refused(NO_DOT, "its dot is not seen where it should be")
+    return fit
+
+
+def wrong_size(fit: OutlineFit) -> Refused:
+    """The refusal of a thing that is too large or too small."""
+    return Refused(
+        OTHER_SIZE,
+        f"it looks {(fit.size - 1.0) * 100:+.1f} % larger than its file says (limit "
+        f"{LARGEST_STRETCH * 100:.0f} %): lifted, tilted, another object, or a wrong height",
+    )
+
+
+def rough_places(image: Image, view: View, outline: ObjectOutline, known: Array) -> Iterator[Array]:
+    """Poses (3,) where a blob of about the object's area and shape is, the likeliest first."""
+    pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
+    across = 2.0 * math.sqrt(outline.area / math.pi) / pixel
+    shrink = int(np.clip(round(across / _SMALL), 1, 12))
+    size = (image.shape[1] // shrink, image.shape[0] // shrink)
+    scale = np.array([image.shape[1] / size[0], image.shape[0] / size[1]])
+    shrunk = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    small: Image = np.array(shrunk, dtype=np.uint8)
+    _paint_over(small, view, scale, known)
+    if outline.dot is not None:
+        across_dot = 2.0 * outline.dot.radius / pixel / shrink
+        kernel_side = int(np.clip(2 * math.ceil(across_dot) + 1, 3, 15))
+        small = np.asarray(cv2.medianBlur(small, kernel_side), dtype=np.uint8)
+    kernel = np.ones((int(2.6 * outline.reach / pixel / shrink) | 1,) * 2, dtype=np.uint8)
+    operation = cv2.MORPH_OPEN if outline.brighter else cv2.MORPH_CLOSE
+    around = np.asarray(cv2.morphologyEx(small, operation, kernel), dtype=np.float32)
+    shade = np.abs(small.astype(np.float32) - around) / np.maximum(around, 8.0)
+    places: list[tuple[float, Array, Array]] = []  # difference of form, middle, pose
+    for threshold in _SHADES:
+        mask = (shade > threshold).astype(np.uint8)
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        for contour in contours:
+            # Contours run through the middles of the outermost pixels: half a pixel is missing.
+            area = cv2.contourArea(contour) + 0.5 * len(contour)
+            share = area * float(scale.prod()) * pixel**2 / outline.area
+            if not _AREAS[0] < share < _AREAS[1]:
+                continue
+            hull = cv2.convexHull(contour)
+            if cv2.contourArea(hull) > _BULGE * max(cv2.contourArea(contour), 1.0):
+                continue
+            seen = (hull.reshape(-1, 2) + 0.5) * scale - 0.5
+            rim = view.on_plane(_walked(seen), outline.height)
+            middle = _middle(rim)
+            place = _matched(outline, middle, rim)
+            if place[0] < _FORM:
+                places.append(place)
+    places.sort(key=lambda place: place[0])
+    taken: list[Array] = []
+    for _, middle, pose in places:
+        if len(taken) >= _CANDIDATES:
+            return
+        if all(np.hypot(*(middle - other)) > 0.4 * outline.reach for other in taken):
+            taken.append(middle)
+            yield pose
+
+
+def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:
+    """Hide the reference markers, white border included, behind the table's grey beside them."""
+    middle = known.mean(axis=1, keepdims=True)
+    rows, columns = small.shape
+    for whole, beside in (
+        (middle + 1.35 * (quad - middle), middle + 1.7 * (quad - middle))
+        for quad, middle in zip(known, middle, strict=True)
+    ):
+        inner, outer = ((view.project(p) + 0.5) / scale - 0.5 for p in (whole, beside))
+        at = np.rint(_walked(outer)).astype(np.intp)
+        inside = ((at >= 0) & (at < [columns, rows])).all(axis=1)
+        if inside.any():
+            level = float(np.median(small[at[inside, 1], at[inside, 0]]))
+            cv2.fillPoly(small, [np.round(inner).astype(np.int32)], (level,))
+
+
+def _matched(outline: ObjectOutline, middle: Array, rim: Array) -> tuple[float, Array, Array]:
+    """How much the form of a rim (N, 2) around its middle differs from the outline's (share of its
+    size), the middle, and the pose (3,) that fits best."""
+    model = outline.radii()
+    arm = rim - middle
+    angle = np.arctan2(arm[:, 1], arm[:, 0])
+    order = np.argsort(angle)
+    grid = np.linspace(0.0, 2.0 * math.pi, len(model), endpoint=False)
+    radii = np.interp(grid, angle[order], np.hypot(*arm.T)[order], period=2.0 * math.pi)
+    # Walls and thresholds make it larger all round: only the form counts.
+    radii *= float(model.mean() / radii.mean())
+    differences = turn_differences(radii, model)
+    best = int(differences.argmin())
+    turn = 0.0 if outline.vertices is None else float(grid[best])
+    place = middle - transform_points([0.0, 0.0, turn], outline.middle)
+    return float(differences[best] / model.mean()), middle, np.array([*place, turn])
+
+
+def turn_by_dot(
+    image: Image, view: View, outline: ObjectOutline, dot: Dot, pose: Array
+) -> Array | Refused:
+    """The pose (3,) turned so that the dot is where one is seen."""
+    turns = np.array(outline.turns() or np.linspace(0.0, 2.0 * math.pi, 360, endpoint=False))
+    angle = np.linspace(0.0, 2.0 * math.pi, 12, endpoint=False)
+    circle = dot.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    poses = np.stack([_turned(outline, pose, float(turn)) for turn in turns])
+    places = transform_points(poses[:, None, :], np.array([dot.offset]))
+    inner = _greys(image, view, outline, places + np.concatenate([0.0 * circle[:1], 0.55 * circle]))
+    outer = _greys(image, view, outline, places + 1.6 * circle)
+    difference = inner.mean(axis=1) - np.median(outer, axis=1)
+    contrast = difference if dot.brighter else -difference
+    best = int(contrast.argmax())
+    if contrast[best] < LEAST_CONTRAST:
+        return Refused(
+            NO_DOT,
+            f"its dot is not seen (the strongest contrast is {contrast[best]:.0f} grey levels, at "
+            f"least {LEAST_CONTRAST:.0f} are needed)",
+        )
+    away = np.hypot(*(places[:, 0] - places[best, 0]).T) > 2.0 * dot.radius
+    if away.any() and contrast[away].max() > 0.6 * contrast[best]:
+        return Refused(TWO_DOTS, "two dots are seen where one should be, so its angle is not known")
+    return np.asarray(poses[best])
+
+
+def _turned(outline: ObjectOutline, pose: Array, turn: float) -> Array:
+    """The pose after a turn about the outline's middle."""
+    middle = transform_points(pose, outline.middle)
+    angle = float(pose[2]) + turn
+    at = middle - transform_points([0.0, 0.0, angle], outline.middle)
+    return np.array(Pose(float(at[0]), float(at[1]), math.remainder(angle, 2.0 * math.pi)))
+
+
+def _greys(image: Image, view: View, outline: ObjectOutline, points: Array) -> Array:
+    """Grey values of the pixels that see points (N, K, 2) of the top."""
+    pixels = np.rint(view.project(points, outline.height)).astype(np.intp)
+    rows, columns = image.shape
+    x = np.clip(pixels[..., 0], 0, columns - 1)
+    y = np.clip(pixels[..., 1], 0, rows - 1)
+    return image[y, x].astype(float)
+
+
+def _walked(polygon: Array, each: int = 8) -> Array:
+    """Points along the sides of a polygon (N, 2)."""
+    after = np.roll(polygon, -1, axis=0)
+    share = np.arange(each) / each
+    return (polygon[:, None] + share[:, None] * (after - polygon)[:, None]).reshape(-1, 2)
+
+
+def _middle(polygon: Array) -> Array:
+    """Centre of the area (2,) of a polygon (N, 2)."""
+    after = np.roll(polygon, -1, axis=0)
+    cross = polygon[:, 0] * after[:, 1] - polygon[:, 1] * after[:, 0]
+    return np.asarray(((polygon + after) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
