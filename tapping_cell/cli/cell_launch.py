@@ -24,6 +24,9 @@ COMMON = {
     "planner": ("", "planning method; empty for the cell file's"),
     "params_file": ("", "file of ROS parameters for every node; its values win over the others"),
     "use_sim_time": ("false", "take the time from /clock, as when a bag is played"),
+    "page": ("false", "serve the operator's web page"),
+    "page_address": ("localhost", "where: 0.0.0.0 for the whole network, with a token"),
+    "page_port": ("8010", "port of the page"),
     "description": ("true", "describe the arm for RViz (robot_state_publisher, where installed)"),
 }
 """Arguments of every launch file: default and description."""
@@ -37,6 +40,19 @@ class LaunchedNode:
     arguments: Mapping[str, str] = field(default_factory=dict)
     """Parameter by launch argument."""
     respawn: bool = False
+
+
+PAGE = LaunchedNode(
+    "operator_page",
+    {
+        "cell_file": "cell_file",
+        "object_file": "object_file",
+        "page_address": "address",
+        "page_port": "port",
+    },
+    respawn=True,
+)
+"""The operator's page, where it is asked for; it moves nothing by itself."""
 
 
 def cell_launch(
@@ -59,6 +75,8 @@ def _start(context: LaunchContext, nodes: Sequence[LaunchedNode]) -> list[Node |
     given = context.launch_configurations
     shared: list[dict[str, object] | str] = [{"use_sim_time": LaunchConfiguration("use_sim_time")}]
     overrides = [given["params_file"]] if given["params_file"] else []
+    if given["page"].lower() == "true":
+        nodes = (*nodes, PAGE)
     started: list[Node | LogInfo] = [
         Node(
             package="tapping_cell",

@@ -1,0 +1,261 @@
+"""The operator's page in a real browser on the whole simulated graph: seen, clicked and dragged."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from tapping_cell_msgs.msg import ArmState, TapperState
+
+from tapping_cell.cli.graph import SIMULATED, Graph
+from tapping_cell.nodes.goal_client import GoalClient
+from tapping_cell.se2 import Pose
+
+webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
+DRIVER = shutil.which("chromedriver")
+if BROWSER is None or DRIVER is None:
+    pytest.skip("Chromium and its chromedriver are not installed", allow_module_level=True)
+
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-dev-shm-usage",
+    "--disable-sync",
+    "--window-size=1280,1000",
+)
+TOLERANCE = (0.001, math.radians(1.0))
+
+
+@dataclass
+class Page:
+    """The page in the browser, and the cell behind it."""
+
+    driver: webdriver.Chrome
+    graph: Graph
+    client: GoalClient
+    url: str
+
+    def wait(self, condition: Callable[[], object], what: str, patience: float = 30.0) -> None:
+        end = time.monotonic() + patience
+        while not condition():
+            self.graph.check()
+            assert time.monotonic() < end, f"waited {patience:.0f} s in vain: {what}; {self.seen()}"
+            time.sleep(0.1)
+
+    def seen(self) -> str:
+        return " | ".join(self.text(each) for each in ("mode", "banner", "goal-words"))
+
+    def element(self, name: str) -> webdriver.remote.webelement.WebElement:
+        return self.driver.find_element("id", name)
+
+    def text(self, name: str) -> str:
+        return str(self.element(name).text)
+
+    def mode(self) -> str:
+        return str(self.driver.execute_script("return document.body.dataset.mode"))
+
+    def fields(self) -> list[float]:
+        names = ("goal-x", "goal-y", "goal-angle")
+        return [float(self.element(each).get_property("value") or "nan") for each in names]
+
+    def type_goal(self, *values: object) -> None:
+        for name, value in zip(("goal-x", "goal-y", "goal-angle"), values, strict=True):
+            field = self.element(name)
+            field.clear()
+            field.send_keys(str(value))
+
+    def drag(self, name: str, right: int, down: int) -> None:
+        hands = webdriver.ActionChains(self.driver, duration=100)
+        hands.move_to_element(self.element(name)).click_and_hold()
+        hands.move_by_offset(right // 2, down // 2).move_by_offset(
+            right - right // 2, down - down // 2
+        )
+        hands.release().perform()
+
+    def ready(self, patience: float = 30.0) -> None:
+        self.wait(lambda: self.mode() == "ready", "the cell is ready", patience)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    folder = tmp_path_factory.mktemp("cell")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    parameters: dict[str, dict[str, object]] = {
+        "sim_world": {"arm_port": folder / "arm", "tapper_port": folder / "tapper", "seed": 3},
+        "scara_arm": {"port": folder / "arm"},
+        "tapper_trigger": {"port": folder / "tapper"},
+        "operator_page": {"port": port},
+    }
+    options = webdriver.ChromeOptions()
+    options.binary_location = BROWSER
+    for flag in (*FLAGS, f"--user-data-dir={folder / 'browser'}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    nodes = (*SIMULATED, "operator_page")
+    with Graph(nodes, parameters, folder / "logs") as graph, GoalClient() as client:
+        driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+        try:
+            made = Page(driver, graph, client, f"http://localhost:{port}/")
+            log = folder / "logs" / "operator_page.log"
+            made.wait(lambda: made.url in log.read_text(), "the node says where its page is")
+            driver.get(made.url)
+            yield made
+        finally:
+            driver.quit()
+
+
+def test_an_idle_cell_is_shown_with_its_picture_and_nodes(page: Page) -> None:
+    page.ready(60.0)
+    names = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
+    page.wait(
+        lambda: all(f"{name}\nactive, ok" in page.text("nodes") for name in names), "every node"
+    )
+    page.wait(lambda: page.element("picture").get_attribute("data-number"), "a picture")
+    width, height = (page.element("picture").get_property(n) for n in ("width", "height"))
+    assert (width, height) == (1280, 1024)
+    assert "picture" in page.text("picture-words") and not page.element("stage-words").text
+    assert page.element("stop").is_enabled() and not page.element("attention").is_displayed()
+    assert not page.element("cancel").is_enabled() and not page.element("download").is_enabled()
+    # Nothing was blocked by the page's own content policy, and nothing failed.
+    complaints = [entry for entry in page.driver.get_log("browser") if entry["level"] == "SEVERE"]
+    assert complaints == []
+
+
+def test_the_dragged_ghost_is_the_goal_and_the_taps_are_told(page: Page) -> None:
+    page.wait(lambda: page.element("ghost-outline").is_displayed(), "the ghost")
+    page.wait(lambda: math.isfinite(page.fields()[0]), "the ghost's numbers")
+    seen = page.client.object_pose()
+    assert page.fields()[:2] == pytest.approx([1e3 * seen.x, 1e3 * seen.y], abs=0.2)
+    before = page.fields()
+    shown = page.element("picture").rect["width"]
+    page.drag("ghost-outline", 60, 24)
+    # About 0.61 mm a pixel of the camera, seen at the size at which the page shows it.
+    scale = 0.61 * 1280 / shown
+    wanted = [before[0] + 60 * scale, before[1] - 24 * scale]
+    page.wait(lambda: page.fields()[:2] == pytest.approx(wanted, abs=3.0), f"{wanted}")
+    turned = page.fields()[2]
+    page.drag("ghost-handle", 6, 10)
+    page.wait(lambda: abs(page.fields()[2] - turned) > 3.0, "the handle turns the ghost")
+    time.sleep(0.5)
+    x, y, angle = page.fields()
+    assert not page.element("goal-trouble").text
+    page.element("send").click()
+    page.wait(lambda: page.mode() == "moving", "the cell moves", 15.0)
+    page.wait(
+        lambda: page.driver.find_elements("css selector", "#taps tbody tr"), "the first tap", 60.0
+    )
+    page.wait(lambda: "reached" in page.text("goal-words"), "the goal is reached", 150.0)
+    rows = page.driver.find_elements("css selector", "#taps tbody tr")
+    assert str(len(rows)) == page.text("to-go-taps")
+    assert rows[-1].find_elements("css selector", "td.remaining.inside")
+    true = page.client.settled_truth()
+    goal = Pose(1e-3 * x, 1e-3 * y, math.radians(angle))
+    slack = 0.1 + 1e-9  # the fields are rounded to 0.1 mm and 0.1 degrees
+    assert true is not None and true.distance_to(goal) <= TOLERANCE[0] + 1e-3 * slack
+    assert abs(true.rotation_to(goal)) <= TOLERANCE[1] + math.radians(slack)
+    assert "goal reached" in page.text("log")
+
+
+def test_wrong_input_is_answered_in_words_and_nothing_moves(page: Page) -> None:
+    page.ready()
+    page.type_goal("abc", 0, 0)
+    page.element("send").click()
+    assert page.text("goal-trouble") == "x is 'abc': type a number in mm, such as 12.5."
+    page.type_goal("400", 0, 0)
+    page.wait(lambda: "400.0 mm" in page.text("goal-trouble"), "the refusal to come")
+    page.element("send").click()
+    page.wait(lambda: "(103)" in page.text("goal-answer"), "the planner's own refusal")
+    assert page.mode() == "ready"
+
+
+def test_stop_takes_one_click_and_the_way_back_is_confirmed(page: Page) -> None:
+    seen = page.client.object_pose()
+    page.type_goal(1e3 * seen.x - 60, 1e3 * seen.y, 0)
+    page.element("send").click()
+    client = page.client
+    page.wait(
+        lambda: client.arm_state and client.arm_state.state == ArmState.MOVING, "the arm moves"
+    )
+    page.element("stop").click()
+    page.wait(
+        lambda: (
+            client.arm_state.state == ArmState.STOPPED
+            and client.tapper_state.state == TapperState.STOPPED
+        ),
+        "both stopped",
+        5.0,
+    )
+    page.wait(lambda: page.mode() == "stopped", "the page says so")
+    assert page.element("attention").is_displayed()
+    page.element("press-button").click()
+    page.wait(lambda: "pressed" in page.text("attention-answer"), "the simulated person")
+    page.element("clear").click()
+    time.sleep(0.5)
+    assert page.mode() == "stopped", "nothing is cleared before it is confirmed"
+    page.element("confirm-yes").click()
+    page.wait(lambda: page.mode() != "stopped", "the stop is cleared")
+    if page.client.arm_state.state == ArmState.NOT_HOMED:
+        page.wait(lambda: page.element("home").is_displayed(), "the page offers to home")
+        page.element("home").click()
+        page.element("confirm-yes").click()
+    page.ready(60.0)
+
+
+def test_a_lost_server_is_said_and_found_again_by_itself(page: Page) -> None:
+    page.ready()
+    os.kill(page.graph.process_ids["operator_page"], signal.SIGKILL)
+    end = time.monotonic() + 10
+    while page.mode() != "lost":
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    # Not seconds later, but at once: nothing may be pressed that would not be heard.
+    for name in ("stop", "send", "cancel", "goal-x", "home-ghost", "download"):
+        assert not page.element(name).is_enabled(), name
+    assert "use its wired emergency stop" in page.text("banner")
+    assert "This picture is" in page.text("stage-words")
+    assert "lost" in str(page.driver.execute_script("return document.body.className"))
+    page.graph.restart("operator_page")
+    page.ready(60.0)
+    assert not page.element("banner").is_displayed() and page.element("stop").is_enabled()
+
+
+def test_a_phone_shows_everything_in_its_width(page: Page) -> None:
+    page.driver.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True},
+    )
+    page.ready()
+    assert page.driver.execute_script("return document.documentElement.scrollWidth") <= 390
+    stop = page.driver.execute_script(
+        "const box = document.getElementById('stop').getBoundingClientRect();"
+        "return [box.left, box.right, box.top, box.bottom, innerWidth, innerHeight];"
+    )
+    left, right, top, bottom, width, height = stop
+    assert left >= 0 and right <= width and top >= 0 and bottom <= height
+    assert right - left > 300 and bottom - top >= 60
+    for control in page.driver.find_elements("css selector", "button, input"):
+        if control.is_displayed():
+            assert control.rect["height"] >= 44, control.get_attribute("id")
+
+
+def test_the_page_file_names_no_other_place() -> None:
+    static = Path(__file__).resolve().parents[2] / "tapping_cell" / "nodes" / "page" / "static"
+    for file in static.iterdir():
+        foreign = file.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
+        assert "http://" not in foreign and "https://" not in foreign, file.name
