@@ -28,6 +28,7 @@ SUBVERBS = {
     "camera": "focal lengths and lens from photographs of a target",
     "table": "where the reference markers are, from images or a printed sheet",
     "arm": "pose of the arm and zero of its elbow, from a record of poses",
+    "tapper": "draw to speed, from how far the object went",
     "print": "true-to-scale sheets: targets, reference markers, object markers",
 }
 

@@ -1,0 +1,390 @@
+"""The striker's speed against the energy that the tapper stores, from how far the object went.
+
+The launch that ends after the measured travel (v0 = sqrt(2 mu g x) for one that does not turn) and
+the impact's ratio of launch to striker speed give a speed a tap. Over the energy it is fitted as
+
+    ln v = a + ln(E) / 2 + g(ln E),
+
+the ideal drive (v ~ sqrt(E)) times a smooth departure g: a Gaussian process, averaged over its size
+and stretch by the marginal likelihood (Rasmussen and Williams, Gaussian Processes for Machine
+Learning, chapter 5). So a straight drive is fitted by one number, a bent one by as many as it
+needs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.calibration.camera import CalibrationRefused
+from tapping_cell.mechanics import Impact, Tap
+
+Array = NDArray[np.float64]
+
+LEAST_TAPS = 8
+POINTS = 8
+"""Pairs of the curve that is written."""
+_NO_MOTION = 0.0003
+"""Travel in m below which the object did not move (a camera's error three times over)."""
+_RELIABLE = 0.9
+"""Share of taps of an energy that must move the object."""
+_OUTLIER = 4.5
+_FLOOR = 0.01
+"""Relative scatter below which no tap is called an outlier."""
+_AMPLITUDES = (0.0, 0.02, 0.04, 0.08, 0.16, 0.32)
+_STRETCHES = (0.35, 0.7, 1.4)
+"""Departures from the ideal drive, relative, and their lengths in shares of the range of ln E."""
+_ALIKE = 0.02
+"""Energies this near to each other (relative) are one draw."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TapRecord:
+    """Taps (N,): ``energies`` in J, travel ``distances`` in m, ``rotations`` in rad, ``incidences``
+    between the contact normal and the striker's axis in rad; ``rows`` of the file.
+    """
+
+    energies: Array
+    distances: Array
+    rotations: Array
+    incidences: Array
+    rows: NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A tap that was not used, and why."""
+
+    row: int
+    reason: str
+
+    def __str__(self) -> str:
+        return f"row {self.row}: {self.reason}"
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """The taps of one energy: how many, how many of them moved the object, their mean speed in m/s
+    and its relative scatter (None for fewer than three)."""
+
+    energy: float
+    taps: int
+    moved: int
+    speed: float
+    scatter: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TapperCalibration:
+    """The curve, rising ``energies`` in J and ``speeds`` in m/s, relative standard ``deviations``
+    of the speeds; ``scatter`` of a tap's speed, relative; ``draws`` by energy; the smallest
+    reliable tap (``least_energy`` in J, ``least_travel`` in m); ``by_friction`` and
+    ``by_restitution``: relative change of all speeds per relative change of the object file's
+    friction and per unit of its restitution.
+    """
+
+    energies: tuple[float, ...]
+    speeds: tuple[float, ...]
+    deviations: tuple[float, ...]
+    scatter: float
+    used: int
+    draws: tuple[Draw, ...]
+    left_out: tuple[LeftOut, ...]
+    least_energy: float
+    least_travel: float
+    by_friction: float
+    by_restitution: float
+    notes: tuple[str, ...]
+
+    @property
+    def uncertainty(self) -> float:
+        """Root mean square of the relative standard deviations over the curve."""
+        return float(np.sqrt(np.mean(np.square(self.deviations))))
+
+
+def striker_speeds(record: TapRecord, tap: Tap) -> Array:
+    """Speed of the striker in m/s that each tap's travel tells, (N,)."""
+    launch = tap.sliding.launch(record.distances, record.rotations)
+    return np.asarray(launch.speed / _launch_ratio(tap.impact, record.incidences))
+
+
+def _launch_ratio(impact: Impact, incidences: Array) -> Array:
+    """Launch speed over striker speed for blows through the middle of the body's near side."""
+    # Towards -x from the centre; for a polygon the nearest side.
+    angles = np.linspace(0.0, 2.0 * np.pi, 721)
+    near = float(np.linalg.norm(impact.body.boundary(angles), axis=-1).min())
+    result = impact.strike(1.0, incidences, np.array([-near, 0.0]))
+    return np.asarray(np.linalg.norm(result.velocity, axis=-1))
+
+
+def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
+    """The curve of the tapper from taps on the object of ``tap``.
+
+    Raises:
+        CalibrationRefused: too few taps that moved the object, or energies of one draw only.
+    """
+    groups = _groups(record.energies)
+    moves = record.distances >= _NO_MOTION
+    moved_share = np.array([moves[groups == g].mean() for g in groups])
+    least_energy = _least(record.energies, moved_share)
+    usable = moves & (record.energies >= least_energy * (1 - _ALIKE))
+    left_out = [
+        LeftOut(
+            int(record.rows[k]),
+            f"the object moved {record.distances[k] * 1e3:.2f} mm: no tap"
+            if not moves[k]
+            else f"energy {record.energies[k] * 1e3:.4g} mJ does not move the object reliably",
+        )
+        for k in np.flatnonzero(~usable)
+    ]
+    if usable.sum() < LEAST_TAPS:
+        raise CalibrationRefused(
+            f"{int(usable.sum())} taps that moved the object are too few: {LEAST_TAPS} are the"
+            " least, 30 over the range are good"
+        )
+    speeds = np.where(usable, striker_speeds(record, tap), 1.0)
+    x, y = np.log(record.energies), np.log(speeds)
+    if len(np.unique(groups[usable])) < 3:
+        raise CalibrationRefused(
+            f"{len(np.unique(groups[usable]))} different energies do not make a curve: use at least"
+            " 3, better 6, from the smallest tap to the largest"
+        )
+    while True:
+        curve = _Curve(x[usable], y[usable])
+        off = np.abs(y - curve.at(x)[0])
+        spread = max(1.4826 * float(np.median(off[usable])), _FLOOR)
+        strange = usable & (off > _OUTLIER * spread)
+        if not strange.any():
+            break
+        worst = int(np.argmax(np.where(strange, off, -1.0)))
+        factor = math.exp(y[worst] - curve.at(x[[worst]])[0][0])
+        left_out.append(
+            LeftOut(
+                int(record.rows[worst]),
+                f"speed {factor:.2f} times that of the other taps at this energy (scatter"
+                f" {100 * spread:.1f} %): missed, disturbed, or a wrong unit?",
+            )
+        )
+        usable[worst] = False
+        if usable.sum() < max(LEAST_TAPS, len(x) // 2):
+            raise CalibrationRefused(
+                "the taps agree with no one curve: more than half of them would have to be left"
+                " out. Check the columns' units and that all taps hit the object's middle"
+            )
+    low, high = float(record.energies[usable].min()), float(record.energies[usable].max())
+    at = np.geomspace(low, high, POINTS)
+    at[[0, -1]] = low, high
+    logs, deviations = curve.at(np.log(at))
+    rising = np.maximum.accumulate(_isotonic(logs) + 1e-6 * np.arange(POINTS))
+    by_friction, by_restitution = _propagation(record, tap, usable)
+    draws = _draws(record, groups, moves, usable, speeds)
+    notes = _notes(tap, curve, draws, by_friction, by_restitution, int(usable.sum()), high / low)
+    smallest = usable & (record.energies <= low * (1 + _ALIKE))
+    return TapperCalibration(
+        energies=tuple(at.tolist()),
+        speeds=tuple(np.exp(rising).tolist()),
+        deviations=tuple(deviations.tolist()),
+        scatter=curve.noise,
+        used=int(usable.sum()),
+        draws=draws,
+        left_out=tuple(sorted(left_out, key=lambda entry: entry.row)),
+        least_energy=low,
+        least_travel=float(np.median(record.distances[smallest])),
+        by_friction=by_friction,
+        by_restitution=by_restitution,
+        notes=notes,
+    )
+
+
+def _groups(energies: Array) -> NDArray[np.intp]:
+    """A number for each tap's draw: energies nearly alike are one."""
+    order = np.argsort(energies, kind="stable")
+    rises = np.diff(energies[order]) > _ALIKE * energies[order][:-1]
+    groups = np.empty(len(energies), dtype=np.intp)
+    groups[order] = np.concatenate([[0], np.cumsum(rises)])
+    return groups
+
+
+def _least(energies: Array, moved_share: Array) -> float:
+    """The least energy from which on all draws move the object reliably, in J."""
+    failing = energies[moved_share < _RELIABLE]
+    above = energies[energies > (failing.max() if len(failing) else 0.0)]
+    if not len(above):
+        raise CalibrationRefused(
+            "no energy moved the object reliably: are the distances in the unit that their column"
+            " names?"
+        )
+    return float(above.min())
+
+
+class _Departure(NamedTuple):
+    """One size and stretch of the departure from the ideal drive, fitted: its share of the belief,
+    Cholesky factor of the covariance, weights of the taps, level a, noise."""
+
+    share: float
+    amplitude: float
+    stretch: float
+    factor: Array
+    weights: Array
+    level: float
+    noise: float
+
+
+class _Curve:
+    """The smooth curve of ln speed over ln energy: mean and standard deviation anywhere.
+
+    Departures of all sizes and stretches are averaged, each by how likely it makes the taps: the
+    doubt whether a bend is there is part of the standard deviation.
+    """
+
+    def __init__(self, x: Array, y: Array) -> None:
+        self._x = x
+        self._range = max(float(x.max() - x.min()), 1e-6)
+        self._drive = y - 0.5 * x
+        tried = []
+        for amplitude in _AMPLITUDES:
+            stretches = _STRETCHES if amplitude else _STRETCHES[:1]
+            for stretch in stretches:
+                evidence, noise = self._evidence(amplitude, stretch)
+                prior = -math.log(len(stretches))
+                fitted = self._solve(amplitude, stretch, noise)
+                tried.append((evidence + prior, amplitude, stretch, *fitted, noise))
+        top = max(entry[0] for entry in tried)
+        total = sum(math.exp(entry[0] - top) for entry in tried)
+        self._departures = [
+            _Departure(math.exp(entry[0] - top) / total, *entry[1:]) for entry in tried
+        ]
+        self.noise = math.sqrt(sum(d.share * d.noise**2 for d in self._departures))
+
+    def _kernel(self, a: Array, b: Array, amplitude: float, stretch: float) -> Array:
+        apart = (a[:, None] - b) / (stretch * self._range)
+        return np.asarray(amplitude**2 * np.exp(-0.5 * apart**2))
+
+    def _solve(self, amplitude: float, stretch: float, noise: float) -> tuple[Array, Array, float]:
+        """Cholesky factor, weights, and the level a."""
+        n = len(self._x)
+        matrix = self._kernel(self._x, self._x, amplitude, stretch) + noise**2 * np.eye(n)
+        factor = np.asarray(np.linalg.cholesky(matrix), dtype=float)
+        ones = np.linalg.solve(factor, np.ones(n))
+        right = np.linalg.solve(factor, self._drive)
+        level = float(ones @ right / (ones @ ones))
+        weights = np.asarray(np.linalg.solve(factor.T, right - level * ones), dtype=float)
+        return factor, weights, level
+
+    def _evidence(self, amplitude: float, stretch: float) -> tuple[float, float]:
+        """Greatest log marginal likelihood over the noise, the level integrated out; the noise."""
+        n = len(self._x)
+        kernel = self._kernel(self._x, self._x, amplitude, stretch)
+        values, vectors = np.linalg.eigh(kernel)
+        drive, ones = vectors.T @ self._drive, vectors.T @ np.ones(n)
+        noise = max(float(np.std(self._drive)), 1e-3) * np.geomspace(0.1, 1.2, 48)
+        variance = np.maximum(values, 0.0) + noise[:, None] ** 2
+        total = (ones**2 / variance).sum(axis=1)
+        level = (ones * drive / variance).sum(axis=1) / total
+        left = (drive - level[:, None] * ones) ** 2 / variance
+        evidence = -0.5 * (left.sum(axis=1) + np.log(variance).sum(axis=1) + np.log(total))
+        best = int(np.argmax(evidence))
+        return float(evidence[best]), float(noise[best])
+
+    def at(self, x: Array) -> tuple[Array, Array]:
+        """ln v and its standard deviation at ln energies ``x``."""
+        mean, square = np.zeros(len(x)), np.zeros(len(x))
+        for d in self._departures:
+            one, variance = self._at(x, d)
+            mean += d.share * one
+            square += d.share * (variance + one**2)
+        return mean, np.sqrt(np.maximum(square - mean**2, 0.0))
+
+    def _at(self, x: Array, d: _Departure) -> tuple[Array, Array]:
+        """Mean and variance for one departure."""
+        cross = self._kernel(x, self._x, d.amplitude, d.stretch)
+        mean = d.level + 0.5 * x + cross @ d.weights
+        ones = np.linalg.solve(d.factor, np.ones(len(self._x)))
+        reduced = np.linalg.solve(d.factor, cross.T)
+        variance = d.amplitude**2 - (reduced**2).sum(axis=0)
+        variance = variance + (1.0 - reduced.T @ ones) ** 2 / (ones @ ones)
+        return mean, np.maximum(variance, 0.0)
+
+
+def _isotonic(values: Array) -> Array:
+    """The rising sequence nearest to ``values`` (pool adjacent violators)."""
+    blocks: list[tuple[float, int]] = []
+    for value in values.tolist():
+        blocks.append((value, 1))
+        while len(blocks) > 1 and blocks[-2][0] > blocks[-1][0]:
+            (b, m), (a, n) = blocks.pop(), blocks.pop()
+            blocks.append(((a * n + b * m) / (n + m), n + m))
+    return np.concatenate([np.full(n, value) for value, n in blocks])
+
+
+def _propagation(record: TapRecord, tap: Tap, usable: NDArray[np.bool_]) -> tuple[float, float]:
+    """Relative change of the speeds per relative change of the friction, and per unit of the
+    restitution, by differences."""
+    part = TapRecord(*(getattr(record, name)[usable] for name in TapRecord.__slots__))
+    plain = striker_speeds(part, tap)
+    step = 0.01
+    rough = Tap(
+        replace(tap.sliding, friction=tap.sliding.friction * (1 + step)),
+        tap.impact,
+        tap.smallest_distance,
+    )
+    e = tap.impact.restitution
+    towards = step if e + step <= 1.0 else -step
+    lively = Tap(tap.sliding, replace(tap.impact, restitution=e + towards), tap.smallest_distance)
+    by_friction = float(np.log(striker_speeds(part, rough) / plain).mean() / step)
+    by_restitution = float(np.log(striker_speeds(part, lively) / plain).mean() / towards)
+    return by_friction, by_restitution
+
+
+def _draws(
+    record: TapRecord,
+    groups: NDArray[np.intp],
+    moves: NDArray[np.bool_],
+    usable: NDArray[np.bool_],
+    speeds: Array,
+) -> tuple[Draw, ...]:
+    draws = []
+    for group in np.unique(groups):
+        own = groups == group
+        good = np.log(speeds[own & usable])
+        scatter = float(good.std(ddof=1)) if len(good) >= 3 else None
+        speed = float(np.exp(good.mean())) if len(good) else 0.0
+        energy = float(record.energies[own].mean())
+        draws.append(Draw(energy, int(own.sum()), int((own & moves).sum()), speed, scatter))
+    return tuple(draws)
+
+
+def _notes(
+    tap: Tap,
+    curve: _Curve,
+    draws: Sequence[Draw],
+    by_friction: float,
+    by_restitution: float,
+    used: int,
+    ratio: float,
+) -> tuple[str, ...]:
+    """What enters, how errors of it go on, and what would be better."""
+    mu, e = tap.sliding.friction, tap.impact.restitution
+    said = [
+        f"assumed from the object file: friction {mu:g}, restitution {e:g}, masses"
+        f" {tap.body.mass:g} and {tap.impact.striker.mass:g} kg",
+        f"1 % more friction means {by_friction:+.2f} % in all speeds, 0.01 more restitution"
+        f" {by_restitution:+.2f} %; taps on the same object come out right all the same, because"
+        " the planner uses the same numbers backwards",
+    ]
+    scattered = [d for d in draws if d.scatter is not None and d.scatter > 2.0 * curve.noise]
+    for draw in scattered:
+        said.append(
+            f"taps of {draw.energy * 1e3:.4g} mJ scatter by {100 * (draw.scatter or 0):.0f} %,"
+            f" those of all by {100 * curve.noise:.1f} %: do not use that draw"
+        )
+    if used < 20:
+        said.append(f"{used} taps are few: 30 over the range are good")
+    if ratio < 4.0:
+        said.append("the energies span less than a factor of 4: the curve ends where they end")
+    return tuple(said)

@@ -1,0 +1,162 @@
+"""Draw to speed of the tapper, from how far the object went.
+
+One row a tap: energy (J; or energy_mJ) and distance (m; or distance_mm) that the object travelled;
+where there are such columns also its rotation (rad; or rotation_deg) and the incidence of the
+striker against the normal of the contact (rad; or incidence_deg; 0 without). About 30 taps through
+the object's middle, at six energies or more from the smallest tap to the largest. Friction and
+restitution come from the object file. Writes a copy of the cell file with the new curve in its
+section tapper.
+
+  python -m tapping_cell calibrate tapper taps.csv --cell config/cell.yaml --output cell.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.calibration.cell_file import calibrated_cell
+from tapping_cell.calibration.csv_table import Column, CsvTable, read_csv
+from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
+from tapping_cell.calibration.tapper import TapperCalibration, TapRecord, calibrate_tapper
+from tapping_cell.cli.output_arguments import add_output_arguments, output_of
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.provenance import Provenance
+
+COLUMNS = (
+    Column("energy", "J", 1e-7, 100.0, least_largest=1e-5),
+    Column("distance", "m", 0.0, 3.0, least_largest=0.002),
+    Column("rotation", "rad", -20.0, 20.0, required=False),
+    Column("incidence", "rad", -1.4, 1.4, required=False),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("record", type=Path, metavar="RECORD.csv", help="the taps")
+    parser.add_argument(
+        "--cell", type=Path, metavar="FILE", help="cell file to start from (the package's own)"
+    )
+    parser.add_argument(
+        "--object", type=Path, metavar="FILE", help="object that was tapped (the cell's)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_output_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Calibrate; 0 if the file was written."""
+    output = output_of(arguments, ("tapper", "calibration"))
+    refuse_existing(output)
+    cell = load_cell(arguments.cell, arguments.object)
+    table = read_csv(arguments.record, COLUMNS)
+    tap = cell.object.tap(cell.file.tapper.striker())
+    result = calibrate_tapper(record_of(table), tap)
+    record = _provenance(result, table, cell.object_path)
+    values = {"energies": list(result.energies), "speeds": list(result.speeds)}
+    text = calibrated_cell(cell, "tapper", values, record, output.path)
+    write_kept(output, text, record, load_cell)
+    found = report(result, table, output.path)
+    old = cell.file.tapper.curve()
+    if old.slowest < 0.99 * result.speeds[0] or old.fastest > 1.01 * result.speeds[-1]:
+        found["notes"].append(
+            f"the old curve went from {old.slowest * 1e3:.0f} to {old.fastest * 1e3:.0f} mm/s; the"
+            f" planner now uses {result.speeds[0] * 1e3:.0f} to {result.speeds[-1] * 1e3:.0f} mm/s,"
+            " where there are taps"
+        )
+    print(json.dumps(found, indent=1) if arguments.json else "\n".join(lines(found)))
+    return 0
+
+
+def record_of(table: CsvTable) -> TapRecord:
+    """The taps of the good rows; what is not said is 0."""
+    zero = np.zeros(len(table.rows))
+    return TapRecord(
+        energies=table.values["energy"],
+        distances=table.values["distance"],
+        rotations=np.nan_to_num(table.values.get("rotation", zero)),
+        incidences=np.nan_to_num(table.values.get("incidence", zero)),
+        rows=table.rows,
+    )
+
+
+def _left_out(result: TapperCalibration, table: CsvTable) -> list[str]:
+    return [
+        *(str(fault) for fault in table.faults),
+        *(f"{table.path}, {entry}" for entry in result.left_out),
+    ]
+
+
+def _provenance(result: TapperCalibration, table: CsvTable, object_path: Path) -> Provenance:
+    names = [f"speed_at_{energy * 1e3:.4g}_mJ" for energy in result.energies]
+    spread = np.array(result.deviations) * np.array(result.speeds)
+    return Provenance(
+        by="calibrate tapper",
+        made=now(),
+        inputs=fingerprints([table.path, object_path]),
+        observations=result.used,
+        left_out=len(result.left_out) + len(table.faults),
+        residual=result.scatter,
+        residual_of="scatter of a tap's speed, relative",
+        uncertainty=result.uncertainty,
+        uncertainty_of="speed over the curve, relative, without the object file's errors",
+        deviations=dict(zip(names, spread.tolist(), strict=True)),
+        notes=(
+            f"smallest reliable tap: {result.least_energy * 1e3:.4g} mJ,"
+            f" {result.least_travel * 1e3:.2f} mm",
+            *_left_out(result, table),
+            *result.notes,
+        ),
+    )
+
+
+def report(result: TapperCalibration, table: CsvTable, path: Path) -> dict[str, Any]:
+    """The result for programs: SI, relative numbers."""
+    return {
+        "output": str(path),
+        "energies": list(result.energies),
+        "speeds": list(result.speeds),
+        "deviations": list(result.deviations),
+        "scatter": result.scatter,
+        "used": result.used,
+        "draws": [asdict(draw) for draw in result.draws],
+        "left_out": _left_out(result, table),
+        "least_energy": result.least_energy,
+        "least_travel": result.least_travel,
+        "by_friction": result.by_friction,
+        "by_restitution": result.by_restitution,
+        "notes": list(result.notes),
+    }
+
+
+def lines(found: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    rows = [f"{'energy mJ':>10} {'taps':>5} {'moved':>5} {'mm/s':>8} {'scatter %':>9}"]
+    for d in found["draws"]:
+        scatter = "" if d["scatter"] is None else f"{100 * d['scatter']:.1f}"
+        rows.append(
+            f"{1e3 * d['energy']:>10.4g} {d['taps']:>5} {d['moved']:>5} {1e3 * d['speed']:>8.1f}"
+            f" {scatter:>9}"
+        )
+    rows.append("the curve:")
+    rows += [
+        f"{1e3 * energy:>10.4g} mJ  {1e3 * speed:>8.1f} mm/s +- {100 * spread:.1f} %"
+        for energy, speed, spread in zip(
+            found["energies"], found["speeds"], found["deviations"], strict=True
+        )
+    ]
+    rows += [f"left out: {text}" for text in found["left_out"]]
+    rows.append(
+        f"{found['used']} taps; a tap's speed scatters by {100 * found['scatter']:.1f} %; smallest"
+        f" reliable tap {1e3 * found['least_energy']:.4g} mJ,"
+        f" {1e3 * found['least_travel']:.1f} mm"
+    )
+    if not math.isclose(found["by_friction"], 0.5, abs_tol=0.02):
+        rows.append(f"speeds go with the friction to the power {found['by_friction']:.2f}")
+    return [*rows, *(f"note: {text}" for text in found["notes"]), f"written: {found['output']}"]
