@@ -1,8 +1,8 @@
 """Position an object in the simulated world, from nothing to the goal.
 
 Starts every node as a process of its own, waits until the cell is ready, sends one goal, shows the
-taps as they happen, ends the nodes and writes a run folder (summary.json, taps.csv,
-cell.png, logs).
+taps as they happen and ends the nodes. The recorder leaves a run folder (report.html, summary.json,
+taps.csv, cell.png, a bag of every topic), beside the nodes' logs.
 The exit status is 0 only where the object is measured to be, and truly is, within the tolerance.
 
     python -m tapping_cell demo --move 10 0 10 --seed 1
@@ -11,11 +11,11 @@ The exit status is 0 only where the object is measured to be, and truly is, with
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import os
 import tempfile
 import time
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -23,16 +23,25 @@ from rich.console import Console
 from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.cli import session
-from tapping_cell.cli.graph import SIMULATED, Graph, NodeDied, own_domain, with_own_ports
+from tapping_cell.cli.graph import RECORDER, SIMULATED, Graph, NodeDied, own_domain
 from tapping_cell.cli.up import node_parameters
-from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.nodes.conversions import from_message
 from tapping_cell.nodes.goal_client import GoalClient
-from tapping_cell.report.run import Failure, Run
-from tapping_cell.report.run_folder import inside, residual, write_failure, write_run
+from tapping_cell.report.run import Run
+from tapping_cell.report.run_folder import (
+    SUMMARY,
+    RunError,
+    read_run,
+    residual,
+    write_failure,
+)
 from tapping_cell.se2 import Pose, wrap_angle
 
 READY_PATIENCE_S = 60.0
+RECORD_PATIENCE_S = 60.0
+INTERRUPTED_PATIENCE_S = 8.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,16 +69,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, help="run folder (default: a new one under runs/)")
 
 
-@dataclass(frozen=True, slots=True)
-class _Heard:
-    """What a run knows when the nodes are about to be ended."""
-
-    start: Pose
-    goal: Pose
-    followed: session.Followed
-    final_true: Pose | None
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb; 0 reached, 1 not reached, 2 wrong input, 130 interrupted."""
     console = Console()
@@ -87,58 +86,63 @@ def run(arguments: argparse.Namespace) -> int:
     # Whatever the shell says: a demo is nobody else's business on the network.
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     console.print(f"run folder {folder}; watch it with ROS_DOMAIN_ID={domain.number}")
+    parameters = node_parameters(arguments, cell)
+    parameters[RECORDER] |= {"folder": folder.parent, "name": folder.name}
+    nodes = (*SIMULATED, RECORDER)
     try:
         with (
             tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports,
-            Graph(
-                SIMULATED,
-                with_own_ports(node_parameters(arguments, cell), Path(ports)),
-                folder / "logs",
-            ) as graph,
+            Graph(nodes, _with_ports(parameters, Path(ports)), folder / "logs") as graph,
             GoalClient("demo") as client,
         ):
-            heard = _position(arguments, cell, graph, client, console)
-    except (NodeDied, session.NotReadyInTime) as error:
+            record = read_run(_position(arguments, graph, client, console))
+    except (NodeDied, session.NotReadyInTime, session.NotRecorded, RunError) as error:
         console.print(f"[red]failed:[/red] {error}", highlight=False)
-        code = ErrorCode.INTERNAL if isinstance(error, NodeDied) else ErrorCode.NOT_READY
-        _write_failure(arguments, folder, code, str(error), time.monotonic() - began)
+        not_ready = isinstance(error, session.NotReadyInTime)
+        code = ErrorCode.NOT_READY if not_ready else ErrorCode.INTERNAL
+        write_failure(folder, code, str(error), arguments.seed, time.monotonic() - began)
         return 1
     except KeyboardInterrupt:
         console.print("interrupted; every node has ended")
         elapsed = time.monotonic() - began
-        _write_failure(arguments, folder, ErrorCode.GOAL_CANCELED, "interrupted", elapsed)
+        write_failure(folder, ErrorCode.GOAL_CANCELED, "interrupted", arguments.seed, elapsed)
         return 130
-    record = _record(arguments, cell, heard, time.monotonic() - began)
-    write_run(folder, record)
-    return _verdict(record, folder, console)
-
-
-def _write_failure(
-    arguments: argparse.Namespace, folder: Path, code: int, sentence: str, wall_time: float
-) -> None:
-    write_failure(
-        folder,
-        Failure(
-            wall_time=wall_time,
-            seed=arguments.seed,
-            versions=session.versions(),
-            error_code=code,
-            error_msg=sentence,
-        ),
-    )
+    return _verdict(record, Path(folder.parent / record.name), time.monotonic() - began, console)
 
 
 def _run_folder(out: Path | None) -> Path:
+    """A folder for this run.
+
+    Raises:
+        FileExistsError: there is a run in it already.
+    """
     folder = out or Path("runs") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
     folder.mkdir(parents=True, exist_ok=True)
+    if (folder / SUMMARY).exists():
+        raise FileExistsError(
+            f"{folder} holds a run already, which is not overwritten; choose another folder"
+        )
     return folder.resolve()
 
 
+def _with_ports(
+    parameters: dict[str, dict[str, object]], ports: Path
+) -> dict[str, dict[str, object]]:
+    """The parameters with ports of this run alone, so that two runs do not meet."""
+    parameters["sim_world"] |= {"arm_port": ports / "arm", "tapper_port": ports / "tapper"}
+    parameters["scara_arm"]["port"] = ports / "arm"
+    parameters["tapper_trigger"]["port"] = ports / "tapper"
+    return parameters
+
+
 def _position(
-    arguments: argparse.Namespace, cell: Cell, graph: Graph, client: GoalClient, console: Console
-) -> _Heard:
+    arguments: argparse.Namespace, graph: Graph, client: GoalClient, console: Console
+) -> Path:
+    """Send the goal and follow it to its end; the folder of its record."""
     session.wait_until_ready(client, READY_PATIENCE_S, graph.check, console)
-    start = client.object_pose()
+    look = client.object_state
+    assert look is not None
+    start = from_message(look.pose.pose)
     if arguments.goal:
         x, y, theta = arguments.goal
         goal = Pose(x / 1000, y / 1000, math.radians(theta))
@@ -147,43 +151,18 @@ def _position(
         turned = float(wrap_angle(start.theta + math.radians(dtheta)))
         goal = Pose(start.x + dx / 1000, start.y + dy / 1000, turned)
     console.print(f"start {session.pose_text(start)}; goal {session.pose_text(goal)}")
-    client.send(goal)
+    client.send(goal, look=look)
     try:
-        followed = session.follow(client, graph.check, console)
+        session.follow(client, graph.check, console)
     except KeyboardInterrupt:
-        client.cancel()
+        if client.cancel():
+            with contextlib.suppress(session.NotRecorded, NodeDied):
+                session.wait_for_record(client, INTERRUPTED_PATIENCE_S, graph.check, console)
         raise
-    return _Heard(start, goal, followed, client.settled_truth())
+    return session.wait_for_record(client, RECORD_PATIENCE_S, graph.check, console)
 
 
-def _record(arguments: argparse.Namespace, cell: Cell, heard: _Heard, wall_time: float) -> Run:
-    finished = heard.followed.finished
-    assert finished is not None
-    tolerance = cell.tolerance
-    reached = (
-        finished.error_code == 0
-        and inside(heard.goal, finished.final_pose, tolerance)
-        and inside(heard.goal, heard.final_true, tolerance)
-    )
-    return Run(
-        goal=heard.goal,
-        start=heard.start,
-        tolerance=tolerance,
-        taps=tuple(heard.followed.taps),
-        final_measured=finished.final_pose,
-        final_true=heard.final_true,
-        reached=reached,
-        wall_time=wall_time,
-        seed=arguments.seed,
-        versions=session.versions(),
-        error_code=finished.error_code,
-        error_msg=finished.error_msg,
-        outline=cell.outline(),
-        table_size=(cell.file.table.length, cell.file.table.width),
-    )
-
-
-def _verdict(record: Run, folder: Path, console: Console) -> int:
+def _verdict(record: Run, folder: Path, wall_time: float, console: Console) -> int:
     measured = residual(record.goal, record.final_measured)
     true = residual(record.goal, record.final_true)
     for name, values in (("measured", measured), ("true", true)):
@@ -194,12 +173,10 @@ def _verdict(record: Run, folder: Path, console: Console) -> int:
             )
     if record.reached:
         console.print(
-            f"[green]goal reached[/green] in {len(record.taps)} taps, {record.wall_time:.0f} s; "
-            f"see {folder / 'cell.png'}"
+            f"[green]goal reached[/green] in {len(record.taps)} taps, {wall_time:.0f} s; "
+            f"see {folder / 'report.html'}"
         )
         return 0
     reason = record.error_msg or "the object is not truly within the tolerance"
-    console.print(
-        f"[red]goal not reached[/red] (code {record.error_code}): {reason}", highlight=False
-    )
+    session.tell_failure(console, record.error_code, reason)
     return 1

@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             session.wait_until_ready(client, arguments.wait, lambda: None, console)
             client.send(goal, (distance / 1000, math.radians(angle)))
-            finished = session.follow(client, lambda: None, console).finished
+            finished = session.follow(client, lambda: None, console)
         except session.NotReadyInTime as error:
             console.print(f"[red]failed:[/red] {error}; is the graph up?", highlight=False)
             return 1
@@ -52,12 +52,8 @@ def run(arguments: argparse.Namespace) -> int:
             client.cancel()
             console.print("goal canceled")
             return 130
-    assert finished is not None
     if finished.error_code:
-        console.print(
-            f"[red]goal not reached[/red] (code {finished.error_code}): {finished.error_msg}",
-            highlight=False,
-        )
+        session.tell_failure(console, finished.error_code, finished.error_msg)
         return 1
     console.print(
         f"[green]goal reached[/green] in {finished.taps} taps; measured residual "

@@ -20,8 +20,14 @@ from typing import IO
 SIMULATED = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 HARDWARE = ("overhead_camera", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 
+RECORDER = "run_recorder"
+"""Records every goal; the cell works without it, so that its end does not end the graph."""
+
 PATIENCE_S = 5.0
 """Time that a node is given to end by itself before it is killed."""
+
+MOST_RECORDER_STARTS = 3
+"""A recorder that ends more often than this is left alone: its log says why."""
 
 _PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux' prctl(2)
 
@@ -54,7 +60,9 @@ class Graph:
         log_folder: Path,
         environment: Mapping[str, str] | None = None,
         namespace: str = "",
+        parameter_file: Path | None = None,
     ) -> None:
+        """``parameters`` of a node win over those of ``parameter_file``, which is for all."""
         self._nodes = tuple(nodes)
         self._parameters = parameters
         self._log_folder = log_folder
@@ -62,6 +70,8 @@ class Graph:
         one_thread = {"OPENBLAS_NUM_THREADS": "1"}
         self._environment = {**one_thread, **os.environ, **(environment or {})}
         self._namespace = namespace
+        self._parameter_file = parameter_file
+        self._recorder_starts = 0
         self._children: list[Child] = []
 
     def __enter__(self) -> Graph:
@@ -86,6 +96,8 @@ class Graph:
         command = [sys.executable, "-m", f"tapping_cell.nodes.{name}", "--ros-args"]
         if self._namespace:
             command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
+        if self._parameter_file is not None:
+            command += ["--params-file", str(self._parameter_file)]
         for key, value in self._parameters.get(name, {}).items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
             command += ["-p", f"{key}:={text}"]
@@ -104,16 +116,24 @@ class Graph:
         return Child(name, process, log, stream)
 
     def check(self) -> None:
-        """Raise where a node has ended.
+        """Raise where a node has ended; the recorder is started again, a few times.
 
         Raises:
             NodeDied: with the node's last words.
         """
-        for child in self._children:
+        for child in tuple(self._children):
             status = child.process.poll()
             if status is not None:
+                if child.name == RECORDER:
+                    self._revive_recorder()
+                    continue
                 words = last_words(child.log)
                 raise NodeDied(f"the node {child.name} ended with status {status}: {words}")
+
+    def _revive_recorder(self) -> None:
+        if self._recorder_starts < MOST_RECORDER_STARTS:
+            self._recorder_starts += 1
+            self.restart(RECORDER)
 
     def restart(self, name: str) -> None:
         """Start a node again that has ended, or was killed.

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-import platform
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from importlib import metadata
+from pathlib import Path
 
 from rich.console import Console
-from tapping_cell_msgs.msg import TapperState
 
-from tapping_cell import __version__
 from tapping_cell.nodes.conversions import from_message
 from tapping_cell.nodes.goal_client import Finished, GoalClient, PhaseChanged, TapDone
-from tapping_cell.report.run import TapRow
+from tapping_cell.report.hints import hint
 from tapping_cell.se2 import Pose
 
 
@@ -24,12 +20,8 @@ class NotReadyInTime(RuntimeError):
     """The graph did not become ready; the sentence says what is missing."""
 
 
-@dataclass
-class Followed:
-    """What was heard of one goal."""
-
-    taps: list[TapRow] = field(default_factory=list)
-    finished: Finished | None = None
+class NotRecorded(RuntimeError):
+    """The recorder did not say that it has written the run."""
 
 
 def end_on_signals() -> None:
@@ -44,18 +36,6 @@ def end_on_signals() -> None:
 
 def _interrupt(*_: object) -> None:
     raise KeyboardInterrupt
-
-
-def versions() -> dict[str, str]:
-    """Versions of the cell and of what its numbers depend on."""
-    packages = ("numpy", "scipy", "rclpy")
-    found = {"tapping_cell": __version__, "python": platform.python_version()}
-    for package in packages:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "unknown"
-    return found
 
 
 def pose_text(pose: Pose) -> str:
@@ -83,53 +63,56 @@ def wait_until_ready(
             time.sleep(0.05)
 
 
-def follow(client: GoalClient, check: Callable[[], None], console: Console) -> Followed:
+def follow(client: GoalClient, check: Callable[[], None], console: Console) -> Finished:
     """Show a goal's progress tap by tap until it ends. ``check`` may raise to give up."""
-    followed = Followed()
     with console.status("goal sent") as status:
         for event in client.events():
             check()
             if isinstance(event, PhaseChanged):
                 status.update(f"tap {event.taps + 1}: {event.phase}")
             elif isinstance(event, TapDone):
-                row = tap_row(event)
-                followed.taps.append(row)
-                console.print(tap_text(row, event))
+                console.print(tap_text(event))
             elif isinstance(event, Finished):
-                followed.finished = event
-    return followed
+                return event
+    raise AssertionError("events end only with the goal")
 
 
-def tap_row(event: TapDone) -> TapRow:
-    """A measured tap as a row of the run folder."""
-    record = event.record
-    return TapRow(
-        number=record.number,
-        tap_id=record.tap_id,
-        method=record.planner,
-        before=from_message(record.object_pose),
-        commanded=Pose(record.dx, record.dy, record.dtheta),
-        predicted=from_message(record.predicted_pose),
-        measured=from_message(record.measured_pose.pose),
-        true_pose=event.true_pose,
-        strike=from_message(record.strike_pose),
-        striker_speed=record.striker_speed,
-        contact_angle=record.contact_angle,
-        outcome=OUTCOMES.get(record.outcome, "unknown"),
-    )
+def wait_for_record(
+    client: GoalClient, patience: float, check: Callable[[], None], console: Console
+) -> Path:
+    """The folder of the run just finished, once the recorder has written it.
+
+    Raises:
+        NotRecorded: it has not after ``patience`` seconds.
+    """
+    deadline = time.monotonic() + patience
+    with console.status("writing the run folder"):
+        while not client.last_run:
+            check()
+            if time.monotonic() > deadline:
+                raise NotRecorded(
+                    f"the run recorder wrote no record within {patience:.0f} s; its log "
+                    "run_recorder.log says why"
+                )
+            time.sleep(0.05)
+    return Path(client.last_run)
 
 
-OUTCOMES = {TapperState.FIRED: "fired", TapperState.NOT_FIRED: "not fired"}
-"""Words for the tapper's outcomes; any other is unknown."""
-
-
-def tap_text(row: TapRow, event: TapDone) -> str:
+def tap_text(event: TapDone) -> str:
     """One line for people about one tap."""
-    moved = 1000 * row.before.distance_to(row.measured)
-    turned = math.degrees(row.before.rotation_to(row.measured))
+    record = event.record
+    before, measured = from_message(record.object_pose), from_message(record.measured_pose.pose)
     return (
-        f"tap {row.number} ({row.method}): striker {1000 * row.striker_speed:.0f} mm/s, moved "
-        f"{moved:.1f} mm and {turned:+.1f} deg; to go "
+        f"tap {record.number} ({record.planner}): striker {1000 * record.striker_speed:.0f} mm/s, "
+        f"moved {1000 * before.distance_to(measured):.1f} mm and "
+        f"{math.degrees(before.rotation_to(measured)):+.1f} deg; to go "
         f"{1000 * event.residual_distance:.2f} mm and "
         f"{math.degrees(event.residual_rotation):.2f} deg"
     )
+
+
+def tell_failure(console: Console, code: int, sentence: str) -> None:
+    """Say that a goal was not reached, why, and what to do about it."""
+    console.print(f"[red]goal not reached[/red] (code {code}): {sentence}", highlight=False)
+    if advice := hint(code):
+        console.print(f"what to do: {advice}", highlight=False)

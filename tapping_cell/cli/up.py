@@ -5,6 +5,7 @@ operator's page.
 
     python -m tapping_cell up
     python -m tapping_cell up --page
+    python -m tapping_cell up --params my_parameters.yaml
     python -m tapping_cell up --hardware --cell my_cell.yaml --camera /dev/video0
 """
 
@@ -17,10 +18,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from tapping_cell.cli.graph import HARDWARE, SIMULATED, Graph, NodeDied
+from tapping_cell.cli.graph import HARDWARE, RECORDER, SIMULATED, Graph, NodeDied
 from tapping_cell.cli.session import end_on_signals
 from tapping_cell.configuration.cell import Cell, load_cell
-from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.configuration.schema import ConfigurationError, read_yaml
 
 LOOK_PERIOD_S = 0.2
 
@@ -35,10 +36,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--planner", help="planning method (default: the cell's)")
     parser.add_argument("--namespace", default="", help="namespace of the nodes")
     parser.add_argument(
-        "--camera", default="/dev/video0", help="with --hardware: device, video file or folder"
+        "--camera", help="with --hardware: device, video file or folder (default: /dev/video0)"
     )
     parser.add_argument("--truth", type=Path, help="simulated: truth file of the world")
-    parser.add_argument("--seed", type=int, default=1, help="simulated: of noise and scatter")
+    parser.add_argument("--seed", type=int, help="simulated: of noise and scatter (default: 1)")
+    parser.add_argument(
+        "--params",
+        type=Path,
+        help="file of ROS parameters for every node; what is given here as an option wins over it",
+    )
+    parser.add_argument(
+        "--runs", type=Path, help="folder that the recorder puts run folders into (default: runs)"
+    )
+    parser.add_argument("--no-record", action="store_true", help="keep no run folders")
     parser.add_argument(
         "--page",
         nargs="?",
@@ -59,10 +69,14 @@ def run(arguments: argparse.Namespace) -> int:
     end_on_signals()
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)
+        if arguments.params is not None:
+            read_yaml(arguments.params)
     except ConfigurationError as error:
         console.print(f"[red]error:[/red] {error}", highlight=False)
         return 2
     nodes = HARDWARE if arguments.hardware else SIMULATED
+    if not arguments.no_record:
+        nodes = (*nodes, RECORDER)
     if arguments.page:
         nodes = (*nodes, "operator_page")
     page_log = arguments.logs / "operator_page.log"
@@ -73,6 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
             node_parameters(arguments, cell),
             arguments.logs.resolve(),
             namespace=arguments.namespace,
+            parameter_file=arguments.params.resolve() if arguments.params else None,
         ) as graph:
             console.print(f"{', '.join(nodes)} are up; logs in {arguments.logs}; Ctrl-C ends them")
             told = not arguments.page
@@ -112,22 +127,27 @@ def tell_page(log: Path, console: Console) -> bool:
 
 
 def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict[str, object]]:
-    """The parameters of each node, from the command line."""
-    files: dict[str, object] = {"cell_file": cell.path, "object_file": cell.object_path}
-    world: dict[str, object] = {**files, "seed": arguments.seed}
-    if arguments.truth:
-        world["truth_file"] = arguments.truth.resolve()
-    planner: dict[str, object] = dict(files)
-    if arguments.planner:
-        planner["planner"] = arguments.planner
+    """The parameters of each node that the command line gives; the rest is left to the nodes."""
+    place: dict[str, object] = {"cell_file": cell.path} if arguments.cell else {}
+    files = dict(place)
+    if arguments.object:
+        files["object_file"] = cell.object_path
+    seed: dict[str, object] = {} if arguments.seed is None else {"seed": arguments.seed}
     parameters: dict[str, dict[str, object]] = {
-        "sim_world": world,
-        "overhead_camera": {"cell_file": cell.path},
+        "sim_world": {**files, **seed},
+        "overhead_camera": dict(place),
         "camera_pose": files,
-        "tap_planner": planner,
-        "scara_arm": {"cell_file": cell.path},
-        "tapper_trigger": {"cell_file": cell.path},
+        "tap_planner": dict(files),
+        "scara_arm": dict(place),
+        "tapper_trigger": dict(place),
+        RECORDER: {**files, **seed},
     }
+    if arguments.truth:
+        parameters["sim_world"]["truth_file"] = arguments.truth.resolve()
+    if arguments.planner:
+        parameters["tap_planner"]["planner"] = arguments.planner
+    if getattr(arguments, "runs", None):
+        parameters[RECORDER]["folder"] = arguments.runs.resolve()
     if getattr(arguments, "page", None):
         address, port = arguments.page
         parameters["operator_page"] = {**files, "address": address, "port": port}

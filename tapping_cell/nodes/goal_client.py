@@ -20,25 +20,14 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import String
 from tapping_cell_msgs.action import PositionObject
 from tapping_cell_msgs.msg import ArmState, ObjectState, PlanState, TapperState, TapRecord
 
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.report.words import PHASES
 from tapping_cell.se2 import Pose
-
-PHASES = {
-    PlanState.IDLE: "idle",
-    PlanState.WAITING_FOR_CELL: "waiting for the cell",
-    PlanState.LOOKING: "looking",
-    PlanState.PLANNING: "planning",
-    PlanState.PLACING: "placing the striker",
-    PlanState.FIRING: "firing",
-    PlanState.SETTLING: "waiting for rest",
-    PlanState.REACHED: "reached",
-    PlanState.FAILED: "failed",
-    PlanState.CANCELED: "canceled",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +74,8 @@ class GoalClient:
         self.arm_state: ArmState | None = None
         self.tapper_state: TapperState | None = None
         self.true_pose: Pose | None = None
+        self.last_run = ""
+        """Folder of the run that the recorder finished last; empty until it has."""
         self._true_pose_heard = 0.0
         self._events: queue.Queue[Event] = queue.Queue()
         self._taps_heard = 0
@@ -95,6 +86,7 @@ class GoalClient:
         subscribe(ObjectState, "object_state", self._on_object_state, 10)
         subscribe(ArmState, "arm_state", self._on_arm_state, LATCHED)
         subscribe(TapperState, "tapper_state", self._on_tapper_state, LATCHED)
+        subscribe(String, "last_run", self._on_last_run, LATCHED)
         subscribe(PoseStamped, "ground_truth", self._on_ground_truth, 10)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
@@ -147,11 +139,20 @@ class GoalClient:
         assert self.object_state is not None
         return from_message(self.object_state.pose.pose)
 
-    def send(self, goal: Pose, tolerance: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Send a goal in ``table``; a tolerance (m, rad) of 0 is the cell's own."""
+    def send(
+        self,
+        goal: Pose,
+        tolerance: tuple[float, float] = (0.0, 0.0),
+        look: ObjectState | None = None,
+    ) -> None:
+        """Send a goal in ``table``; a tolerance (m, rad) of 0 is the cell's own.
+
+        The goal's stamp is that of the ``look`` that it is relative to, where there is one.
+        """
         message = PositionObject.Goal()
         message.goal_pose.header.frame_id = "table"
-        message.goal_pose.header.stamp = self.node.get_clock().now().to_msg()
+        now = self.node.get_clock().now().to_msg()
+        message.goal_pose.header.stamp = look.header.stamp if look is not None else now
         message.goal_pose.pose = to_message(goal)
         message.position_tolerance, message.angle_tolerance = tolerance
         self._taps_heard, self._phase = 0, ""
@@ -163,18 +164,18 @@ class GoalClient:
         future = self._action.send_goal_async(message, feedback_callback=self._on_feedback)
         future.add_done_callback(self._on_response)
 
-    def cancel(self, patience: float = 5.0) -> None:
-        """Cancel the goal and wait until the cell has taken that in."""
+    def cancel(self, patience: float = 5.0) -> bool:
+        """Cancel the goal and wait until the cell has taken that in; False where there is none."""
         handle = self._handle
         if handle is None:
-            return
+            return False
         done = threading.Event()
 
         def ask() -> None:
             handle.cancel_goal_async().add_done_callback(lambda _: done.set())
 
         self._executor.create_task(ask)
-        done.wait(patience)
+        return done.wait(patience)
 
     def events(self, poll: float = 0.2) -> Iterator[Event | None]:
         """Events as they come, and None in between so that the caller can look at other things."""
@@ -205,6 +206,9 @@ class GoalClient:
 
     def _on_tapper_state(self, message: TapperState) -> None:
         self.tapper_state = message
+
+    def _on_last_run(self, message: String) -> None:
+        self.last_run = message.data
 
     def _on_ground_truth(self, message: PoseStamped) -> None:
         self.true_pose = from_message(message.pose)

@@ -34,11 +34,12 @@ def draw_cell(run: Run, path: Path) -> None:
 
 def _headline(run: Run) -> str:
     taps = "1 tap" if len(run.taps) == 1 else f"{len(run.taps)} taps"
-    dx, dy = 1000 * (run.goal.x - run.start.x), 1000 * (run.goal.y - run.start.y)
+    result = f"goal reached in {taps}" if run.reached else f"{run.outcome} after {taps}"
+    if run.start is None or run.goal is None:
+        return result
     turn = math.degrees(run.start.rotation_to(run.goal))
-    task = f"{math.hypot(dx, dy):.1f} mm and {turn:+.1f} deg to go"
-    result = f"goal reached in {taps}" if run.reached else f"goal not reached after {taps}"
-    return f"{task}: {result}"
+    away = 1000 * run.start.distance_to(run.goal)
+    return f"{away:.1f} mm and {turn:+.1f} deg to go: {result}"
 
 
 def _moves(run: Run) -> str:
@@ -56,12 +57,12 @@ def _mm(pose: Pose) -> tuple[float, float]:
 
 
 def _outline_at(run: Run, pose: Pose) -> Array:
-    return 1000 * transform_points(pose, np.asarray(run.outline))
+    return 1000 * transform_points(pose, np.asarray(run.outline).reshape(-1, 2))
 
 
 def _heading(run: Run, pose: Pose) -> Array:
     """A line from the centre to the rim along the object's x axis: the turn of a disk shows."""
-    reach = float(np.max(np.hypot(*np.asarray(run.outline).T)))
+    reach = max((math.hypot(x, y) for x, y in run.outline), default=0.0)
     return 1000 * transform_points(pose, [[0.0, 0.0], [reach, 0.0]])
 
 
@@ -71,19 +72,19 @@ def _draw_table(axes: Axes, run: Run) -> None:
     axes.add_patch(
         Rectangle((x[0], y[0]), x[1] - x[0], y[1] - y[0], facecolor="#faf7f0", edgecolor="#998")
     )
-    poses = [(run.start, START, "start", 1.0)]
-    poses += [(tap.measured, REST, "", 0.35 + 0.5 * tap.number / len(run.taps)) for tap in run.taps]
-    for pose, colour, _, alpha in poses:
+    poses = [(run.start, START, 1.0)] if run.start is not None else []
+    poses += [(tap.measured, REST, 0.35 + 0.5 * tap.number / len(run.taps)) for tap in run.taps]
+    for pose, colour, alpha in poses:
         axes.add_patch(
             Polygon(_outline_at(run, pose), fill=False, edgecolor=colour, alpha=alpha, lw=1.2)
         )
         axes.plot(*_heading(run, pose).T, color=colour, alpha=alpha, lw=1.0)
-    axes.add_patch(
-        Polygon(
-            _outline_at(run, run.goal), facecolor=GOAL, alpha=0.15, edgecolor=GOAL, lw=2.0, ls="--"
+    if run.goal is not None:
+        at_goal = _outline_at(run, run.goal)
+        axes.add_patch(
+            Polygon(at_goal, facecolor=GOAL, alpha=0.15, edgecolor=GOAL, lw=2.0, ls="--")
         )
-    )
-    axes.plot(*_heading(run, run.goal).T, color=GOAL, lw=2.0, ls="--")
+        axes.plot(*_heading(run, run.goal).T, color=GOAL, lw=2.0, ls="--")
     for tap in run.taps:
         _draw_strike(axes, run, tap.before, tap.strike, tap.number)
     # Legend handles that stand for the drawn outlines.
@@ -114,11 +115,14 @@ def _draw_strike(axes: Axes, run: Run, before: Pose, strike: Pose, number: int) 
 
 def _draw_close_up(axes: Axes, run: Run) -> None:
     tolerance = 1000 * run.tolerance[0]
-    axes.add_patch(Circle(_mm(run.goal), tolerance, facecolor=GOAL, alpha=0.2, edgecolor=GOAL))
-    axes.plot(*_mm(run.goal), marker="+", color=GOAL, ms=14, mew=2)
-    axes.plot(*_mm(run.start), marker="o", color=START, ms=6)
-    axes.annotate("start", _mm(run.start), (-4, 10), textcoords="offset points", color=START)
-    axes.annotate("goal", _mm(run.goal), (-8, -26), textcoords="offset points", color=GOAL)
+    ends = [pose for pose in (run.start, run.goal) if pose is not None]
+    if run.goal is not None:
+        axes.add_patch(Circle(_mm(run.goal), tolerance, facecolor=GOAL, alpha=0.2, edgecolor=GOAL))
+        axes.plot(*_mm(run.goal), marker="+", color=GOAL, ms=14, mew=2)
+        axes.annotate("goal", _mm(run.goal), (-8, -26), textcoords="offset points", color=GOAL)
+    if run.start is not None:
+        axes.plot(*_mm(run.start), marker="o", color=START, ms=6)
+        axes.annotate("start", _mm(run.start), (-4, 10), textcoords="offset points", color=START)
     for tap in run.taps:
         axes.annotate(
             "",
@@ -133,11 +137,12 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
     axes.plot([], [], marker="x", ls="", color="#888888", label="predicted end of a tap")
     axes.plot([], [], color=REST, label="measured move of a tap")
     axes.legend(loc="best", fontsize=8)
-    points = np.array([_mm(run.start), _mm(run.goal), *(_mm(tap.measured) for tap in run.taps)])
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    half = max(float(np.max(np.ptp(points, axis=0))) / 2 * 1.35, 4 * tolerance)
-    axes.set_xlim(middle[0] - half, middle[0] + half)
-    axes.set_ylim(middle[1] - half, middle[1] + half)
+    points = np.array([_mm(pose) for pose in ends] + [_mm(tap.measured) for tap in run.taps])
+    if len(points):
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2
+        half = max(float(np.max(np.ptp(points, axis=0))) / 2 * 1.35, 4 * tolerance, 1.0)
+        axes.set_xlim(middle[0] - half, middle[0] + half)
+        axes.set_ylim(middle[1] - half, middle[1] + half)
     axes.set(
         title=f"path of the centre, tolerance {tolerance:g} mm",
         xlabel="x (mm)",
@@ -147,10 +152,12 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
 
 
 def _draw_residuals(upper: Axes, lower: Axes, run: Run) -> None:
-    poses = [run.start, *(tap.measured for tap in run.taps)]
-    numbers = range(len(poses))
-    distance = [1000 * pose.distance_to(run.goal) for pose in poses]
-    rotation = [abs(math.degrees(pose.rotation_to(run.goal))) for pose in poses]
+    goal = run.goal
+    starts = [run.start] if run.start is not None else []
+    poses = [*starts, *(tap.measured for tap in run.taps)] if goal is not None else []
+    numbers = range(1 - len(starts), len(poses) + 1 - len(starts))
+    distance = [1000 * pose.distance_to(goal) for pose in poses if goal is not None]
+    rotation = [abs(math.degrees(pose.rotation_to(goal))) for pose in poses if goal is not None]
     series = (
         (upper, distance, 1000 * run.tolerance[0], "distance to go (mm)"),
         (lower, rotation, math.degrees(run.tolerance[1]), "rotation to go (deg)"),
@@ -162,6 +169,6 @@ def _draw_residuals(upper: Axes, lower: Axes, run: Run) -> None:
             axes.annotate(
                 f"{value:.2f}", (number, value), (6, 4), textcoords="offset points", fontsize=8
             )
-        axes.set(ylabel=label, xlabel="taps", xlim=(-0.3, len(poses) - 0.4))
-        axes.set_ylim(0, 1.15 * max(*values, 2 * limit) if len(values) > 1 else 2 * limit)
+        axes.set(ylabel=label, xlabel="taps", xlim=(-0.3, len(run.taps) + 0.6))
+        axes.set_ylim(0, 1.15 * max([*values, 2 * limit, 1.0]))
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))

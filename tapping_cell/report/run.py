@@ -1,19 +1,25 @@
-"""One positioning run, as it is written down and drawn."""
+"""One positioning run, as it is written down, drawn and told."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 
 from tapping_cell.se2 import Pose
 
 Outline = tuple[tuple[float, float], ...]
+
+REACHED, NOT_TRULY_REACHED = "reached", "not truly reached"
+FAILED, CANCELED, REFUSED, UNFINISHED = "failed", "canceled", "refused", "unfinished"
+"""How a run ended. Unfinished: its end was not heard."""
 
 
 @dataclass(frozen=True, slots=True)
 class TapRow:
     """One tap of a run. Poses in ``table``; displacements in table axes; m, rad, m/s.
 
-    ``true_pose`` is None where nobody knows it (on hardware).
+    ``true_pose`` is None where nobody knows it (on hardware). ``commanded_at``, ``fired_at`` and
+    ``at_rest_at`` in s since the run began; they and ``measured_speed`` are NaN where not known.
     """
 
     number: int
@@ -28,34 +34,69 @@ class TapRow:
     striker_speed: float
     contact_angle: float
     outcome: str
+    measured_speed: float = math.nan
+    commanded_at: float = math.nan
+    fired_at: float = math.nan
+    at_rest_at: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """What the planner did from ``began`` (s since the run began) on."""
+
+    began: float
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """Something that a node complained of: when (s since the run began), who, code, sentence."""
+
+    at: float
+    source: str
+    code: int
+    sentence: str
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run from start to end, as it is written down. Poses in ``table``; m, rad, s."""
+    """One run from start to end, as it is written down. Poses in ``table``; m, rad, s.
 
-    goal: Pose
-    start: Pose
+    ``goal`` and ``start`` are None where they never were known; ``seed`` where nothing is
+    simulated. ``began`` is in s since 1970. ``files`` holds the text of each configuration file.
+    """
+
+    name: str
+    goal: Pose | None
+    start: Pose | None
     tolerance: tuple[float, float]
     taps: tuple[TapRow, ...]
     final_measured: Pose | None
     final_true: Pose | None
-    reached: bool
+    outcome: str
     wall_time: float
-    seed: int
+    seed: int | None
     versions: dict[str, str]
     error_code: int
     error_msg: str
     outline: Outline
     table_size: tuple[float, float]
+    planner: str = ""
+    object_name: str = ""
+    began: float = math.nan
+    phases: tuple[Phase, ...] = ()
+    troubles: tuple[Trouble, ...] = ()
+    files: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def reached(self) -> bool:
+        """True where the object is measured to be, and as far as is known truly is, at the goal."""
+        return self.outcome == REACHED
 
 
 @dataclass(frozen=True, slots=True)
-class Failure:
-    """A run that ended before it had a result. ``wall_time`` in s."""
+class Picture:
+    """A camera's picture with what the cell saw drawn in: s since the run began, JPEG bytes."""
 
-    wall_time: float
-    seed: int
-    versions: dict[str, str]
-    error_code: int
-    error_msg: str
+    at: float
+    jpeg: bytes

@@ -1,26 +1,40 @@
-"""The folder that a positioning run leaves: ``summary.json``, ``taps.csv`` and ``cell.png``."""
+"""The folder of a run: ``summary.json``, ``taps.csv``, ``cell.png`` and ``report.html`` of a bag.
+
+All of them are made from the bag beside them and can be made again; without the bag, picture and
+page can still be made from summary and taps.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import csv
-import dataclasses
 import json
 import math
+import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tapping_cell.report.cell_view import draw_cell
-from tapping_cell.report.run import Failure, Run, TapRow
+from tapping_cell.report.bag import BagError
+from tapping_cell.report.run import FAILED, UNFINISHED, Phase, Picture, Run, TapRow, Trouble
+from tapping_cell.report.run_reader import Story, read_story
+from tapping_cell.report.versions import versions
 from tapping_cell.se2 import Pose
 
+SUMMARY, TAPS, CELL, PAGE, BAG = "summary.json", "taps.csv", "cell.png", "report.html", "bag"
 _POSE_KEYS = ("x_mm", "y_mm", "theta_deg")
 _NO_POSE = Pose(0.0, 0.0, 0.0)
 _BLANK_TAP = TapRow(0, 0, "", *(_NO_POSE,) * 6, striker_speed=0.0, contact_angle=0.0, outcome="")
+_TIMES = ("commanded_at", "fired_at", "at_rest_at")
 
 
-def residual(goal: Pose, pose: Pose | None) -> dict[str, float] | None:
-    """What remains to the goal, in mm and degrees; None where the pose is not known."""
-    if pose is None:
+class RunError(ValueError):
+    """A run folder that cannot be read; the sentence says which file, and what to do."""
+
+
+def residual(goal: Pose | None, pose: Pose | None) -> dict[str, float] | None:
+    """What remains to the goal, in mm and degrees; None where one of them is not known."""
+    if pose is None or goal is None:
         return None
     return {
         "distance_mm": 1000 * pose.distance_to(goal),
@@ -29,15 +43,6 @@ def residual(goal: Pose, pose: Pose | None) -> dict[str, float] | None:
         "y_mm": 1000 * (goal.y - pose.y),
         "theta_deg": math.degrees(pose.rotation_to(goal)),
     }
-
-
-def inside(goal: Pose, pose: Pose | None, tolerance: tuple[float, float]) -> bool:
-    """True where the pose is known and within (m, rad) of the goal."""
-    return (
-        pose is not None
-        and pose.distance_to(goal) <= tolerance[0]
-        and abs(pose.rotation_to(goal)) <= tolerance[1]
-    )
 
 
 def for_people(pose: Pose | None) -> dict[str, float] | None:
@@ -54,6 +59,8 @@ def for_people(pose: Pose | None) -> dict[str, float] | None:
 def summary(run: Run) -> dict[str, Any]:
     """The content of ``summary.json``."""
     return {
+        "name": run.name,
+        "outcome": run.outcome,
         "goal": for_people(run.goal),
         "start": for_people(run.start),
         "tolerance": {
@@ -62,13 +69,23 @@ def summary(run: Run) -> dict[str, Any]:
         },
         "reached": run.reached,
         "taps": len(run.taps),
+        "planner": run.planner,
+        "object": run.object_name,
+        "final_measured": for_people(run.final_measured),
+        "final_true": for_people(run.final_true),
         "measured_residual": residual(run.goal, run.final_measured),
         "true_residual": residual(run.goal, run.final_true),
+        "began": run.began if math.isfinite(run.began) else None,
         "wall_time": run.wall_time,
         "seed": run.seed,
         "versions": run.versions,
         "error_code": run.error_code,
         "error_msg": run.error_msg,
+        "phases": [[phase.began, phase.name] for phase in run.phases],
+        "troubles": [[t.at, t.source, t.code, t.sentence] for t in run.troubles],
+        "outline_mm": [[1000 * x, 1000 * y] for x, y in run.outline],
+        "table_mm": [1000 * size for size in run.table_size],
+        "files": run.files,
     }
 
 
@@ -93,32 +110,182 @@ def tap_columns(tap: TapRow) -> dict[str, object]:
             row[name + key] = f"{value:.4f}"
     row["striker_speed_mm_s"] = f"{1000 * tap.striker_speed:.2f}"
     row["contact_angle_deg"] = f"{math.degrees(tap.contact_angle):.3f}"
+    row["measured_speed_mm_s"] = f"{1000 * tap.measured_speed:.2f}"
+    for name in _TIMES:
+        row[f"{name}_s"] = f"{getattr(tap, name):.3f}"
     return row
 
 
-def write_failure(folder: Path, failure: Failure) -> None:
-    """Write the summary of a run that ended before it had a result into an existing folder."""
-    content = {
-        "goal": None,
-        "reached": False,
-        "taps": 0,
-        "measured_residual": None,
-        "true_residual": None,
-        **dataclasses.asdict(failure),
-    }
-    _write_summary(folder, content)
+def write_folder(folder: Path, pictures: bool = True) -> Run:
+    """Write all that can be told of the bag in a run folder; what stood there is made again.
+
+    Raises:
+        tapping_cell.report.bag.BagError: the folder holds no bag, or one without a goal.
+        OSError: the folder cannot be written.
+    """
+    story = read_story(folder / BAG, folder.name)
+    if story.run.outcome == UNFINISHED:
+        # Somebody else may have seen why it has no end.
+        with contextlib.suppress(RunError):
+            told = read_run(folder)
+            ended = replace(
+                story.run,
+                outcome=told.outcome,
+                error_code=told.error_code,
+                error_msg=told.error_msg,
+            )
+            story = replace(story, run=ended)
+    write_story(folder, story, pictures)
+    return story.run
 
 
-def _write_summary(folder: Path, content: dict[str, Any]) -> None:
-    text = json.dumps(content, indent=2, allow_nan=False)
-    (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+def write_failure(
+    folder: Path, code: int, sentence: str, seed: int | None, wall_time: float
+) -> None:
+    """Write down why a run ended, where the cell itself could not say it; ``wall_time`` in s.
+
+    A run that was recorded to its end stays as it is.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    run = Run(
+        name=folder.name,
+        goal=None,
+        start=None,
+        tolerance=(0.0, 0.0),
+        taps=(),
+        final_measured=None,
+        final_true=None,
+        outcome=FAILED,
+        wall_time=wall_time,
+        seed=seed,
+        versions=versions(),
+        error_code=code,
+        error_msg=sentence,
+        outline=(),
+        table_size=(0.0, 0.0),
+    )
+    with contextlib.suppress(RunError):
+        run = read_run(folder)
+        if run.outcome != UNFINISHED:
+            return
+        run = replace(run, outcome=FAILED, error_code=code, error_msg=sentence)
+    pictures: tuple[Picture, ...] = ()
+    with contextlib.suppress(BagError):
+        pictures = read_story(folder / BAG, folder.name).pictures
+    write_story(folder, Story(run, pictures))
 
 
-def write_run(folder: Path, run: Run) -> None:
-    """Write the three files into an existing folder."""
-    _write_summary(folder, summary(run))
-    with (folder / "taps.csv").open("w", newline="", encoding="utf-8") as stream:
+def write_story(folder: Path, story: Story, pictures: bool = True) -> None:
+    """Write summary and taps of a run and, unless ``pictures`` is False, picture and page.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    run = story.run
+    text = json.dumps(summary(run), indent=2, allow_nan=False)
+    _replace(folder / SUMMARY, text + "\n")
+    rows = folder / f".{TAPS}"
+    with rows.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, fieldnames=list(tap_columns(_BLANK_TAP)))
         writer.writeheader()
         writer.writerows(tap_columns(tap) for tap in run.taps)
-    draw_cell(run, folder / "cell.png")
+    os.replace(rows, folder / TAPS)
+    if pictures:
+        # Drawing takes a second to load: not where only the tables are wanted.
+        from tapping_cell.report.cell_view import draw_cell
+        from tapping_cell.report.run_page import page
+
+        draw_cell(run, folder / CELL)
+        _replace(folder / PAGE, page(story))
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    fresh = path.with_name(f".{path.name}")
+    fresh.write_text(text, encoding="utf-8")
+    os.replace(fresh, path)
+
+
+def read_run(folder: Path) -> Run:
+    """A run from its summary and taps, as a run folder keeps them when its bag is gone.
+
+    Raises:
+        RunError: a file is missing or damaged.
+    """
+    path = folder / SUMMARY
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        path = folder / TAPS
+        with path.open(newline="", encoding="utf-8") as stream:
+            taps = tuple(_tap(row) for row in csv.DictReader(stream))
+        path = folder / SUMMARY
+        return _run(content, taps)
+    except OSError as error:
+        raise RunError(
+            f"{path} cannot be read ({error.strerror}); is this a run folder?"
+        ) from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunError(f"{path} is damaged or of another version: {error!r}") from error
+
+
+def _run(content: dict[str, Any], taps: tuple[TapRow, ...]) -> Run:
+    tolerance, table = content["tolerance"], content["table_mm"]
+    return Run(
+        name=content["name"],
+        goal=_pose(content["goal"]),
+        start=_pose(content["start"]),
+        tolerance=(tolerance["distance_mm"] / 1000, math.radians(tolerance["rotation_deg"])),
+        taps=taps,
+        final_measured=_pose(content["final_measured"]),
+        final_true=_pose(content["final_true"]),
+        outcome=content["outcome"],
+        wall_time=content["wall_time"],
+        seed=content["seed"],
+        versions=content["versions"],
+        error_code=content["error_code"],
+        error_msg=content["error_msg"],
+        outline=tuple((x / 1000, y / 1000) for x, y in content["outline_mm"]),
+        table_size=(table[0] / 1000, table[1] / 1000),
+        planner=content["planner"],
+        object_name=content["object"],
+        began=math.nan if content["began"] is None else content["began"],
+        phases=tuple(Phase(*phase) for phase in content["phases"]),
+        troubles=tuple(Trouble(*trouble) for trouble in content["troubles"]),
+        files=content["files"],
+    )
+
+
+def _pose(content: dict[str, float] | None) -> Pose | None:
+    if content is None:
+        return None
+    x, y, theta = (content[key] for key in _POSE_KEYS)
+    return Pose(x / 1000, y / 1000, math.radians(theta))
+
+
+def _tap(row: dict[str, str]) -> TapRow:
+    def pose(prefix: str) -> Pose:
+        found = _pose({key: float(row[prefix + key]) for key in _POSE_KEYS})
+        assert found is not None
+        return found
+
+    true = pose("true_")
+    return TapRow(
+        number=int(row["tap"]),
+        tap_id=int(row["tap_id"]),
+        method=row["method"],
+        before=pose("before_"),
+        commanded=pose("commanded_d"),
+        predicted=pose("predicted_"),
+        measured=pose("measured_"),
+        true_pose=true if math.isfinite(true.x) else None,
+        strike=pose("strike_"),
+        striker_speed=float(row["striker_speed_mm_s"]) / 1000,
+        contact_angle=math.radians(float(row["contact_angle_deg"])),
+        outcome=row["outcome"],
+        measured_speed=float(row["measured_speed_mm_s"]) / 1000,
+        commanded_at=float(row["commanded_at_s"]),
+        fired_at=float(row["fired_at_s"]),
+        at_rest_at=float(row["at_rest_at_s"]),
+    )

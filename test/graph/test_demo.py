@@ -13,8 +13,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from rosbags.highlevel import AnyReader
 
-NODES = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
+from tapping_cell.report.bag import read_bag
+
+NODES = (
+    "sim_world",
+    "camera_pose",
+    "tap_planner",
+    "scara_arm",
+    "tapper_trigger",
+    "run_recorder",
+)
 
 
 def start(folder: Path, *options: str) -> subprocess.Popen[str]:
@@ -75,6 +85,64 @@ def test_the_demo_reaches_a_goal_and_tells_the_truth(folder: Path) -> None:
             assert abs(float(row[f"measured_{axis}"]) - float(row[f"true_{axis}"])) < 0.2
     assert (folder / "cell.png").stat().st_size > 20_000
     assert "goal reached" in output and "tap 1" in output
+    the_bag_tells_the_run(folder, len(rows))
+    assert f"Goal reached in {len(rows)} tap" in (folder / "report.html").read_text()
+    again = start(folder)
+    output, _ = again.communicate(timeout=60)
+    assert again.returncode == 2 and "holds a run already" in " ".join(output.split())
+
+
+def the_bag_tells_the_run(folder: Path, taps: int) -> None:
+    """The bag opens with ROS's types and holds the run from before its first tap."""
+    with AnyReader([folder / "bag"]) as reader:
+        first = {}
+        counts: dict[str, int] = {}
+        for connection, stamp, data in reader.messages():
+            first.setdefault(connection.topic, stamp)
+            counts[connection.topic] = counts.get(connection.topic, 0) + 1
+            reader.deserialize(data, connection.msgtype)
+    assert counts["/tap_command"] >= taps and counts["/goal_report"] >= 1
+    for topic in ("/object_state", "/arm_state", "/tapper_state", "/plan_state", "/ground_truth"):
+        assert first[topic] < first["/tap_command"], topic
+    assert {"/joint_states", "/markers", "/diagnostics", "/camera/camera_info"} <= set(counts)
+    assert counts["/camera/image_annotated/compressed"] >= taps
+    size = sum(file.stat().st_size for file in (folder / "bag").iterdir())
+    assert size < 10e6 * max(1.0, taps / 3)
+
+
+def test_ctrl_c_in_a_goal_leaves_its_record(folder: Path) -> None:
+    process = start(folder, "--move", "100", "0", "90")
+    wait_for_nodes(folder, process)
+    deadline = time.monotonic() + 60
+    while not (folder / "bag").exists():
+        assert time.monotonic() < deadline and process.poll() is None
+        time.sleep(0.1)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(30) == 130
+    content = json.loads((folder / "summary.json").read_text())
+    assert (content["outcome"], content["error_code"]) == ("canceled", 111)
+    assert content["goal"] is not None and content["reached"] is False
+    assert read_bag(folder / "bag").whole
+
+
+def test_a_killed_recorder_does_not_disturb_the_goal(folder: Path) -> None:
+    """It is started again, and records the rest beside what it had."""
+    process = start(folder, "--seed", "5", "--move", "-25", "15", "-12")
+    nodes = wait_for_nodes(folder, process)
+    deadline = time.monotonic() + 60
+    while not (folder / "bag").exists():
+        assert time.monotonic() < deadline and process.poll() is None
+        time.sleep(0.05)
+    time.sleep(2.0)
+    os.kill(nodes["run_recorder"], signal.SIGKILL)
+    output, _ = process.communicate(timeout=180)
+    assert process.returncode == 0, output
+    rest = folder.with_name(folder.name + "_2")
+    content = json.loads((rest / "summary.json").read_text())
+    assert content["reached"] is True and content["taps"] >= 1
+    cut = read_bag(folder / "bag")
+    assert not cut.whole and any(True for _ in cut.of("plan_state"))
 
 
 @pytest.mark.parametrize("inherited", [signal.SIG_DFL, signal.SIG_IGN], ids=["terminal", "job"])

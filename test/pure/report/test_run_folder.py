@@ -1,84 +1,244 @@
-"""The run folder says what happened, in mm and degrees, and can be read by a program."""
+"""The run folder says what happened, in mm and degrees, and is made of the bag alone."""
 
 from __future__ import annotations
 
 import csv
 import json
 import math
+import re
+import shutil
 from dataclasses import replace
+from html.parser import HTMLParser
 from pathlib import Path
 
 import cv2
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_bags import BEGAN, GOAL, STOPS, MadeRun
 
-from tapping_cell.report.run import Failure, Run, TapRow
-from tapping_cell.report.run_folder import inside, residual, summary, write_failure, write_run
+from tapping_cell.report.bag import BagError, bag_file, read_bag
+from tapping_cell.report.cell_view import draw_cell
+from tapping_cell.report.run_folder import (
+    RunError,
+    read_run,
+    residual,
+    summary,
+    write_failure,
+    write_folder,
+)
+from tapping_cell.report.run_page import page
+from tapping_cell.report.run_reader import Story, inside, read_story
 from tapping_cell.se2 import Pose
 
-START, GOAL, END = Pose(0.0, 0.0, 0.1), Pose(0.01, 0.0, 0.3), Pose(0.0102, 0.0001, 0.301)
-TAP = TapRow(
-    number=1,
-    tap_id=7,
-    method="exact",
-    before=START,
-    commanded=Pose(0.01, 0.0, 0.2),
-    predicted=GOAL,
-    measured=END,
-    true_pose=END,
-    strike=Pose(-0.07, 0.0, 0.02),
-    striker_speed=0.2,
-    contact_angle=3.1,
-    outcome="fired",
-)
-RUN = Run(
-    goal=GOAL,
-    start=START,
-    tolerance=(0.001, math.radians(1.0)),
-    taps=(TAP, replace(TAP, number=2, true_pose=None)),
-    final_measured=END,
-    final_true=END,
-    reached=True,
-    wall_time=12.5,
-    seed=3,
-    versions={"python": "3"},
-    error_code=0,
-    error_msg="",
-    outline=((0.05, 0.0), (0.0, 0.05), (-0.05, 0.0), (0.0, -0.05)),
-    table_size=(0.6, 0.44),
-)
+VOID = {"meta", "img", "br"}
 
 
-def test_the_folder_holds_three_files_that_agree(tmp_path: Path) -> None:
-    write_run(tmp_path, RUN)
-    content = json.loads((tmp_path / "summary.json").read_text())
-    assert content["reached"] is True and content["taps"] == 2 and content["seed"] == 3
-    assert content["goal"] == {"x_mm": 10.0, "y_mm": 0.0, "theta_deg": math.degrees(0.3)}
-    assert content["true_residual"]["distance_mm"] == pytest.approx(math.hypot(0.2, 0.1))
-    with (tmp_path / "taps.csv").open() as stream:
+class Page(HTMLParser):
+    """A page's words and resources; every element must be closed in its order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.words: list[str] = []
+        self.resources: list[str] = []
+        self._open: list[str] = []
+        self.feed(text)
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        names = [name for name, _ in attributes]
+        assert len(names) == len(set(names)), (tag, names)
+        self.resources += [value or "" for name, value in attributes if name in ("src", "href")]
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        names = [name for name, _ in attributes]
+        assert len(names) == len(set(names)), (tag, names)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+def make(folder: Path, made: MadeRun) -> Path:
+    folder.mkdir()
+    return made.write(folder)
+
+
+def test_the_folder_holds_its_files_and_they_agree(tmp_path: Path) -> None:
+    folder = make(tmp_path / "run", MadeRun(STOPS, troubles=[(3.0, 512, "busy <b>")]))
+    run = write_folder(folder)
+    content = json.loads((folder / "summary.json").read_text())
+    assert run.reached and content["reached"] is True and content["outcome"] == "reached"
+    assert content["taps"] == 2 and content["seed"] == 5 and content["error_code"] == 0
+    assert content["goal"]["x_mm"] == pytest.approx(30) and content["began"] == BEGAN
+    assert content["wall_time"] == pytest.approx(21.0)
+    left = content["measured_residual"]["distance_mm"]
+    assert left == pytest.approx(math.hypot(0.5, 0.3))
+    assert content["true_residual"]["distance_mm"] == pytest.approx(math.hypot(0.6, 0.3))
+    with (folder / "taps.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [row["tap"] for row in rows] == ["1", "2"]
-    assert float(rows[0]["measured_x_mm"]) == pytest.approx(10.2)
-    assert float(rows[0]["commanded_dtheta_deg"]) == pytest.approx(math.degrees(0.2), abs=1e-4)
-    assert math.isnan(float(rows[1]["true_x_mm"]))
-    picture = cv2.imread(str(tmp_path / "cell.png"))
+    assert float(rows[0]["measured_x_mm"]) == pytest.approx(10.0)
+    assert float(rows[0]["true_x_mm"]) == pytest.approx(10.1)
+    assert [float(row["fired_at_s"]) for row in rows] == [4.5, 14.5]
+    assert [float(row["commanded_at_s"]) for row in rows] == [2.0, 12.0]
+    assert {row["outcome"] for row in rows} == {"fired"}
+    picture = cv2.imread(str(folder / "cell.png"))
     assert picture.shape[0] > 400 and picture.std() > 5
+    told = Page((folder / "report.html").read_text())
+    assert all(name.startswith("data:image/jpeg") for name in told.resources)
+    assert len(told.resources) == 3
+    for words in ("Goal reached in 2 taps", "Tap 2", "ARM_BUSY", "busy <b>", "<made> & cell"):
+        assert words in told.text
 
 
-def test_a_run_without_a_tap_is_written_too(tmp_path: Path) -> None:
-    write_run(tmp_path, replace(RUN, taps=(), final_measured=None, final_true=None, reached=False))
-    assert json.loads((tmp_path / "summary.json").read_text())["true_residual"] is None
-    header = (tmp_path / "taps.csv").read_text().splitlines()
-    assert len(header) == 1 and "predicted_x_mm" in header[0]
+def test_picture_and_page_are_made_again_from_summary_and_taps_alone(tmp_path: Path) -> None:
+    folder = make(tmp_path / "run", MadeRun(STOPS, troubles=[(3.0, 512, "busy")]))
+    first = write_folder(folder, pictures=False)
+    again = read_run(folder)
+    assert set(summary(again)) == set(summary(first))
+    for name in ("outcome", "planner", "seed", "files", "versions", "began", "error_code"):
+        assert summary(again)[name] == summary(first)[name]
+    assert page(Story(again, ())).replace("data:", "").count("<svg") == 6
+    assert again.phases == first.phases and again.troubles == first.troubles
+    for one, other in zip(first.taps, again.taps, strict=True):
+        assert one.measured.distance_to(other.measured) < 1e-7
+        assert one.true_pose is not None and other.true_pose is not None
+        assert one.fired_at == pytest.approx(other.fired_at, abs=1e-3)
 
 
-def test_a_failed_run_has_its_code_and_sentence(tmp_path: Path) -> None:
-    write_failure(tmp_path, Failure(3.0, 1, {}, 902, "the cell was not ready"))
+@pytest.mark.parametrize(
+    ("made", "outcome", "words"),
+    [
+        (MadeRun(STOPS, truth_off=0.002), "not truly reached", "not truly there"),
+        (MadeRun(STOPS, truth=False), "reached", "Goal reached in 2 taps"),
+        (MadeRun(STOPS, state=8, code=503, sentence="alarm 2"), "failed", "ARM_ALARM"),
+        (MadeRun(STOPS[:2], state=9, code=111, sentence="canceled"), "canceled", "Goal canceled"),
+        (
+            MadeRun(
+                STOPS[:1], refused=True, state=8, code=103, sentence="off", goal=Pose(0.9, 0, 0)
+            ),
+            "refused",
+            "Send a goal farther inside",
+        ),
+        (
+            MadeRun(
+                STOPS[:1],
+                refused=True,
+                state=8,
+                code=101,
+                sentence="NaN",
+                goal=Pose(math.nan, 0, 0),
+                tolerance=(math.nan, 0.0),
+            ),
+            "refused",
+            "GOAL_NOT_FINITE",
+        ),
+        (MadeRun(STOPS[:2], told_end=False), "unfinished", "the recording ended"),
+        (MadeRun(STOPS[:1]), "not truly reached", "not truly there"),
+        (MadeRun(STOPS, namespace="/left/cell"), "reached", "Goal reached in 2 taps"),
+    ],
+    ids=[
+        "not true",
+        "hardware",
+        "failed",
+        "canceled",
+        "refused",
+        "NaN",
+        "unfinished",
+        "no tap",
+        "namespace",
+    ],
+)
+def test_every_end_is_told_truly(made: MadeRun, outcome: str, words: str, tmp_path: Path) -> None:
+    folder = make(tmp_path / "run", made)
+    run = write_folder(folder, pictures=False)
+    content = json.loads((folder / "summary.json").read_text())
+    assert run.outcome == content["outcome"] == outcome
+    assert content["reached"] is (outcome == "reached")
+    assert (content["error_code"] == 0) == (outcome in ("reached", "not truly reached"))
+    assert words in Page(page(read_story(folder / "bag"))).text
+
+
+def test_a_run_without_start_or_goal_is_drawn_too(tmp_path: Path) -> None:
+    refused = MadeRun(STOPS[:1], refused=True, state=8, code=101, goal=Pose(math.nan, 0, 0))
+    story = read_story(make(tmp_path / "run", refused) / "bag")
+    for name, run in (
+        ("no_goal", story.run),
+        ("nothing", replace(story.run, start=None, outline=(), table_size=(0.0, 0.0))),
+    ):
+        draw_cell(run, tmp_path / f"{name}.png")
+        assert cv2.imread(str(tmp_path / f"{name}.png")).std() > 5
+        assert "Goal refused" in Page(page(Story(run, ()))).text
+
+
+def test_the_bag_of_a_killed_recorder_tells_the_run_as_far_as_it_goes(tmp_path: Path) -> None:
+    folder = make(tmp_path / "run", MadeRun(STOPS))
+    file = bag_file(folder / "bag")
+    whole = read_bag(file)
+    made = MadeRun(STOPS, told_end=False)
+    shutil.rmtree(folder)
+    folder.mkdir()
+    made.write(folder)
+    data = file.read_bytes()
+    file.write_bytes(data[:-40])
+    (folder / "bag" / "metadata.yaml").unlink()
+    assert whole.whole and not read_bag(file).whole
+    run = write_folder(folder, pictures=False)
+    assert (run.outcome, len(run.taps), run.error_code) == ("unfinished", 2, 906)
+
+
+def test_a_bag_without_a_goal_is_refused_in_words(tmp_path: Path) -> None:
+    folder = make(tmp_path / "run", MadeRun(STOPS[:1], told_end=False, refused=True))
+    with pytest.raises(BagError, match="no goal was recorded"):
+        read_story(folder / "bag")
+
+
+def test_a_failure_before_any_goal_has_its_code_and_sentence(tmp_path: Path) -> None:
+    write_failure(tmp_path, 902, "the cell was not ready", 1, 3.0)
     content = json.loads((tmp_path / "summary.json").read_text())
     assert content["error_code"] == 902 and content["reached"] is False
-    assert content["error_msg"] == "the cell was not ready"
-    assert set(summary(RUN)) - {"start", "tolerance"} <= set(content)
+    assert content["error_msg"] == "the cell was not ready" and content["seed"] == 1
+    assert len((tmp_path / "taps.csv").read_text().splitlines()) == 1
+    assert "NOT_READY" in Page((tmp_path / "report.html").read_text()).text
+
+
+def test_a_failure_completes_an_unfinished_run_and_no_other(tmp_path: Path) -> None:
+    folder = make(tmp_path / "cut", MadeRun(STOPS[:2], told_end=False))
+    write_folder(folder, pictures=False)
+    write_failure(folder, 904, "the node camera_pose ended", 5, 9.0)
+    for run in (read_run(folder), write_folder(folder, pictures=False)):
+        assert (run.outcome, run.error_code, len(run.taps)) == ("failed", 904, 1)
+        assert "camera_pose" in run.error_msg
+    folder = make(tmp_path / "ended", MadeRun(STOPS))
+    write_folder(folder, pictures=False)
+    write_failure(folder, 111, "interrupted", 5, 9.0)
+    assert read_run(folder).reached
+
+
+@pytest.mark.parametrize(
+    ("name", "content"), [("summary.json", "{"), ("summary.json", "{}"), ("taps.csv", "tap\nx\n")]
+)
+def test_a_damaged_folder_is_refused_in_words(name: str, content: str, tmp_path: Path) -> None:
+    folder = make(tmp_path / "run", MadeRun(STOPS))
+    write_folder(folder, pictures=False)
+    (folder / name).write_text(content)
+    with pytest.raises(RunError, match="damaged or of another version"):
+        read_run(folder)
+
+
+def test_a_missing_folder_is_refused_in_words(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="cannot be read"):
+        read_run(tmp_path)
 
 
 poses = st.builds(Pose, st.floats(-1, 1), st.floats(-1, 1), st.floats(-10, 10))
@@ -93,3 +253,25 @@ def test_residuals_are_short_ways_round_and_decide_what_is_inside(goal: Pose, po
     expected = left["distance_mm"] <= 1.0 and left["rotation_deg"] <= 1.0
     assert inside(goal, pose, (0.001, math.radians(1.0))) == expected
     assert not inside(goal, None, (1.0, 4.0))
+
+
+@settings(deadline=None, max_examples=8)
+@given(
+    stops=st.lists(
+        st.builds(Pose, st.floats(-0.2, 0.2), st.floats(-0.15, 0.15), st.floats(-3, 3)),
+        min_size=1,
+        max_size=5,
+    )
+)
+def test_a_run_of_any_taps_is_read_back_as_it_was(
+    stops: list[Pose], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.mktemp("run")
+    run = read_story(MadeRun(stops).write(folder) / "bag").run
+    assert len(run.taps) == len(stops) - 1
+    assert run.goal is not None and run.goal.distance_to(GOAL) < 1e-12
+    assert run.start is not None and run.start.distance_to(stops[0]) < 1e-12
+    for tap, stop in zip(run.taps, stops[1:], strict=True):
+        assert tap.measured.distance_to(stop) < 1e-12
+        assert abs(tap.measured.rotation_to(stop)) < 1e-9
+    assert re.fullmatch("reached|not truly reached", run.outcome)

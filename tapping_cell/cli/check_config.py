@@ -1,0 +1,223 @@
+"""Say what is wrong with configuration files, all of it at once, without starting anything.
+
+Of a cell file the files that it names are looked at too, and whether they fit together: marker ids,
+heights, joint limits, the tapper's speeds, the arm's reach over the table, the planner. The kind of
+a file is told from its keys.
+
+    python -m tapping_cell check-config config/cell.yaml
+    python -m tapping_cell check-config my/objects/*.yaml --kind object --json
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import importlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from tapping_cell.cli.graph import HARDWARE, RECORDER, SIMULATED
+from tapping_cell.configuration.cell import CellFile, load_cell
+from tapping_cell.configuration.conflicts import conflicts
+from tapping_cell.configuration.objects import ObjectFile, load_object
+from tapping_cell.configuration.problems import problems_of
+from tapping_cell.configuration.schema import ConfigurationError, read_yaml
+from tapping_cell.configuration.table import TableFile, load_camera_model, load_reference_map
+from tapping_cell.nodes.parameters import FOREIGN_PREFIXES
+from tapping_cell.simulation.truth import TruthFile
+
+SECTIONS: dict[str, type] = {
+    "cell": CellFile,
+    "table": TableFile,
+    "object": ObjectFile,
+    "truth": TruthFile,
+}
+CAMERA_INFO, PARAMETERS = "camera_info", "parameters"
+CAMERA_KEYS = {
+    "image_width",
+    "image_height",
+    "camera_matrix",
+    "distortion_model",
+    "distortion_coefficients",
+}
+KINDS = (*SECTIONS, CAMERA_INFO, PARAMETERS)
+NODES = (*dict.fromkeys((*SIMULATED, *HARDWARE, RECORDER)), "operator_page")
+
+
+@dataclass
+class Findings:
+    """What was found in one file."""
+
+    file: Path
+    kind: str | None
+    errors: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the verb."""
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="file to look at")
+    parser.add_argument("--kind", choices=KINDS, help="of all files (default: told from the keys)")
+    parser.add_argument("--json", action="store_true", help="print the findings for a program")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb; 0 no error in any file, 1 some."""
+    found: list[Findings] = []
+    for path in arguments.files:
+        found += check(path, arguments.kind)
+    # A file that several cells name is told once.
+    told = list({entry.file.resolve(): entry for entry in reversed(found)}.values())[::-1]
+    good = not any(entry.errors for entry in told)
+    if arguments.json:
+        files = [
+            {
+                "file": str(entry.file),
+                "kind": entry.kind,
+                "errors": entry.errors,
+                "warnings": entry.warnings,
+            }
+            for entry in told
+        ]
+        print(json.dumps({"ok": good, "files": files}, indent=2))
+    else:
+        _tell(told, Console(soft_wrap=True))
+    return 0 if good else 1
+
+
+def _tell(told: list[Findings], console: Console) -> None:
+    for entry in told:
+        words = f"{entry.file} ({entry.kind or 'of no known kind'})"
+        console.print(
+            f"{words}: {'wrong' if entry.errors else 'ok'}", highlight=False, markup=False
+        )
+        for title, colour, sentences in (
+            ("error", "red", entry.errors),
+            ("warning", "yellow", entry.warnings),
+        ):
+            for sentence in sentences:
+                console.print(f"  {title}: {sentence}", style=colour, highlight=False, markup=False)
+
+
+def check(path: Path, kind: str | None = None) -> list[Findings]:
+    """What is wrong with a file and, of a cell file, with those that it names."""
+    try:
+        document = read_yaml(path)
+    except ConfigurationError as error:
+        return [Findings(path, kind, [str(error)])]
+    kind = kind or recognise(document)
+    found = Findings(path, kind)
+    if kind is None:
+        found.errors.append(
+            f"{path}: its keys are those of no known file; give --kind, one of {', '.join(KINDS)}"
+        )
+    elif kind == PARAMETERS:
+        found.errors += check_parameters(document, path)
+    elif kind == CAMERA_INFO:
+        found.errors += _refusal(load_camera_model, path)
+    else:
+        found.errors += problems_of(SECTIONS[kind], document, str(path))
+        if not found.errors and kind == "table":
+            found.errors += _refusal(load_reference_map, path)
+        elif not found.errors and kind == "object":
+            found.errors += _refusal(load_object, path)
+    if kind == "cell" and isinstance(document, Mapping):
+        return [found, *_check_named(document, path, found)]
+    return [found]
+
+
+def _check_named(document: Mapping[Any, Any], path: Path, found: Findings) -> list[Findings]:
+    """The files that a cell file names, and what is wrong between them."""
+    named: list[Findings] = []
+    for key, kind in (
+        ("reference_markers", "table"),
+        ("camera_info", CAMERA_INFO),
+        ("object", "object"),
+    ):
+        if isinstance(document.get(key), str):
+            named += check(path.parent / document[key], kind)
+    if not found.errors and not any(entry.errors for entry in named):
+        try:
+            errors, warnings = conflicts(load_cell(path))
+        except ConfigurationError as error:
+            errors, warnings = [str(error)], []
+        found.errors += errors
+        found.warnings += warnings
+    return named
+
+
+def _refusal(load: Any, path: Path) -> list[str]:
+    try:
+        load(path)
+    except ConfigurationError as error:
+        return [str(error)]
+    return []
+
+
+def recognise(document: Any) -> str | None:
+    """The kind of a file by its keys; None where they are those of none, or of several alike."""
+    if not isinstance(document, Mapping) or not document:
+        return None
+    keys = {str(key) for key in document}
+    if all(_holds_parameters(value) for value in document.values()):
+        return PARAMETERS
+    names = {kind: {f.name for f in dataclasses.fields(own)} for kind, own in SECTIONS.items()}
+    names[CAMERA_INFO] = CAMERA_KEYS
+    shares = sorted(
+        ((len(keys & own) / len(own), kind) for kind, own in names.items()), reverse=True
+    )
+    (best, kind), (second, _) = shares[:2]
+    return kind if best > second else None
+
+
+def _holds_parameters(value: Any) -> bool:
+    """Whether a value of a ROS parameter file leads to ``ros__parameters``, at any depth."""
+    if not isinstance(value, Mapping):
+        return False
+    return "ros__parameters" in value or (
+        bool(value) and all(_holds_parameters(inner) for inner in value.values())
+    )
+
+
+def check_parameters(document: Any, path: Path) -> list[str]:
+    """What is wrong with a file of ROS parameters.
+
+    What stands under ``/**`` goes to every node, so that every node must know it.
+    """
+    if recognise(document) != PARAMETERS:
+        return [
+            f"{path}: is no ROS parameter file; it holds node names, under each 'ros__parameters'"
+        ]
+    found: list[str] = []
+    for name, values in _by_node(document):
+        node = name.rsplit("/", 1)[-1]
+        source = f"{path}: {name}"
+        if node not in (*NODES, "**", "*"):
+            found.append(f"{source}: no node has this name; the nodes are {', '.join(NODES)}")
+            continue
+        if not isinstance(values, Mapping):
+            found.append(f"{source}: 'ros__parameters' must be a mapping of names to values")
+            continue
+        own = {key: v for key, v in values.items() if not str(key).startswith(FOREIGN_PREFIXES)}
+        for known in NODES if node in ("**", "*") else (node,):
+            module = importlib.import_module(f"tapping_cell.nodes.{known}")
+            said = problems_of(module.Parameters, own, source)
+            found += [f"{s} (the node {known})" if node in ("**", "*") else s for s in said]
+    return found
+
+
+def _by_node(document: Mapping[Any, Any], above: str = "") -> list[tuple[str, Any]]:
+    """Node names with the namespaces before them, and their parameters."""
+    found = []
+    for name, value in document.items():
+        place = f"{above}/{str(name).strip('/')}" if above else str(name)
+        if "ros__parameters" in value:
+            found.append((place, value["ros__parameters"]))
+        inner = {key: v for key, v in value.items() if key != "ros__parameters"}
+        found += _by_node(inner, place)
+    return found

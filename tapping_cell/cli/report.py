@@ -1,0 +1,141 @@
+"""Make the files of run folders again, and compare runs.
+
+A run is a folder that the recorder or the demo left, or the bag of a run alone. Of each run folder
+summary.json, taps.csv, cell.png and report.html are made again from its bag or, where that is gone,
+picture and page from summary and taps. Of several runs a page comparison.html is made as well.
+
+    python -m tapping_cell report runs/2026-11-21_15-10-00_to_20_10_0
+    python -m tapping_cell report runs/* --output comparison
+    python -m tapping_cell report rescued/bag.mcap --output rescued --json
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import os
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from tapping_cell.report.bag import BagError
+from tapping_cell.report.run import Run
+from tapping_cell.report.run_comparison import Row, comparison_page, groups_of, row_of
+from tapping_cell.report.run_folder import (
+    BAG,
+    PAGE,
+    RunError,
+    read_run,
+    write_folder,
+    write_story,
+)
+from tapping_cell.report.run_reader import Story, read_story
+
+COMPARISON = "comparison.html"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the verb."""
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run folder, or bag")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        help="folder for what is made: a bag's report, the comparison of several runs (default: "
+        "beside the bag; the folder that holds the first run)",
+    )
+    parser.add_argument("--json", action="store_true", help="print the figures for a program")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb; 0 all runs told, 1 some cannot be read, 2 none can."""
+    console = Console(stderr=arguments.json)
+    told: list[tuple[Run, Path]] = []
+    several = len(arguments.runs) > 1
+    quiet = not console.is_terminal or not several
+    for path in track(arguments.runs, "reading runs", console=console, disable=quiet):
+        try:
+            told.append(tell(path, None if several else arguments.output))
+        except (BagError, RunError, OSError) as error:
+            console.print(f"[red]error:[/red] {error}", highlight=False)
+    if not told:
+        return 2
+    rows = [row_of(run) for run, _ in told]
+    written = told[0][1] / PAGE
+    if len(told) > 1:
+        written = compare(told, arguments.output or told[0][1].parent)
+    if arguments.json:
+        figures = {
+            "runs": [_plain(row) for row in rows],
+            "groups": [_plain(group) for group in groups_of(rows)],
+            "page": str(written),
+        }
+        print(json.dumps(figures, indent=2, allow_nan=False))
+    else:
+        console.print(table_of(rows))
+        console.print(f"see {written}", highlight=False, soft_wrap=True)
+    return 0 if len(told) == len(arguments.runs) else 1
+
+
+def tell(path: Path, output: Path | None) -> tuple[Run, Path]:
+    """Write the files of one run again; the run and the folder they are in.
+
+    Raises:
+        BagError, RunError, OSError: it cannot be read, or the files cannot be written.
+    """
+    is_folder = path.is_dir() and not any(path.glob("*.mcap"))
+    if is_folder and output is None:
+        if (path / BAG).is_dir():
+            return write_folder(path), path
+        story = Story(read_run(path), ())
+    elif is_folder:
+        story = (
+            read_story(path / BAG, path.name)
+            if (path / BAG).is_dir()
+            else Story(read_run(path), ())
+        )
+    else:
+        own = path if path.is_dir() else path.parent
+        story = read_story(path, (own.parent if own.name == BAG else own).resolve().name)
+    folder = output or (path if is_folder else path.parent)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_story(folder, story)
+    return story.run, folder
+
+
+def compare(told: list[tuple[Run, Path]], folder: Path) -> Path:
+    """Write the page that compares runs; it replaces the comparison of another time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    links = [os.path.relpath(own / PAGE, folder) for _, own in told]
+    page = folder / COMPARISON
+    page.write_text(comparison_page([run for run, _ in told], links), encoding="utf-8")
+    return page
+
+
+def table_of(rows: list[Row]) -> Table:
+    """The runs for people."""
+    table = Table(box=None, pad_edge=False)
+    for name in ("run", "outcome", "planner", "taps", "mm to go", "deg to go", "time s"):
+        table.add_column(name, justify="left" if name in ("run", "outcome", "planner") else "right")
+    for row in rows:
+        table.add_row(
+            row.name,
+            row.outcome,
+            row.planner,
+            str(row.taps),
+            *(f"{v:.3f}" if math.isfinite(v) else "-" for v in (row.distance, row.rotation)),
+            f"{row.time:.1f}",
+        )
+    return table
+
+
+def _plain(row: object) -> dict[str, object]:
+    """Figures for JSON, which knows no NaN."""
+    values = dataclasses.asdict(row)  # type: ignore[call-overload]
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in values.items()
+    }

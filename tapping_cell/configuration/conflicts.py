@@ -1,0 +1,196 @@
+"""What contradicts what among the files of a cell; every finding is a sentence with the remedy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from tapping_cell.configuration.assembly import make_planner_settings, make_strike_space
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.mechanics import MechanicsError
+from tapping_cell.planning import FreeSpace, PlanningError, make_planner, planner_names
+
+LEAST_WORKABLE = 0.5
+"""Share of the usable area below which a cell's reach is worth a word."""
+NOISE_ROOM = 3.0
+"""Standard deviations of a look that should fit into the tolerance."""
+
+
+def conflicts(cell: Cell) -> tuple[list[str], list[str]]:
+    """Errors (a goal would fail) and warnings (it may, or something is not there yet)."""
+    errors = [*_markers(cell), *_heights(cell), *_joints(cell), *_curve(cell), *_planner(cell)]
+    warnings = [*_lens(cell), *_noise(cell), *_ports(cell)]
+    reach_errors, reach_warnings = _reach(cell)
+    return errors + reach_errors, warnings + reach_warnings
+
+
+def _markers(cell: Cell) -> Iterator[str]:
+    marker, references = cell.object.marker, cell.references
+    if marker is None:
+        return
+    if marker.dictionary == references.dictionary:
+        taken = [entry.id for entry in references.markers]
+        if marker.id in taken:
+            yield (
+                f"{cell.object_path}: key 'marker.id' is {marker.id}, which is a reference marker "
+                f"of the table too ({min(taken)} to {max(taken)}); give the object another one"
+            )
+    half = marker.size / 2 * math.sqrt(2)
+    reach = max(math.hypot(x, y) for x, y in cell.outline())
+    off = math.hypot(*marker.offset[:2])
+    if off + half > reach + 1e-9:
+        yield (
+            f"{cell.object_path}: the marker of {1e3 * marker.size:.1f} mm at {1e3 * off:.1f} mm "
+            f"from the centre sticks out of the object ({1e3 * reach:.1f} mm); use a smaller one"
+        )
+
+
+def _heights(cell: Cell) -> Iterator[str]:
+    arm, tapper, path = cell.file.arm, cell.file.tapper, cell.path
+    if arm.strike_height >= cell.object.height:
+        yield (
+            f"{path}: key 'arm.strike_height' is {1e3 * arm.strike_height:.1f} mm, but the object "
+            f"is {1e3 * cell.object.height:.1f} mm high: the striker passes over it; lower it"
+        )
+    if arm.strike_height < tapper.tip_radius:
+        yield (
+            f"{path}: key 'arm.strike_height' is {1e3 * arm.strike_height:.1f} mm, below the tip's "
+            f"radius of {1e3 * tapper.tip_radius:.1f} mm: the tip scrapes the table; raise it"
+        )
+    if arm.travel_height <= max(arm.strike_height, cell.object.height):
+        yield (
+            f"{path}: key 'arm.travel_height' is {1e3 * arm.travel_height:.1f} mm; it must be "
+            f"above the object ({1e3 * cell.object.height:.1f} mm) and the strike height"
+        )
+    if tapper.stroke <= tapper.standoff:
+        yield (
+            f"{path}: key 'tapper.stroke' is {1e3 * tapper.stroke:.1f} mm, not more than "
+            f"'tapper.standoff' ({1e3 * tapper.standoff:.1f} mm): the striker never reaches the "
+            "object"
+        )
+
+
+def _joints(cell: Cell) -> Iterator[str]:
+    arm = cell.file.arm
+    for name, joints in (("park", arm.park), ("home", arm.home)):
+        for index, (low, value, high) in enumerate(zip(arm.lower, joints, arm.upper, strict=True)):
+            if not low <= value <= high:
+                yield (
+                    f"{cell.path}: key 'arm.{name}[{index}]' is {value:g}, outside the joint's "
+                    f"limits {low:g} to {high:g} ('arm.lower', 'arm.upper')"
+                )
+
+
+def _curve(cell: Cell) -> Iterator[str]:
+    """The speeds that the tapper can make, against the smallest tap of the object."""
+    curve = cell.file.tapper.curve()
+    smallest = cell.object.smallest_tap
+    try:
+        needed = float(
+            make_strike_space(cell).tap.plan(np.array([smallest, 0.0, 0.0])).striker_speed
+        )
+    except (MechanicsError, PlanningError) as error:
+        yield f"{cell.object_path}: no tap of {1e3 * smallest:.1f} mm can be planned: {error}"
+        return
+    if needed < curve.slowest:
+        yield (
+            f"{cell.path}: the slowest speed of 'tapper.speeds' is {1e3 * curve.slowest:.0f} mm/s, "
+            f"but the object's smallest tap of {1e3 * smallest:.1f} mm ('smallest_tap') needs "
+            f"{1e3 * needed:.0f} mm/s; calibrate the tapper lower, or raise smallest_tap"
+        )
+    if needed > curve.fastest:
+        yield (
+            f"{cell.path}: the fastest speed of 'tapper.speeds' is {1e3 * curve.fastest:.0f} mm/s, "
+            f"but even the smallest tap of {1e3 * smallest:.1f} mm needs {1e3 * needed:.0f} mm/s"
+        )
+
+
+def _planner(cell: Cell) -> Iterator[str]:
+    name = cell.file.goal.planner
+    if name not in planner_names():
+        yield (
+            f"{cell.path}: key 'goal.planner' is '{name}', but must be one of "
+            + ", ".join(planner_names())
+        )
+        return
+    try:
+        make_planner(name, make_planner_settings(cell, cell.tolerance))
+    except PlanningError as error:
+        yield f"{cell.path}: the planner '{name}' cannot work with these files: {error}"
+
+
+def _reach(cell: Cell) -> tuple[list[str], list[str]]:
+    """How much of the usable area can be worked on, by the planner's own map."""
+    space = make_strike_space(cell)
+    free = FreeSpace(space)
+    fits = space.workspace.object_room(free.centres) >= space.object_radius
+    if not fits.any():
+        return [
+            f"{cell.path}: the object of {1e3 * space.object_radius:.0f} mm radius fits nowhere on "
+            f"the table of {1e3 * space.workspace.length:.0f} x {1e3 * space.workspace.width:.0f} "
+            "mm with its margins and keep-outs"
+        ], []
+    share = float(np.count_nonzero(free.workable)) / float(np.count_nonzero(fits))
+    if share == 0.0:
+        return [
+            f"{cell.path}: the arm can serve no place on the table: every one lacks taps from a "
+            "half plane of directions; check 'arm.base', the links and the joint limits"
+        ], []
+    if share < LEAST_WORKABLE:
+        return [], [
+            f"{cell.path}: only {100 * share:.0f} % of the places where the object fits can be "
+            "served by the arm; goals elsewhere are refused"
+        ]
+    return [], []
+
+
+def _lens(cell: Cell) -> Iterator[str]:
+    camera = cell.camera
+    matrix = camera.matrix
+    file = cell.path.parent / cell.file.camera_info
+    for name, value, size in (
+        ("column", float(matrix[0, 2]), camera.width),
+        ("row", float(matrix[1, 2]), camera.height),
+    ):
+        if not size / 4 <= value <= 3 * size / 4:
+            yield (
+                f"{file}: the principal point's {name} {value:.0f} is far from the middle of "
+                f"{size} pixels: image_width, image_height and camera_matrix may be of different "
+                "resolutions"
+            )
+    ratio = float(matrix[0, 0] / matrix[1, 1])
+    if not 0.9 < ratio < 1.1:
+        yield (
+            f"{file}: the focal lengths differ by a factor of {ratio:.2f}; square pixels give "
+            "nearly 1: calibrate camera"
+        )
+
+
+def _noise(cell: Cell) -> Iterator[str]:
+    noise, (distance, angle) = cell.file.camera, cell.tolerance
+    for name, spread, limit, unit, factor in (
+        ("position", noise.position_noise, distance, "mm", 1e3),
+        ("angle", noise.angle_noise, angle, "deg", math.degrees(1.0)),
+    ):
+        if NOISE_ROOM * spread > limit:
+            yield (
+                f"{cell.path}: key 'goal.{name}_tolerance' is {factor * limit:.3g} {unit}, less "
+                f"than {NOISE_ROOM:g} standard deviations of a look "
+                f"('camera.{name}_noise', {factor * spread:.3g} {unit}): goals may never be seen "
+                "as reached"
+            )
+
+
+def _ports(cell: Cell) -> Iterator[str]:
+    ports = {"arm": cell.file.arm.port, "tapper": cell.file.tapper.port}
+    for name, port in ports.items():
+        if not Path(port).expanduser().exists():
+            yield (
+                f"{cell.path}: key '{name}.port': {port} is not there (yet); the simulated world "
+                "makes it, a device has to be plugged in"
+            )
+    if ports["arm"] == ports["tapper"]:
+        yield f"{cell.path}: arm and tapper have the same port {ports['arm']}"

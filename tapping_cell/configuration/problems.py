@@ -1,0 +1,75 @@
+"""Everything that is wrong with a document at once, where building it stops at the first thing."""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from tapping_cell.configuration.schema import ConfigurationError, build
+
+
+def problems_of(kind: type, document: Any, source: str, key: str = "") -> list[str]:
+    """Sentences about a document that should be a section of class ``kind``; none where it is.
+
+    They are those of :func:`tapping_cell.configuration.schema.build`, each key looked at alone.
+    """
+    if not isinstance(document, Mapping):
+        return _said(kind, document, source, key)
+    fields = {entry.name: entry for entry in dataclasses.fields(kind)}
+    hints = typing.get_type_hints(kind)
+    found = [
+        sentence
+        for name in document
+        if name not in fields
+        for sentence in _said(kind, {name: document[name]}, source, key)
+    ]
+    for name, entry in fields.items():
+        place = f"{key}.{name}" if key else name
+        if name in document:
+            inner = _sections_in(hints[name], document[name])
+            if inner is not None:
+                for section, value, index in inner:
+                    found += problems_of(section, value, source, place + index)
+                continue
+        elif entry.default is not dataclasses.MISSING:
+            continue
+        alone = {name: document[name]} if name in document else {}
+        found += _said(_only(kind, name), alone, source, key)
+    return found or _said(kind, document, source, key)
+
+
+def _said(kind: type, document: Any, source: str, key: str) -> list[str]:
+    """What building says, if it refuses."""
+    try:
+        build(kind, document, source, key)
+    except ConfigurationError as error:
+        return [str(error)]
+    return []
+
+
+def _only(kind: type, name: str) -> type:
+    """The section with one key alone, without the conditions that join keys."""
+    (entry,) = [field for field in dataclasses.fields(kind) if field.name == name]
+    hint = typing.get_type_hints(kind)[name]
+    fresh = dataclasses.field(default=entry.default, metadata=entry.metadata)
+    return dataclasses.make_dataclass(kind.__name__, [(name, hint, fresh)])
+
+
+def _sections_in(hint: Any, value: Any) -> list[tuple[type, Any, str]] | None:
+    """The sections that a key holds, with the index of each; None where it holds plain values."""
+    if dataclasses.is_dataclass(hint):
+        return [(typing.cast(type, hint), value, "")]
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType) and value is not None:
+        inner = [argument for argument in arguments if argument is not type(None)]
+        return _sections_in(inner[0], value)
+    listed = isinstance(value, Sequence) and not isinstance(value, str)
+    if origin is tuple and dataclasses.is_dataclass(arguments[0]) and listed:
+        return [
+            (typing.cast(type, arguments[0]), entry, f"[{index}]")
+            for index, entry in enumerate(value)
+        ]
+    return None

@@ -1,0 +1,194 @@
+"""Several runs side by side: a table, figures of each planner, and a page with plots."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from statistics import fmean
+
+from tapping_cell.report.page_style import document
+from tapping_cell.report.run import Run
+from tapping_cell.report.svg import chart
+from tapping_cell.se2 import Pose
+
+COLOURS = ("#1f6fb4", "#c8372d", "#218a4c", "#d98a00", "#7a5bb0", "#4aa3a2", "#8c5a2b", "#5b6570")
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One run in a comparison. mm, deg, s; NaN where not known."""
+
+    name: str
+    outcome: str
+    planner: str
+    object_name: str
+    taps: int
+    start_distance: float
+    start_rotation: float
+    distance: float
+    rotation: float
+    true_distance: float
+    true_rotation: float
+    time: float
+
+
+def row_of(run: Run) -> Row:
+    """The figures of one run."""
+    start, measured, true = (
+        _to_go(pose, run.goal) for pose in (run.start, run.final_measured, run.final_true)
+    )
+    return Row(
+        name=run.name,
+        outcome=run.outcome,
+        planner=run.planner,
+        object_name=run.object_name,
+        taps=len(run.taps),
+        start_distance=start[0],
+        start_rotation=start[1],
+        distance=measured[0],
+        rotation=measured[1],
+        true_distance=true[0],
+        true_rotation=true[1],
+        time=run.wall_time,
+    )
+
+
+def _to_go(pose: Pose | None, goal: Pose | None) -> tuple[float, float]:
+    if pose is None or goal is None:
+        return math.nan, math.nan
+    return 1000 * pose.distance_to(goal), abs(math.degrees(pose.rotation_to(goal)))
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """The runs of one planner with one object; means over those that reached their goal."""
+
+    planner: str
+    object_name: str
+    runs: int
+    reached: int
+    taps: float
+    most_taps: int
+    distance: float
+    rotation: float
+    time: float
+
+
+def groups_of(rows: Sequence[Row]) -> tuple[Group, ...]:
+    """The runs by planner and object, in order of their names."""
+    found = []
+    for key in sorted({(row.planner, row.object_name) for row in rows}):
+        own = [row for row in rows if (row.planner, row.object_name) == key]
+        reached = [row for row in own if row.outcome == "reached"]
+        found.append(
+            Group(
+                *key,
+                runs=len(own),
+                reached=len(reached),
+                taps=_mean([row.taps for row in reached]),
+                most_taps=max((row.taps for row in own), default=0),
+                distance=_mean([row.distance for row in reached]),
+                rotation=_mean([row.rotation for row in reached]),
+                time=_mean([row.time for row in reached]),
+            )
+        )
+    return tuple(found)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return fmean(values) if values else math.nan
+
+
+def comparison_page(runs: Sequence[Run], links: Sequence[str]) -> str:
+    """A page that compares runs; ``links`` lead to the page of each."""
+    rows = [row_of(run) for run in runs]
+    reached = sum(row.outcome == "reached" for row in rows)
+    body = (
+        f'<header class="{"good" if reached == len(rows) else "so"}">'
+        f'<p class="badge">comparison</p><h1>{len(rows)} runs, {reached} reached their goal</h1>'
+        "</header>"
+        f"<section><h2>By planner and object</h2>{_groups(groups_of(rows))}</section>"
+        f"{_charts(runs)}"
+        f"<section><h2>Runs</h2>{_table(rows, links)}</section>"
+    )
+    return document(f"{len(rows)} runs compared", body)
+
+
+def _table(rows: Sequence[Row], links: Sequence[str]) -> str:
+    head = (
+        "<tr><th>run</th><th>outcome</th><th>planner</th><th>object</th><th>taps</th>"
+        "<th>to go at the start</th><th>measured residual</th><th>true residual</th>"
+        "<th>time</th></tr>"
+    )
+    lines = []
+    for row, link in zip(rows, links, strict=True):
+        kind = "good-word" if row.outcome == "reached" else "bad-word"
+        cells = (
+            f'<a href="{escape(link)}">{escape(row.name)}</a>',
+            f'<span class="{kind}">{escape(row.outcome)}</span>',
+            escape(row.planner),
+            escape(row.object_name),
+            str(row.taps),
+            _pair(row.start_distance, row.start_rotation),
+            _pair(row.distance, row.rotation),
+            _pair(row.true_distance, row.true_rotation),
+            f"{row.time:.1f} s",
+        )
+        lines.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
+    return f'<div class="scroll"><table class="wide">{head}{"".join(lines)}</table></div>'
+
+
+def _groups(groups: Sequence[Group]) -> str:
+    head = (
+        "<tr><th>planner</th><th>object</th><th>reached</th><th>taps, mean</th><th>taps, most</th>"
+        "<th>measured residual, mean</th><th>time, mean</th></tr>"
+    )
+    lines = [
+        f"<tr><td>{escape(group.planner or '-')}</td><td>{escape(group.object_name or '-')}</td>"
+        f"<td>{group.reached} of {group.runs}</td><td>{_number(group.taps, 2)}</td>"
+        f"<td>{group.most_taps}</td><td>{_pair(group.distance, group.rotation)}</td>"
+        f"<td>{_number(group.time, 1)} s</td></tr>"
+        for group in groups
+    ]
+    return f'<div class="scroll"><table class="wide">{head}{"".join(lines)}</table></div>'
+
+
+def _charts(runs: Sequence[Run]) -> str:
+    """How each run approached its goal, coloured by planner."""
+    planners = sorted({run.planner for run in runs})
+    colours = {name: COLOURS[index % len(COLOURS)] for index, name in enumerate(planners)}
+    distances, rotations = [], []
+    for run in runs:
+        goal = run.goal
+        if goal is None or run.start is None:
+            continue
+        poses = [run.start, *(tap.measured for tap in run.taps)]
+        colour = colours[run.planner]
+        distances.append((run.name, [1000 * pose.distance_to(goal) for pose in poses], colour))
+        turns = [abs(math.degrees(pose.rotation_to(goal))) for pose in poses]
+        rotations.append((run.name, turns, colour))
+    if not distances:
+        return ""
+    limits = [run.tolerance for run in runs]
+    distance_limit = 1000 * max(limit[0] for limit in limits)
+    angle_limit = math.degrees(max(limit[1] for limit in limits))
+    legend = " ".join(
+        f'<span class="key"><i style="background:{colours[name]}"></i>{escape(name or "-")}</span>'
+        for name in planners
+    )
+    return (
+        f'<section class="two">{chart(distances, distance_limit, "distance to go (mm)")}'
+        f"{chart(rotations, angle_limit, 'rotation to go (deg)')}<p>{legend}</p></section>"
+    )
+
+
+def _pair(distance: float, rotation: float) -> str:
+    if not math.isfinite(distance):
+        return "-"
+    return f"{distance:.2f} mm, {rotation:.2f} deg"
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"

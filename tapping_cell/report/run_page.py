@@ -1,0 +1,377 @@
+"""``report.html``: the story of one run in one file, for a screen, a phone and paper."""
+
+from __future__ import annotations
+
+import base64
+import math
+from datetime import datetime
+from html import escape
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tapping_cell.report import hints
+from tapping_cell.report.page_style import document
+from tapping_cell.report.run import (
+    CANCELED,
+    FAILED,
+    NOT_TRULY_REACHED,
+    REFUSED,
+    Picture,
+    Run,
+    TapRow,
+)
+from tapping_cell.report.run_reader import Story
+from tapping_cell.report.svg import GOAL, GUESS, MUTED, REST, START, STRIKE, Plan, chart, window
+from tapping_cell.se2 import Array, Pose
+
+PICTURE_WIDTH = 720
+SHORTEST_SHOWN_S = 0.05
+_HEADLINES = {
+    NOT_TRULY_REACHED: "Measured at the goal, but not truly there",
+    FAILED: "Goal given up",
+    CANCELED: "Goal canceled",
+    REFUSED: "Goal refused",
+}
+_PHASE_COLOURS = {
+    "waiting for the cell": "#9aa5b1",
+    "looking": REST,
+    "planning": "#7a5bb0",
+    "placing the striker": GUESS,
+    "firing": STRIKE,
+    "waiting for rest": "#4aa3a2",
+}
+
+
+def page(story: Story) -> str:
+    """The page of a run; nothing is loaded from elsewhere."""
+    run = story.run
+    parts = [
+        _head(run),
+        _failure(run),
+        _figures(run),
+        '<section class="two">',
+        f"<figure>{overview(run)}<figcaption>{_legend(run)}</figcaption></figure>",
+        _picture(story.pictures[-1], "the last look") if story.pictures else "",
+        "</section>",
+        _charts(run),
+        _timeline(run),
+        *(_tap(run, tap, story.pictures) for tap in run.taps),
+        _troubles(run),
+        _configuration(run),
+    ]
+    return document(f"{headline(run)} - {run.name}", "".join(parts))
+
+
+def headline(run: Run) -> str:
+    """How it ended, in a few words."""
+    taps = "1 tap" if len(run.taps) == 1 else f"{len(run.taps)} taps"
+    if run.reached:
+        return f"Goal reached in {taps}" if run.taps else "Goal reached without a tap"
+    words = _HEADLINES.get(run.outcome, "No end of the goal was recorded")
+    return f"{words} after {taps}" if run.taps else words
+
+
+def _head(run: Run) -> str:
+    when = (
+        datetime.fromtimestamp(run.began).strftime("%d %B %Y, %H:%M:%S")
+        if math.isfinite(run.began)
+        else "time unknown"
+    )
+    kind = (
+        "good" if run.reached else ("bad" if run.outcome in (FAILED, NOT_TRULY_REACHED) else "so")
+    )
+    task = ""
+    if run.start is not None and run.goal is not None:
+        turn = math.degrees(run.start.rotation_to(run.goal))
+        task = (
+            f"{1000 * run.start.distance_to(run.goal):.1f}&nbsp;mm and {turn:+.1f}&nbsp;deg to go. "
+        )
+    told = " &middot; ".join(
+        escape(word)
+        for word in (when, run.object_name, run.planner and f"planner {run.planner}")
+        if word
+    )
+    return (
+        f'<header class="{kind}"><p class="badge">{escape(run.outcome)}</p>'
+        f"<h1>{escape(headline(run))}</h1><p>{task}{told}</p></header>"
+    )
+
+
+def _failure(run: Run) -> str:
+    if not run.error_code:
+        return ""
+    advice = hints.hint(run.error_code)
+    return (
+        f'<section class="trouble"><h2>{escape(hints.name(run.error_code))} '
+        f"<small>code {run.error_code}</small></h2><p>{escape(run.error_msg)}</p>"
+        + (f"<p><b>What to do:</b> {escape(advice)}</p>" if advice else "")
+        + "</section>"
+    )
+
+
+def _figures(run: Run) -> str:
+    limit, turn = 1000 * run.tolerance[0], math.degrees(run.tolerance[1])
+    cards = []
+    for name, pose in (("measured", run.final_measured), ("true", run.final_true)):
+        if pose is None or run.goal is None:
+            continue
+        off, angle = (
+            1000 * pose.distance_to(run.goal),
+            math.degrees(abs(pose.rotation_to(run.goal))),
+        )
+        cards.append((f"{name} distance", f"{off:.2f} mm", f"tolerance {limit:g} mm"))
+        cards.append((f"{name} rotation", f"{angle:.2f} deg", f"tolerance {turn:g} deg"))
+    cards.append(("taps", str(len(run.taps)), _each(run)))
+    cards.append(("time", f"{run.wall_time:.1f} s", "from goal to end"))
+    return (
+        '<section class="cards">'
+        + "".join(
+            f"<div><span>{escape(name)}</span><b>{escape(value)}</b><i>{escape(note)}</i></div>"
+            for name, value, note in cards
+        )
+        + "</section>"
+    )
+
+
+def _each(run: Run) -> str:
+    return f"{run.wall_time / len(run.taps):.1f} s each" if run.taps else "none was needed or made"
+
+
+def _outline(run: Run) -> Array:
+    return np.asarray(run.outline, dtype=float).reshape(-1, 2)
+
+
+def overview(run: Run) -> str:
+    """The table from above: start, where the object came to rest, goal, strikes."""
+    half = 500 * np.asarray(run.table_size)
+    places = [pose for pose in (run.start, run.goal, *(t.measured for t in run.taps)) if pose]
+    low, high = -half - 12, half + 12
+    if run.goal is not None and half.any():
+        # A goal that was refused may lie beyond the table.
+        rim = 1000 * float(np.max(np.hypot(*_outline(run).T), initial=0.02)) + 12
+        middle = 1000 * np.array([run.goal.x, run.goal.y])
+        near = np.clip(middle, 4 * low, 4 * high)
+        low, high = np.minimum(low, near - rim), np.maximum(high, near + rim)
+    if not half.any():
+        low, high = window([(1000 * p.x, 1000 * p.y) for p in places], 60.0, 200.0)
+    plan = Plan((low[0], low[1]), (high[0], high[1]))
+    if half.any():
+        plan.rectangle(-half, half, 'fill="#faf8f2" stroke="#a99" stroke-width="1"')
+    outline = _outline(run)
+    if run.start is not None:
+        plan.outline(outline, run.start, START)
+    for tap in run.taps:
+        plan.outline(outline, tap.measured, REST)
+    if run.goal is not None:
+        plan.outline(outline, run.goal, GOAL, dashed=True, fill=0.15)
+    for tap in run.taps:
+        _strike(plan, tap, 42.0)
+    plan.scale_bar()
+    return plan.drawing("the table from above")
+
+
+def _legend(run: Run) -> str:
+    entries = [(START, "start"), (REST, "at rest after a tap"), (GOAL, "goal")]
+    entries += [(STRIKE, "strike, with the tap's number")] if run.taps else []
+    return " ".join(
+        f'<span class="key"><i style="background:{colour}"></i>{words}</span>'
+        for colour, words in entries
+    )
+
+
+def _strike(plan: Plan, tap: TapRow, length: float) -> None:
+    along = np.array([math.cos(tap.strike.theta), math.sin(tap.strike.theta)])
+    tip = 1000 * np.array([tap.strike.x, tap.strike.y])
+    tail = tip - length * along
+    plan.arrow(tail, tip, STRIKE, 0.6)
+    x, y = tail - 3 * plan.unit * along
+    plan.text(float(x), float(y), str(tap.number), STRIKE, 3.6)
+
+
+def _charts(run: Run) -> str:
+    goal = run.goal
+    if goal is None or run.start is None or not run.taps:
+        return ""
+    poses = [run.start, *(tap.measured for tap in run.taps)]
+    distance = [1000 * pose.distance_to(goal) for pose in poses]
+    rotation = [abs(math.degrees(pose.rotation_to(goal))) for pose in poses]
+    return (
+        '<section class="two">'
+        + chart([("distance", distance, REST)], 1000 * run.tolerance[0], "distance to go (mm)")
+        + chart(
+            [("rotation", rotation, REST)], math.degrees(run.tolerance[1]), "rotation to go (deg)"
+        )
+        + "</section>"
+    )
+
+
+def _timeline(run: Run) -> str:
+    """What the planner did when, as a band."""
+    if len(run.phases) < 2 or run.wall_time <= 0:
+        return ""
+    ends = [phase.began for phase in run.phases[1:]] + [run.wall_time]
+    total: dict[str, float] = {}
+    pieces = []
+    for phase, end in zip(run.phases, ends, strict=True):
+        span = max(0.0, end - phase.began)
+        if phase.name not in _PHASE_COLOURS or span <= 0:
+            continue
+        if span > SHORTEST_SHOWN_S:
+            total[phase.name] = total.get(phase.name, 0.0) + span
+        pieces.append(
+            f'<rect x="{1000 * phase.began / run.wall_time:.1f}" y="0" height="46" '
+            f'width="{max(1.0, 1000 * span / run.wall_time):.1f}" '
+            f'fill="{_PHASE_COLOURS[phase.name]}">'
+            f"<title>{escape(phase.name)}: {span:.2f} s</title></rect>"
+        )
+    marks = "".join(
+        f'<text x="{1000 * tap.fired_at / run.wall_time:.0f}" y="64" text-anchor="middle" '
+        f'font-size="15" fill="{STRIKE}">{tap.number}</text>'
+        for tap in run.taps
+        if math.isfinite(tap.fired_at)
+    )
+    legend = " ".join(
+        f'<span class="key"><i style="background:{_PHASE_COLOURS[name]}"></i>'
+        f"{escape(name)} {seconds:.1f}&nbsp;s</span>"
+        for name, seconds in total.items()
+    )
+    return (
+        f"<section><h2>Time</h2><svg class='band' viewBox='0 0 1000 70' role='img' "
+        f"aria-label='what the planner did when'>{''.join(pieces)}{marks}</svg>"
+        f"<p>{legend}</p></section>"
+    )
+
+
+def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> str:
+    before = [picture for picture in pictures if picture.at <= tap.commanded_at]
+    photo = _picture(before[-1], f"the look before tap {tap.number}") if before else ""
+    missed = 1000 * tap.predicted.distance_to(tap.measured)
+    turned = math.degrees(tap.predicted.rotation_to(tap.measured))
+    gate = (
+        f", measured {1000 * tap.measured_speed:.0f} mm/s"
+        if math.isfinite(tap.measured_speed)
+        else ""
+    )
+    rows = [
+        ("wanted", _move(tap.commanded)),
+        ("predicted", _between(tap.before, tap.predicted)),
+        ("measured", _between(tap.before, tap.measured)),
+        ("measured - predicted", f"{missed:.2f} mm, {turned:+.2f} deg"),
+        ("striker", f"{1000 * tap.striker_speed:.0f} mm/s{gate}; {tap.outcome}"),
+    ]
+    if run.goal is not None:
+        rows.append(("then to go", _to_go(tap.measured, run.goal)))
+    if math.isfinite(tap.fired_at):
+        at_rest = f", at rest at {tap.at_rest_at:.1f} s" if math.isfinite(tap.at_rest_at) else ""
+        rows.append(("when", f"fired at {tap.fired_at:.1f} s{at_rest}"))
+    table = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in rows)
+    return (
+        f'<section class="tap"><h2>Tap {tap.number} <small>{escape(tap.method)}</small></h2>'
+        f'<div class="three">{photo}<figure>{_close_up(run, tap)}<figcaption>'
+        f"{_close_up_legend(run)}</figcaption></figure><table>{table}</table></div></section>"
+    )
+
+
+def _close_up(run: Run, tap: TapRow) -> str:
+    """One tap to scale: where the object was, was expected, and was found."""
+    outline = _outline(run)
+    reach = 1000 * float(np.max(np.hypot(*outline.T), initial=0.02))
+    poses = (tap.before, tap.predicted, tap.measured)
+    middles = [(1000 * pose.x, 1000 * pose.y) for pose in poses if math.isfinite(pose.x)]
+    back = 0.5 * reach
+    tail = (
+        1000 * tap.strike.x - back * math.cos(tap.strike.theta),
+        1000 * tap.strike.y - back * math.sin(tap.strike.theta),
+    )
+    rims = [
+        (x + dx, y + dy) for x, y in middles for dx in (-reach, reach) for dy in (-reach, reach)
+    ]
+    low, high = window([*rims, tail], 0.25 * reach, 2.5 * reach)
+    plan = Plan((low[0], low[1]), (high[0], high[1]))
+    if run.goal is not None:
+        plan.outline(outline, run.goal, GOAL, dashed=True, fill=0.12)
+    plan.outline(outline, tap.before, START)
+    plan.outline(outline, tap.predicted, GUESS, dashed=True)
+    if math.isfinite(tap.measured.x):
+        plan.outline(outline, tap.measured, REST)
+        plan.arrow(middles[0], middles[-1], REST, 0.5)
+    _strike(plan, tap, back)
+    plan.scale_bar()
+    return plan.drawing(f"tap {tap.number} from above")
+
+
+def _close_up_legend(run: Run) -> str:
+    entries = [(START, "before"), (GUESS, "predicted"), (REST, "measured"), (STRIKE, "strike")]
+    entries += [(GOAL, "goal")] if run.goal is not None else []
+    return " ".join(
+        f'<span class="key"><i style="background:{colour}"></i>{words}</span>'
+        for colour, words in entries
+    )
+
+
+def _move(move: Pose) -> str:
+    length = 1000 * math.hypot(move.x, move.y)
+    return f"{length:.2f} mm, {math.degrees(move.theta):+.2f} deg"
+
+
+def _between(one: Pose, other: Pose) -> str:
+    turn = math.degrees(one.rotation_to(other))
+    return f"{1000 * one.distance_to(other):.2f} mm, {turn:+.2f} deg"
+
+
+def _to_go(pose: Pose, goal: Pose) -> str:
+    turn = math.degrees(pose.rotation_to(goal))
+    return f"{1000 * pose.distance_to(goal):.2f} mm, {turn:+.2f} deg"
+
+
+def _picture(picture: Picture, words: str) -> str:
+    """A photograph inside the page, at most ``PICTURE_WIDTH`` pixels wide."""
+    data = picture.jpeg
+    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        return ""
+    if image.shape[1] > PICTURE_WIDTH:
+        size = (PICTURE_WIDTH, round(image.shape[0] * PICTURE_WIDTH / image.shape[1]))
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        coded, jpeg = cv2.imencode(".jpg", small, (cv2.IMWRITE_JPEG_QUALITY, 82))
+        data = jpeg.tobytes() if coded else data
+    code = base64.b64encode(data).decode()
+    return (
+        f'<figure><img alt="{escape(words)}" src="data:image/jpeg;base64,{code}">'
+        f"<figcaption>{escape(words)}, at {picture.at:.1f} s</figcaption></figure>"
+    )
+
+
+def _troubles(run: Run) -> str:
+    if not run.troubles:
+        return ""
+    rows = "".join(
+        f"<tr><td>{trouble.at:.1f} s</td><td>{escape(trouble.source)}</td>"
+        f"<td>{escape(hints.name(trouble.code))} <small>{trouble.code}</small></td>"
+        f"<td>{escape(trouble.sentence)}<br><small>{escape(hints.hint(trouble.code))}</small></td></tr>"
+        for trouble in run.troubles
+    )
+    return (
+        "<section><h2>What was complained of</h2><div class='scroll'><table class='wide'>"
+        "<tr><th>when</th><th>topic</th><th>code</th><th>what, and what to do</th></tr>"
+        f"{rows}</table></div></section>"
+    )
+
+
+def _configuration(run: Run) -> str:
+    files = "".join(
+        f"<details><summary>{escape(Path(name).name)} <small>{escape(name)}</small></summary>"
+        f"<pre>{escape(text)}</pre></details>"
+        for name, text in run.files.items()
+    )
+    versions = ", ".join(f"{name} {version}" for name, version in run.versions.items())
+    seed = f"Seed of the simulated world: {run.seed}. " if run.seed is not None else ""
+    return (
+        f"<section><h2>Configuration</h2>{files}<p>{seed}Versions: {escape(versions)}.</p>"
+        f'<p style="color:{MUTED}">Every topic of this run is in the bag beside this page: open '
+        "the <code>.mcap</code> file in Foxglove, or call <code>ros2 bag play bag</code>. This "
+        "page is made again by <code>python -m tapping_cell report</code> and the folder's name."
+        "</p></section>"
+    )

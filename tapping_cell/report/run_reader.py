@@ -1,0 +1,274 @@
+"""A run out of its bag: everything that a run folder says is made from what was recorded."""
+
+from __future__ import annotations
+
+import bisect
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tapping_cell.report.bag import Bag, BagError, read_bag
+from tapping_cell.report.run import (
+    CANCELED,
+    FAILED,
+    NOT_TRULY_REACHED,
+    REACHED,
+    REFUSED,
+    UNFINISHED,
+    Phase,
+    Picture,
+    Run,
+    TapRow,
+    Trouble,
+)
+from tapping_cell.report.words import OUTCOMES, PHASES, word
+from tapping_cell.se2 import Pose
+
+NOTES = "run_notes"
+"""Topic (``std_msgs/String``, JSON) of what a run knows that no other topic says."""
+PICTURES = "camera/image_annotated/compressed"
+_SPEAKERS = ("plan_state", "arm_state", "tapper_state", "object_state")
+_TRUTH_WITHIN_S = 0.2
+"""Greatest distance in time of the truth that belongs to a measured pose."""
+_SAME_TIME_S = 1e-6
+_SHUTTING_DOWN = 906
+_FINAL_WORDS = ("reached", "failed", "canceled")
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """A run and the pictures that were taken meanwhile, in order of time."""
+
+    run: Run
+    pictures: tuple[Picture, ...]
+
+
+def inside(goal: Pose, pose: Pose | None, tolerance: tuple[float, float]) -> bool:
+    """True where the pose is known and within (m, rad) of the goal."""
+    return (
+        pose is not None
+        and pose.distance_to(goal) <= tolerance[0]
+        and abs(pose.rotation_to(goal)) <= tolerance[1]
+    )
+
+
+def read_story(path: Path, name: str = "") -> Story:
+    """The run in a bag, which is a folder or an ``.mcap`` file.
+
+    Raises:
+        tapping_cell.report.bag.BagError: no bag, or one without a goal.
+    """
+    return story_of(read_bag(path), name or path.stem)
+
+
+def story_of(bag: Bag, name: str) -> Story:
+    """The run in a bag. A bag that was cut off gives the run as far as it was recorded.
+
+    Raises:
+        tapping_cell.report.bag.BagError: the bag has no goal.
+    """
+    reports = [message for _, message in bag.of("goal_report")]
+    plans = [message for _, message in bag.of("plan_state")]
+    notes = _notes(bag)
+    report = _own_report(reports, notes)
+    own = [plan for plan in plans if plan.goal.header.frame_id and plan.state in range(1, 10)]
+    if report is None and not own:
+        raise BagError(f"{bag.path}: no goal was recorded in it")
+    last = report if report is not None else own[-1]
+    refused = report is not None and report.refused
+    since = float(notes.get("began", -math.inf))
+    mine = [
+        plan
+        for plan in own
+        if not refused
+        and _same_goal(plan.goal, last.goal)
+        and _seconds(plan.header.stamp) >= since - _SAME_TIME_S
+    ]
+    began = float(notes.get("began", _seconds((mine or [last])[0].header.stamp)))
+    ended = _seconds(last.header.stamp)
+    states = [(_seconds(m.header.stamp), m) for _, m in bag.of("object_state")]
+    truths = [(_seconds(m.header.stamp), _pose(m.pose)) for _, m in bag.of("ground_truth")]
+    records = report.records if report is not None else _records(mine)
+    seen = [(at, m) for at, m in states if m.visible and m.at_rest and not m.error_code]
+    # A goal bears the stamp of the look that it was meant from, or when it was sent, or nothing.
+    asked = _seconds(last.goal.header.stamp) or began
+    before = [m for at, m in seen if at <= asked + _SAME_TIME_S] or [m for _, m in seen]
+    after = [(at, m) for at, m in seen if at <= ended + _TRUTH_WITHIN_S]
+    final = after[-1] if after else None
+    taps = _taps(records, bag, truths, began)
+    start = _pose(before[-1].pose.pose) if before else (taps[0].before if taps else None)
+    goal = _pose(last.goal.pose) if _is_pose(last.goal.pose) else None
+    tolerance = (_finite(last.position_tolerance), _finite(last.angle_tolerance))
+    final_measured = _pose(final[1].pose.pose) if final else None
+    final_true = _truth_at(truths, final[0]) if final else None
+    outcome = _outcome(last, refused, goal, final_true, tolerance)
+    code, sentence = int(last.error_code), str(last.error_msg)
+    if outcome == UNFINISHED and not code:
+        code, sentence = _SHUTTING_DOWN, "the recording ended before the goal did"
+    run = Run(
+        name=name,
+        goal=goal,
+        start=start,
+        tolerance=tolerance,
+        taps=taps,
+        final_measured=final_measured,
+        final_true=final_true,
+        outcome=outcome,
+        wall_time=max(0.0, ended - began),
+        seed=notes.get("seed"),
+        versions=notes.get("versions", {}),
+        error_code=code,
+        error_msg=sentence,
+        outline=tuple((float(x), float(y)) for x, y in notes.get("outline", ())),
+        table_size=tuple(notes.get("table_size", (0.0, 0.0))),
+        planner=str(last.planner),
+        object_name=str(notes.get("object", "")),
+        began=began,
+        phases=_phases(mine, began),
+        troubles=_troubles(bag, began, ended),
+        files=notes.get("files", {}),
+    )
+    pictures = tuple(
+        Picture(_seconds(m.header.stamp) - began, bytes(m.data)) for _, m in bag.of(PICTURES)
+    )
+    return Story(run, pictures)
+
+
+def _notes(bag: Bag) -> dict[str, Any]:
+    """What the recorder wrote down itself; nothing in a bag that somebody else recorded."""
+    found: dict[str, Any] = {}
+    for _, message in bag.of(NOTES):
+        try:
+            found.update(json.loads(message.data))
+        except ValueError as error:
+            raise BagError(f"{bag.path}: its {NOTES} is no JSON: {error}") from error
+    return found
+
+
+def _own_report(reports: list[Any], notes: dict[str, Any]) -> Any:
+    """The report of this run's goal; a latched topic tells of the goal before, too."""
+    began = float(notes.get("began", -math.inf)) - _SAME_TIME_S
+    since = [report for report in reports if _seconds(report.header.stamp) >= began]
+    if notes.get("refused") is not None:
+        since = [report for report in since if bool(report.refused) == notes["refused"]]
+    return since[0] if since else None
+
+
+def _same_goal(one: Any, other: Any) -> bool:
+    return bool(one.header == other.header and one.pose == other.pose)
+
+
+def _records(plans: list[Any]) -> list[Any]:
+    """The finished taps, as far as they were heard one by one."""
+    by_id = {plan.last_tap.tap_id: plan.last_tap for plan in plans if plan.last_tap.tap_id}
+    return sorted(by_id.values(), key=lambda record: int(record.number))
+
+
+def _taps(
+    records: Sequence[Any], bag: Bag, truths: list[tuple[float, Pose]], began: float
+) -> tuple[TapRow, ...]:
+    commanded = {
+        int(m.tap_id): _seconds(m.header.stamp) for _, m in bag.of("tap_command") if m.request == 0
+    }
+    rows = []
+    for record in records:
+        at_rest = _seconds(record.at_rest_at)
+        fired = _seconds(record.fired_at)
+        rows.append(
+            TapRow(
+                number=int(record.number),
+                tap_id=int(record.tap_id),
+                method=str(record.planner),
+                before=_pose(record.object_pose),
+                commanded=Pose(float(record.dx), float(record.dy), float(record.dtheta)),
+                predicted=_pose(record.predicted_pose),
+                measured=_pose(record.measured_pose.pose),
+                true_pose=_truth_at(truths, at_rest),
+                strike=_pose(record.strike_pose),
+                striker_speed=float(record.striker_speed),
+                contact_angle=float(record.contact_angle),
+                outcome=word(OUTCOMES, int(record.outcome)),
+                measured_speed=float(record.measured_speed),
+                commanded_at=commanded.get(int(record.tap_id), math.nan) - began,
+                fired_at=fired - began if fired else math.nan,
+                at_rest_at=at_rest - began if at_rest else math.nan,
+            )
+        )
+    return tuple(rows)
+
+
+def _truth_at(truths: list[tuple[float, Pose]], at: float) -> Pose | None:
+    """The true pose at a time, where somebody knows it."""
+    if not truths:
+        return None
+    place = bisect.bisect_left(truths, at, key=lambda entry: entry[0])
+    near = truths[max(0, place - 1) : place + 1]
+    stamp, pose = min(near, key=lambda entry: abs(entry[0] - at))
+    return pose if abs(stamp - at) <= _TRUTH_WITHIN_S else None
+
+
+def _outcome(
+    last: Any,
+    refused: bool,
+    goal: Pose | None,
+    final_true: Pose | None,
+    tolerance: tuple[float, float],
+) -> str:
+    """How the run ended, as the planner's last word and the truth, where it is known, say."""
+    if refused:
+        return REFUSED
+    said = word(PHASES, int(last.state))
+    if said not in _FINAL_WORDS:
+        return UNFINISHED
+    if said != "reached" or last.error_code:
+        return CANCELED if said == "canceled" else FAILED
+    truly = final_true is None or (goal is not None and inside(goal, final_true, tolerance))
+    return REACHED if truly else NOT_TRULY_REACHED
+
+
+def _phases(plans: list[Any], began: float) -> tuple[Phase, ...]:
+    found: list[Phase] = []
+    for plan in plans:
+        name = word(PHASES, int(plan.state))
+        if not found or found[-1].name != name:
+            found.append(Phase(max(0.0, _seconds(plan.header.stamp) - began), name))
+        if name in _FINAL_WORDS:
+            break
+    return tuple(found)
+
+
+def _troubles(bag: Bag, began: float, ended: float) -> tuple[Trouble, ...]:
+    """What was complained of while the goal was under way; a lasting complaint counts once."""
+    found = []
+    for speaker in _SPEAKERS:
+        before = 0
+        for _, message in bag.of(speaker):
+            at, code = _seconds(message.header.stamp), int(message.error_code)
+            if code and code != before and began <= at <= ended:
+                found.append(Trouble(at - began, speaker, code, str(message.error_msg)))
+            before = code
+    return tuple(sorted(found, key=lambda trouble: trouble.at))
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def _finite(value: float) -> float:
+    """A tolerance; 0 where somebody asked for one that is no number, and was refused."""
+    return float(value) if math.isfinite(value) else 0.0
+
+
+def _is_pose(pose: Any) -> bool:
+    values = (pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w)
+    return all(math.isfinite(value) for value in values)
+
+
+def _pose(pose: Any) -> Pose:
+    """The planar part of a ROS pose."""
+    q = pose.orientation
+    theta = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
+    return Pose(float(pose.position.x), float(pose.position.y), theta)

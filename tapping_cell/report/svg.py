@@ -1,0 +1,196 @@
+"""Drawings in a page: a plan of the table in mm with y upwards, and small charts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tapping_cell.se2 import Array, Pose, transform_points
+
+INK, MUTED, START, REST, GOAL, STRIKE, GUESS = (
+    "#1c2733",
+    "#66727f",
+    "#5b6570",
+    "#1f6fb4",
+    "#218a4c",
+    "#c8372d",
+    "#d98a00",
+)
+
+
+@dataclass
+class Plan:
+    """A view of the table from above: ``low`` and ``high`` are its corners in mm."""
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        self._parts: list[str] = []
+        self.width = self.high[0] - self.low[0]
+        self.height = self.high[1] - self.low[1]
+        self.unit = max(self.width, self.height) / 100
+        """A hundredth of the drawing, in mm: what lines and letters are sized in."""
+
+    def rectangle(self, low: ArrayLike, high: ArrayLike, style: str) -> None:
+        """A rectangle between two corners in mm."""
+        (x0, y0), (x1, y1) = np.asarray(low), np.asarray(high)
+        self.polygon([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], style)
+
+    def polygon(self, points: ArrayLike, style: str, closed: bool = True) -> None:
+        """A polygon or, where not closed, a line through points in mm."""
+        places = " ".join(f"{x:.2f},{-y:.2f}" for x, y in np.asarray(points).reshape(-1, 2))
+        self._parts.append(f'<poly{"gon" if closed else "line"} points="{places}" {style}/>')
+
+    def circle(self, x: float, y: float, radius: float, style: str) -> None:
+        """A circle; all in mm."""
+        self._parts.append(f'<circle cx="{x:.2f}" cy="{-y:.2f}" r="{radius:.3f}" {style}/>')
+
+    def text(self, x: float, y: float, words: str, colour: str, size: float = 3.2) -> None:
+        """Words centred at a place in mm; ``size`` in hundredths of the drawing."""
+        self._parts.append(
+            f'<text x="{x:.2f}" y="{-y:.2f}" font-size="{size * self.unit:.2f}" fill="{colour}" '
+            f'text-anchor="middle" dominant-baseline="central">{escape(words)}</text>'
+        )
+
+    def arrow(self, tail: ArrayLike, head: ArrayLike, colour: str, width: float = 0.7) -> None:
+        """An arrow between places in mm; ``width`` in hundredths of the drawing."""
+        start, end = np.asarray(tail, dtype=float), np.asarray(head, dtype=float)
+        length = float(np.hypot(*(end - start)))
+        if length < 1e-6:
+            return
+        along = (end - start) / length
+        point = min(length, 5 * width * self.unit)
+        aside = np.array([-along[1], along[0]]) * point * 0.45
+        neck = end - along * point
+        self.polygon([start, neck], stroke(colour, width * self.unit), closed=False)
+        self.polygon([end, neck + aside, neck - aside], f'fill="{colour}"')
+
+    def outline(
+        self, outline: Array, pose: Pose, colour: str, dashed: bool = False, fill: float = 0.0
+    ) -> None:
+        """The object at a pose, with a line from its centre to the rim along its x axis."""
+        if not len(outline):
+            self.circle(1000 * pose.x, 1000 * pose.y, self.unit, f'fill="{colour}"')
+            return
+        points = 1000 * transform_points(pose, outline)
+        reach = float(np.max(np.hypot(*outline.T)))
+        style = stroke(colour, 0.55 * self.unit, dashed)
+        if fill:
+            self.polygon(points, f'fill="{colour}" fill-opacity="{fill}"')
+        self.polygon(points, style)
+        self.polygon(1000 * transform_points(pose, [[0.0, 0.0], [reach, 0.0]]), style, closed=False)
+
+    def scale_bar(self) -> None:
+        """A bar of a round length in the lower left corner."""
+        length = _round_length(self.width / 4)
+        x, y = self.low[0] + 4 * self.unit, self.low[1] + 4 * self.unit
+        self.polygon([(x, y), (x + length, y)], stroke(INK, 0.6 * self.unit), closed=False)
+        self.text(x + length / 2, y + 2.6 * self.unit, f"{length:g} mm", INK, 2.8)
+
+    def drawing(self, title: str) -> str:
+        """The SVG element."""
+        box = f"{self.low[0]:.2f} {-self.high[1]:.2f} {self.width:.2f} {self.height:.2f}"
+        return (
+            f'<svg class="plan" viewBox="{box}" role="img" aria-label="{escape(title)}">'
+            f"<title>{escape(title)}</title>{''.join(self._parts)}</svg>"
+        )
+
+
+def stroke(colour: str, width: float, dashed: bool = False) -> str:
+    """Attributes of a line; ``width`` in the drawing's own unit."""
+    dash = f' stroke-dasharray="{3 * width:.2f} {2 * width:.2f}"' if dashed else ""
+    return (
+        f'fill="none" stroke="{colour}" stroke-width="{width:.3f}" stroke-linejoin="round"'
+        f' stroke-linecap="round"{dash}'
+    )
+
+
+def window(points: ArrayLike, margin: float, least: float) -> tuple[Array, Array]:
+    """Corners of a square around points, with a margin, of a least size; all in mm."""
+    places = np.asarray(points, dtype=float).reshape(-1, 2)
+    if not len(places):
+        places = np.zeros((1, 2))
+    low, high = places.min(axis=0), places.max(axis=0)
+    half = max(float(np.max(high - low)) / 2 + margin, least / 2)
+    middle = (low + high) / 2
+    return middle - half, middle + half
+
+
+def chart(
+    values: Sequence[tuple[str, Sequence[float], str]],
+    limit: float,
+    label: str,
+    x_label: str = "taps",
+) -> str:
+    """Lines over the number of taps. ``values``: name, values from tap 0 on and colour of each."""
+    wide, high, left, bottom, top = 420.0, 200.0, 46.0, 34.0, 14.0
+    most = max([limit * 1.5, *(v for _, line, _ in values for v in line if math.isfinite(v))])
+    ticks = _ticks(most)
+    most = max(most * 1.08, ticks[-1])
+    last = max([1, *(len(line) - 1 for _, line, _ in values)])
+
+    def x(index: float) -> float:
+        return left + (wide - left - 26) * index / last
+
+    def y(value: float) -> float:
+        return top + (high - top - bottom) * (1 - value / most)
+
+    parts = [
+        f'<rect x="{left}" y="{y(limit):.1f}" width="{wide - left}" '
+        f'height="{y(0) - y(limit):.1f}" fill="{GOAL}" fill-opacity="0.15"/>'
+    ]
+    for tick in ticks:
+        parts.append(
+            f'<line x1="{left}" x2="{wide}" y1="{y(tick):.1f}" y2="{y(tick):.1f}" '
+            'stroke="#e3e7ec"/>'
+            f'<text x="{left - 6}" y="{y(tick):.1f}" text-anchor="end" dominant-baseline="central" '
+            f'fill="{MUTED}">{tick:g}</text>'
+        )
+    for index in range(0, last + 1, max(1, math.ceil(last / 10))):
+        parts.append(
+            f'<text x="{x(index):.1f}" y="{high - bottom + 14}" text-anchor="middle" '
+            f'fill="{MUTED}">{index}</text>'
+        )
+    for name, line, colour in values:
+        known = [(x(i), y(v)) for i, v in enumerate(line) if math.isfinite(v)]
+        path = " ".join(f"{px:.1f},{py:.1f}" for px, py in known)
+        parts.append(
+            f'<polyline points="{path}" {stroke(colour, 2)}>'
+            f"<title>{escape(name)}</title></polyline>"
+        )
+        parts += [
+            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3.4" fill="{colour}"/>' for px, py in known
+        ]
+        if len(values) == 1:
+            parts += [
+                f'<text x="{x(i) + (4 if i else 6):.1f}" y="{y(v) - 9:.1f}" fill="{INK}" '
+                f'text-anchor="{"end" if i == last else "start"}">{v:.2f}</text>'
+                for i, v in enumerate(line)
+                if math.isfinite(v) and (len(line) < 9 or i in (0, len(line) - 1))
+            ]
+    parts.append(
+        f'<text x="{(left + wide) / 2:.0f}" y="{high - 5}" text-anchor="middle" fill="{MUTED}">'
+        f"{escape(x_label)}</text>"
+    )
+    return (
+        f'<figure class="chart"><figcaption>{escape(label)}</figcaption>'
+        f'<svg viewBox="0 0 {wide:.0f} {high:.0f}" role="img" aria-label="{escape(label)}">'
+        f"{''.join(parts)}</svg></figure>"
+    )
+
+
+def _ticks(most: float) -> list[float]:
+    step = _round_length(most / 3)
+    return [step * index for index in range(math.floor(most / step + 1e-9) + 1)]
+
+
+def _round_length(length: float) -> float:
+    """1, 2 or 5 times a power of ten, at most ``length``."""
+    power = 10.0 ** math.floor(math.log10(max(length, 1e-9)))
+    return next(factor * power for factor in (5.0, 2.0, 1.0) if factor * power <= length * 1.0001)

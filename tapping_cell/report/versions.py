@@ -1,0 +1,21 @@
+"""What a run's numbers depend on, by version."""
+
+from __future__ import annotations
+
+import platform
+from importlib import metadata
+
+from tapping_cell import __version__
+
+_PACKAGES = ("numpy", "scipy", "opencv-python-headless", "rclpy")
+
+
+def versions() -> dict[str, str]:
+    """Versions of the cell and of what its numbers depend on."""
+    found = {"tapping_cell": __version__, "python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "unknown"
+    return found

@@ -1,0 +1,218 @@
+"""The recorder hears what the cell says and leaves one folder for every goal, or says why not."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from harness import Bench, bench
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
+from tapping_cell_msgs.msg import ArmState, ErrorCode, GoalReport, ObjectState, PlanState, TapRecord
+
+from tapping_cell.nodes import images, run_recorder
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.conversions import to_message
+from tapping_cell.nodes.run_recorder import RunRecorder
+from tapping_cell.report.bag import read_bag
+from tapping_cell.report.run import Run
+from tapping_cell.report.run_folder import read_run
+from tapping_cell.se2 import Pose
+
+START, GOAL = Pose(0.0, 0.0, 0.0), Pose(0.02, 0.0, 0.1)
+
+
+class FakeCell:
+    """Publishes as planner, camera and arm do."""
+
+    def __init__(self, made: Bench) -> None:
+        self.bench = made
+        node = made.probe
+        assert node is not None
+        self.node = node
+        self.plans = node.create_publisher(PlanState, "plan_state", LATCHED)
+        self.reports = node.create_publisher(GoalReport, "goal_report", LATCHED)
+        self.objects = node.create_publisher(ObjectState, "object_state", LATCHED)
+        self.truths = node.create_publisher(PoseStamped, "ground_truth", 10)
+        self.arms = node.create_publisher(ArmState, "arm_state", LATCHED)
+        self.pictures = node.create_publisher(Image, "camera/image_annotated", images.PICTURES)
+        self.runs = made.listen(String, "last_run", LATCHED)
+        self.diagnostics = made.listen(DiagnosticArray, "/diagnostics")
+        made.wait(lambda: self.plans.get_subscription_count() == 1, "the recorder listens")
+        made.wait(lambda: self.reports.get_subscription_count() == 1, "the recorder listens")
+        made.wait(lambda: self.health()[0] == DiagnosticStatus.OK, "the recorder is active")
+
+    def health(self) -> tuple[bytes, str]:
+        """Level and sentence of the recorder's last diagnostics."""
+        for message in reversed(self.diagnostics):
+            for status in message.status:
+                if status.name.endswith("run_recorder"):
+                    return status.level, status.message
+        return DiagnosticStatus.STALE, ""
+
+    def stamp(self, message: Any) -> Any:
+        """The message with the present time."""
+        message.header.stamp = self.node.get_clock().now().to_msg()
+        message.header.frame_id = "table"
+        return message
+
+    def see(self, pose: Pose) -> None:
+        seen = self.stamp(ObjectState(visible=True, at_rest=True))
+        seen.pose.pose = to_message(pose)
+        self.objects.publish(seen)
+        self.truths.publish(PoseStamped(header=seen.header, pose=to_message(pose)))
+
+    def goal(self, pose: Pose = GOAL) -> PoseStamped:
+        return self.stamp(PoseStamped(pose=to_message(pose)))
+
+    def plan(self, goal: PoseStamped, state: int, planner: str = "optimal", taps: int = 0) -> None:
+        plan = PlanState(state=state, goal=goal, planner=planner, taps=taps)
+        plan.position_tolerance, plan.angle_tolerance = 0.001, 0.02
+        self.plans.publish(self.stamp(plan))
+
+    def report(self, goal: PoseStamped, state: int = PlanState.REACHED, **values: Any) -> None:
+        report = GoalReport(state=state, goal=goal, planner="optimal", **values)
+        report.position_tolerance, report.angle_tolerance = 0.001, 0.02
+        self.reports.publish(self.stamp(report))
+
+    def follow(self, goal: PoseStamped) -> None:
+        """A goal of one tap from its beginning to its end."""
+        self.see(START)
+        time.sleep(0.2)
+        self.plan(goal, PlanState.LOOKING)
+        time.sleep(0.3)
+        self.plan(goal, PlanState.PLACING)
+        picture = images.to_message(np.full((96, 128, 3), 80, dtype=np.uint8), "bgr8")
+        self.bench.wait(lambda: self.pictures.get_subscription_count() == 1, "pictures are kept")
+        self.pictures.publish(self.stamp(picture))
+        record = TapRecord(tap_id=9, number=1, planner="optimal", object_pose=to_message(START))
+        record.measured_pose.pose = to_message(GOAL)
+        record.at_rest_at = self.node.get_clock().now().to_msg()
+        self.see(GOAL)
+        time.sleep(0.2)
+        self.report(goal, taps=1, records=[record])
+        self.plan(goal, PlanState.REACHED, taps=1)
+
+    def recorded(self, number: int) -> list[Run]:
+        """The runs, once there are so many."""
+        self.bench.wait(lambda: len(self.runs) >= number, f"{number} runs are recorded", 30.0)
+        return [read_run(Path(message.data)) for message in self.runs]
+
+
+@contextmanager
+def cell(tmp_path: Path, **parameters: object) -> Iterator[FakeCell]:
+    values = {"folder": tmp_path / "runs", "pictures": False, "least_free": 0.0, **parameters}
+    with bench(lambda: [RunRecorder()], {"run_recorder": values}) as made:
+        yield FakeCell(made)
+
+
+def test_a_goal_leaves_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> None:
+    with cell(tmp_path, seed=3, pictures=True) as fake:
+        fake.arms.publish(fake.stamp(ArmState(state=ArmState.IDLE)))
+        time.sleep(2.5)  # the lead: what is latched must stand in the bag all the same
+        fake.follow(fake.goal())
+        (run,) = fake.recorded(1)
+        folder = Path(fake.runs[0].data)
+    assert folder.parent == tmp_path / "runs" and folder.name.endswith("to_20_0_6")
+    assert run.reached and run.seed == 3 and len(run.taps) == 1
+    assert run.start == START and run.taps[0].true_pose is not None
+    bag = read_bag(folder / "bag")
+    assert bag.whole
+    names = {topic.name for topic in bag.topics}
+    assert {"/arm_state", "/goal_report", "/plan_state", "/object_state", "/run_notes"} <= names
+    assert "/camera/image_annotated/compressed" in names
+    first = next(stamp for stamp, _ in bag.of("plan_state"))
+    assert min(stamp for stamp, _ in bag.of("object_state")) < first
+    assert (folder / "cell.png").stat().st_size > 10_000
+    assert "Goal reached in 1 tap" in (folder / "report.html").read_text()
+    assert "cell.yaml" in json.dumps(json.loads((folder / "summary.json").read_text())["files"])
+
+
+def test_refused_replaced_and_lost_goals_are_told_truly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_recorder, "SILENCE_S", 1.5)
+    with cell(tmp_path) as fake:
+        off = fake.goal(Pose(0.9, 0.0, 0.0))
+        for _ in range(3):  # the same refusal again and again makes one folder
+            fake.report(
+                off,
+                PlanState.FAILED,
+                refused=True,
+                error_code=ErrorCode.GOAL_OFF_TABLE,
+                error_msg="off",
+            )
+            time.sleep(0.2)
+        assert fake.recorded(1)[0].error_code == ErrorCode.GOAL_OFF_TABLE
+        first, second = fake.goal(), fake.goal(Pose(-0.02, 0.0, 0.0))
+        fake.plan(first, PlanState.PLACING)
+        time.sleep(0.3)
+        fake.report(
+            first, PlanState.CANCELED, error_code=ErrorCode.GOAL_REPLACED, error_msg="newer"
+        )
+        fake.plan(second, PlanState.WAITING_FOR_CELL)
+        runs = fake.recorded(3)  # the second one's planner says nothing any more
+    assert [run.outcome for run in runs] == ["refused", "canceled", "unfinished"]
+    assert runs[1].error_code == ErrorCode.GOAL_REPLACED
+    assert runs[2].error_code == ErrorCode.SHUTTING_DOWN
+    assert runs[0].goal is not None and runs[0].goal.x == 0.9
+
+
+def test_the_end_of_the_recorder_leaves_the_tables_of_the_goal_under_way(tmp_path: Path) -> None:
+    with cell(tmp_path, pictures=True) as fake:
+        fake.see(START)
+        fake.plan(fake.goal(), PlanState.PLACING)
+        fake.bench.wait(lambda: list((tmp_path / "runs").glob("*/bag")), "it records")
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert read_run(folder).outcome == "unfinished"
+    assert read_bag(folder / "bag").whole
+
+
+def test_single_taps_make_no_run_folder(tmp_path: Path) -> None:
+    with cell(tmp_path) as fake:
+        fake.plan(fake.goal(), PlanState.PLACING, planner="prescribed")
+        time.sleep(1.0)
+        fake.follow(fake.goal())
+        assert len(fake.recorded(1)) == 1
+    assert len(list((tmp_path / "runs").iterdir())) == 1
+
+
+def test_a_name_is_never_taken_twice(tmp_path: Path) -> None:
+    with cell(tmp_path, name="mine") as fake:
+        fake.follow(fake.goal())
+        fake.recorded(1)
+        fake.follow(fake.goal())
+        names = [run.name for run in fake.recorded(2)]
+    assert names == ["mine", "mine_2"]
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"folder": "/proc/nowhere"}, "no run folder can be made"),
+        ({"least_free": 1e7}, "make room"),
+        ({"most_runs": 1, "folder": "FULL"}, "nothing is deleted"),
+    ],
+    ids=["folder", "room", "number"],
+)
+def test_a_recorder_that_cannot_write_says_so_and_goes_on(
+    parameters: dict[str, object], words: str, tmp_path: Path
+) -> None:
+    if parameters.get("folder") == "FULL":
+        (tmp_path / "runs" / "old").mkdir(parents=True)
+        parameters = {**parameters, "folder": tmp_path / "runs"}
+    with cell(tmp_path, **parameters) as fake:
+        fake.follow(fake.goal())
+        fake.bench.wait(lambda: fake.health()[0] == DiagnosticStatus.ERROR, "it says so")
+        sentence = fake.health()[1]
+        assert sentence.startswith(f"({ErrorCode.RECORDING_FAILED})") and words in sentence
+        assert fake.runs == []
+    assert [p.name for p in (tmp_path / "runs").glob("*")] in ([], ["old"])
