@@ -3,7 +3,7 @@
 The first line that is not a comment (``#``) names the columns. A column's unit is SI, or the one
 that its name ends in: ``x`` and ``x_m`` are in m, ``x_mm`` in mm, ``shoulder_deg`` in degrees. A
 row with a cell that is no number or outside the column's range is left out and named in ``faults``;
-a file in which most rows are so is refused, with the unit that would mend it. Columns that nobody
+a file in which many rows are so is refused, with the unit that would mend it. Columns that nobody
 asked for are not read. Row numbers are those of a text editor or spreadsheet: the header is 1 when
 it is the first line.
 """
@@ -33,8 +33,8 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """Endings of a column's name and what they multiply, by the SI unit of the quantity."""
 
-_MOST = 0.5
-"""Share of rows out of range from which the file, not a row, is wrong."""
+_MOST = 0.3
+"""Share of rows out of range above which the file, not a row, is wrong."""
 
 
 class RecordError(ValueError):
@@ -113,7 +113,7 @@ def read_csv(
     """The rows of a CSV file whose cells are all numbers within their ranges.
 
     Raises:
-        RecordError: no file, no header, a column missing or there twice, no good row, or most rows
+        RecordError: no file, no header, a column missing or there twice, no good row, or many rows
             out of range: the units are wrong.
     """
     path = Path(path)
@@ -239,7 +239,7 @@ def _row(
 def _check_units(
     path: Path, places: Sequence[_Place], outside: dict[str, list[float]], total: int
 ) -> None:
-    """Refuse a file in which most values of a column are out of its range."""
+    """Refuse a file in which many values of a column are out of its range."""
     for place in places:
         wrong = outside.get(place.column.name, [])
         if len(wrong) <= _MOST * total:

@@ -31,6 +31,8 @@ POINTS = 8
 """Pairs of the curve that is written."""
 _NO_MOTION = 0.0003
 """Travel in m below which the object did not move (a camera's error three times over)."""
+_SHORT, _NEIGHBOURS = 0.003, 5
+"""Travel in m below which a tap may fail for want of energy; how many taps around it are asked."""
 _RELIABLE = 0.9
 """Share of taps of an energy that must move the object."""
 _OUTLIER = 4.5
@@ -130,13 +132,12 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
     """
     groups = _groups(record.energies)
     moves = record.distances >= _NO_MOTION
-    moved_share = np.array([moves[groups == g].mean() for g in groups])
-    least_energy = _least(record.energies, moved_share)
+    least_energy = _least(record, groups, moves)
     usable = moves & (record.energies >= least_energy * (1 - _ALIKE))
     left_out = [
         LeftOut(
             int(record.rows[k]),
-            f"the object moved {record.distances[k] * 1e3:.2f} mm: no tap"
+            f"the object moved {record.distances[k] * 1e3:.2f} mm: a miss, or too small a tap"
             if not moves[k]
             else f"energy {record.energies[k] * 1e3:.4g} mJ does not move the object reliably",
         )
@@ -210,15 +211,29 @@ def _groups(energies: Array) -> NDArray[np.intp]:
     return groups
 
 
-def _least(energies: Array, moved_share: Array) -> float:
-    """The least energy from which on all draws move the object reliably, in J."""
-    failing = energies[moved_share < _RELIABLE]
-    above = energies[energies > (failing.max() if len(failing) else 0.0)]
-    if not len(above):
+def _least(record: TapRecord, groups: NDArray[np.intp], moves: NDArray[np.bool_]) -> float:
+    """The least energy from which on all draws move the object reliably, in J.
+
+    A tap without motion among long ones missed the object; only among short ones does it say that
+    the draw is too small.
+    """
+    if not moves.any():
         raise CalibrationRefused(
-            "no energy moved the object reliably: are the distances in the unit that their column"
-            " names?"
+            "no tap moved the object: are the distances in the unit that their column names?"
         )
+    x = np.log(record.energies)
+    weak = np.zeros(len(x), dtype=bool)
+    for k in np.flatnonzero(~moves):
+        nearest = np.argsort(np.abs(x[moves] - x[k]), kind="stable")[:_NEIGHBOURS]
+        weak[k] = np.median(record.distances[moves][nearest]) < _SHORT
+    failing = [
+        float(record.energies[groups == group].max())
+        for group in np.unique(groups[weak])
+        if 1.0 - weak[groups == group].mean() < _RELIABLE
+    ]
+    above = record.energies[record.energies > max(failing, default=0.0) * (1 + _ALIKE)]
+    if not len(above):
+        raise CalibrationRefused("no energy moved the object reliably: use larger draws")
     return float(above.min())
 
 

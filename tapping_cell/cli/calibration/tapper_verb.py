@@ -31,7 +31,7 @@ from tapping_cell.configuration.provenance import Provenance
 
 COLUMNS = (
     Column("energy", "J", 1e-7, 100.0, least_largest=1e-5),
-    Column("distance", "m", 0.0, 3.0, least_largest=0.002),
+    Column("distance", "m", 0.0, 1.0, least_largest=0.002),
     Column("rotation", "rad", -20.0, 20.0, required=False),
     Column("incidence", "rad", -1.4, 1.4, required=False),
 )
