@@ -47,7 +47,6 @@ PASSING = (
 )
 """Failures that may pass by themselves: the cell is waited for, then the trial is made again."""
 IN_A_ROW = 3
-AFTER_REST_S = 0.5
 
 
 class SeriesStopped(RuntimeError):
@@ -115,7 +114,6 @@ class TapSeries:
             self._untapped(result.error_code, result.error_msg)
             return None
         self._failures = 0
-        self._pause(AFTER_REST_S)
         expected = math.hypot(record.dx, record.dy)
         trial = judged(self._recorded(run, number, record, result.error_msg), self.header, expected)
         self.client.write_bag(self.bag)
@@ -161,12 +159,6 @@ class TapSeries:
                     f"the cell was not ready for a tap within {READY_PATIENCE_S:.0f} s: "
                     + "; ".join(missing),
                 )
-            time.sleep(0.02)
-
-    def _pause(self, seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.check()
             time.sleep(0.02)
 
     def _recorded(self, run: Run, number: int, record: TapRecord, trouble: str) -> Trial:
