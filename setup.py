@@ -14,6 +14,7 @@ NODES = (
     "scara_arm",
     "tapper_trigger",
     "sim_world",
+    "run_recorder",
     "operator_page",
 )
 

@@ -22,5 +22,6 @@ def generate_launch_description() -> LaunchDescription:
         LaunchedNode("tap_planner", {**FILES, "planner": "planner"}),
         LaunchedNode("scara_arm", CELL),
         LaunchedNode("tapper_trigger", CELL),
+        LaunchedNode("run_recorder", {**FILES, "runs": "folder"}, respawn=True),
     )
     return cell_launch(ARGUMENTS, nodes)

@@ -22,5 +22,6 @@ def generate_launch_description() -> LaunchDescription:
         LaunchedNode("tap_planner", {**FILES, "planner": "planner"}),
         LaunchedNode("scara_arm", {**CELL, "arm_port": "port"}),
         LaunchedNode("tapper_trigger", {**CELL, "tapper_port": "port"}),
+        LaunchedNode("run_recorder", {**FILES, "runs": "folder", "seed": "seed"}, respawn=True),
     )
     return cell_launch(ARGUMENTS, nodes)

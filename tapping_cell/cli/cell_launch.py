@@ -23,6 +23,7 @@ COMMON = {
     "object_file": ("", "object file; empty for the cell file's"),
     "planner": ("", "planning method; empty for the cell file's"),
     "params_file": ("", "file of ROS parameters for every node; its values win over the others"),
+    "runs": ("runs", "folder in which every goal gets a run folder"),
     "use_sim_time": ("false", "take the time from /clock, as when a bag is played"),
     "page": ("false", "serve the operator's web page"),
     "page_address": ("localhost", "where: 0.0.0.0 for the whole network, with a token"),

@@ -13,12 +13,16 @@ from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.nodes.error_codes import NAMES
 from tapping_cell.nodes.overhead_camera import OverheadCamera
+from tapping_cell.nodes.run_recorder import RunRecorder
 from tapping_cell.nodes.scara_arm import ScaraArm
 from tapping_cell.nodes.sim_world import SimWorld
 from tapping_cell.nodes.tap_planner import TapPlanner
 from tapping_cell.nodes.tapper_trigger import TapperTrigger
+from tapping_cell.report.hints import HINTS
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "nodes.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGE = (DOCS / "nodes.md").read_text(encoding="utf-8")
+HINT_PAGE = (DOCS / "error_codes.md").read_text(encoding="utf-8")
 NODES = (
     "overhead_camera",
     "camera_pose",
@@ -27,6 +31,7 @@ NODES = (
     "tapper_trigger",
     "sim_world",
     "operator_page",
+    "run_recorder",
 )
 
 
@@ -58,12 +63,21 @@ def test_every_error_code_stands_in_the_page() -> None:
     assert NAMES[ErrorCode.NONE] == "NONE"
 
 
+def test_every_error_code_has_a_hint_and_stands_in_its_page() -> None:
+    """A new code needs an entry in report/hints.py and a row in docs/error_codes.md."""
+    assert {code: name for code, (name, _) in HINTS.items()} == NAMES
+    rows = re.findall(r"^\| (\d+) \| (\w+) \| (.*) \|$", HINT_PAGE, re.MULTILINE)
+    assert {int(code): (name, hint) for code, name, hint in rows} == HINTS
+    for code, (name, hint) in HINTS.items():
+        assert code == ErrorCode.NONE or hint.endswith("."), name
+
+
 def test_every_topic_and_service_of_the_nodes_stands_in_the_page() -> None:
     from tapping_cell.nodes.camera_pose import CameraPose
     from tapping_cell.nodes.operator_page import OperatorPage
 
     cell = (OverheadCamera, CameraPose, TapPlanner, ScaraArm, TapperTrigger, SimWorld)
-    kinds = (*cell, OperatorPage)
+    kinds = (*cell, OperatorPage, RunRecorder)
     still = {name: {"autostart": False} for name in NODES}
     with bench(lambda: [kind() for kind in kinds], still) as b:
         node = b.probe
