@@ -21,6 +21,7 @@ LEAST_RUNS = 2
 LEAST_IN_RUN = 3
 LEAST_TRIALS = 8
 _LEAST_MOTION = 0.0002  # m
+_LEAST_SPEED = 0.02  # m/s: it would go 0.1 mm at a friction of 0.2
 _FRICTION = (0.005, 5.0)
 _SPIN_GAIN = (0.3, 30.0)  # 1 + gamma kappa / 4 for torque factors to 20, with room for noise
 _STRIKER_GAIN = (0.01, 2.5)  # an elastic hit by a heavy striker doubles its speed
@@ -71,14 +72,14 @@ def screen(experiments: Sequence[Experiment], body: Body, gravity: float) -> Scr
                 continue
             row = LeftOut(trial.file, trial.row, found.reason, found.sentence)
             left_out.append(row)
-            if found.reason == "units":
+            if found.reason == "units" or (found.reason == "missed" and trial.outcome == "ok"):
                 wrong[trial.file] += 1
                 first.setdefault(trial.file, row)
         for file, count in wrong.items():
             if count > total[file] / 2:
                 raise RecordError(
-                    f"{file}: {count} of {total[file]} rows have wrong units, the first in row "
-                    f"{first[file].row}: {first[file].sentence}"
+                    f"{file}: {count} of {total[file]} rows have wrong units (or hardly moved), the "
+                    f"first in row {first[file].row}: {first[file].sentence}"
                 )
     return enough(used, left_out)
 
@@ -134,7 +135,9 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
     doubt = _against_poses(trial, spread, turn_spread)
     if doubt is not None:
         return doubt
-    if trial.displacement < max(_LEAST_MOTION, _OTHER_NOISE * spread):
+    # An object that set out fast and went nowhere is no miss but a wrong unit: found below.
+    still = not trial.initial_speed > _LEAST_SPEED
+    if still and trial.displacement < max(_LEAST_MOTION, _OTHER_NOISE * spread):
         return _Doubt(
             "missed", f"the object moved by {1e3 * trial.displacement:.3g} mm only: a miss"
         )

@@ -335,4 +335,4 @@ def _title(column: Column) -> str:
 
 
 def _cell(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.9g}"
+    return "" if math.isnan(value) else repr(float(value))

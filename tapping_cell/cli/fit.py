@@ -174,19 +174,25 @@ def lines(fit: ObjectFit) -> list[str]:
     text += ["", "  prediction error of each run's mean in percent:"]
     text.extend(_run_rows(fit))
     if fit.tapper:
-        text += ["", "  striker speed, mm/s:"]
-        for point in fit.tapper:
-            setting = (
-                f"commanded {1e3 * point.commanded:.0f}"
-                if math.isnan(point.draw)
-                else f"draw {1e3 * point.draw:.2f} mm"
-            )
-            text.append(
-                f"    {setting}: {1e3 * point.measured:.1f} +- {1e3 * point.scatter:.1f} in "
-                f"{point.trials} taps"
-            )
+        text += ["", "  striker speed:", *(f"    {line}" for line in speed_lines(fit))]
     text += ["", *(f"  {sentence}" for sentence in fit.sentences)]
     return text
+
+
+def speed_lines(fit: ObjectFit) -> list[str]:
+    """The measured striker's speed at each setting."""
+    found = []
+    for point in fit.tapper:
+        setting = (
+            f"commanded {1e3 * point.commanded:.0f} mm/s"
+            if math.isnan(point.draw)
+            else f"draw {1e3 * point.draw:.2f} mm"
+        )
+        found.append(
+            f"{setting}: {1e3 * point.measured:.1f} mm/s, scatter {1e3 * point.scatter:.1f} mm/s "
+            f"in {point.trials} taps"
+        )
+    return found
 
 
 def shown(entry: Estimate) -> tuple[str, float]:

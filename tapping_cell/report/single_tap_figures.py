@@ -1,0 +1,213 @@
+"""Figures of single-tap experiments, like figures 3 and 4 of the paper."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from tapping_cell.report.single_tap import Array, ProfileView, SingleTapReport
+
+RUNS = "single_tap_runs.png"
+PROFILES = "single_tap_profiles.png"
+RESIDUALS = "single_tap_residuals.png"
+ERRORS = "single_tap_errors.png"
+VALUES = "single_tap_values.png"
+
+_SEEN = "#1c2733"
+_PREDICTED = "#c8372d"
+_PLAIN = "#8a97a5"
+_GRID: dict[str, Any] = {"alpha": 0.25, "linewidth": 0.6}
+_MARKS = "osD^vP*X<>"
+
+
+def write_figures(report: SingleTapReport, folder: Path) -> list[Path]:
+    """Draw everything into an existing folder; returns the files in the order of the page."""
+    drawings = [
+        (RUNS, (11.0, 4.6), _runs),
+        (PROFILES, (11.0, 3.4 * max(len(report.profiles), 1)), _profiles),
+        (RESIDUALS, (11.0, 4.2), _residuals),
+        (ERRORS, (11.0, 4.0), _errors),
+        (VALUES, (11.0, 3.2), _values),
+    ]
+    files = []
+    for name, size, draw in drawings:
+        if name == PROFILES and not report.profiles:
+            continue
+        figure = Figure(figsize=size, dpi=110, layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(figure, report)
+        figure.savefig(folder / name)
+        files.append(folder / name)
+    return files
+
+
+def _styles(report: SingleTapReport) -> dict[str, tuple[str, str]]:
+    """Colour and mark of each run."""
+    labels = dict.fromkeys(report.labels)
+    return {
+        label: (f"C{index % 10}", _MARKS[index % len(_MARKS)]) for index, label in enumerate(labels)
+    }
+
+
+def _runs(figure: Figure, report: SingleTapReport) -> None:
+    """Figure 3: left the displacements, right the initial velocities, of every trial."""
+    left, right = figure.subplots(1, 2)
+    seen, tapped, slid = report.measured, report.by_tapping, report.by_sliding
+    names = np.array(report.labels)
+    pairs = (
+        (left, seen.distance, seen.rotation, tapped.distance, tapped.rotation, slid.distance,
+         slid.rotation),
+        (right, seen.speed, seen.spin, tapped.speed, tapped.spin, slid.speed, slid.spin),
+    )  # fmt: skip
+    for axes, x, y, tap_x, tap_y, slide_x, slide_y in pairs:
+        for label, (colour, mark) in _styles(report).items():
+            run = names == label
+            axes.plot(x[run], y[run], mark, color=colour, ms=6, alpha=0.75, label=f"run {label}")
+            axes.plot(slide_x[run], slide_y[run], "+", color=_SEEN, ms=9, mew=1.0)
+            if np.isfinite(tap_x[run]).any():
+                # To either side apart: the mean of both would be a tap that nobody made.
+                for side in (y[run] > 0, y[run] <= 0):
+                    if np.isfinite(tap_x[run][side]).any():
+                        middle = np.nanmean(tap_x[run][side]), np.nanmean(tap_y[run][side])
+                        axes.plot(*middle, mark, mfc="white", mec=colour, mew=2.2, ms=11)
+        axes.axhline(0.0, color=_PLAIN, lw=0.8)
+        axes.grid(**_GRID)
+        axes.set_xlim(left=0)
+    left.set(xlabel="displacement (mm)", ylabel="rotation (degrees)", title="Displacements")
+    right.set(
+        xlabel="initial speed (mm/s)", ylabel="initial spin (degrees/s)", title="Initial velocities"
+    )
+    handles, words = left.get_legend_handles_labels()
+    handles += [
+        Line2D([], [], marker="+", color=_SEEN, ls="", ms=9),
+        Line2D([], [], marker="o", mfc="white", mec=_SEEN, mew=2.2, ls="", ms=10),
+    ]
+    words += ["calculated from the other, each trial", "predicted from the striker, mean"]
+    figure.legend(handles, words, loc="outside lower center", ncols=6, fontsize=8, frameon=False)
+
+
+def _profiles(figure: Figure, report: SingleTapReport) -> None:
+    """Figure 4: velocity profiles of trials, measured and predicted, and the poses behind them."""
+    grid = figure.subplots(len(report.profiles), 3, squeeze=False)
+    for row, view in zip(grid, report.profiles, strict=True):
+        _profile(row[0], row[1], row[2], view)
+    handles = [
+        Line2D([], [], marker="o", color=_SEEN, ls="", ms=5),
+        Line2D([], [], color=_PREDICTED),
+        Line2D([], [], color=_PLAIN, ls="--"),
+    ]
+    words = [
+        "measured (velocities: differences of frames)",
+        "predicted from the displacement",
+        "the same with a torque factor of 1",
+    ]
+    figure.legend(handles, words, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+
+
+def _profile(speed: Axes, spin: Axes, pose: Axes, view: ProfileView) -> None:
+    speed.plot(view.plain_time, view.plain_speed, "--", color=_PLAIN)
+    speed.plot(view.curve_time, view.curve_speed, color=_PREDICTED)
+    speed.plot(view.rate_time, view.seen_speed, "o", color=_SEEN, ms=5)
+    speed.set(ylabel="speed (mm/s)", title=view.title)
+    spin.plot(view.plain_time, view.plain_spin, "--", color=_PLAIN)
+    spin.plot(view.curve_time, view.curve_spin, color=_PREDICTED)
+    spin.plot(view.rate_time, view.seen_spin, "o", color=_SEEN, ms=5)
+    spin.set(ylabel="spin (degrees/s)", title="spin")
+    pose.plot(view.curve_time, view.curve_distance, color=_PREDICTED)
+    pose.plot(view.seen_time, view.seen_distance, "o", color=_SEEN, ms=5)
+    pose.set(ylabel="distance (mm)", title="poses")
+    turned = pose.twinx()
+    turned.plot(view.curve_time, view.curve_rotation, color=_PREDICTED, alpha=0.5)
+    turned.plot(view.seen_time, view.seen_rotation, "s", color=_PLAIN, ms=4)
+    turned.set_ylabel("rotation (degrees), squares", color=_PLAIN)
+    for axes in (speed, spin, pose):
+        axes.set_xlabel("time from the impact (ms)")
+        axes.set_xlim(-40, max(float(view.curve_time[-1]), float(view.plain_time[-1])) * 1.15)
+        axes.grid(**_GRID)
+
+
+def _residuals(figure: Figure, report: SingleTapReport) -> None:
+    """Each trial: measured over calculated initial velocities, and its own friction."""
+    left, middle, right = figure.subplots(1, 3)
+    seen, slid, names = report.measured, report.by_sliding, np.array(report.labels)
+    index = np.arange(1, len(names) + 1)
+    columns = (
+        (left, _percent(seen.speed, slid.speed), "initial speed: measured over calculated"),
+        (middle, _percent(seen.spin, slid.spin), "initial spin: measured over calculated"),
+        (right, 100 * (report.own_friction - 1), "friction of the trial over that of all"),
+    )
+    for axes, values, title in columns:
+        for label, (colour, mark) in _styles(report).items():
+            run = names == label
+            axes.plot(index[run], values[run], mark, color=colour, ms=5, label=f"run {label}")
+        axes.axhline(0.0, color=_PLAIN, lw=0.8)
+        axes.set(xlabel="trial", ylabel="%", title=title)
+        axes.title.set_fontsize(10)
+        axes.grid(**_GRID)
+    handles, words = left.get_legend_handles_labels()
+    figure.legend(handles, words, loc="outside lower center", ncols=8, fontsize=8, frameon=False)
+
+
+def _percent(seen: Array, calculated: Array) -> Array:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(100 * (seen / calculated - 1))
+
+
+def _errors(figure: Figure, report: SingleTapReport) -> None:
+    """The prediction error of each run in percent, of the four predictions."""
+    kinds = (
+        ("sliding", "displacement\nfrom measured velocity"),
+        ("inverse", "velocity\nfrom measured displacement"),
+        ("impact", "velocity\nfrom the striker"),
+        ("tap", "displacement\nfrom the striker"),
+    )
+    all_axes = figure.subplots(1, 4, sharey=True)
+    place = np.arange(len(report.runs))
+    for axes, (kind, title) in zip(all_axes, kinds, strict=True):
+        values = np.array([getattr(run, kind) for run in report.runs])
+        for shift, column, colour, word in (
+            (-0.2, 0, "#1f77b4", "translation"),
+            (0.2, 1, "#ff7f0e", "rotation"),
+        ):
+            bars = axes.bar(place + shift, values[:, column], 0.38, color=colour, label=word)
+            known = [f"{v:+.1f}" if np.isfinite(v) else "" for v in values[:, column]]
+            axes.bar_label(bars, labels=known, fontsize=7, padding=2)
+        axes.axhline(0.0, color=_SEEN, lw=0.8)
+        axes.set_xticks(place, [f"run {run.label}" for run in report.runs], fontsize=8)
+        axes.set_title(title, fontsize=10)
+        axes.grid(axis="y", **_GRID)
+    largest = np.nanmax(np.abs([[*r.sliding, *r.inverse, *r.impact, *r.tap] for r in report.runs]))
+    all_axes[0].set_ylim(-1.25 * max(largest, 1.0), 1.25 * max(largest, 1.0))
+    all_axes[0].set_ylabel("error of the run's mean (%)")
+    handles, words = all_axes[0].get_legend_handles_labels()
+    figure.legend(handles, words, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+
+
+def _values(figure: Figure, report: SingleTapReport) -> None:
+    """Fitted values with their intervals, over the old ones."""
+    rows = [p for p in report.parameters if np.isfinite(p.low) and np.isfinite(p.old) and p.old]
+    axes = figure.subplots()
+    place = np.arange(len(rows))[::-1]
+    for y, p in zip(place, rows, strict=True):
+        low, value, high = (100 * (v / p.old - 1) for v in (p.low, p.value, p.high))
+        axes.plot([low, high], [y, y], color=_PREDICTED, lw=3, solid_capstyle="butt")
+        axes.plot(value, y, "o", color=_PREDICTED)
+        axes.annotate(
+            f"{p.value:.4g}  (was {p.old:.4g})",
+            (high, float(y)),
+            xytext=(8, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+        )
+    axes.axvline(0.0, color=_SEEN, lw=1.0)
+    axes.set_yticks(place, [p.name for p in rows])
+    axes.set_xlabel("fitted over old value, minus 1 (%), with the 95 % interval")
+    axes.grid(axis="x", **_GRID)
+    axes.margins(x=0.25, y=0.15)
