@@ -23,8 +23,15 @@ from rich.console import Console
 from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.cli import session
-from tapping_cell.cli.graph import RECORDER, SIMULATED, Graph, NodeDied, own_domain
-from tapping_cell.cli.up import node_parameters
+from tapping_cell.cli.graph import (
+    RECORDER,
+    SIMULATED,
+    Graph,
+    NodeDied,
+    own_domain,
+    with_own_ports,
+)
+from tapping_cell.cli.up import add_truth_arguments, node_parameters
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes.conversions import from_message
@@ -64,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the world's noise and scatter")
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
-    parser.add_argument("--truth", type=Path, help="truth file of the simulated world")
+    add_truth_arguments(parser)
     parser.add_argument("--planner", help="planning method (default: the cell's)")
     parser.add_argument("--out", type=Path, help="run folder (default: a new one under runs/)")
 
@@ -92,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with (
             tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports,
-            Graph(nodes, _with_ports(parameters, Path(ports)), folder / "logs") as graph,
+            Graph(nodes, with_own_ports(parameters, Path(ports)), folder / "logs") as graph,
             GoalClient("demo") as client,
         ):
             record = read_run(_position(arguments, graph, client, console))
@@ -123,16 +130,6 @@ def _run_folder(out: Path | None) -> Path:
             f"{folder} holds a run already, which is not overwritten; choose another folder"
         )
     return folder.resolve()
-
-
-def _with_ports(
-    parameters: dict[str, dict[str, object]], ports: Path
-) -> dict[str, dict[str, object]]:
-    """The parameters with ports of this run alone, so that two runs do not meet."""
-    parameters["sim_world"] |= {"arm_port": ports / "arm", "tapper_port": ports / "tapper"}
-    parameters["scara_arm"]["port"] = ports / "arm"
-    parameters["tapper_trigger"]["port"] = ports / "tapper"
-    return parameters
 
 
 def _position(

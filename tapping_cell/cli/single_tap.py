@@ -56,7 +56,7 @@ from tapping_cell.cli.graph import (
     with_own_ports,
 )
 from tapping_cell.cli.tap_series import READY_PATIENCE_S, Done, SeriesStopped, TapSeries
-from tapping_cell.cli.up import node_parameters
+from tapping_cell.cli.up import add_truth_arguments, node_parameters
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.files import shared_folder
@@ -119,7 +119,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
-    parser.add_argument("--truth", type=Path, help="simulated: truth file of the world")
+    add_truth_arguments(parser)
     parser.add_argument("--seed", type=int, help="simulated: of noise and scatter (default: 1)")
     parser.add_argument(
         "--camera-rate", type=float, default=30.0, help="simulated: pictures a second (default: 30)"

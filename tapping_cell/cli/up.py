@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--camera", help="with --hardware: device, video file or folder (default: /dev/video0)"
     )
-    parser.add_argument("--truth", type=Path, help="simulated: truth file of the world")
+    add_truth_arguments(parser)
     parser.add_argument("--seed", type=int, help="simulated: of noise and scatter (default: 1)")
     parser.add_argument(
         "--params",
@@ -126,6 +126,18 @@ def tell_page(log: Path, console: Console) -> bool:
     return bool(found)
 
 
+def add_truth_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options that say what is true in the simulated world."""
+    parser.add_argument("--truth", type=Path, help="simulated: truth file of the world")
+    parser.add_argument(
+        "--truth-object",
+        type=Path,
+        metavar="FILE",
+        help="simulated: object file that the true parameters start from, where the planner "
+        "believes another, such as a fitted one",
+    )
+
+
 def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict[str, object]]:
     """The parameters of each node that the command line gives; the rest is left to the nodes."""
     place: dict[str, object] = {"cell_file": cell.path} if arguments.cell else {}
@@ -144,6 +156,8 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
     }
     if arguments.truth:
         parameters["sim_world"]["truth_file"] = arguments.truth.resolve()
+    if arguments.truth_object:
+        parameters["sim_world"]["object_file"] = arguments.truth_object.resolve()
     if arguments.planner:
         parameters["tap_planner"]["planner"] = arguments.planner
     if getattr(arguments, "runs", None):
