@@ -10,7 +10,6 @@ import queue
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -32,6 +31,7 @@ from tapping_cell.calibration.trials import Track
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import covariance_from_message, from_message, seconds
 from tapping_cell.nodes.goal_client import GoalClient
+from tapping_cell.nodes.recording import Heard
 from tapping_cell.report.bag import BagWriter, Quality
 from tapping_cell.se2 import Pose
 
@@ -55,15 +55,6 @@ RECORDED: tuple[tuple[type, str, Any, Quality], ...] = (
 
 class NoAnswer(RuntimeError):
     """The planner did not answer; the sentence says what to do."""
-
-
-@dataclass(frozen=True, slots=True)
-class Heard:
-    """One message as it came: its topic as resolved, ROS time in ns, its CDR bytes."""
-
-    topic: str
-    stamp: int
-    data: bytes
 
 
 class SingleTapClient(GoalClient):
