@@ -8,10 +8,12 @@ withdraw. What the drivers say is held against what the devices did.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
+from typing import Protocol
 
 import numpy as np
 
@@ -23,6 +25,7 @@ from tapping_cell.hardware.marlin_dialect import MarlinDialect
 from tapping_cell.hardware.motion import MotionSettings, strike_path, withdraw_path
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
 from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
+from tapping_cell.hardware.transport import Transport
 from tapping_cell.simulation.fault_layer import (
     Direction,
     FaultKind,
@@ -101,27 +104,40 @@ class Tally:
         return not (self.double_fires or self.unsafe_fires or self.hangs or self.false_reports)
 
 
+class Clock(Protocol):
+    """The time that the cell lives in."""
+
+    limit: float
+    """Time beyond which a call counts as hanging."""
+
+    @property
+    def now(self) -> float:
+        """s."""
+
+
 class TrialCell:
     """Two emulated devices behind bad lines, their drivers, and a witness of the truth."""
 
-    def __init__(self, dialect: Dialect, seed: int) -> None:
+    def __init__(self, dialect: Dialect, seed: int, clock: Clock | None = None) -> None:
         self.dialect = dialect
         self.rng = np.random.default_rng([seed, list(Dialect).index(dialect)])
-        self.clock = VirtualClock()
+        self.clock: Clock = clock or VirtualClock()
+        now = self.clock.now
         self.geometry = ScaraGeometry()
         self.motion = MotionSettings(park=PARK)
-        self.tapper_device = TapperEmulator(on_fire=self._witness)
+        self.tapper_device = TapperEmulator(on_fire=self._witness, now=now)
         self.arm_device: GrblEmulator | MarlinEmulator
         if dialect is Dialect.GRBL:
-            self.arm_device = GrblEmulator(GrblMachine(start_joints=PARK, home_joints=HOME), seed)
+            self.arm_device = GrblEmulator(
+                GrblMachine(start_joints=PARK, home_joints=HOME), seed, now
+            )
         else:
             self.arm_device = MarlinEmulator(
-                MarlinMachine(start_joints=PARK, home_joints=HOME), seed
+                MarlinMachine(start_joints=PARK, home_joints=HOME), seed, now
             )
         self.arm_line = FaultLayer(self.arm_device)
         self.tapper_line = FaultLayer(self.tapper_device)
-        arm_port = VirtualTransport(self.arm_line, self.clock, "arm")
-        tapper_port = VirtualTransport(self.tapper_line, self.clock, "tapper")
+        arm_port, tapper_port = self._ports()
         language: ArmDialect
         if dialect is Dialect.GRBL:
             language = GrblDialect(arm_port)
@@ -135,6 +151,24 @@ class TrialCell:
         self.reported: dict[int, FireOutcome] = {}
         self.tally = Tally()
         self._seen = [0, 0]
+
+    def _ports(self) -> tuple[Transport, Transport]:
+        """The drivers' ends of both lines."""
+        assert isinstance(self.clock, VirtualClock)
+        return (
+            VirtualTransport(self.arm_line, self.clock, "arm"),
+            VirtualTransport(self.tapper_line, self.clock, "tapper"),
+        )
+
+    @contextmanager
+    def _arm_held(self) -> Iterator[None]:
+        """The emulated arm does not go on meanwhile."""
+        yield
+
+    @contextmanager
+    def _tapper_held(self) -> Iterator[None]:
+        """The emulated tapper does not go on meanwhile."""
+        yield
 
     def _draw(self, below: int) -> int:
         return int(self.rng.integers(below))
@@ -152,7 +186,8 @@ class TrialCell:
         for _ in range(int(self.rng.choice(len(FAULT_COUNTS), p=FAULT_COUNTS))):
             (name, direction), line = self.lines()[int(self.rng.integers(4))]
             span = bytes_of_a_tap(self.dialect)[name, direction]
-            line.add(random_fault(self.rng, direction, line.count(direction), span))
+            with self._tapper_held(), self._arm_held():
+                line.add(random_fault(self.rng, direction, line.count(direction), span))
 
     def tap(self) -> FireOutcome:
         """One tap from wherever the cell is; recovers first. Raises HangError."""
@@ -211,7 +246,8 @@ class TrialCell:
                 self.arm.clear_fault()
             except HardwareFault as fault:
                 if fault.reason is FaultReason.NEEDS_PERSON:
-                    self.arm_device.power_cycle(self.clock.now)
+                    with self._arm_held():
+                        self.arm_device.power_cycle(self.clock.now)
                 raise
         if not self.arm.homed:
             self.arm.home(HomingStrategy.FIRMWARE)
@@ -220,7 +256,8 @@ class TrialCell:
         if not self.tapper.connected:
             self.tapper.connect()
         if self.tapper.status().stop_latched:
-            self.tapper_device.press_clear_button(self.clock.now)
+            with self._tapper_held():
+                self.tapper_device.press_clear_button(self.clock.now)
             self.tapper.clear()
 
     def random_tip(self) -> TipPose:
@@ -234,13 +271,17 @@ class TrialCell:
     def _near(self, joints: Joints, goal: Joints) -> bool:
         return bool(np.all(np.abs(np.subtract(joints, goal)) <= TRUE_TOLERANCE))
 
+    def _true_place(self, now: float) -> tuple[Joints, bool]:
+        """Where the emulated arm truly is, and whether it moves."""
+        with self._arm_held():
+            return Joints(*self.arm_device.joints(now)), self.arm_device.moving(now)
+
     def _check_place(self, reading: ArmReading, goal: Joints) -> None:
         """The arm's driver says it stands at the goal: does it?"""
         if reading.moving or not self._near(reading.joints, goal):
             return
-        now = self.clock.now
-        truth = Joints(*self.arm_device.joints(now))
-        if self.arm_device.moving(now) or not self._near(truth, goal):
+        truth, moving = self._true_place(self.clock.now)
+        if moving or not self._near(truth, goal):
             self.tally.false_reports += 1
             self._note(f"the arm's driver says {reading.joints}, the arm is at {truth}")
 
@@ -250,11 +291,11 @@ class TrialCell:
         if shot in earlier:
             self.tally.double_fires += 1
             self._note(f"shot {shot} was fired twice")
-        truth = Joints(*self.arm_device.joints(now))
+        truth, moving = self._true_place(now)
         why = ""
         if not self.firing or shot != self.shot:
             why = f"shot {shot} while shot {self.shot} was under way"
-        elif self.arm_device.moving(now):
+        elif moving:
             why = "the arm was moving"
         elif self.goal is None or not self._near(truth, self.goal):
             why = f"the arm was at {truth}, not at {self.goal}"
@@ -277,6 +318,15 @@ class TrialCell:
                 self.tally.false_reports += 1
                 self._note(f"shot {shot} was reported {outcome.value}, which is not true")
 
+    def forget(self) -> None:
+        """Drop what the witness wrote down, and faults that are still planned."""
+        for line in (self.arm_line, self.tapper_line):
+            line.happened.clear()
+            line.forget()
+        self._seen = [0, 0]
+        self.tapper_device.fires.clear()
+        self.reported.clear()
+
     def struck(self) -> list[FaultKind]:
         """Kinds of the faults that struck since the last call."""
         kinds: list[FaultKind] = []
@@ -288,6 +338,11 @@ class TrialCell:
     def _note(self, text: str) -> None:
         if len(self.tally.notes) < 20:
             self.tally.notes.append(text)
+
+
+def virtual_cell(dialect: Dialect, seed: int) -> AbstractContextManager[TrialCell]:
+    """A cell in a time of its own."""
+    return nullcontext(TrialCell(dialect, seed))
 
 
 @cache
@@ -327,28 +382,33 @@ def run_sweep(
 
 
 def run_taps(
-    dialect: Dialect, taps: int, seed: int, prepare: Callable[[TrialCell], None] | None = None
+    dialect: Dialect,
+    taps: int,
+    seed: int,
+    prepare: Callable[[TrialCell], None] | None = None,
+    make: Callable[[Dialect, int], AbstractContextManager[TrialCell]] = virtual_cell,
 ) -> Tally:
     """``taps`` taps of one cell; ``prepare`` plans the faults before each (random ones if None)."""
     total = Tally()
     done = 0
     while done < taps:
         # After a hang the drivers' state is unknown to us, so a new cell goes on.
-        cell = TrialCell(dialect, seed + 1_000_003 * total.hangs)
-        try:
-            while done < taps:
-                done += 1
-                cell.tally.taps += 1
-                (prepare or TrialCell.plan_faults)(cell)
-                outcome = cell.tap()
-                for kind in set(cell.struck()) or (None,):
-                    name = kind.value if kind else "none"
-                    cell.tally.by_fault.setdefault(name, Counter())[outcome.value] += 1
-        except HangError as hang:
-            cell.tally.hangs += 1
-            cell.tally.notes.append(str(hang))
-        cell.check_reports()
-        cell.tally.faults_struck = len(cell.arm_line.happened) + len(cell.tapper_line.happened)
-        cell.tally.cell_seconds = cell.clock.now
-        total.add(cell.tally)
+        with make(dialect, seed + 1_000_003 * total.hangs) as cell:
+            began = cell.clock.now
+            try:
+                while done < taps:
+                    done += 1
+                    cell.tally.taps += 1
+                    (prepare or TrialCell.plan_faults)(cell)
+                    outcome = cell.tap()
+                    for kind in set(cell.struck()) or (None,):
+                        name = kind.value if kind else "none"
+                        cell.tally.by_fault.setdefault(name, Counter())[outcome.value] += 1
+            except HangError as hang:
+                cell.tally.hangs += 1
+                cell.tally.notes.append(str(hang))
+            cell.check_reports()
+            cell.tally.faults_struck = len(cell.arm_line.happened) + len(cell.tapper_line.happened)
+            cell.tally.cell_seconds = cell.clock.now - began
+            total.add(cell.tally)
     return total

@@ -8,6 +8,9 @@ did.
     python -m tapping_cell faults --taps 10000 --seed 1
     python -m tapping_cell faults --taps 500 --dialect marlin --json
     python -m tapping_cell faults --every-byte
+    python -m tapping_cell faults --pty --taps 20         # real terminals, in real time
+    python -m tapping_cell faults --soak 2                # hours of taps: does anything grow?
+    python -m tapping_cell faults --crashes               # nodes killed at every phase of a tap
 
 Exit status 0 only if nothing was fired twice or unsafely, nothing hung and every report was true.
 """
@@ -18,11 +21,16 @@ import argparse
 import json
 import os
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
 from functools import partial
+from pathlib import Path
 
+from tapping_cell.cli.driver_soak import soak
+from tapping_cell.cli.fault_terminals import terminal_cell
 from tapping_cell.cli.fault_trials import (
     Dialect,
     Tally,
@@ -30,6 +38,7 @@ from tapping_cell.cli.fault_trials import (
     run_sweep,
     run_taps,
 )
+from tapping_cell.cli.graph import SIMULATED, own_domain
 from tapping_cell.simulation.fault_layer import FaultKind
 
 CHUNK = 100
@@ -39,7 +48,9 @@ many processes there are."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
-    parser.add_argument("--taps", type=int, default=1000, metavar="N", help="default: %(default)s")
+    parser.add_argument(
+        "--taps", type=int, metavar="N", help="default: 1000, with --pty 20 (about 5 s each)"
+    )
     parser.add_argument(
         "--dialect",
         choices=[dialect.value for dialect in Dialect],
@@ -50,31 +61,69 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--jobs", type=int, default=os.cpu_count() or 1, help="processes; default: the cores"
     )
     parser.add_argument(
+        "--pty",
+        action="store_true",
+        help="over real pseudo-terminals in real time, one process a dialect",
+    )
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument(
         "--every-byte",
         action="store_true",
         help="instead of random faults, a restart and an unplug at every byte of one tap",
+    )
+    instead.add_argument(
+        "--soak",
+        type=float,
+        metavar="HOURS",
+        help="taps for so long in the devices' time; reports memory, threads, descriptors",
+    )
+    instead.add_argument(
+        "--crashes",
+        action="store_true",
+        help="instead, a running simulated cell: every node killed at every phase of a tap",
+    )
+    parser.add_argument(
+        "--node", action="append", help="with --crashes: only this node, may be repeated"
+    )
+    parser.add_argument(
+        "--phase", action="append", help="with --crashes: only this phase, may be repeated"
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the taps and report."""
-    if arguments.taps < 1 or arguments.jobs < 1 or arguments.seed < 0:
+    taps = (20 if arguments.pty else 1000) if arguments.taps is None else arguments.taps
+    if taps < 1 or arguments.jobs < 1 or arguments.seed < 0:
         print("--taps and --jobs must be at least 1, --seed at least 0", file=sys.stderr)
         return 2
+    if arguments.soak is not None and not 0 < arguments.soak <= 1000:
+        print("--soak must be above 0 and at most 1000 hours", file=sys.stderr)
+        return 2
     dialects = [Dialect(arguments.dialect)] if arguments.dialect else list(Dialect)
+    if arguments.crashes:
+        return _crashes(arguments)
+    if arguments.soak is not None:
+        return _soak(dialects, arguments)
     began = time.monotonic()
     total = Tally()
     if arguments.every_byte:
         chunks = _sweep(dialects)
+    elif arguments.pty:
+        chunks = [
+            partial(
+                run_taps, dialect, -(-taps // len(dialects)), arguments.seed, None, terminal_cell
+            )
+            for dialect in dialects
+        ]
     else:
-        chunks = _random(dialects, arguments.taps, arguments.seed)
+        chunks = _random(dialects, taps, arguments.seed)
     with ProcessPoolExecutor(min(arguments.jobs, len(chunks))) as pool:
         for future in as_completed([pool.submit(chunk) for chunk in chunks]):
             total.add(future.result())
             if not arguments.json and sys.stderr.isatty():
                 print(f"\r{total.taps} taps", end="", file=sys.stderr)
-    result = {
+    result: dict[str, object] = {
         "taps": total.taps,
         "dialects": [dialect.value for dialect in dialects],
         "seed": arguments.seed,
@@ -94,6 +143,63 @@ def run(arguments: argparse.Namespace) -> int:
     }
     print(json.dumps(result, indent=2) if arguments.json else _in_words(result))
     return 0 if total.clean else 1
+
+
+def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:
+    """The dialects side by side, as far as there are processes for them."""
+    with ProcessPoolExecutor(min(arguments.jobs, len(dialects))) as pool:
+        jobs = [pool.submit(soak, d, arguments.soak, arguments.seed) for d in dialects]
+        runs = [job.result() for job in jobs]
+    if arguments.json:
+        print(json.dumps([{**asdict(run), "steady": run.steady} for run in runs], indent=2))
+    else:
+        for run in runs:
+            blocks = ", ".join(f"{count}" for count in run.blocks)
+            memory = ", ".join(f"{count / 2**20:.1f}" for count in run.resident)
+            print(
+                f"{run.dialect}: {run.hours:.2f} h, {run.taps} taps; blocks of the allocator"
+                f" {blocks}; resident {memory} MiB; threads"
+                f" {run.threads[0]} to {run.threads[1]}; descriptors {run.descriptors[0]} to"
+                f" {run.descriptors[1]}; {'steady' if run.steady else 'GROWS'},"
+                f" {'clean' if run.clean else 'NOT CLEAN'}"
+            )
+    return 0 if all(run.steady and run.clean for run in runs) else 1
+
+
+def _crashes(arguments: argparse.Namespace) -> int:
+    """Needs ROS, which the other runs do without."""
+    from tapping_cell.cli import crash_trials
+
+    nodes, phases = arguments.node or SIMULATED, arguments.phase or crash_trials.PHASES
+    strange = (set(nodes) - set(SIMULATED)) | (set(phases) - set(crash_trials.PHASES))
+    if strange:
+        print(
+            f"{', '.join(sorted(strange))}: nodes are {', '.join(SIMULATED)}; phases are "
+            + ", ".join(crash_trials.PHASES),
+            file=sys.stderr,
+        )
+        return 2
+
+    def say(crash: crash_trials.Crash) -> None:
+        if not arguments.json:
+            words = "; ".join((crash.sentence, *crash.unsafe)).strip("; ")
+            verdict = "" if crash.clean else "NOT CLEAN "
+            print(
+                f"{crash.node:<15} {crash.phase:<12} {verdict}{crash.ended} after"
+                f" {crash.seconds:.1f} s {words}",
+                flush=True,
+            )
+
+    own_domain_held = own_domain()
+    os.environ["ROS_DOMAIN_ID"] = str(own_domain_held.number)
+    with tempfile.TemporaryDirectory() as folder:
+        crashes = crash_trials.run_crashes(Path(folder), nodes, phases, say)
+    clean = sum(crash.clean for crash in crashes)
+    if arguments.json:
+        print(json.dumps([{**asdict(crash), "clean": crash.clean} for crash in crashes], indent=2))
+    else:
+        print(f"{clean} of {len(crashes)} clean, load {os.getloadavg()[0]:.1f}")
+    return 0 if clean == len(crashes) else 1
 
 
 def _random(dialects: list[Dialect], taps: int, seed: int) -> list[Callable[[], Tally]]:

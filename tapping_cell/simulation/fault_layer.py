@@ -172,7 +172,7 @@ class FaultLayer:
         """Every fault that has struck, with its time in s."""
         self.absences = 0
         """How often the port has vanished."""
-        self._on_plug = on_plug
+        self.on_plug = on_plug
         self._channels = {direction: _Channel() for direction in Direction}
         self._plan: dict[tuple[Direction, int], LineFault] = {}
         self._back_at: float | None = None
@@ -238,8 +238,8 @@ class FaultLayer:
     def _step(self, now: float) -> None:
         if self._back_at is not None and self._back_at <= now:
             self._back_at = None
-            if self._on_plug:
-                self._on_plug(True)
+            if self.on_plug:
+                self.on_plug(True)
         self.emulator.advance(now)
         self._deliver(now)
         self._collect(now)
@@ -276,5 +276,5 @@ class FaultLayer:
             channel.clear()
         self._back_at = now + duration
         self.absences += 1
-        if self._on_plug:
-            self._on_plug(False)
+        if self.on_plug:
+            self.on_plug(False)

@@ -1,0 +1,296 @@
+"""Nodes killed at every phase of a tap and started again: does the cell go on, and safely?
+
+A simulated cell runs as processes; a goal is sent; at a chosen phase of its first tap one node gets
+``SIGKILL`` and is started again. What counts is where the object truly is at the end, and that it
+moved only while the arm held the striker in position, once for each tap that may have been fired.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+
+from geometry_msgs.msg import PoseStamped
+from std_srvs.srv import Trigger
+from tapping_cell_msgs.msg import ArmState, PlanState, TapCommand, TapperState
+from tapping_cell_msgs.srv import ResetWorld
+
+from tapping_cell.cli.graph import SIMULATED, Graph
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.nodes.goal_client import GoalClient
+from tapping_cell.se2 import Pose
+
+START, GOAL = Pose(-0.05, 0.02, 0.0), Pose(-0.02, 0.01, 0.2)
+TOLERANCE = (0.001, math.radians(1.0))
+LOW = 0.030
+"""Height of the tip in m below which the striker counts as lowered."""
+STILL = 2e-4
+"""The object has moved when it is farther than this from where it lay, m."""
+LEEWAY_S = 0.4
+"""A release may be seen so long after the arm was last heard to be in position."""
+PATIENCE_S = 240.0
+DOWN_S = 0.3
+"""From the kill to the new start."""
+WORLD = "sim_world"
+PHASES = ("planning", "travelling", "lowered", "drawn", "fired", "withdrawing", "settling")
+
+
+@dataclass(frozen=True, slots=True)
+class Crash:
+    """One trial's end. ``unsafe``: what happened that must not, in words."""
+
+    node: str
+    phase: str
+    ended: str
+    """``reached``, ``asked for a person`` or ``hung``."""
+    seconds: float
+    sentence: str
+    unsafe: tuple[str, ...]
+
+    @property
+    def clean(self) -> bool:
+        """Safe, and at the goal; only a restarted world, whose boards were reset, may ask."""
+        asked = self.ended == "asked for a person" and self.node == WORLD
+        return not self.unsafe and (self.ended == "reached" or asked)
+
+
+@dataclass
+class Witness:
+    """Hears everything that is said of one trial."""
+
+    plans: deque[PlanState] = field(default_factory=lambda: deque(maxlen=5000))
+    commands: list[TapCommand] = field(default_factory=list)
+    arm: ArmState = field(default_factory=ArmState)
+    tapper: TapperState = field(default_factory=TapperState)
+    settled_at: float = -math.inf
+    """When the arm was last heard in position."""
+    lain: Pose | None = None
+    moving: bool = False
+    motions: int = 0
+    unsafe: list[str] = field(default_factory=list)
+    shots: dict[int, int] = field(default_factory=dict)
+    watching: bool = False
+
+    def on_arm(self, message: ArmState) -> None:
+        """Hear ``arm_state``."""
+        self.arm = message
+        if message.state == ArmState.IN_POSITION:
+            self.settled_at = time.monotonic()
+
+    def on_tapper(self, message: TapperState) -> None:
+        """Hear ``tapper_state``."""
+        self.tapper = message
+        if self.watching and message.outcome != TapperState.NONE:
+            before = self.shots.setdefault(message.tap_id, message.outcome)
+            if before != message.outcome and TapperState.UNKNOWN not in (before, message.outcome):
+                self.unsafe.append(f"tap {message.tap_id}: {before} and {message.outcome}")
+
+    def on_truth(self, message: PoseStamped) -> None:
+        """Hear where the object truly is, thirty times a second."""
+        pose = from_message(message.pose)
+        if self.lain is None or not self.watching:
+            self.lain = pose
+            return
+        if pose.distance_to(self.lain) < STILL:
+            self.moving = False
+        elif not self.moving:
+            self.moving = True
+            self.motions += 1
+            silent = time.monotonic() - self.settled_at
+            if silent > LEEWAY_S:
+                self.unsafe.append(f"the object was struck {silent:.2f} s after the arm stood")
+        self.lain = pose
+
+    def judge(self) -> None:
+        """What only the whole of a trial shows."""
+        ids = [c.tap_id for c in self.commands if c.request == TapCommand.TAP]
+        if len(ids) != len(set(ids)):
+            self.unsafe.append("a tap id was commanded twice")
+        if self.motions > len(set(ids)):
+            self.unsafe.append(f"{self.motions} strikes for {len(set(ids))} taps")
+
+
+class CrashCell:
+    """A running simulated cell whose nodes are killed; use as a context manager."""
+
+    def __init__(self, folder: Path, seed: int = 8) -> None:
+        arm, tapper = folder / "arm", folder / "tapper"
+        parameters: dict[str, dict[str, object]] = {
+            WORLD: {"arm_port": arm, "tapper_port": tapper, "seed": seed},
+            "scara_arm": {"port": arm},
+            "tapper_trigger": {"port": tapper},
+            # On a machine that is busy elsewhere a node may take half a minute to start.
+            "tap_planner": {"resume_within": 180.0},
+        }
+        # The planner's memory of its goal is kept apart from that of other cells.
+        self.graph = Graph(SIMULATED, parameters, folder / "logs", {"HOME": str(folder)})
+        self.client = GoalClient("crash_trials")
+        self.seen = Witness()
+        node = self.client.node
+        self._goals = node.create_publisher(PoseStamped, "goal_pose", COMMAND)
+        self._reset = node.create_client(ResetWorld, "reset_world")
+        self._services = {
+            name: node.create_client(Trigger, name)
+            for name in (
+                "scara_arm/clear_fault",
+                "scara_arm/home",
+                "tapper_trigger/clear_fault",
+                "sim_world/press_clear_button",
+            )
+        }
+        node.create_subscription(
+            PlanState, "plan_state", lambda m: self.seen.plans.append(m), LATCHED
+        )
+        node.create_subscription(
+            TapCommand, "tap_command", lambda m: self.seen.commands.append(m), COMMAND
+        )
+        node.create_subscription(
+            TapperState, "tapper_state", lambda m: self.seen.on_tapper(m), LATCHED
+        )
+        node.create_subscription(ArmState, "arm_state", lambda m: self.seen.on_arm(m), LATCHED)
+        node.create_subscription(PoseStamped, "ground_truth", lambda m: self.seen.on_truth(m), 10)
+
+    def __enter__(self) -> CrashCell:
+        self.graph.__enter__()
+        self.client.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.client.__exit__(kind, error, trace)
+        self.graph.__exit__(kind, error, trace)
+
+    def begin(self, phase: str) -> bool:
+        """Send the goal and wait for ``phase`` of its first tap; False where it never comes."""
+        self._prepare()
+        goal = PoseStamped(pose=to_message(GOAL))
+        goal.header.frame_id = "table"
+        self._goals.publish(goal)
+        came = self.wait(lambda: self._in_phase(phase), 60.0, 0.001)
+        # How the goal before this one ended was said again meanwhile.
+        self.seen.plans.clear()
+        return came
+
+    def trial(self, node: str, phase: str) -> Crash:
+        """Kill ``node`` at ``phase`` of the first tap, start it again, see the goal's end."""
+        if not self.begin(phase):
+            return Crash(node, phase, "hung", 60.0, f"the phase {phase} never came", ())
+        os.kill(self.graph.process_ids[node], signal.SIGKILL)
+        began = time.monotonic()
+        time.sleep(DOWN_S)
+        if node == WORLD:
+            # The object of a new world lies elsewhere: whoever put it there is no strike.
+            self.seen.watching = False
+        self.graph.restart(node)
+        self.wait(lambda: self.ended() is not None, PATIENCE_S)
+        return self.finish(node, phase, time.monotonic() - began)
+
+    def finish(self, node: str, phase: str, seconds: float) -> Crash:
+        """What became of the goal, held against where the object truly is."""
+        seen, end = self.seen, self.ended()
+        if seen.watching:
+            seen.judge()
+        seen.watching = False
+        if end is None:
+            last = seen.plans[-1].error_msg if seen.plans else "the planner says nothing"
+            return Crash(node, phase, "hung", seconds, last, tuple(seen.unsafe))
+        if end.state == PlanState.FAILED:
+            sentence = f"{end.error_code}: {end.error_msg}"
+            return Crash(node, phase, "asked for a person", seconds, sentence, tuple(seen.unsafe))
+        true = self.client.settled_truth(5.0)
+        away = true is None or true.distance_to(GOAL) > TOLERANCE[0]
+        if true is None or away or abs(true.rotation_to(GOAL)) > TOLERANCE[1]:
+            seen.unsafe.append(f"the goal was said to be reached with the object at {true}")
+        return Crash(node, phase, "reached", seconds, "", tuple(seen.unsafe))
+
+    def ended(self) -> PlanState | None:
+        """The planner's word that the goal has ended, if it has."""
+        ends = (PlanState.REACHED, PlanState.FAILED)
+        return next((p for p in tuple(self.seen.plans) if p.state in ends), None)
+
+    def _in_phase(self, phase: str) -> bool:
+        seen, plan = self.seen, self.seen.plans[-1] if self.seen.plans else PlanState()
+        arm, tapper = seen.arm, seen.tapper
+        low = arm.tip_pose.position.z < LOW
+        mine = bool(seen.commands) and arm.tap_id == seen.commands[0].tap_id
+        fired = seen.commands and tapper.tap_id == seen.commands[0].tap_id
+        return {
+            "planning": plan.state == PlanState.LOOKING,
+            "travelling": mine and arm.state == ArmState.MOVING and not low,
+            "lowered": mine and arm.state in (ArmState.MOVING, ArmState.IN_POSITION) and low,
+            "drawn": tapper.state in (TapperState.DRAWING, TapperState.READY),
+            "fired": bool(fired) and tapper.outcome == TapperState.FIRED,
+            "withdrawing": arm.state == ArmState.WITHDRAWING,
+            "settling": plan.state == PlanState.SETTLING,
+        }[phase]
+
+    def _prepare(self) -> None:
+        """The cell at rest with the object at its start, with a person's help where needed."""
+        begin = time.monotonic()
+        while self.client.missing():
+            if time.monotonic() > begin + 120.0:
+                raise TimeoutError("the cell was not ready: " + "; ".join(self.client.missing()))
+            self._help()
+            self.wait(lambda: not self.client.missing(), 3.0)
+        future = self._reset.call_async(ResetWorld.Request(object_pose=to_message(START)))
+        if not self.wait(future.done, 10.0):
+            raise TimeoutError("sim_world does not answer reset_world")
+        self.wait(
+            lambda: (
+                self.client.object_state is not None
+                and self.client.object_state.at_rest
+                and self.client.object_pose().distance_to(START) < 0.001
+            ),
+            30.0,
+        )
+        # From here on: what was said of the goal before, is not of this one.
+        self.seen = Witness(arm=self.seen.arm, tapper=self.seen.tapper, lain=self.seen.lain)
+        self.seen.watching = True
+
+    def _help(self) -> None:
+        """What a person does at a cell that asks: clear, and home."""
+        arm, tapper = self.client.arm_state, self.client.tapper_state
+        if arm is not None and arm.state in (ArmState.FAULT, ArmState.STOPPED):
+            self._call("scara_arm/clear_fault")
+        elif arm is not None and arm.state == ArmState.NOT_HOMED:
+            self._call("scara_arm/home")
+        if tapper is not None and tapper.state in (TapperState.FAULT, TapperState.STOPPED):
+            self._call("sim_world/press_clear_button")
+            self._call("tapper_trigger/clear_fault")
+
+    def _call(self, service: str) -> None:
+        self.wait(self._services[service].call_async(Trigger.Request()).done, 5.0)
+
+    def wait(self, condition: Callable[[], bool], patience: float, poll: float = 0.02) -> bool:
+        """Wait for a condition; False where it does not come within ``patience`` s."""
+        deadline = time.monotonic() + patience
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(poll)
+        return True
+
+
+def run_crashes(
+    folder: Path, nodes: Sequence[str], phases: Sequence[str], say: Callable[[Crash], None]
+) -> list[Crash]:
+    """Every node at every phase, one after the other on one running cell."""
+    crashes: list[Crash] = []
+    with CrashCell(folder) as cell:
+        for node in nodes:
+            for phase in phases:
+                crashes.append(cell.trial(node, phase))
+                say(crashes[-1])
+    return crashes

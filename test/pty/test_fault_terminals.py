@@ -1,0 +1,24 @@
+"""A few taps over bad lines on real pseudo-terminals; ``faults --pty`` runs as many as wanted."""
+
+from __future__ import annotations
+
+import pytest
+
+from tapping_cell.cli.fault_terminals import terminal_cell
+from tapping_cell.cli.fault_trials import Dialect, TrialCell, run_taps
+from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault
+
+
+def pull_a_cable(cell: TrialCell) -> None:
+    """By turns the arm's and the tapper's, in the middle of what a tap says on it."""
+    line = cell.arm_line if cell.tally.taps % 2 else cell.tapper_line
+    middle = line.count(Direction.TO_HOST) + 150
+    line.add(LineFault(FaultKind.HANG_UP, Direction.TO_HOST, middle, duration=0.3))
+
+
+@pytest.mark.parametrize("dialect", Dialect)
+def test_cables_pulled_in_mid_tap(dialect: Dialect) -> None:
+    tally = run_taps(dialect, 2, 5, pull_a_cable, terminal_cell)
+    assert tally.clean, tally.notes
+    assert tally.taps == 2 == tally.fired + tally.not_fired + tally.unknown
+    assert tally.by_fault.get("hang_up"), tally.by_fault
