@@ -60,6 +60,7 @@ class Ghost {
     } else {
       this.shape = message;
       this.group.removeAttribute("hidden");
+      this.group.classList.toggle("touched", this.touched);
       this.group.classList.toggle("refused", Boolean(message.refusal));
       this.draw();
       this.onPose(message, typed);

@@ -4,7 +4,7 @@
 const $ = (id) => document.getElementById(id);
 const SILENCE_MS = 3000;        // without a word from the node the connection counts as lost
 const ANSWER_MS = 6000;         // after which a request without an answer is said to have none
-const STALE_S = 1.5;            // age of a picture beyond which it is greyed
+const STALE_S = 2;              // age of a picture beyond which it is greyed
 const MODE_WORDS = {
   ready: "Ready", moving: "Moving", "not ready": "Not ready", fault: "Fault", stopped: "Stopped",
   lost: "Not connected",
@@ -31,6 +31,10 @@ const waiting = new Map();          // requests that wait for an answer
 
 function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
+}
+
+function sentence(text) {
+  return text ? text[0].toUpperCase() + text.slice(1) + (/[.!?)]$/.test(text) ? "" : ".") : "";
 }
 
 function signed(value, digits = 1, unit = "") {
@@ -71,7 +75,7 @@ function connect() {
 }
 
 function lose(code, reason) {
-  if (connected) lostAt = performance.now();
+  if (connected) lostAt = heardAt;
   connected = false;
   socket = null;
   waiting.clear();
@@ -103,6 +107,7 @@ function hear(message) {
     connected = true;
     attempts = 0;
     followed = "";
+    if (state) state.placeable = false;  // what was known before the connection was lost is not known now
     const where = message.namespace === "/" ? "" : `${message.namespace} `;
     setText($("cell"), where + message.cell);
     setText($("object"), message.object);
@@ -174,9 +179,9 @@ function renderPicture() {
     words = picture ? `Connection lost. This picture is ${ageText(age)} old.` : "";
   } else if (!picture) {
     words = state && performance.now() - lostAt > 2000
-      ? "No picture yet. " + (seen && seen.sentence || "Is camera_pose active?") : "";
+      ? "No picture yet. " + (sentence(seen && seen.sentence) || "Is camera_pose active?") : "";
   } else if (stale) {
-    words = `No new picture for ${ageText(age)}. ` + (seen && seen.sentence || "Look after the camera and camera_pose.");
+    words = `This picture is ${ageText(age)} old. ` + (sentence(seen && seen.sentence) || "Look after the camera and camera_pose.");
   }
   setText($("stage-words"), words);
   $("stage-words").hidden = !words;
@@ -203,7 +208,7 @@ function render() {
   renderPicture();
   for (const id of ["send", "goal-x", "goal-y", "goal-angle", "clear", "home", "press-button", "confirm-yes"]) $(id).disabled = !connected;
   $("stop").disabled = !connected;
-  setText(document.querySelector(".stop-note"), connected ? "arm and tapper" : "no connection: use the wired stop");
+  setText(document.querySelector(".stop-note"), connected ? "arm and tapper" : "not connected: use the wire");
   if (!state) {
     for (const id of ["cancel", "home-ghost", "download"]) $(id).disabled = true;
     return;
@@ -230,10 +235,10 @@ function renderAttention(mode) {
   card.classList.toggle("mild", homeless);
   setText($("attention-title"), { stopped: "The cell is stopped", fault: "The cell has a fault" }[mode]
     || "The arm is not homed");
-  setText($("attention-words"), halted ? state.sentence : "It does not know where it is, and takes no tap.");
+  setText($("attention-words"), halted ? sentence(state.sentence) : "It does not know where it is, and takes no tap.");
   $("clear").hidden = homeless;
   $("home").hidden = !homeless;
-  $("press-button").hidden = !state.simulated || homeless;
+  $("press-button").hidden = !state.simulated || !["stopped", "fault"].includes(state.tapper.state);
 }
 
 // What moves the cell again is asked back, beside the card: a window on top would hide the stop button.
@@ -252,16 +257,17 @@ function ask(what) {
 }
 
 function renderBanner() {
-  let words = "";
+  let words = "", clock = "";
   if (!connected && refusedFor) {
     words = $("token-form").hidden ? `Not let in: ${refusedFor}.`
       : `This cell wants its token (${refusedFor}). The node operator_page printed it when it started.`;
   } else if (!connected && attempts > 0) {
     const wait = Math.max(0, Math.ceil((retryAt - performance.now()) / 1000));
-    const since = state ? ` What you see is from ${ageText((performance.now() - lostAt) / 1000)} ago.` : "";
-    words = `No connection to the cell.${since} ${socket ? "Trying now\u2026" : `Trying again in ${wait} s.`}`
-      + " The cell goes on with what it does: to stop it, use its wired emergency stop.";
+    words = "No connection to the cell, which goes on with what it does: to stop it, use its wired emergency stop.";
+    if (state) clock = `What you see is from ${ageText((performance.now() - lostAt) / 1000)} ago. `;
+    clock += socket ? "Trying to connect\u2026" : `Trying again in ${wait} s.`;
   }
+  setText($("banner-clock"), clock);
   setText($("banner-words"), words);
   $("banner").hidden = !words;
 }
@@ -399,7 +405,7 @@ function readGoal() {
 
 const ghost = new Ghost(say, (pose, typed) => {
   if (pose.trouble) {
-    setText($("goal-trouble"), pose.trouble);
+    if (ghost.touched && !typed) setText($("goal-trouble"), pose.trouble);
     return;
   }
   if (ghost.hold) show("goal", "", "");
