@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 VERBS = {
     "demo": "position a disk in the simulated world, from nothing to the goal",
@@ -22,31 +23,55 @@ VERBS = {
     "locate": "where the object is in image files",
     "calibrate": "camera, table, arm, tapper: from measurements to a file; printed sheets",
     "faults": "taps over bad serial lines: is anything unsafe, hanging or untrue?",
+    "report": "make run folders again, and compare runs",
+    "check-config": "what is wrong with configuration files, without starting anything",
     "urdf": "the arm of a cell file, for RViz and Foxglove",
     "bench": "benchmarks, each beside a peer measured in the same run",
+    "completion": "shell code that completes verbs and options",
 }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit status (2 for a wrong command line)."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if "_ARGCOMPLETE" in os.environ:
+        complete(os.environ.get("COMP_LINE", ""))
     parser = argparse.ArgumentParser(
         prog="tapping_cell",
         description="A robot cell that positions flat objects by tapping them.",
-        epilog="\n".join(f"  {name:<12} {text}" for name, text in VERBS.items()),
+        epilog="\n".join(f"  {name:<12} {text}" for name, text in VERBS.items())
+        + "\n\nVERB --help shows the options of a verb, and an example.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("verb", choices=VERBS, metavar="VERB")
     if not words or words[0] not in VERBS:
         parser.parse_args(words[:1])
         return 2
-    verb = words[0]
+    parser, execute = verb_parser(words[0])
+    status: int = execute(parser.parse_args(words[1:]))
+    return status
+
+
+def verb_parser(verb: str) -> tuple[argparse.ArgumentParser, Callable[[argparse.Namespace], int]]:
+    """The parser of a verb, and what runs it."""
     module = importlib.import_module(f"tapping_cell.cli.{verb.replace('-', '_')}")
-    verb_parser = argparse.ArgumentParser(
+    parser = argparse.ArgumentParser(
         prog=f"tapping_cell {verb}",
         description=module.__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    module.add_arguments(verb_parser)
-    status: int = module.run(verb_parser.parse_args(words[1:]))
-    return status
+    module.add_arguments(parser)
+    return parser, module.run
+
+
+def complete(line: str) -> None:
+    """Answer the shell's question how ``line`` may go on; only the verb in it is imported."""
+    import argcomplete
+
+    parser = argparse.ArgumentParser(prog="cell")
+    verbs = parser.add_subparsers(metavar="VERB")
+    for name, text in VERBS.items():
+        own = verbs.add_parser(name, help=text)
+        if name in line.split():
+            importlib.import_module(f"tapping_cell.cli.{name.replace('-', '_')}").add_arguments(own)
+    argcomplete.autocomplete(parser)

@@ -46,7 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "images", nargs="+", type=Path, metavar="IMAGE", help="image files, or folders of them"
     )
-    parser.add_argument("--target", choices=("charuco", "chessboard"), default="charuco")
+    parser.add_argument(
+        "--target",
+        choices=("charuco", "chessboard"),
+        default="charuco",
+        help="kind of the calibration target in the pictures",
+    )
     group = parser.add_mutually_exclusive_group(required=True)
     group.add_argument(
         "--squares", type=counts, metavar="CxR", help="squares in a row and in a column, e.g. 8x6"

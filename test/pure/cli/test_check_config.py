@@ -1,0 +1,175 @@
+"""check-config finds everything that is wrong at once, and says so without starting anything."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tapping_cell.cli import main
+from tapping_cell.cli.check_config import KINDS, check, recognise
+from tapping_cell.configuration.files import shared_folder
+
+Change = tuple[str, str, Any]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    shutil.copytree(shared_folder(), tmp_path / "config")
+    return tmp_path / "config"
+
+
+def change(path: Path, *changes: tuple[str, Any]) -> Path:
+    """Set keys such as arm.base of a YAML file; None takes a key away."""
+    document = yaml.safe_load(path.read_text())
+    for key, value in changes:
+        *above, last = key.split(".")
+        place = document
+        for name in above:
+            place = place[int(name)] if name.isdigit() else place[name]
+        if value is None:
+            del place[last]
+        else:
+            place[last] = value
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+def errors(path: Path, kind: str | None = None) -> list[str]:
+    return [sentence for found in check(path, kind) for sentence in found.errors]
+
+
+def shipped() -> list[Path]:
+    return sorted(path for path in shared_folder().rglob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", shipped(), ids=lambda path: path.name)
+def test_every_shipped_file_is_recognised_and_right(path: Path) -> None:
+    (found, *_) = check(path)
+    assert found.kind in KINDS
+    assert found.errors == []
+
+
+def test_all_that_is_wrong_in_a_file_is_said_at_once(folder: Path) -> None:
+    cell = change(
+        folder / "cell.yaml",
+        ("arm.upper_arm", "long"),
+        ("arm.upper_leg", 0.4),
+        ("table.width", None),
+        ("tapper.mass", -1),
+        ("arm.dialect", "german"),
+    )
+    found = errors(cell)
+    assert len(found) == 5
+    for words in ("upper_arm", "upper_leg", "table.width", "tapper.mass", "arm.dialect"):
+        assert any(words in sentence and str(cell) in sentence for sentence in found), words
+
+
+def test_the_files_that_a_cell_names_are_looked_at_too(folder: Path) -> None:
+    change(folder / "objects" / "aluminium_disk.yaml", ("mass", "heavy"), ("shape.radius", None))
+    change(folder / "table.yaml", ("markers.3.id", "x"))
+    found = errors(folder / "cell.yaml")
+    assert len(found) == 3
+    (folder / "camera_info.yaml").unlink()
+    assert any(
+        "camera_info.yaml: cannot be read" in sentence for sentence in errors(folder / "cell.yaml")
+    )
+
+
+@pytest.mark.parametrize(
+    ("file", "key", "value", "words"),
+    [
+        ("objects/aluminium_disk.yaml", "marker.id", 104, "reference marker"),
+        ("objects/aluminium_disk.yaml", "height", 0.004, "passes over it"),
+        ("objects/aluminium_disk.yaml", "marker.size", 0.09, "sticks out"),
+        ("cell.yaml", "arm.strike_height", 0.004, "scrapes the table"),
+        ("cell.yaml", "arm.travel_height", 0.011, "above the object"),
+        ("cell.yaml", "tapper.stroke", 0.010, "never reaches"),
+        ("cell.yaml", "arm.park", [3.0, 1.2, -0.02, 0.0], "arm.park[0]"),
+        ("cell.yaml", "goal.planner", "guess", "must be one of"),
+        ("cell.yaml", "arm.base", [0.0, 4.0, -1.57], "no place on the table"),
+        ("cell.yaml", "table.width", 0.08, "fits nowhere"),
+        ("cell.yaml", "tapper.speeds", [0.9, 1.0, 1.1, 1.2, 1.3], "slowest speed"),
+        ("cell.yaml", "tapper.energies", [1e-5, 1e-4], "shorter"),
+    ],
+)
+def test_what_contradicts_is_found(
+    file: str, key: str, value: Any, words: str, folder: Path
+) -> None:
+    change(folder / file, (key, value))
+    found = errors(folder / "cell.yaml")
+    assert found and (words == "shorter" or any(words in sentence for sentence in found)), found
+
+
+def test_what_may_be_right_is_a_warning(folder: Path) -> None:
+    cell = change(
+        folder / "cell.yaml",
+        ("arm.port", "/dev/nothing"),
+        ("camera.position_noise", 0.0008),
+        ("arm.base", [0.0, 0.80, -1.57]),
+    )
+    change(folder / "camera_info.yaml", ("image_width", 2560))
+    (found, *_) = check(cell)
+    assert found.errors == []
+    for words in ("/dev/nothing", "position_tolerance", "can be served", "principal point"):
+        assert any(words in sentence for sentence in found.warnings), (words, found.warnings)
+
+
+@pytest.mark.parametrize("document", [None, [], {}, {"apples": 1}, 3, {"name": "x"}])
+def test_a_file_of_no_kind_is_not_guessed(document: Any, tmp_path: Path) -> None:
+    path = tmp_path / "file.yaml"
+    path.write_text(yaml.safe_dump(document))
+    assert recognise(document) in (None, "object", "cell")
+    assert errors(path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_kind_that_is_forced_on_another_file_is_refused_in_words(
+    kind: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "file.yaml"
+    path.write_text("apples: 3\n")
+    assert all(str(path) in sentence for sentence in errors(path, kind))
+    assert errors(path, kind)
+
+
+PARAMETERS = """
+/**:
+  ros__parameters: {autostart: true}
+/left/tap_planner:
+  ros__parameters: {attempts: 5, atempts: 3, place_deadline: 900.0}
+nobody:
+  ros__parameters: {}
+camera_pose:
+  ros__parameters: {use_sim_time: true, silence_limit: many}
+"""
+
+
+def test_a_parameter_file_is_held_to_the_nodes(tmp_path: Path) -> None:
+    path = tmp_path / "parameters.yaml"
+    path.write_text(PARAMETERS)
+    assert recognise(yaml.safe_load(PARAMETERS)) == "parameters"
+    found = errors(path)
+    for words in ("'atempts'", "'place_deadline' is", "nobody: no node", "'silence_limit' is"):
+        assert sum(words in sentence for sentence in found) == 1, (words, found)
+    assert len(found) == 4
+
+
+def test_the_verb_has_its_status_and_its_json(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell = folder / "cell.yaml"
+    assert main(["check-config", str(cell), str(folder / "truth" / "default.yaml")]) == 0
+    assert "ok" in capsys.readouterr().out
+    change(cell, ("goal.planner", "guess"))
+    assert main(["check-config", str(cell), "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["ok"] is False
+    assert {entry["kind"] for entry in told["files"]} == {"cell", "table", "camera_info", "object"}
+    assert "guess" in told["files"][0]["errors"][0]
+    assert main(["check-config", "/nowhere.yaml"]) == 1
+    assert "/nowhere.yaml" in capsys.readouterr().out

@@ -1,0 +1,90 @@
+"""The page of commands is the code's, every verb's example parses, and completion completes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tapping_cell.cli import VERBS, commands_page, verb_parser
+
+
+def test_the_page_of_commands_is_up_to_date() -> None:
+    """Otherwise call: python -m tapping_cell.cli.commands_page"""
+    assert commands_page.PAGE.read_text(encoding="utf-8") == commands_page.page()
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_example_in_a_verbs_help_parses(verb: str) -> None:
+    parser, _ = verb_parser(verb)
+    lines = commands_page.examples(parser)
+    assert lines, f"the help of {verb} has no example"
+    for line in lines:
+        words = shlex.split(line.rstrip("\\").split(" > ")[0], comments=True)[3:]
+        assert words[0] == verb, line
+        if not line.endswith("\\"):
+            parser.parse_args(words[1:])
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_option_says_what_it_does(verb: str) -> None:
+    parsers = [verb_parser(verb)[0]]
+    while parsers:
+        parser = parsers.pop()
+        for action in parser._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                parsers += action.choices.values()
+            else:
+                assert action.help, f"{parser.prog} {action.option_strings or action.dest}"
+
+
+def completions(line: str) -> set[str]:
+    """What a shell would be offered after a line."""
+    read, write = os.pipe()
+    environment = {
+        **os.environ,
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_IFS": "\n",
+        "_ARGCOMPLETE_SHELL": "bash",
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+        "COMP_TYPE": "9",
+        "_ARGCOMPLETE_STDOUT_FILENAME": f"/dev/fd/{write}",
+    }
+    with os.fdopen(read) as stream:
+        command = [sys.executable, "-m", "tapping_cell"]
+        try:
+            subprocess.run(command, env=environment, pass_fds=(write,), timeout=60, check=True)
+        finally:
+            os.close(write)
+        return {word.strip() for word in stream.read().split("\n") if word.strip()}
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("cell che", {"check-config"}),
+        ("cell check-config --k", {"--kind"}),
+        ("cell check-config --kind tr", {"truth"}),
+        ("cell completion --shell ", {"bash", "zsh", "fish"}),
+    ],
+)
+def test_the_tabulator_key_completes(line: str, offered: set[str]) -> None:
+    assert completions(line) == offered
+
+
+def test_a_shell_takes_the_code_and_completes_with_it(tmp_path: Path) -> None:
+    script = tmp_path / "try.sh"
+    script.write_text(
+        f'eval "$({shlex.quote(sys.executable)} -m tapping_cell completion)"\n'
+        "type cell | head -1; complete -p cell\n"
+    )
+    ended = subprocess.run(
+        ["bash", str(script)], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert "cell is a function" in ended.stdout and "_python_argcomplete cell" in ended.stdout
