@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import array
+from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -16,12 +18,64 @@ PICTURES = QoSProfile(
 )
 """Sensor data with a queue of half a second: a busy machine delays pictures, but loses none."""
 
-CHANNELS = {"mono8": 1, "8UC1": 1, "bgr8": 3, "rgb8": 3}
-"""Encodings that a camera may send, with their bytes a pixel."""
+
+@dataclass(frozen=True, slots=True)
+class Encoding:
+    """Bytes a pixel, and OpenCV's conversion to grey where one is needed."""
+
+    size: int
+    conversion: int | None = None
+
+
+ENCODINGS = {
+    "mono8": Encoding(1),
+    "8UC1": Encoding(1),
+    "mono16": Encoding(2),
+    "16UC1": Encoding(2),
+    "bgr8": Encoding(3, cv2.COLOR_BGR2GRAY),
+    "8UC3": Encoding(3, cv2.COLOR_BGR2GRAY),
+    "rgb8": Encoding(3, cv2.COLOR_RGB2GRAY),
+    "bgra8": Encoding(4, cv2.COLOR_BGRA2GRAY),
+    "8UC4": Encoding(4, cv2.COLOR_BGRA2GRAY),
+    "rgba8": Encoding(4, cv2.COLOR_RGBA2GRAY),
+    "yuv422": Encoding(2, cv2.COLOR_YUV2GRAY_UYVY),
+    "uyvy": Encoding(2, cv2.COLOR_YUV2GRAY_UYVY),
+    "yuv422_yuy2": Encoding(2, cv2.COLOR_YUV2GRAY_YUY2),
+    "yuyv": Encoding(2, cv2.COLOR_YUV2GRAY_YUY2),
+    # ROS names the first two pixels of the first two rows; OpenCV those one row and column later.
+    "bayer_rggb8": Encoding(1, cv2.COLOR_BayerBG2GRAY),
+    "bayer_bggr8": Encoding(1, cv2.COLOR_BayerRG2GRAY),
+    "bayer_gbrg8": Encoding(1, cv2.COLOR_BayerGR2GRAY),
+    "bayer_grbg8": Encoding(1, cv2.COLOR_BayerGB2GRAY),
+}
+"""Encodings (sensor_msgs/image_encodings.h) that a camera may send."""
 
 
 class ImageRefused(ValueError):
     """An image message that does not hold what it says."""
+
+
+def unpack(message: Image) -> NDArray[np.uint8]:
+    """The bytes of an image message, shape (height, width, bytes a pixel); no copy without padding.
+
+    Raises:
+        ImageRefused: unknown encoding, or fewer bytes than the size needs.
+    """
+    encoding = ENCODINGS.get(message.encoding)
+    if encoding is None:
+        raise ImageRefused(
+            f"the image's encoding is '{message.encoding}'; known are {', '.join(ENCODINGS)}: set "
+            "the camera to one of them, best to mono8"
+        )
+    width, needed = message.width * encoding.size, message.step * message.height
+    if message.step < width or len(message.data) < needed or needed == 0:
+        raise ImageRefused(
+            f"the image says {message.width} x {message.height} {message.encoding} with "
+            f"{message.step} bytes a row but holds {len(message.data)} bytes"
+        )
+    rows = np.frombuffer(message.data, dtype=np.uint8, count=needed)
+    rows = np.ascontiguousarray(rows.reshape(message.height, message.step)[:, :width])
+    return rows.reshape(message.height, message.width, encoding.size)
 
 
 def to_grey(message: Image) -> NDArray[np.uint8]:
@@ -30,25 +84,21 @@ def to_grey(message: Image) -> NDArray[np.uint8]:
     Raises:
         ImageRefused: unknown encoding, or fewer bytes than the size needs.
     """
-    channels = CHANNELS.get(message.encoding)
-    if channels is None:
+    pixels = unpack(message)
+    conversion = ENCODINGS[message.encoding].conversion
+    if pixels.shape[2] == 1:
+        pixels = pixels[..., 0]
+    if conversion is None and pixels.ndim == 2:
+        return pixels
+    if conversion is None:
+        # The upper byte of 16 bits is all that 8 can hold.
+        return np.ascontiguousarray(pixels[..., 0 if message.is_bigendian else 1])
+    try:
+        return np.asarray(cv2.cvtColor(pixels, conversion), dtype=np.uint8)
+    except cv2.error as error:
         raise ImageRefused(
-            f"the image's encoding is '{message.encoding}'; known are {', '.join(CHANNELS)}"
-        )
-    needed = message.step * message.height
-    if message.step < message.width * channels or len(message.data) < needed or needed == 0:
-        raise ImageRefused(
-            f"the image says {message.width} x {message.height} with {message.step} bytes a row "
-            f"but holds {len(message.data)} bytes"
-        )
-    rows = np.frombuffer(message.data, dtype=np.uint8, count=needed)
-    rows = rows.reshape(message.height, message.step)[:, : message.width * channels]
-    if channels == 1:
-        return np.ascontiguousarray(rows)
-    colour = rows.reshape(message.height, message.width, channels)
-    # ITU-R BT.601 luma, as OpenCV converts; green is in the middle of both orders.
-    order = (0.299, 0.587, 0.114) if message.encoding == "rgb8" else (0.114, 0.587, 0.299)
-    return np.asarray(np.rint(colour @ np.array(order)), dtype=np.uint8)
+            f"an image of {message.width} x {message.height} cannot be {message.encoding}"
+        ) from error
 
 
 def to_message(picture: NDArray[np.uint8], encoding: str) -> Image:
@@ -56,9 +106,11 @@ def to_message(picture: NDArray[np.uint8], encoding: str) -> Image:
     message = Image()
     message.height, message.width = picture.shape[:2]
     message.encoding = encoding
-    message.step = int(picture.strides[0])
+    message.step = picture.nbytes // picture.shape[0]
     # An array.array is handed over as it is; a list would be checked number by number.
-    message.data = array.array("B", picture.tobytes())
+    data = array.array("B")
+    data.frombytes(np.ascontiguousarray(picture).data)
+    message.data = data
     return message
 
 
