@@ -269,7 +269,10 @@ class TapPlanner(CellNode[Parameters]):
         task, seen = self._task, self._monitor.object
         assert task is not None
         if seen is None or not self._usable(seen):
-            if self._late():
+            if self._monitor.silent("object"):
+                # Its node may be on the way back: it has as long as any part of the cell.
+                self._enter(PlanState.WAITING_FOR_CELL, self.settings.ready_deadline)
+            elif self._late():
                 self._fail(*self._monitor.blind(self.settings.look_deadline))
             return
         shot, self._shot = self._shot, None

@@ -1,0 +1,51 @@
+"""Pictures go through shared memory; what is killed and restarted in mid-tap keeps off it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from tapping_cell.nodes.camera_pose import CameraPose
+from tapping_cell.nodes.cell_node import PROFILE_VARIABLE, choose_transport
+from tapping_cell.nodes.overhead_camera import OverheadCamera
+from tapping_cell.nodes.scara_arm import ScaraArm
+from tapping_cell.nodes.sim_world import SimWorld
+from tapping_cell.nodes.tap_planner import TapPlanner
+from tapping_cell.nodes.tapper_trigger import TapperTrigger
+
+
+def transports(path: str) -> set[str]:
+    names = "{http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles}type"
+    return {entry.text or "" for entry in ElementTree.parse(path).iter(names)}
+
+
+@pytest.mark.parametrize(
+    ("node", "expected"),
+    [
+        (TapPlanner, {"UDPv4"}),
+        (ScaraArm, {"UDPv4"}),
+        (TapperTrigger, {"UDPv4"}),
+        (CameraPose, {"SHM", "UDPv4"}),
+        (OverheadCamera, {"SHM", "UDPv4"}),
+        (SimWorld, {"SHM", "UDPv4"}),
+    ],
+)
+@pytest.mark.parametrize("before", ["", "/elsewhere/config/fastdds_profile.xml"])
+def test_each_node_takes_the_profile_of_what_it_carries(
+    monkeypatch: pytest.MonkeyPatch, node: type, expected: set[str], before: str
+) -> None:
+    monkeypatch.setenv(PROFILE_VARIABLE, before)
+    choose_transport(node.carries_pictures)  # type: ignore[attr-defined]
+    assert transports(os.environ[PROFILE_VARIABLE]) == expected
+
+
+def test_a_profile_of_the_users_own_is_left_alone(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    own = str(tmp_path / "my_profile.xml")
+    monkeypatch.setenv(PROFILE_VARIABLE, own)
+    choose_transport(False)
+    assert os.environ[PROFILE_VARIABLE] == own
