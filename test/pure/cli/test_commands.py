@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -29,6 +30,19 @@ def test_every_example_in_a_verbs_help_parses(verb: str) -> None:
         assert words[0] == verb, line
         if not line.endswith("\\"):
             parser.parse_args(words[1:])
+
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_in_the_documents_parses(page: Path) -> None:
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    for line in re.findall(r"^ +python -m tapping_cell (\w.+)$", text, re.MULTILINE):
+        words = shlex.split(re.split(r" [>|] ", line)[0], comments=True)
+        # a name in capitals stands for a number or a file of the reader's
+        verb_parser(words[0])[0].parse_args(["1" if word.isupper() else word for word in words[1:]])
 
 
 @pytest.mark.parametrize("verb", VERBS)
