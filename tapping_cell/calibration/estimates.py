@@ -19,6 +19,7 @@ from tapping_cell.configuration.objects import ObjectFile
 Array = NDArray[np.float64]
 
 _LEAST_SCATTER_TRIALS = 8
+_UNKNOWN = 0.5  # relative standard deviation from which a value is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +48,18 @@ def slide_estimates(
     Raises:
         RecordError: the trials do not determine both.
     """
+    message = (
+        "the trials do not determine friction and torque factor together: the object hardly "
+        "turned. Tap with an incidence of 20 degrees and more"
+    )
     try:
         width = spread(slide.score, slide.information, runs, seed)
     except ValueError as problem:
-        raise RecordError(
-            "the trials do not determine friction and torque factor together: the object hardly "
-            "turned. Tap with an incidence of 20 degrees and more"
-        ) from problem
+        raise RecordError(message) from problem
+    # Also by what the measurement alone would allow: exact slides without a turn have no spread.
+    expected = np.sqrt(np.diag(np.linalg.inv(slide.information.sum(axis=0))))
+    if max(float(np.max(width.std)), float(np.max(expected))) > _UNKNOWN:
+        raise RecordError(message)
     values = (slide.friction, slide.torque_factor)
     old = (content.friction, content.torque_factor)
     return [
@@ -112,7 +118,9 @@ def scatter_estimates(
     seed: int,
 ) -> list[Estimate]:
     """Scatter of launches (speed, spin, direction) and of displacements (distance, rotation)."""
-    clear = np.abs(tapped.rotation) > 0.01 * tapped.distance / 0.05
+    # Of taps that hardly turn the object a relative scatter of the rotation says nothing.
+    clear = np.abs(tapped.rotation) > 0.2 * tapped.distance
+    rotation = np.where(clear, tapped.rotation, 1.0)
     columns = {
         "scatter_speed": (impact.deviations[:, 0], math.nan, impact.scatter[0]),
         "scatter_spin": (
@@ -131,7 +139,7 @@ def scatter_estimates(
             math.nan,
         ),
         "scatter_rotation": (
-            np.where(clear, measured.rotation / tapped.rotation - 1, math.nan),
+            np.where(clear, measured.rotation / rotation - 1, math.nan),
             content.scatter.rotation,
             math.nan,
         ),
@@ -143,6 +151,8 @@ def scatter_estimates(
         if known.sum() < _LEAST_SCATTER_TRIALS:
             continue
         total = math.sqrt(float(np.mean(off[known] ** 2)))
+        if total == 0.0:
+            continue
         value = total if math.isnan(value) else value
         square = (off[known] / total) ** 2
         width = spread(

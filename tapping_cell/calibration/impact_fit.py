@@ -31,6 +31,8 @@ NAMES = ("restitution", "contact_friction", "scale_b1", "scale_b2", "scale_b3")
 _LOW = dict(zip(NAMES, (0.0, math.log(0.005), *(math.log(0.05),) * 3), strict=True))
 _HIGH = dict(zip(NAMES, (math.log(2.0), math.log(2.0), *(math.log(20.0),) * 3), strict=True))
 _PASSES = 4
+_STICKS = 2.0  # a contact friction that holds any impulse
+_TELLING = 2.0  # by which the criterion must fall for a parameter more
 _LEAST_SLIDING = 3  # trials whose contact slides, to say anything of its friction
 _FLOOR = (0.003, 0.01, 0.001)  # least scatter of speed, spin (relative) and direction (rad)
 _FIRST = (0.05, 0.15, 0.02)
@@ -93,9 +95,11 @@ def fit_impact(model: ImpactModel) -> ImpactFit:
     free: tuple[str, ...] = ("restitution", "contact_friction")
     base = _fit(model, free)
     slid = int(np.sum(model.sliding(base.values)))
-    if slid < _LEAST_SLIDING:
-        free = ("restitution",)
-        base = _without_friction(model, base, notes)
+    stuck = _fit(model.with_known(contact_friction=_STICKS), ("restitution",))
+    if slid < _LEAST_SLIDING or stuck.criterion < base.criterion + _TELLING:
+        model = _without_friction(model, stuck, notes)
+        free, slid = ("restitution",), 0
+        base = _fit(model, free)
     at_limit = base.values["restitution"] > 1 - 1e-6 or base.values["restitution"] < 1e-6
     if at_limit:
         free = ("scale_b2", *free[1:])
@@ -108,7 +112,7 @@ def fit_impact(model: ImpactModel) -> ImpactFit:
     best = base
     for extra in _candidates(model, base, slid):
         other = _fit(model, (*free, extra))
-        if other.criterion < best.criterion - 2.0:
+        if other.criterion < best.criterion - _TELLING:
             best = other
     return _result(model, best, tuple(notes))
 
@@ -172,6 +176,10 @@ class ImpactModel:
         """Standard deviation of seen minus launch, (n, 3)."""
         size = np.stack([launch[:, 0], np.abs(launch[:, 1]), np.ones(len(launch))], axis=1)
         return np.asarray(np.hypot(size * np.asarray(scatter), self.measured_std()))
+
+    def with_known(self, **values: float) -> ImpactModel:
+        """The same with other values for what is not fitted."""
+        return ImpactModel(self.strikes, self._body, self._striker, self.known | values)
 
     def with_strikes(self, strikes: Strikes) -> ImpactModel:
         """The same body and striker, hit otherwise."""
@@ -272,18 +280,19 @@ def _scatter(
     return values[0], values[1], values[2]
 
 
-def _without_friction(model: ImpactModel, base: _Fit, notes: list[str]) -> _Fit:
-    """The contact stuck throughout: its friction is what the file says, if that is enough."""
-    impact = model.impact({**model.known, "restitution": base.values["restitution"]})
+def _without_friction(model: ImpactModel, stuck: _Fit, notes: list[str]) -> ImpactModel:
+    """Contacts that stick as well explain the launches: the file's friction stays, if it is high
+    enough to hold them."""
     s = model.strikes
-    sure = impact.strike(1.0, s.incidence, s.contact)
-    needed = float(np.max(np.abs(sure.tangential_impulse / sure.normal_impulse)))
+    hits = model.impact(stuck.values).strike(1.0, s.incidence, s.contact)
+    needed = float(np.max(np.abs(hits.tangential_impulse / hits.normal_impulse)))
+    known = model.known["contact_friction"]
+    kept = max(known, min(1.01 * needed, _STICKS))
     notes.append(
-        f"the contact slid in fewer than {_LEAST_SLIDING} trials: its friction is not determined "
-        f"and stays {model.known['contact_friction']:g} (impulses leaned by up to "
-        f"{math.degrees(math.atan(needed)):.1f} degrees, a friction of {needed:.3f})"
+        "contacts that stick explain the launches as well: the contact friction is not determined, "
+        f"it is at least {needed:.3f}; it is left at {kept:.3g}"
     )
-    return _fit(model, ("restitution",))
+    return model.with_known(contact_friction=kept)
 
 
 def _candidates(model: ImpactModel, base: _Fit, slid: int) -> tuple[str, ...]:

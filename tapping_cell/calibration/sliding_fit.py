@@ -244,7 +244,7 @@ def _weighted(problem: _Problem, at: _Solution) -> _Problem:
 
 
 def _rms(values: Array) -> float:
-    return math.sqrt(float(np.mean(values**2)))
+    return math.sqrt(float(np.mean(values**2))) if values.size else math.nan
 
 
 def _spread(values: Array) -> float:
@@ -428,12 +428,8 @@ def _result(problem: _Problem, best: _Solution, scatter: float) -> SlideFit:
         own_friction=np.exp(own),
         own_friction_std=own_std,
         friction_scatter=scatter,
-        position_rms=_rms((point.distance * samples.distance_std)[sampled])
-        if sampled.any()
-        else math.nan,
-        rotation_rms=_rms((point.rotation * samples.rotation_std)[sampled])
-        if sampled.any()
-        else math.nan,
+        position_rms=_rms(point.distance[sampled] * samples.distance_std[sampled]),
+        rotation_rms=_rms(point.rotation[sampled] * samples.rotation_std[sampled]),
         misfit=np.sqrt(total / np.maximum(count, 1.0)),
         evaluations=best.evaluations,
     )
