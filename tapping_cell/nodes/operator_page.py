@@ -43,7 +43,7 @@ from tapping_cell.nodes.conversions import camera_from_message, is_finite, secon
 from tapping_cell.nodes.goals import REFUSALS
 from tapping_cell.nodes.page import guard, server
 from tapping_cell.nodes.page.archive import make_archive
-from tapping_cell.nodes.page.cell_view import CellView
+from tapping_cell.nodes.page.cell_view import CellView, with_code
 from tapping_cell.nodes.page.ghost import Ghost
 from tapping_cell.nodes.page.node_watch import NodeWatch
 from tapping_cell.nodes.page.pictures import to_jpeg
@@ -57,6 +57,7 @@ from tapping_cell.nodes.page.requests import (
     Turn,
 )
 from tapping_cell.planning import FreeSpace, check_goal
+from tapping_cell.report.hints import hint
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraError, CameraModel, View
 
@@ -131,7 +132,7 @@ class OperatorPage(CellNode[Parameters]):
 
         def refusal(pose: Pose) -> str:
             found = check_goal(pose, space, free)
-            return f"{found.sentence} ({REFUSALS[found.reason]})" if found is not None else ""
+            return with_code(found.sentence, REFUSALS[found.reason]) if found is not None else ""
 
         self._cell, self._refusal = cell, refusal
 
@@ -361,7 +362,8 @@ class OperatorPage(CellNode[Parameters]):
             if result.error_code == ErrorCode.NONE:
                 answer(_answer("goal", True, f"goal reached after {result.taps} taps"))
                 return
-            answer(_answer("goal", False, f"{result.error_msg} ({result.error_code})"))
+            sentence = with_code(result.error_msg, result.error_code)
+            answer({**_answer("goal", False, sentence), "hint": hint(result.error_code)})
 
         self._view.note_own_goal(pose, who)
         self._action.send_goal_async(goal).add_done_callback(taken)

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from typing import NamedTuple
 
 from sensor_msgs.msg import Image
-from tapping_cell_msgs.msg import ArmState, GoalReport, PlanState, TapperState, TapRecord
+from tapping_cell_msgs.msg import ArmState, ErrorCode, GoalReport, PlanState, TapperState, TapRecord
 
 from tapping_cell.nodes.cell_monitor import CellMonitor
 from tapping_cell.nodes.conversions import covariance_from_message, from_message, seconds
 from tapping_cell.nodes.goal_client import PHASES
 from tapping_cell.nodes.plan_reporter import FINAL
+from tapping_cell.report.hints import hint
 from tapping_cell.se2 import Pose
 
 SILENCE_LIMIT_S = 1.5
@@ -59,6 +61,19 @@ def shown(value: float, digits: int = 2) -> float | None:
 def pose_text(pose: Pose) -> str:
     """A pose for people."""
     return f"x {1e3 * pose.x:.1f} mm, y {1e3 * pose.y:.1f} mm, {math.degrees(pose.theta):.1f} deg"
+
+
+class Mode(NamedTuple):
+    """The whole cell in a word: stopped, fault, moving, not ready or ready."""
+
+    word: str
+    sentence: str
+    code: int = ErrorCode.NONE
+
+
+def with_code(sentence: str, code: int) -> str:
+    """A sentence with the number of its code, where it has one."""
+    return f"{sentence} ({code})" if code else sentence
 
 
 class CellView:
@@ -124,7 +139,7 @@ class CellView:
         if message == self._report:
             return
         self._report = message
-        sentence, kind = f"{message.error_msg} ({message.error_code})", "bad"
+        sentence, kind = with_code(message.error_msg, message.error_code), "bad"
         if message.refused:
             sentence = f"goal refused: {sentence}"
         elif not message.error_code:
@@ -140,8 +155,8 @@ class CellView:
         plan = self._plan
         return plan is not None and plan.state not in (PlanState.IDLE, *FINAL)
 
-    def mode(self) -> tuple[str, str]:
-        """The whole cell in a word: stopped, fault, moving, not ready or ready; and a sentence."""
+    def mode(self) -> Mode:
+        """The whole cell in a word, a sentence, and the code where there is one."""
         arm, tapper = self._monitor.arm, self._monitor.tapper
         stopped = [
             state.error_msg
@@ -149,39 +164,42 @@ class CellView:
             if state is not None and state.state == value
         ]
         if stopped:
-            return "stopped", "; ".join(dict.fromkeys(stopped))
+            return Mode("stopped", "; ".join(dict.fromkeys(stopped)), ErrorCode.EMERGENCY_STOP)
         if self.emergency_stop and self._monitor.lost():
-            return "stopped", "the emergency stop is pressed; arm or tapper do not answer"
+            sentence = "the emergency stop is pressed; arm or tapper do not answer"
+            return Mode("stopped", sentence, ErrorCode.EMERGENCY_STOP)
         fault = self._monitor.fault()
         if fault is not None:
-            return "fault", f"{fault[1]} ({fault[0]})"
+            return Mode("fault", fault[1], fault[0])
         if self.busy:
             assert self._plan is not None
-            return "moving", f"tap {self._plan.taps + 1}: {PHASES[self._plan.state]}"
+            return Mode("moving", f"tap {self._plan.taps + 1}: {PHASES[self._plan.state]}")
         if arm is not None and arm.state in ARM_BUSY and not self._monitor.silent("arm"):
-            return "moving", f"the arm is {ARM_WORDS[arm.state]}"
+            return Mode("moving", f"the arm is {ARM_WORDS[arm.state]}")
         if tapper is not None and tapper.state in TAPPER_BUSY:
-            return "moving", f"the tapper is {TAPPER_WORDS[tapper.state]}"
+            return Mode("moving", f"the tapper is {TAPPER_WORDS[tapper.state]}")
         missing = self._monitor.missing()
         if missing is not None:
-            return "not ready", f"{missing[1]} ({missing[0]})"
+            return Mode("not ready", missing[1], missing[0])
         seen = self._monitor.object
         if seen is not None and seen.error_code:
-            return "not ready", f"{seen.error_msg} ({seen.error_code})"
+            return Mode("not ready", seen.error_msg, seen.error_code)
         if self._plan is None or time.monotonic() - self._plan_heard > 2 * SILENCE_LIMIT_S:
-            return "not ready", "the planner says nothing; start tap_planner"
-        return "ready", "the cell takes a goal"
+            return Mode("not ready", "the planner says nothing; start tap_planner")
+        return Mode("ready", "the cell takes a goal")
 
     def state(self, now: float) -> dict[str, object]:
         """Everything that changes; ``now`` is ROS time in s."""
-        mode, sentence = self.mode()
-        if mode != self._mode:
-            if mode in ("stopped", "fault"):
+        mode = self.mode()
+        sentence = with_code(mode.sentence, mode.code)
+        if mode.word != self._mode:
+            if mode.word in ("stopped", "fault"):
                 self.note(sentence, "bad")
-            self._mode = mode
+            self._mode = mode.word
         return {
-            "mode": mode,
+            "mode": mode.word,
             "sentence": sentence,
+            "hint": hint(mode.code),
             "picture": self._picture_state(now),
             "object": self._object_state(),
             "plan": self._plan_state(),

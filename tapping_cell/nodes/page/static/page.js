@@ -127,6 +127,7 @@ function hear(message) {
   } else if (message.type === "answer") {
     waiting.delete(message.to);
     show(message.to, message.text, message.ok ? "good" : "bad");
+    if (message.to === "goal") setText($("goal-hint"), message.hint || "");
   }
 }
 
@@ -134,6 +135,7 @@ function show(to, text, kind) {
   const place = $(ANSWERS[to] || "goal-answer");
   setText(place, text);
   place.className = "answer " + kind;
+  if (place.id === "goal-answer") setText($("goal-hint"), "");
 }
 
 // ---- The picture
@@ -236,6 +238,7 @@ function renderAttention(mode) {
   setText($("attention-title"), { stopped: "The cell is stopped", fault: "The cell has a fault" }[mode]
     || "The arm is not homed");
   setText($("attention-words"), halted ? sentence(state.sentence) : "It does not know where it is, and takes no tap.");
+  setText($("attention-hint"), halted ? state.hint : "");
   $("clear").hidden = homeless;
   $("home").hidden = !homeless;
   $("press-button").hidden = !state.simulated || !["stopped", "fault"].includes(state.tapper.state);
@@ -303,7 +306,7 @@ function renderGoal() {
 
 function follow(pose) {
   // An untouched ghost lies at the goal, or at the object.
-  if (!connected || !pose || !state.placeable || ghost.touched || ghost.hold || editing()) return;
+  if (!connected || !pose || !pose.every(Number.isFinite) || !state.placeable || ghost.touched || ghost.hold || editing()) return;
   const key = pose.map((n) => n.toFixed(1)).join();
   if (key === followed) return;
   followed = key;
