@@ -14,6 +14,7 @@ import json
 # ``lines(report) -> list[str]`` (the same for people).
 SECTIONS = {
     "drivers": "tapping_cell.cli.benchmarks.drivers",
+    "emergency_stop": "tapping_cell.cli.benchmarks.emergency_stop",
     "mechanics": "tapping_cell.cli.benchmarks.mechanics",
     "vision": "tapping_cell.cli.benchmarks.vision",
 }

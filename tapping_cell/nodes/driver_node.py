@@ -137,7 +137,7 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
             raise
 
     def fail(self, fault: HardwareFault, **changes: object) -> None:
-        """Say a fault once, in the log, and keep saying it in the state, with other changes."""
+        """Say a fault once, in the log, and keep it in the state; ``changes`` come on top."""
         own_stop = fault.reason is FaultReason.STOPPED
         if own_stop and (self.stopped or fault.reason not in self.fault_states):
             # The fault that stopped the device was said before, and says more.
@@ -145,12 +145,12 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
             return
         if self._snapshot.error_msg != fault.sentence:
             self.get_logger().error(fault.sentence)
-        self.set(
-            state=self.fault_states.get(fault.reason, self.fault_state),
-            error_code=self.code_of(fault),
-            error_msg=fault.sentence,
-            **changes,
-        )
+        told: dict[str, object] = {
+            "state": self.fault_states.get(fault.reason, self.fault_state),
+            "error_code": self.code_of(fault),
+            "error_msg": fault.sentence,
+        }
+        self.set(**{**told, **changes})
 
     def require(self) -> Driver:
         """The driver, where there surely is one."""

@@ -206,6 +206,26 @@ def test_it_opens_the_port_again_when_the_cable_returns(cell: Cell) -> None:
     cell.bench.wait(lambda: cell.states[-1].state == TapperState.SAFE, "safe again", 4.0)
 
 
+def test_a_cable_pulled_at_the_release_leaves_an_unknown_outcome_and_a_working_node(
+    cell: Cell,
+) -> None:
+    def release(shot: int, energy: float, now: float) -> None:
+        cell.terminal.hang_up()
+
+    cell.device.on_fire = release
+    cell.command(100)
+    keep_saying(cell, 0.8, tap_id=100)
+    cell.bench.wait(lambda: cell.outcome(100) == TapperState.UNKNOWN, "not known")
+    assert cell.states[-1].error_code == ErrorCode.TAPPER_OUTCOME_UNKNOWN
+    cell.device.on_fire = None
+    cell.terminal.plug_in()
+    cell.bench.wait(lambda: cell.states[-1].state == TapperState.SAFE, "safe again", 10.0)
+    assert cell.outcome(100) == TapperState.UNKNOWN
+    cell.command(101)
+    keep_saying(cell, 0.8, tap_id=101)
+    assert cell.shots() == [100, 101]
+
+
 SLOW = TapperMachine(draw_time=2.0)
 """A spring that takes so long to draw that whoever falls silent does so in mid-draw."""
 
