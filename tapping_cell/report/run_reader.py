@@ -93,13 +93,11 @@ def story_of(bag: Bag, name: str) -> Story:
     truths = [(_seconds(m.header.stamp), _pose(m.pose)) for _, m in bag.of("ground_truth")]
     records = report.records if report is not None else _records(mine)
     seen = [(at, m) for at, m in states if m.visible and m.at_rest and not m.error_code]
-    # A goal bears the stamp of the look that it was meant from, or when it was sent, or nothing.
-    asked = _seconds(last.goal.header.stamp) or began
-    before = [m for at, m in seen if at <= asked + _SAME_TIME_S] or [m for _, m in seen]
     after = [(at, m) for at, m in seen if at <= ended + _TRUTH_WITHIN_S]
     final = after[-1] if after else None
     taps = _taps(records, bag, truths, began)
-    start = _pose(before[-1].pose.pose) if before else (taps[0].before if taps else None)
+    # A goal bears the stamp of the look that it was meant from, or when it was sent, or nothing.
+    start = _pose_at(seen, _seconds(last.goal.header.stamp) or began)
     goal = _pose(last.goal.pose) if _is_pose(last.goal.pose) else None
     tolerance = (_finite(last.position_tolerance), _finite(last.angle_tolerance))
     final_measured = _pose(final[1].pose.pose) if final else None
@@ -198,6 +196,13 @@ def _taps(
             )
         )
     return tuple(rows)
+
+
+def _pose_at(seen: list[tuple[float, Any]], asked: float) -> Pose | None:
+    """Where the object was last seen at rest by a time, or else first after it."""
+    before = [message for at, message in seen if at <= asked + _SAME_TIME_S]
+    message = before[-1] if before else (seen[0][1] if seen else None)
+    return None if message is None else _pose(message.pose.pose)
 
 
 def _truth_at(truths: list[tuple[float, Pose]], at: float) -> Pose | None:
