@@ -90,6 +90,7 @@ class GoalClient:
         subscribe(PoseStamped, "ground_truth", self._on_ground_truth, 10)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        self._ended = threading.Event()
         self._thread = threading.Thread(target=self._spin, name="goal client", daemon=True)
 
     def __enter__(self) -> GoalClient:
@@ -102,14 +103,17 @@ class GoalClient:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._executor.shutdown()
+        # First the thread, then what it works with: rclpy's shutdown does not wait for a callback.
+        self._ended.set()
         self._thread.join(2.0)
+        self._executor.shutdown()
         self.node.destroy_node()
         self._context.try_shutdown()
 
     def _spin(self) -> None:
         try:
-            self._executor.spin()
+            while not self._ended.is_set():
+                self._executor.spin_once(timeout_sec=0.1)
         except ExternalShutdownException:
             return
 

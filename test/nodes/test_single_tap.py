@@ -42,7 +42,7 @@ class Experiment:
 
 @pytest.fixture
 def experiment() -> Iterator[Experiment]:
-    with acted() as actors, SingleTapClient() as client:
+    with acted(silence_limit=2.0, ready_deadline=10.0) as actors, SingleTapClient() as client:
         actors.pose = Pose(0.05, -0.03, 0.4)
         deadline = time.monotonic() + 40.0
         while missing := client.missing():
