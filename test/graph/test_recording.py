@@ -1,0 +1,78 @@
+"""A graph started by `up` with one parameter file: every goal sent to it leaves a run folder."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tapping_cell.report.bag import read_bag
+from tapping_cell.report.run import Run
+from tapping_cell.report.run_folder import RunError, read_run
+
+PARAMETERS = """
+/left/sim_world:
+  ros__parameters: {{arm_port: {folder}/arm, tapper_port: {folder}/tapper, seed: 6}}
+/left/scara_arm:
+  ros__parameters: {{port: {folder}/arm}}
+/left/tapper_trigger:
+  ros__parameters: {{port: {folder}/tapper}}
+/left/run_recorder:
+  ros__parameters: {{pictures: false, least_free: 0.0}}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[Path]:
+    file = tmp_path / "parameters.yaml"
+    file.write_text(PARAMETERS.format(folder=tmp_path))
+    command = [sys.executable, "-m", "tapping_cell", "up", "--namespace", "left"]
+    command += ["--params", str(file), "--runs", str(tmp_path / "runs")]
+    process = subprocess.Popen([*command, "--logs", str(tmp_path / "logs")], cwd=tmp_path)
+    try:
+        yield tmp_path
+    finally:
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+
+
+def goal(*words: str) -> tuple[int, str]:
+    command = [sys.executable, "-m", "tapping_cell", "goal", "--namespace", "left", "--wait", "90"]
+    ended = subprocess.run(
+        [*command, *words], capture_output=True, text=True, timeout=240, check=False
+    )
+    return ended.returncode, " ".join(ended.stdout.split())
+
+
+def recorded(folder: Path, number: int) -> list[Run]:
+    """The runs in order of time, once there are so many with a summary."""
+    deadline = time.monotonic() + 60
+    while True:
+        found = []
+        for entry in sorted((folder / "runs").glob("*")):
+            try:
+                found.append(read_run(entry))
+            except RunError:
+                continue
+        if len(found) >= number:
+            return found
+        assert time.monotonic() < deadline, f"{len(found)} of {number} runs were recorded"
+        time.sleep(0.2)
+
+
+def test_goals_of_a_graph_that_stays_are_recorded(folder: Path) -> None:
+    status, words = goal("-35", "15", "25")
+    assert status == 0 and "goal reached" in words, words
+    status, words = goal("900", "0", "0")
+    assert status == 1 and "code 103" in words and "what to do: Send a goal" in words
+    first, second = recorded(folder, 2)
+    assert (first.outcome, second.outcome) == ("reached", "refused")
+    assert "_left_to_-35_15_25" in first.name and len(first.taps) >= 1
+    assert second.error_code == 103 and second.taps == ()
+    bag = read_bag(folder / "runs" / first.name / "bag")
+    assert bag.whole and all(topic.name.startswith(("/left/", "/diag")) for topic in bag.topics)
