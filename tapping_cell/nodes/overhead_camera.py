@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,9 @@ from tapping_cell.hardware.camera_source import (
     CameraSettings,
     CameraSourceError,
     Device,
+    Frame,
     Playback,
+    SourceEnded,
     open_source,
     to_grey,
 )
@@ -27,6 +30,7 @@ from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.worker import Worker
 
 REOPEN_PERIOD_S = 1.0
+"""Between two tries to open a source that went away."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +63,8 @@ class OverheadCamera(CellNode[Parameters]):
         self._info = CameraInfo()
         self._frames = 0
         self._problem = ""
+        self._warning = ""
+        self._ended = False
         self._image_publisher = self.create_publisher(Image, "camera/image_raw", images.PICTURES)
         self._info_publisher = self.create_publisher(
             CameraInfo, "camera/camera_info", images.PICTURES
@@ -73,6 +79,7 @@ class OverheadCamera(CellNode[Parameters]):
             camera = load_cell(self.settings.cell_file or None).camera
         self._info = images.to_camera_info(camera)
         self._info.header.frame_id = "camera_optical"
+        self._ended = False
         self._settings = CameraSettings(
             width=camera.width,
             height=camera.height,
@@ -108,6 +115,8 @@ class OverheadCamera(CellNode[Parameters]):
         values: dict[str, object] = {"hardware_id": self.settings.source, "pictures": self._frames}
         if self._problem:
             return DiagnosticStatus.ERROR, self._problem, values
+        if self._warning:
+            return DiagnosticStatus.WARN, self._warning, values
         return DiagnosticStatus.OK, "ok", values
 
     def _open(self) -> Device | Playback:
@@ -116,28 +125,61 @@ class OverheadCamera(CellNode[Parameters]):
 
     def _take(self) -> None:
         """One picture, or another try to open the source; in the worker's thread."""
+        if self._ended:
+            time.sleep(0.1)
+            return
         try:
             if self._source is None:
                 self._source = self._open()
-                self.get_logger().info(f"{self.settings.source} delivers again")
-            picture = self._source.read()
+                self.get_logger().info(f"{self.settings.source} is opened again")
+            frame = self._source.read()
+        except SourceEnded as error:
+            self._ended = True
+            self._say(str(error))
+            return
         except CameraSourceError as error:
-            if str(error) != self._problem:
-                self.get_logger().error(str(error))
-            self._problem = str(error)
+            self._say(str(error))
             if self._source is not None:
                 self._source.close()
             self._source = None
-            self.get_clock().sleep_for(Duration(seconds=REOPEN_PERIOD_S))
+            self._pause()
             return
-        stamp = self.get_clock().now() - Duration(seconds=self.settings.exposure / 2)
+        self._send(frame)
+
+    def _send(self, frame: Frame) -> None:
+        assert self._settings is not None
+        picture, wanted = to_grey(frame.picture), self._settings
+        if picture.shape != (wanted.height, wanted.width):
+            self._say(
+                f"the picture is {picture.shape[1]} x {picture.shape[0]} pixels but the "
+                f"calibration is for {wanted.width} x {wanted.height}: not sent; calibrate at this "
+                "size or set the camera so"
+            )
+            return
         self._problem = ""
-        message = images.to_message(to_grey(picture), "mono8")
+        if frame.sentence and frame.sentence != self._warning:
+            self._warning = frame.sentence
+            self.get_logger().warning(frame.sentence)
+        age = time.monotonic() - frame.captured
+        stamp = self.get_clock().now() - Duration(seconds=age + self.settings.exposure / 2)
+        message = images.to_message(picture, "mono8")
         message.header.frame_id = "camera_optical"
         message.header.stamp = self._info.header.stamp = stamp.to_msg()
         self._info_publisher.publish(self._info)
         self._image_publisher.publish(message)
         self._frames += 1
+
+    def _say(self, sentence: str) -> None:
+        """Report trouble, once for each kind."""
+        if sentence != self._problem:
+            self.get_logger().error(sentence)
+        self._problem = sentence
+
+    def _pause(self) -> None:
+        """Wait before the next try, but not longer than the node lives."""
+        end = time.monotonic() + REOPEN_PERIOD_S
+        while time.monotonic() < end and self._worker is not None:
+            time.sleep(0.05)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
