@@ -37,6 +37,10 @@ _TIED = 0.97
 _OUTLIER = 4.5
 """Robust standard deviations from which a row is an outlier, with the floors below."""
 _POSITION_FLOOR, _ANGLE_FLOOR = 2e-5, 2e-4
+_WORST_SPREAD = 0.005
+"""Scatter of the points in m above which the rows are not poses of this arm."""
+_ALIKE = 0.01
+"""Joints within this, in rad, are one pose."""
 _SUBSETS = 200
 _IN_WORDS = {
     "base_x": "x of the base",
@@ -115,9 +119,10 @@ def calibrate_arm(
     Raises:
         CalibrationRefused: too few poses, or they do not even tell where the base is.
     """
-    if len(record.rows) < LEAST_POSES:
+    different = len(np.unique(np.round(record.joints / _ALIKE), axis=0))
+    if different < LEAST_POSES:
         raise CalibrationRefused(
-            f"{len(record.rows)} poses are too few: {LEAST_POSES} are the least, 20 are good"
+            f"{different} different poses are too few: {LEAST_POSES} are the least, 20 are good"
         )
     start, used = _begin(record, geometry)
     names = [*NAMES[:6], *(("mount_angle",) if record.angles is not None else ())]
@@ -272,6 +277,12 @@ def _robust(
         if np.array_equal(again, used):
             break
         used = again
+    if sigma[0] > _WORST_SPREAD:
+        raise CalibrationRefused(
+            "the rows fit no arm with these links: half of them miss by more than"
+            f" {sigma[0] * 1.2e3:.0f} mm. Are the columns the controller's joints in the right unit"
+            " and order, and the links' lengths in the cell file those of the arm?"
+        )
     values, jacobian = _least_squares(record, values, free, used, sigma)
     left, turns = _misses(record, values)
     squares = float((left[used] ** 2).sum() / sigma[0] ** 2)
@@ -279,9 +290,17 @@ def _robust(
     if turns is not None:
         squares += float((turns[used] ** 2).sum() / sigma[1] ** 2)
         number += int(used.sum())
-    factor = squares / max(number - len(free), 1)
-    covariance = np.asarray(factor * np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-14), float)
-    return values, covariance, sigma, used
+    # Noise below the floors is a lucky record, not knowledge.
+    factor = max(1.0, squares / max(number - len(free), 1))
+    return values, factor * _inverse(jacobian.T @ jacobian), sigma, used
+
+
+def _inverse(information: Array) -> Array:
+    """The inverse; directions without information get a very large variance, not none."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-30))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T
+    return np.asarray(inverse / np.outer(scale, scale))
 
 
 def _spread(errors: Array) -> float:

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 UNITS: dict[str, dict[str, float]] = {
     "": {},
     "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6},
-    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
+    "rad": {"rad": 1.0, "deg": math.pi / 180.0, "mrad": 1e-3},
     "m/s": {"m_s": 1.0, "mm_s": 1e-3, "cm_s": 1e-2},
     "rad/s": {"rad_s": 1.0, "deg_s": math.pi / 180.0},
     "J": {"J": 1.0, "mJ": 1e-3, "uJ": 1e-6},

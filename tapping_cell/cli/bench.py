@@ -2,6 +2,7 @@
 
 python -m tapping_cell bench
 python -m tapping_cell bench --section mechanics --json
+python -m tapping_cell bench --section vision-robustness --count 10000
 """
 
 from __future__ import annotations
@@ -9,14 +10,23 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import sys
 
 # A section is a module with ``measure() -> dict`` (what --json prints) and
 # ``lines(report) -> list[str]`` (the same for people).
 SECTIONS = {
+    "calibrate": "tapping_cell.cli.benchmarks.calibrate",
     "drivers": "tapping_cell.cli.benchmarks.drivers",
     "emergency_stop": "tapping_cell.cli.benchmarks.emergency_stop",
     "mechanics": "tapping_cell.cli.benchmarks.mechanics",
     "vision": "tapping_cell.cli.benchmarks.vision",
+}
+
+# Many scenes or frames, minutes long: only when named. Their module's ``measure`` takes how many.
+LONG_SECTIONS = {
+    "vision-calibrated": "tapping_cell.cli.benchmarks.vision_calibrated",
+    "vision-covariance": "tapping_cell.cli.benchmarks.vision_covariance",
+    "vision-robustness": "tapping_cell.cli.benchmarks.vision_robustness",
 }
 
 
@@ -25,18 +35,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--section",
         action="append",
-        choices=sorted(SECTIONS),
-        help="a room to measure, may be repeated (all of them)",
+        choices=sorted(SECTIONS | LONG_SECTIONS),
+        help="what to measure, may be repeated (all rooms; vision-* only when named)",
+    )
+    parser.add_argument(
+        "--count", type=int, metavar="N", help="scenes or frames of the vision-* sections"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure the sections and print them; 0."""
+    """Measure the sections and print them; 0, or 2 for a count that cannot be."""
+    if arguments.count is not None and arguments.count < 1:
+        print(f"--count is {arguments.count}; it must be at least 1", file=sys.stderr)
+        return 2
     reports = {}
     for name in arguments.section or SECTIONS:
-        section = importlib.import_module(SECTIONS[name])
-        reports[name] = section.measure()
+        section = importlib.import_module((SECTIONS | LONG_SECTIONS)[name])
+        if name in LONG_SECTIONS:
+            reports[name] = section.measure(arguments.count or section.DEFAULT_COUNT)
+        else:
+            reports[name] = section.measure()
         if not arguments.json:
             print(f"{name}:")
             print("\n".join(f"  {line}" for line in section.lines(reports[name])), flush=True)

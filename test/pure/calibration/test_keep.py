@@ -1,0 +1,89 @@
+"""No calibrated file is replaced silently, and a better one never by force alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tapping_cell.calibration.keep import KeptFile, Output, now, refuse_existing, write_kept
+from tapping_cell.configuration.provenance import Provenance, provenance_yaml, read_provenance
+from tapping_cell.configuration.schema import ConfigurationError
+
+OLD = Provenance(
+    by="calibrate arm",
+    made=now(),
+    inputs=("poses.csv sha256 0123456789ab",),
+    observations=20,
+    left_out=1,
+    residual=1e-4,
+    residual_of="points, m",
+    uncertainty=2e-4,
+    uncertainty_of="wrist, m",
+    deviations={"base_x": 1e-5},
+    notes=("a note: with a colon", "# and a hash"),
+)
+
+
+def write(output: Output, record: Provenance) -> None:
+    write_kept(output, provenance_yaml(record), record, read_provenance)
+
+
+def test_a_record_is_read_back_as_it_was_written(tmp_path: Path) -> None:
+    write(Output(tmp_path / "a.yaml"), OLD)
+    assert read_provenance(tmp_path / "a.yaml") == OLD
+    assert [path.name for path in tmp_path.iterdir()] == ["a.yaml"]
+
+
+def test_a_file_that_is_there_stays_without_force(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("anything")
+    for act in (lambda: write(Output(path), OLD), lambda: refuse_existing(Output(path))):
+        with pytest.raises(KeptFile, match="--force"):
+            act()
+    assert path.read_text() == "anything"
+
+
+def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
+    with pytest.raises(KeptFile, match="no folder"):
+        refuse_existing(Output(tmp_path / "none" / "a.yaml"))
+
+
+@settings(max_examples=15, deadline=None)
+@given(residual=st.floats(0.0, 1.0), uncertainty=st.floats(0.0, 1.0))
+def test_force_replaces_only_what_is_no_better(
+    tmp_path_factory: pytest.TempPathFactory, residual: float, uncertainty: float
+) -> None:
+    path = tmp_path_factory.mktemp("keep") / "a.yaml"
+    write(Output(path), OLD)
+    new = replace(OLD, residual=float(f"{residual:.6g}"), uncertainty=float(f"{uncertainty:.6g}"))
+    worse = new.residual > 1.01 * OLD.residual or new.uncertainty > 1.01 * OLD.uncertainty
+    if worse:
+        with pytest.raises(KeptFile, match="better and stays"):
+            write(Output(path, force=True), new)
+        assert read_provenance(path) == OLD
+    else:
+        write(Output(path, force=True), new)
+        assert read_provenance(path) == new
+    write(Output(path, force=True, accept_worse=True), new)
+    assert read_provenance(path) == new
+
+
+@pytest.mark.parametrize("content", ["by hand: yes", "calibration: {by: someone}", "[", "\0"])
+def test_a_file_without_a_record_gives_way_to_force(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(content)
+    write(Output(path, force=True), OLD)
+    assert read_provenance(path) == OLD
+
+
+def test_what_the_reader_refuses_is_never_written(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    write(Output(path), OLD)
+    with pytest.raises(ConfigurationError):
+        write_kept(Output(path, force=True), "calibration: 5", OLD, read_provenance)
+    assert read_provenance(path) == OLD
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.yaml"]

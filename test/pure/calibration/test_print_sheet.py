@@ -1,0 +1,114 @@
+"""Printed sheets: what stands on the page is where it should be, to 0.05 mm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from pypdf import PdfReader
+
+from tapping_cell.calibration.print_sheet import (
+    SheetError,
+    marker_loops,
+    paper_size,
+    reference_map,
+    target_page,
+)
+from tapping_cell.calibration.target import Target, find_target
+from tapping_cell.cli import main
+from tapping_cell.configuration.table import load_reference_map
+from tapping_cell.vision.edges import refine
+from tapping_cell.vision.markers import find_markers, marker_pattern
+
+DPI = 254.0  # ten dots a millimetre
+
+
+def page(tmp_path: Path, what: str, *words: str) -> np.ndarray:
+    path = tmp_path / f"{what}.png"
+    line = ["calibrate", "print", "--what", what, "--dpi", str(DPI), "--output", str(path), *words]
+    assert main(line) == 0
+    return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+
+
+def test_reference_markers_are_where_the_table_file_says(tmp_path: Path) -> None:
+    image = page(tmp_path, "table", "--paper", "a4")
+    references = load_reference_map(tmp_path / "table.table.yaml")
+    assert image.shape == (2100, 2970)
+    found = {d.id: d for d in find_markers(image, references.dictionary)}
+    corners = references.corners()
+    for row, marker in enumerate(references.markers):
+        edges = refine(image, found[marker.id].corners[None], 8)
+        # Dots to the page's frame, whose origin is in the middle: y up, whole dots are corners.
+        seen = (edges.corners[0] + 0.5 - np.array([1485.0, 1050.0])) * [1e-4, -1e-4]
+        assert np.abs(seen - corners[row]).max() < 5e-5
+
+
+def test_the_target_has_its_size(tmp_path: Path) -> None:
+    image = page(tmp_path, "charuco")
+    target = Target("charuco", 10, 7, 0.025, 0.01875, "4X4_250")
+    view = find_target(image, target, "page")
+    assert not isinstance(view, str)
+    assert len(view.ids) == 54
+    points = target.points[view.ids]
+    seen = view.pixels * 1e-4
+    shift = (seen - points).mean(axis=0)
+    assert np.abs(seen - points - shift).max() < 5e-5
+
+
+def test_the_ruler_measures_100_mm(tmp_path: Path) -> None:
+    image = page(tmp_path, "objects")
+    # The ruler's line and its ticks are the lowest ink on the page.
+    dark = image < 128
+    lowest = int(np.flatnonzero(dark.any(axis=1)).max())
+    columns = np.flatnonzero(dark[lowest - 20, :1130])
+    assert columns.max() - columns.min() == pytest.approx(1000, abs=3)
+
+
+def test_the_pdf_has_the_papers_size_and_says_what_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "sheet.pdf"
+    assert main(["calibrate", "print", "--paper", "900x600", "--output", str(path)]) == 0
+    reader = PdfReader(path)
+    assert len(reader.pages) == 3
+    for one in reader.pages:
+        width, height = float(one.mediabox.width), float(one.mediabox.height)
+        assert width / 72 * 25.4 == pytest.approx(900, abs=0.05)
+        assert height / 72 * 25.4 == pytest.approx(600, abs=0.05)
+    assert "25 mm" in reader.pages[0].extract_text()
+    assert "101" in reader.pages[1].extract_text()
+    assert "id 1, 50 mm" in reader.pages[2].extract_text()
+    assert main(["calibrate", "print", "--output", str(path)]) == 2  # it stays
+
+
+def test_the_outlines_of_a_marker_are_its_pattern() -> None:
+    for number in (0, 17, 101):
+        pattern = marker_pattern("APRILTAG_36h11", number)
+        loops = [
+            np.round(loop * 8 * 16).astype(np.int32)
+            for loop in marker_loops("APRILTAG_36h11", number, 1.0)
+        ]
+        drawn = np.full((128, 128), 255, dtype=np.uint8)
+        cv2.fillPoly(drawn, loops, (0,))
+        cells = drawn[::-1][8::16, 8::16] > 127
+        assert np.array_equal(cells, pattern)
+        area = sum(
+            0.5 * float(np.sum(a[:-1, 0] * a[1:, 1] - a[1:, 0] * a[:-1, 1]))
+            for loop in loops
+            for a in [np.vstack([loop, loop[:1]]).astype(float)]
+        )
+        assert area == pytest.approx((~pattern).sum() * 256)
+
+
+@pytest.mark.parametrize(
+    ("act", "words"),
+    [
+        (lambda: paper_size("b7"), "unknown"),
+        (lambda: paper_size("9000x20"), "outside"),
+        (lambda: target_page((0.297, 0.21), Target("chessboard", 12, 9, 0.03)), "fewer or smaller"),
+        (lambda: reference_map((0.297, 0.21), 0.06, "APRILTAG_36h11", 101), "at most"),
+    ],
+)
+def test_what_does_not_fit_is_refused(act, words: str) -> None:
+    with pytest.raises(SheetError, match=words):
+        act()

@@ -1,0 +1,108 @@
+"""The tapper's curve from travels: hidden truths, missed taps, wrong units."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tapping_cell.calibration.camera import CalibrationRefused
+from tapping_cell.calibration.tapper import TapRecord, calibrate_tapper
+from tapping_cell.cli import main
+from tapping_cell.cli.benchmarks import calibration_truths as truths
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
+
+CELL = load_cell(shared_folder() / "cell.yaml")
+TAP = CELL.object.tap(CELL.file.tapper.striker())
+
+
+def record(seed: int, scatter: float = 0.05, count: int = 30):
+    random = np.random.default_rng(seed)
+    speed = truths.tapper(random, CELL.file.tapper.mass)
+    return speed, truths.tap_record(random, TAP, speed, count, scatter)
+
+
+def changed(taps: TapRecord, distances: np.ndarray) -> TapRecord:
+    return TapRecord(taps.energies, distances, taps.rotations, taps.incidences, taps.rows)
+
+
+def test_the_travel_without_rotation_is_the_textbooks() -> None:
+    energies = np.geomspace(1e-3, 5e-2, 12)
+    speeds = np.sqrt(2 * energies / 0.1)
+    # Central impact of two free bodies, Coulomb friction: v0 = (1 + e) m_s / (m + m_s) v.
+    ratio = (1 + CELL.object.restitution) * 0.1 / (0.1 + CELL.object.mass)
+    travel = (ratio * speeds) ** 2 / (2 * CELL.object.friction * 9.81)
+    zero = np.zeros(12)
+    result = calibrate_tapper(TapRecord(energies, travel, zero, zero, np.arange(12)), TAP)
+    np.testing.assert_allclose(result.speeds, np.sqrt(2 * np.array(result.energies) / 0.1), 1e-3)
+    assert result.by_friction == pytest.approx(0.5, abs=0.01)
+    assert result.by_restitution == pytest.approx(-1 / (1 + CELL.object.restitution), rel=0.01)
+
+
+def test_thirty_taps_tell_the_speeds_to_three_percent() -> None:
+    within = []
+    for seed in range(12):
+        speed, taps = record(seed)
+        result = calibrate_tapper(taps, TAP)
+        assert np.all(np.diff(result.speeds) > 0) and np.all(np.diff(result.energies) > 0)
+        error = np.array(result.speeds) / speed(np.array(result.energies)) - 1.0
+        within.append(np.sqrt((error**2).mean()) < 0.03)
+        assert 0.03 < result.scatter < 0.08
+    assert sum(within) >= 11
+
+
+def test_missed_taps_and_outliers_are_named_and_change_little() -> None:
+    _, taps = record(3)
+    clean = calibrate_tapper(taps, TAP)
+    distances = taps.distances.copy()
+    distances[17], distances[22] = 0.0, 1e3 * distances[22]
+    result = calibrate_tapper(changed(taps, distances), TAP)
+    named = {entry.row for entry in result.left_out}
+    assert {19, 24} <= named and len(named) <= 3
+    assert result.energies[0] == clean.energies[0]
+    np.testing.assert_allclose(result.speeds, clean.speeds, rtol=0.03)
+
+
+def test_draws_too_small_to_move_the_object_end_the_curve() -> None:
+    _, taps = record(4)
+    lowest = taps.energies == taps.energies.min()
+    distances = np.where(lowest, 0.0001, taps.distances)
+    result = calibrate_tapper(changed(taps, distances), TAP)
+    assert result.least_energy == pytest.approx(taps.energies[~lowest].min())
+    assert len(result.left_out) == int(lowest.sum())
+    assert result.draws[0].moved == 0
+
+
+@pytest.mark.parametrize(
+    ("pick", "words"),
+    [
+        (lambda n: np.arange(n) % 5 == 0, "too few"),
+        (lambda n: np.arange(n) < 10, "different energies"),
+    ],
+)
+def test_records_that_make_no_curve_are_refused(pick, words: str) -> None:
+    _, taps = record(5)
+    part = pick(len(taps.rows))
+    cut = TapRecord(*(getattr(taps, name)[part] for name in TapRecord.__slots__))
+    with pytest.raises(CalibrationRefused, match=words):
+        calibrate_tapper(cut, TAP)
+
+
+def test_the_verb_writes_a_cell_that_the_nodes_read(tmp_path: Path, capsys) -> None:
+    _, taps = record(6)
+    pairs = zip(taps.energies * 1e3, taps.distances * 1e3, strict=True)
+    text = "energy_mJ,distance_mm\n" + "".join(f"{e:.6f},{d:.4f}\n" for e, d in pairs)
+    path, output = tmp_path / "taps.csv", tmp_path / "cell.yaml"
+    path.write_text(text.replace("distance_mm", "distance"))
+    words = ["calibrate", "tapper", str(path), "--cell", str(CELL.path), "--output", str(output)]
+    assert main(words) == 2
+    assert "name the column distance_mm" in capsys.readouterr().err
+    path.write_text(text)
+    assert main(words) == 0
+    cell = load_cell(output)
+    assert cell.file.tapper.calibration is not None
+    assert cell.file.tapper.calibration.by == "calibrate tapper"
+    assert cell.file.tapper.curve().slowest > CELL.file.tapper.curve().slowest
+    assert cell.object == CELL.object
