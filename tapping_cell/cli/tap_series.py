@@ -176,7 +176,8 @@ class TapSeries:
             trial=number,
             outcome="lost" if lost else "ok",
             striker_speed=record.striker_speed,
-            striker_speed_measured=record.measured_speed,
+            # NaN without a gate; 0 where the release was not heard of.
+            striker_speed_measured=record.measured_speed or math.nan,
             incidence=incidence,
             contact_angle=contact,
             start_x=start.x,

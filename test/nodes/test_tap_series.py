@@ -1,0 +1,186 @@
+"""The trials of an experiment against a client that is told what to answer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+from tapping_cell_msgs.action import SingleTap
+from tapping_cell_msgs.msg import ErrorCode, TapperState, TapRecord
+
+from tapping_cell.calibration.design import Design
+from tapping_cell.calibration.experiment import ExperimentFile
+from tapping_cell.calibration.trials import Track, read_trials
+from tapping_cell.cli.tap_series import SeriesStopped, TapSeries
+from tapping_cell.mechanics import Disk, Impact, Sliding, Striker, Tap
+from tapping_cell.nodes.conversions import covariance_to_message, to_message
+from tapping_cell.nodes.goal_client import Finished
+from tapping_cell.nodes.single_tap_client import SingleTapClient
+from tapping_cell.report.bag import BagWriter
+from tapping_cell.se2 import Pose
+
+DISK = Disk(radius=0.048, mass=0.2455, height=0.012)
+TAP = Tap(
+    sliding=Sliding(DISK, friction=0.17, torque_factor=3.64, gravity=9.81),
+    impact=Impact(DISK, Striker(0.1, 0.0054), restitution=0.86, friction=0.20),
+)
+DESIGN = Design(speeds=(0.6,), incidences=(0.3,), trials=3)
+HEADER = ExperimentFile(format=1, made="2026-01-01", source="simulated", camera_rate_hz=30.0)
+TRAVEL = 0.04
+FRICTION = 1.7
+
+
+@dataclass
+class Told:
+    """A client whose taps end as told: "ok", "miss", "lost", or with a code and no tap."""
+
+    answers: list[str | int]
+    pose: Pose = field(default_factory=lambda: Pose(0.0, 0.0, 0.0))
+    goal_code: int = 0
+    goals: list[Pose] = field(default_factory=list)
+    directions: list[float] = field(default_factory=list)
+    _track: Track | None = None
+
+    def missing(self) -> list[str]:
+        return []
+
+    def object_pose(self) -> Pose:
+        return self.pose
+
+    def tap(
+        self, speed: float, incidence: float, direction: float, slack: float, check: object
+    ) -> SingleTap.Result:
+        answer = self.answers.pop(0)
+        if isinstance(answer, int):
+            return SingleTap.Result(error_code=answer, error_msg="so it was told")
+        self.directions.append(direction)
+        travel = {"ok": TRAVEL, "miss": 0.0001, "lost": TRAVEL}[answer]
+        record = TapRecord(tap_id=1, outcome=TapperState.FIRED, striker_speed=speed, dx=TRAVEL)
+        record.object_pose = to_message(self.pose)
+        record.strike_pose = to_message(Pose(self.pose.x - 0.0684, self.pose.y, 0.0))
+        record.measured_pose.covariance = covariance_to_message(np.diag([1e-10, 1e-10, 1e-8]))
+        time = np.arange(-0.5, 1.0, 1 / 30)
+        start_speed = math.sqrt(2 * FRICTION * travel)
+        sliding = np.clip(time, 0.0, start_speed / FRICTION)
+        along = start_speed * sliding - FRICTION / 2 * sliding**2
+        still = np.zeros(time.shape)
+        x = self.pose.x + along * math.cos(direction)
+        y = self.pose.y + along * math.sin(direction)
+        self._track = Track(time, x, y, still, still + 1e-5, still + 1e-4)
+        self.pose = Pose(float(x[-1]), float(y[-1]), 0.0)
+        gone = Pose(math.nan, math.nan, math.nan)
+        record.measured_pose.pose = to_message(gone if answer == "lost" else self.pose)
+        return SingleTap.Result(
+            error_code=ErrorCode.OBJECT_NOT_SEEN if answer == "lost" else 0,
+            error_msg="a hand" if answer == "lost" else "",
+            record=record,
+        )
+
+    def tip_of(self, tap_id: int) -> Pose | None:
+        return None
+
+    def track_of(self, record: TapRecord) -> Track | None:
+        return self._track
+
+    def write_bag(self, bag: object) -> None:
+        return
+
+    def send(self, goal: Pose, tolerance: tuple[float, float]) -> None:
+        self.goals.append(goal)
+
+    def events(self) -> Iterator[Finished]:
+        if not self.goal_code:
+            self.pose = self.goals[-1]
+        yield Finished(self.goal_code, "as told", self.pose, 0.0, 0.0, 1)
+
+    def cancel(self) -> None:
+        return
+
+
+def series(client: Told, folder: Path, design: Design = DESIGN) -> TapSeries:
+    return TapSeries(
+        cast(SingleTapClient, client),
+        folder,
+        design,
+        HEADER,
+        TAP,
+        cast(BagWriter, None),
+        [],
+        lambda: None,
+    )
+
+
+def test_each_trial_is_on_disk_before_the_next(tmp_path: Path) -> None:
+    client = Told(["ok"] * 3)
+    for number, done in enumerate(series(client, tmp_path).run(), start=1):
+        assert done.trial.trial == number
+        assert len(read_trials(tmp_path).trials) == number
+    assert number == 3 and client.goals == []
+    # Out, and back towards the middle.
+    assert math.remainder(client.directions[1] - client.directions[0], math.pi) == pytest.approx(
+        0.0, abs=1e-6
+    )
+
+
+def test_what_is_no_use_is_recorded_by_name_and_made_again(tmp_path: Path) -> None:
+    made = list(series(Told(["ok", "miss", "lost", "ok", "ok"]), tmp_path).run())
+    assert [done.trial.outcome for done in made] == ["ok", "missed", "lost", "ok", "ok"]
+    read = read_trials(tmp_path)
+    assert [trial.outcome for trial in read.trials] == ["ok", "missed", "lost", "ok", "ok"]
+    assert read.trials[2].note == "a hand" and read.left_out == ()
+
+
+def test_a_run_that_goes_wrong_again_and_again_is_given_up(tmp_path: Path) -> None:
+    client = Told(["ok"] + ["miss"] * 9)
+    with pytest.raises(SeriesStopped, match="of 6 trials 1 can be used"):
+        list(series(client, tmp_path).run())
+    assert len(client.answers) == 4
+
+
+def test_without_room_the_object_is_brought_to_the_middle(tmp_path: Path) -> None:
+    client = Told([ErrorCode.TAP_LEAVES_TABLE, "ok", "ok", "ok"], pose=Pose(0.2, 0.1, 0.4))
+    assert len(list(series(client, tmp_path).run())) == 3
+    assert client.goals == [Pose(0.0, 0.0, 0.4)]
+
+
+def test_without_room_in_the_middle_it_stops_with_the_planners_words(tmp_path: Path) -> None:
+    with pytest.raises(SeriesStopped, match="TAP_LEAVES_VIEW: so it was told") as stopped:
+        list(series(Told([ErrorCode.TAP_LEAVES_VIEW]), tmp_path).run())
+    assert stopped.value.code == ErrorCode.TAP_LEAVES_VIEW
+
+
+def test_an_object_that_cannot_be_brought_back_stops_it(tmp_path: Path) -> None:
+    client = Told([ErrorCode.NO_TAP_FOUND], Pose(0.2, 0.1, 0.0), ErrorCode.ARM_TIMEOUT)
+    with pytest.raises(SeriesStopped, match="brought back") as stopped:
+        list(series(client, tmp_path).run())
+    assert stopped.value.code == ErrorCode.ARM_TIMEOUT
+
+
+def test_a_passing_trouble_is_waited_for_but_not_for_ever(tmp_path: Path) -> None:
+    passing = int(ErrorCode.OBJECT_NOT_SEEN)
+    client = Told([passing, passing, "ok", passing, passing, "ok", "ok"])
+    assert len(list(series(client, tmp_path / "a").run())) == 3
+    with pytest.raises(SeriesStopped, match="OBJECT_NOT_SEEN"):
+        list(series(Told([passing] * 5), tmp_path / "b").run())
+
+
+def test_a_fault_stops_it_at_once(tmp_path: Path) -> None:
+    client = Told(["ok", ErrorCode.TAPPER_INTERLOCK_OPEN, "ok"])
+    with pytest.raises(SeriesStopped, match="TAPPER_INTERLOCK_OPEN"):
+        list(series(client, tmp_path).run())
+    assert client.answers == ["ok"]
+    assert len(read_trials(tmp_path).trials) == 1
+
+
+def test_it_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+    first = series(Told(["ok", "lost"]), tmp_path)
+    made = first.run()
+    next(made), next(made)
+    second = series(Told(["ok", "ok"]), tmp_path)
+    second.trials.extend(read_trials(tmp_path).trials)
+    assert [done.trial.trial for done in second.run()] == [3, 4]
