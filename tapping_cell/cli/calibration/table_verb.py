@@ -52,8 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--camera",
         type=Path,
-        default=shared_folder() / "camera_info.yaml",
-        help="ROS camera_info file of the camera that took them",
+        metavar="FILE",
+        help="ROS camera_info file of the camera that took them (the package's own)",
     )
     parser.add_argument(
         "--table", type=Path, metavar="OLD", help="table file that gives sizes, ids and the frame"
@@ -134,7 +134,8 @@ def _from_images(
     """The map from images, in the frame asked for."""
     if not arguments.images:
         raise CalibrationRefused("give images of the markers, or --sheet with --ruler")
-    camera = load_camera_model(arguments.camera)
+    camera_path = arguments.camera or shared_folder() / "camera_info.yaml"
+    camera = load_camera_model(camera_path)
     old = load_reference_map(arguments.table) if arguments.table else None
     if old is None and arguments.size is None:
         raise CalibrationRefused("the markers' side is not known: give --size in mm, or --table")
@@ -153,7 +154,7 @@ def _from_images(
     record = Provenance(
         by="calibrate table",
         made=now(),
-        inputs=fingerprints([*paths, arguments.camera]),
+        inputs=fingerprints([*paths, camera_path]),
         observations=int(result.seen.sum()),
         left_out=len(result.strays),
         residual=result.rms,
