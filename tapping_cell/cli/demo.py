@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import math
 import os
 import tempfile
@@ -42,6 +43,7 @@ from tapping_cell.report.run_folder import (
     RunError,
     read_run,
     residual,
+    summary,
     write_failure,
 )
 from tapping_cell.se2 import Pose, wrap_angle
@@ -74,18 +76,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_truth_arguments(parser)
     parser.add_argument("--planner", help="planning method (default: the cell's)")
     parser.add_argument("--out", type=Path, help="run folder (default: a new one under runs/)")
+    session.add_output_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb; 0 reached, 1 not reached, 2 wrong input, 130 interrupted."""
-    console = Console()
+    console = session.console_of(arguments)
     session.end_on_signals()
     began = time.monotonic()
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)
         folder = _run_folder(arguments.out)
     except (ConfigurationError, OSError) as error:
-        console.print(f"[red]error:[/red] {error}", highlight=False)
+        session.tell_error(console, str(error), "error")
         return 2
     domain = own_domain()
     # The client below runs in this process and must meet the nodes.
@@ -104,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
         ):
             record = read_run(_position(arguments, graph, client, console))
     except (NodeDied, session.NotReadyInTime, session.NotRecorded, RunError) as error:
-        console.print(f"[red]failed:[/red] {error}", highlight=False)
+        session.tell_error(console, str(error))
         not_ready = isinstance(error, session.NotReadyInTime)
         code = ErrorCode.NOT_READY if not_ready else ErrorCode.INTERNAL
         write_failure(folder, code, str(error), arguments.seed, time.monotonic() - began)
@@ -114,6 +117,8 @@ def run(arguments: argparse.Namespace) -> int:
         elapsed = time.monotonic() - began
         write_failure(folder, ErrorCode.GOAL_CANCELED, "interrupted", arguments.seed, elapsed)
         return 130
+    if arguments.json:
+        print(json.dumps(summary(record), indent=2, allow_nan=False))
     return _verdict(record, Path(folder.parent / record.name), time.monotonic() - began, console)
 
 

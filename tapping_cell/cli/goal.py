@@ -1,17 +1,19 @@
 """Send a goal pose to a running graph and show every tap; Ctrl-C cancels the goal.
 
 python -m tapping_cell goal 50 -20 90
+python -m tapping_cell goal 50 -20 90 --tolerance 0.5 1 --json
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 
-from rich.console import Console
-
 from tapping_cell.cli import session
-from tapping_cell.nodes.goal_client import GoalClient
+from tapping_cell.nodes.goal_client import Finished, GoalClient
+from tapping_cell.report.hints import hint
+from tapping_cell.report.run_folder import for_people
 from tapping_cell.se2 import Pose
 
 
@@ -32,11 +34,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--wait", type=float, default=20.0, help="longest wait for the cell, in seconds"
     )
+    session.add_output_arguments(parser)
+
+
+def result_of(finished: Finished) -> dict[str, object]:
+    """The end of a goal for a program, in mm and degrees; None where nothing is known."""
+    known = math.isfinite(finished.residual_distance)
+    return {
+        "reached": finished.error_code == 0,
+        "taps": finished.taps,
+        "residual_mm": 1000 * finished.residual_distance if known else None,
+        "residual_deg": math.degrees(finished.residual_rotation) if known else None,
+        "final_pose": for_people(finished.final_pose),
+        "error_code": finished.error_code,
+        "error_msg": finished.error_msg,
+        "hint": hint(finished.error_code),
+    }
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb; 0 reached, 1 not reached, 130 canceled."""
-    console = Console()
+    console = session.console_of(arguments)
     session.end_on_signals()
     goal = Pose(arguments.x / 1000, arguments.y / 1000, math.radians(arguments.theta))
     distance, angle = arguments.tolerance
@@ -46,12 +64,14 @@ def run(arguments: argparse.Namespace) -> int:
             client.send(goal, (distance / 1000, math.radians(angle)))
             finished = session.follow(client, lambda: None, console)
         except session.NotReadyInTime as error:
-            console.print(f"[red]failed:[/red] {error}; is the graph up?", highlight=False)
+            session.tell_error(console, f"{error}; is the graph up?")
             return 1
         except KeyboardInterrupt:
             client.cancel()
             console.print("goal canceled")
             return 130
+    if arguments.json:
+        print(json.dumps(result_of(finished), indent=2, allow_nan=False))
     if finished.error_code:
         session.tell_failure(console, finished.error_code, finished.error_msg)
         return 1

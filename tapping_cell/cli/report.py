@@ -28,6 +28,7 @@ from tapping_cell.report.run_comparison import Row, comparison_page, groups_of, 
 from tapping_cell.report.run_folder import (
     BAG,
     PAGE,
+    SUMMARY,
     RunError,
     read_run,
     write_folder,
@@ -54,9 +55,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb; 0 all runs told, 1 some cannot be read, 2 none can."""
     console = Console(stderr=arguments.json)
     told: list[tuple[Run, Path]] = []
+    skipped = 0
     several = len(arguments.runs) > 1
     quiet = not console.is_terminal or not several
     for path in track(arguments.runs, "reading runs", console=console, disable=quiet):
+        if several and no_run(path):
+            skipped += 1
+            console.print(f"{path} is no run: skipped", highlight=False, markup=False)
+            continue
         try:
             told.append(tell(path, None if several else arguments.output))
         except (BagError, RunError, OSError) as error:
@@ -77,7 +83,13 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         console.print(table_of(rows))
         console.print(f"see {written}", highlight=False, soft_wrap=True)
-    return 0 if len(told) == len(arguments.runs) else 1
+    return 0 if len(told) + skipped == len(arguments.runs) else 1
+
+
+def no_run(path: Path) -> bool:
+    """Whether a folder holds neither a bag nor a summary, as that of the nodes' logs."""
+    holds_run = (path / BAG).exists() or (path / SUMMARY).exists() or any(path.glob("*.mcap"))
+    return path.is_dir() and not holds_run
 
 
 def tell(path: Path, output: Path | None) -> tuple[Run, Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import signal
 import time
@@ -22,6 +23,24 @@ class NotReadyInTime(RuntimeError):
 
 class NotRecorded(RuntimeError):
     """The recorder did not say that it has written the run."""
+
+
+def add_output_arguments(parser: argparse.ArgumentParser) -> None:
+    """How a verb that follows a goal speaks."""
+    parser.add_argument("--json", action="store_true", help="print the result for a program")
+    parser.add_argument("--quiet", action="store_true", help="say nothing but errors")
+
+
+def console_of(arguments: argparse.Namespace) -> Console:
+    """Where a verb's words go: beside a program's figures, and nowhere where it is to be quiet."""
+    return Console(stderr=arguments.json, quiet=arguments.quiet)
+
+
+def tell_error(console: Console, sentence: str, title: str = "failed") -> None:
+    """Say what went wrong, also where a verb is to be quiet."""
+    if console.quiet:
+        console = Console(stderr=True)
+    console.print(f"[red]{title}:[/red] {sentence}", highlight=False)
 
 
 def end_on_signals() -> None:
@@ -113,6 +132,8 @@ def tap_text(event: TapDone) -> str:
 
 def tell_failure(console: Console, code: int, sentence: str) -> None:
     """Say that a goal was not reached, why, and what to do about it."""
+    if console.quiet:
+        console = Console(stderr=True)
     console.print(f"[red]goal not reached[/red] (code {code}): {sentence}", highlight=False)
     if advice := hint(code):
         console.print(f"what to do: {advice}", highlight=False)

@@ -1,0 +1,81 @@
+"""The verb report makes run folders again, tells bags alone, and compares runs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "report"))
+from made_bags import STOPS, MadeRun
+
+from tapping_cell.cli import main
+from tapping_cell.report.run_folder import write_folder
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    """Three runs as a recorder leaves them, and the folder of the nodes' logs."""
+    for name, made in (
+        ("good", MadeRun(STOPS)),
+        ("bad", MadeRun(STOPS, state=8, code=503, sentence="alarm")),
+        ("refused", MadeRun(STOPS[:1], refused=True, state=8, code=103, sentence="off")),
+    ):
+        folder = tmp_path / "runs" / name
+        folder.mkdir(parents=True)
+        made.write(folder)
+        write_folder(folder, pictures=False)
+    (tmp_path / "runs" / "up").mkdir()
+    return tmp_path / "runs"
+
+
+def test_a_run_is_told_again_with_and_without_its_bag(
+    runs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = runs / "good"
+    (folder / "summary.json").unlink()
+    assert main(["report", str(folder)]) == 0
+    assert "report.html" in capsys.readouterr().out
+    first = json.loads((folder / "summary.json").read_text())
+    shutil.rmtree(folder / "bag")
+    (folder / "report.html").unlink()
+    (folder / "cell.png").unlink()
+    assert main(["report", str(folder)]) == 0
+    again = json.loads((folder / "summary.json").read_text())
+    assert set(again) == set(first) and again["outcome"] == first["outcome"] == "reached"
+    assert again["measured_residual"] == pytest.approx(first["measured_residual"], abs=1e-3)
+    assert (folder / "report.html").exists() and (folder / "cell.png").exists()
+
+
+def test_a_bag_alone_is_told_into_another_folder(runs: Path, tmp_path: Path) -> None:
+    bag = tmp_path / "rescued.mcap"
+    shutil.copy(runs / "bad" / "bag" / "bag.mcap", bag)
+    assert main(["report", str(bag), "--output", str(tmp_path / "told")]) == 0
+    content = json.loads((tmp_path / "told" / "summary.json").read_text())
+    assert (content["outcome"], content["error_code"]) == ("failed", 503)
+
+
+def test_runs_are_compared(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [str(path) for path in sorted(runs.iterdir())]
+    assert main(["report", *words, "--output", str(runs / "all"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [row["name"] for row in told["runs"]] == ["bad", "good", "refused"]
+    (group,) = told["groups"]
+    assert (group["planner"], group["runs"], group["reached"]) == ("optimal", 3, 1)
+    assert group["taps"] == 2.0
+    page = (runs / "all" / "comparison.html").read_text()
+    assert "3 runs, 1 reached their goal" in page and 'href="../good/report.html"' in page
+
+
+def test_what_is_no_run_is_refused_in_words(
+    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["report", str(runs / "up")]) == 2
+    assert main(["report", str(tmp_path / "nowhere")]) == 2
+    (tmp_path / "text.mcap").write_text("hello")
+    assert main(["report", str(tmp_path / "text.mcap"), str(runs / "good")]) == 1
+    told = " ".join(capsys.readouterr().out.split())
+    assert "is this a run folder?" in told and "no MCAP file" in told
