@@ -231,9 +231,9 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 def choose_transport(pictures: bool) -> None:
     """Choose the middleware's profile, unless somebody else's stands in the environment.
 
-    Without a shared-memory segment of several frames nearly every picture is lost; but a process
-    that is killed can leave shared memory in a state in which its successor hears nothing. So only
-    what carries pictures uses it. The middleware reads the variable when the first node is made.
+    Without a shared-memory segment of several frames nearly every picture is lost; but the files of
+    shared memory outlive a process that is killed, and its successor meets them again. So only what
+    carries pictures uses it. The middleware reads the variable when the first node is made.
     """
     chosen = os.environ.get(PROFILE_VARIABLE, "")
     if not chosen or Path(chosen).name in PROFILES.values():
