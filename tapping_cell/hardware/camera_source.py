@@ -169,7 +169,12 @@ class Playback:
 
 def _folder_pictures(folder: Path) -> Iterator[Picture | str]:
     """The pictures by name; the path of one that cannot be decoded."""
-    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+    try:
+        files = sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+    except OSError as error:
+        raise CameraSourceError(
+            f"the folder {folder} cannot be read ({error.strerror}); check that it is there"
+        ) from error
     if not files:
         raise CameraSourceError(
             f"the folder {folder} holds no pictures ({', '.join(IMAGE_SUFFIXES)})"

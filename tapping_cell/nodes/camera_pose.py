@@ -1,4 +1,8 @@
-"""The seeing node: pictures in, the object's pose on the table with its covariance out."""
+"""The seeing node: pictures in, the object's pose on the table with its covariance out.
+
+Further objects (parameter ``other_object_files``) are looked at in turn and published on
+``other_objects``.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +10,19 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from numpy.typing import NDArray
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 from tapping_cell_msgs.msg import ErrorCode, ObjectState, PlanState
 
 from tapping_cell.configuration.cell import Cell, load_cell
-from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.configuration.objects import ObjectFile, load_object
+from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.nodes import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import (
@@ -31,9 +37,12 @@ from tapping_cell.vision import (
     CameraError,
     CameraModel,
     Observation,
+    OtherObjects,
     PoseTracker,
     Problem,
+    TrackerSettings,
     annotate,
+    marker_ids,
 )
 
 CODES = {
@@ -60,6 +69,10 @@ CODES = {
 
 CAMERA_PERIOD_S = 1.0
 """Between two reports of where the camera is."""
+STAMP_AHEAD_S = 1.0
+"""How far a picture's stamp may lie ahead of this node's clock."""
+MOST_LATE = 15
+"""Pictures in a row with stamps before the last good one: half a second of them is no accident."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +82,9 @@ class Parameters:
     autostart: bool = text("configure and activate without being asked", default=True)
     cell_file: str = text("path of the cell file; empty for the package's own", default="")
     object_file: str = text("path of the object file; empty for the cell file's", default="")
+    other_object_files: str = text(
+        "paths of the files of further objects on the table, separated by commas", default=""
+    )
     silence_limit: float = quantity(
         "time without a picture after which the camera counts as silent",
         "s",
@@ -91,9 +107,13 @@ class CameraPose(CellNode[Parameters]):
     def __init__(self) -> None:
         super().__init__("camera_pose", Parameters)
         self._cell: Cell | None = None
+        self._other_files: tuple[ObjectFile, ...] = ()
+        self._others: OtherObjects | None = None
         self._tracker: PoseTracker | None = None
         self._camera: CameraModel | None = None
         self._camera_problem = ""
+        self._late = 0
+        self._unanswered_since = 0.0
         self._goal: Pose | None = None
         self._heard = time.monotonic()
         self._annotated_at = 0.0
@@ -103,6 +123,7 @@ class CameraPose(CellNode[Parameters]):
         self._last = ObjectState()
         self._pose_publisher = self.create_publisher(PoseWithCovarianceStamped, "object_pose", 10)
         self._state_publisher = self.create_publisher(ObjectState, "object_state", LATCHED)
+        self._others_publisher = self.create_publisher(ObjectState, "other_objects", 10)
         self._camera_publisher = self.create_publisher(PoseStamped, "camera/pose", LATCHED)
         self._picture_publisher = self.create_publisher(
             Image, "camera/image_annotated", images.PICTURES
@@ -117,11 +138,17 @@ class CameraPose(CellNode[Parameters]):
     def configure(self) -> None:
         """Read the cell, table and object files."""
         self._cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
+        paths = [path.strip() for path in self.settings.other_object_files.split(",")]
+        self._other_files = tuple(load_object(Path(p).expanduser()) for p in paths if p)
         self._camera = None
+        try:
+            marker_ids([file.seen() for file in (self._cell.object, *self._other_files)])
+        except ValueError as error:
+            raise ConfigurationError(f"parameter other_object_files: {error}") from error
 
     def cleanup(self) -> None:
         """Forget the track."""
-        self._tracker = None
+        self._tracker = self._others = None
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Pictures seen and what is wrong with them."""
@@ -144,12 +171,19 @@ class CameraPose(CellNode[Parameters]):
             camera = images.from_camera_info(message)
         except CameraError as error:
             self._camera_problem = str(error)
-            self._tracker = self._camera = None
+            self._tracker = self._camera = self._others = None
             return
         self._camera_problem = ""
         if camera != self._camera:
             self._camera = camera
-            self._tracker = PoseTracker(camera, self._cell.references, self._cell.object.seen())
+            self._make_trackers(camera, self._cell)
+
+    def _make_trackers(self, camera: CameraModel, cell: Cell) -> None:
+        seen, others = cell.object.seen(), [file.seen() for file in self._other_files]
+        settings = TrackerSettings(other_ids=marker_ids(others))
+        self._late = 0
+        self._tracker = PoseTracker(camera, cell.references, seen, settings)
+        self._others = OtherObjects(camera, cell.references, others, marker_ids([seen]))
 
     def _on_image(self, message: Image) -> None:
         self._heard = time.monotonic()
@@ -157,39 +191,68 @@ class CameraPose(CellNode[Parameters]):
             return
         began = time.perf_counter()
         if self._tracker is None:
-            if self._camera_problem:
-                self._refuse(message, ErrorCode.CAMERA_NOT_CALIBRATED, self._camera_problem)
+            self._say_no_camera(message)
+            return
+        stamp = seconds(message.header.stamp)
+        ahead = stamp - 1e-9 * self.get_clock().now().nanoseconds
+        if ahead > STAMP_AHEAD_S:
+            # Taken for good, it would make every true stamp after it a late one.
+            self._refuse(
+                message,
+                ErrorCode.STAMP_INVALID,
+                f"the picture's stamp lies {ahead:.1f} s ahead of this node's clock (limit "
+                f"{STAMP_AHEAD_S:.1f} s); synchronise the clocks",
+            )
             return
         try:
             grey = images.to_grey(message)
         except images.ImageRefused as error:
             self._refuse(message, ErrorCode.IMAGE_INVALID, str(error))
             return
-        observation = self._tracker.update(grey, seconds(message.header.stamp))
+        observation = self._tracker.update(grey, stamp)
         self._publish(message, observation)
+        self._count_late(observation)
         self._tell_camera(message)
         self._frames += 1
         self._busy_seconds += time.perf_counter() - began
         self._annotate(message, grey, observation)
+        self._look_at_others(message, grey, stamp)
+
+    def _say_no_camera(self, picture: Image) -> None:
+        """Pictures come, but nobody says what camera takes them."""
+        now = time.monotonic()
+        if self._camera_problem:
+            self._refuse(picture, ErrorCode.CAMERA_NOT_CALIBRATED, self._camera_problem)
+        elif not self._unanswered_since:
+            self._unanswered_since = now
+        elif now - self._unanswered_since > self.settings.silence_limit:
+            self._refuse(
+                picture,
+                ErrorCode.CAMERA_NOT_CALIBRATED,
+                "pictures come but no calibration: nothing is heard on camera/camera_info; check "
+                "that the camera's node publishes it",
+            )
+
+    def _count_late(self, observation: Observation) -> None:
+        """A clock that was set back makes every picture late: then all begins anew."""
+        self._late = self._late + 1 if observation.problem is Problem.LATE_FRAME else 0
+        if self._late >= MOST_LATE and self._camera is not None and self._cell is not None:
+            self.get_logger().warning(
+                f"{self._late} pictures in a row are older than one before: the camera's clock was "
+                "set back; beginning anew"
+            )
+            self._make_trackers(self._camera, self._cell)
+
+    def _look_at_others(self, picture: Image, grey: NDArray[np.uint8], stamp: float) -> None:
+        sighting = None if self._others is None else self._others.update(grey, stamp)
+        if sighting is not None:
+            name = self._other_files[sighting.number].name
+            self._others_publisher.publish(_state_of(picture, name, sighting.observation))
 
     def _publish(self, picture: Image, observation: Observation) -> None:
         assert self._cell is not None
-        state = self._state(picture, CODES[observation.problem], observation.sentence)
-        state.visible = observation.visible
-        state.at_rest = observation.at_rest
-        state.frames_fused = observation.frames_fused
-        state.references_used = list(observation.references_used)
-        if observation.at_rest_since is not None:
-            since = Time(nanoseconds=round(1e9 * observation.at_rest_since))
-            state.at_rest_since = since.to_msg()
-        if observation.velocity is not None:
-            vx, vy, omega = (float(value) for value in observation.velocity)
-            state.velocity = Twist()
-            state.velocity.linear.x, state.velocity.linear.y = vx, vy
-            state.velocity.angular.z = omega
-        if observation.pose is not None and observation.covariance is not None:
-            state.pose.pose = to_message(observation.pose)
-            state.pose.covariance = covariance_to_message(observation.covariance)
+        state = _state_of(picture, self._cell.object.name, observation)
+        if state.visible:
             pose = PoseWithCovarianceStamped(header=state.header, pose=state.pose)
             self._pose_publisher.publish(pose)
         self._state_publisher.publish(state)
@@ -207,17 +270,9 @@ class CameraPose(CellNode[Parameters]):
         message.header.frame_id = "table"
         self._camera_publisher.publish(message)
 
-    def _state(self, picture: Image, code: int, sentence: str) -> ObjectState:
-        assert self._cell is not None
-        state = ObjectState(
-            object_id=self._cell.object.name, error_code=code, error_msg=sentence if code else ""
-        )
-        state.header.stamp = picture.header.stamp
-        state.header.frame_id = "table"
-        return state
-
     def _refuse(self, picture: Image, code: int, sentence: str) -> None:
-        self._last = self._state(picture, code, sentence)
+        assert self._cell is not None
+        self._last = _empty_state(picture, self._cell.object.name, code, sentence)
         self._state_publisher.publish(self._last)
 
     def _annotate(self, message: Image, grey: NDArray[np.uint8], observation: Observation) -> None:
@@ -251,6 +306,34 @@ class CameraPose(CellNode[Parameters]):
                 f"no picture for {silent:.1f} s (limit {self.settings.silence_limit:.1f} s); check "
                 "the camera, its cable and the topic camera/image_raw",
             )
+
+
+def _empty_state(picture: Image, name: str, code: int, sentence: str) -> ObjectState:
+    """What is said of an object of which nothing is known."""
+    state = ObjectState(object_id=name, error_code=code, error_msg=sentence if code else "")
+    state.header.stamp = picture.header.stamp
+    state.header.frame_id = "table"
+    return state
+
+
+def _state_of(picture: Image, name: str, observation: Observation) -> ObjectState:
+    """What an observation says of an object."""
+    state = _empty_state(picture, name, CODES[observation.problem], observation.sentence)
+    state.visible = observation.visible
+    state.at_rest = observation.at_rest
+    state.frames_fused = observation.frames_fused
+    state.references_used = list(observation.references_used)
+    if observation.at_rest_since is not None:
+        since = Time(nanoseconds=round(1e9 * observation.at_rest_since))
+        state.at_rest_since = since.to_msg()
+    if observation.velocity is not None:
+        vx, vy, omega = (float(value) for value in observation.velocity)
+        state.velocity.linear.x, state.velocity.linear.y = vx, vy
+        state.velocity.angular.z = omega
+    if observation.pose is not None and observation.covariance is not None:
+        state.pose.pose = to_message(observation.pose)
+        state.pose.covariance = covariance_to_message(observation.covariance)
+    return state
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -113,6 +113,9 @@ class OverheadCamera(CellNode[Parameters]):
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Pictures sent, and what keeps the source from delivering."""
         values: dict[str, object] = {"hardware_id": self.settings.source, "pictures": self._frames}
+        failure = None if self._worker is None else self._worker.error
+        if failure is not None:
+            return DiagnosticStatus.ERROR, f"the camera's thread failed: {failure!r}", values
         if self._problem:
             return DiagnosticStatus.ERROR, self._problem, values
         if self._warning:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from harness import Bench, bench
+from rclpy.duration import Duration
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from tapping_cell_msgs.msg import ErrorCode, ObjectState
 
 from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.objects import load_object
 from tapping_cell.nodes import images
 from tapping_cell.nodes.camera_pose import CameraPose
 from tapping_cell.nodes.cell_node import LATCHED
@@ -120,7 +123,7 @@ def test_an_unusable_picture_is_refused_in_words(cell: Cell, trouble: str) -> No
     cell.show(5)
     picture = images.to_message(cell.renderer.render(TRUE), "mono8")
     if trouble == "encoding":
-        picture.encoding = "yuv422"
+        picture.encoding = "32FC1"
     elif trouble == "size":
         picture = images.to_message(cell.renderer.render(TRUE)[:480, :640].copy(), "mono8")
     else:
@@ -137,7 +140,9 @@ def test_an_unusable_picture_is_refused_in_words(cell: Cell, trouble: str) -> No
 def test_a_silent_camera_is_said_and_comes_back(cell: Cell) -> None:
     cell.show(10)
     cell.bench.wait(
-        lambda: cell.states[-1].error_code == ErrorCode.CAMERA_SILENT, "silence noticed", 5.0
+        lambda: cell.states and cell.states[-1].error_code == ErrorCode.CAMERA_SILENT,
+        "silence noticed",
+        10.0,
     )
     assert not cell.states[-1].visible
     cell.show(10)
@@ -150,3 +155,88 @@ def test_an_uncalibrated_camera_is_refused(cell: Cell) -> None:
     cell.bench.wait(
         lambda: any(s.error_code == ErrorCode.CAMERA_NOT_CALIBRATED for s in cell.states), "refused"
     )
+
+
+def test_pictures_without_a_calibration_are_answered_in_words(cell: Cell) -> None:
+    picture = images.to_message(cell.renderer.render(TRUE), "mono8")
+    for _ in range(60):
+        picture.header.stamp = cell.node.get_clock().now().to_msg()
+        cell.images.publish(picture)
+        time.sleep(1 / 30)
+        if cell.states:
+            break
+    cell.bench.wait(lambda: cell.states, "answered")
+    assert cell.states[-1].error_code == ErrorCode.CAMERA_NOT_CALIBRATED
+    assert "camera/camera_info" in cell.states[-1].error_msg
+
+
+def test_a_stamp_of_the_future_is_refused_and_spoils_nothing(cell: Cell) -> None:
+    cell.show(5)
+    picture = images.to_message(cell.renderer.render(TRUE), "mono8")
+    picture.header.stamp = (cell.node.get_clock().now() + Duration(seconds=60.0)).to_msg()
+    cell.infos.publish(cell.info)
+    cell.images.publish(picture)
+    cell.bench.wait(
+        lambda: any(s.error_code == ErrorCode.STAMP_INVALID for s in cell.states), "refused"
+    )
+    heard = len(cell.states)
+    cell.show(10)
+    cell.bench.wait(lambda: any(s.visible for s in cell.states[heard:]), "goes on")
+
+
+def test_a_clock_that_was_set_back_is_noticed(cell: Cell) -> None:
+    cell.show(10)
+    cell.bench.wait(lambda: cell.states and cell.states[-1].visible, "seen")
+    heard = len(cell.states)
+    for _ in range(40):
+        picture = images.to_message(cell.renderer.render(TRUE), "mono8")
+        earlier = cell.node.get_clock().now() - Duration(seconds=3600.0)
+        cell.info.header.stamp = picture.header.stamp = earlier.to_msg()
+        cell.infos.publish(cell.info)
+        cell.images.publish(picture)
+        time.sleep(1 / 30)
+    cell.bench.wait(lambda: cell.states[-1].visible, "seen again")
+    assert any(s.error_code == ErrorCode.STAMP_INVALID for s in cell.states[heard:])
+
+
+def test_a_calibration_of_another_resolution_is_refused(cell: Cell) -> None:
+    half = load_cell().camera
+    cell.info = images.to_camera_info(replace(half, width=640, height=512))
+    cell.show(5)
+    cell.bench.wait(lambda: cell.states, "answered")
+    assert cell.states[-1].error_code == ErrorCode.IMAGE_INVALID
+    assert "640 x 512" in cell.states[-1].error_msg
+
+
+def test_two_objects_in_one_picture() -> None:
+    """The object of the cell and, pasted into the same pictures, another one."""
+    folder = shared_folder() / "objects"
+    plain = load_object(folder / "plain_disk_with_dot.yaml")
+    configuration = load_cell()
+    first = make_renderer(configuration, CameraTruth(), configuration.outline(), 1)
+    second = SceneRenderer(
+        first.view.camera,
+        first.view.pose,
+        configuration.references,
+        configuration.outline(),
+        plain.seen(),
+        first.settings,
+        seed=2,
+    )
+    other = Pose(-0.15, 0.08, -0.5)
+    given = {"camera_pose": {"other_object_files": folder / "plain_disk_with_dot.yaml"}}
+    with bench(lambda: [CameraPose()], given) as b:
+        states = b.listen(ObjectState, "object_state", LATCHED)
+        others = b.listen(ObjectState, "other_objects")
+        cell = Cell(b, states, [], first)
+        middle = int(first.view.project([(TRUE.x + other.x) / 2, 0.0])[0])
+        for _ in range(60):
+            picture = first.render(TRUE)
+            picture[:, :middle] = second.render(other)[:, :middle]
+            cell.send(images.to_message(picture, "mono8"))
+        b.wait(lambda: states and states[-1].visible, "the object")
+        b.wait(lambda: others and others[-1].visible, "the other object")
+    assert from_message(states[-1].pose.pose).distance_to(TRUE) < 0.0001
+    assert others[-1].object_id == "plain disk with dot"
+    seen = from_message(others[-1].pose.pose)
+    assert seen.distance_to(other) < 0.0001 and abs(seen.rotation_to(other)) < math.radians(0.2)

@@ -1,0 +1,109 @@
+"""Between image messages and grey pictures, for every encoding that is taken."""
+
+from __future__ import annotations
+
+import array
+
+import cv2
+import numpy as np
+import pytest
+from sensor_msgs.msg import Image
+
+from tapping_cell.nodes import images
+
+HEIGHT, WIDTH = 24, 32
+RANDOM = np.random.default_rng(5)
+# Smooth, so that a Bayer pattern can be undone.
+COLOUR = np.clip(
+    np.stack(np.meshgrid(np.linspace(20, 200, WIDTH), np.linspace(30, 220, HEIGHT)), -1).sum(-1)[
+        ..., None
+    ]
+    * np.array([0.3, 0.5, 0.45]),
+    0,
+    255,
+).astype(np.uint8)
+"""B, G, R."""
+LUMA = COLOUR @ np.array([0.114, 0.587, 0.299])
+
+
+def message(pixels: np.ndarray, encoding: str, padding: int = 0) -> Image:
+    """By hand: rows one after the other, with some bytes of padding."""
+    rows = pixels.reshape(HEIGHT, -1).view(np.uint8)
+    padded = np.pad(rows, ((0, 0), (0, padding)), constant_values=77)
+    made = Image(height=HEIGHT, width=WIDTH, encoding=encoding, step=padded.shape[1])
+    made.data = array.array("B", padded.tobytes())
+    return made
+
+
+def bayer(first: str, second: str) -> np.ndarray:
+    """One colour a pixel: the names of the first two pixels of the first and second row."""
+    index = {"b": 0, "g": 1, "r": 2}
+    mosaic = np.zeros((HEIGHT, WIDTH), np.uint8)
+    for row, letters in enumerate((first, second)):
+        for column, letter in enumerate(letters):
+            mosaic[row::2, column::2] = COLOUR[row::2, column::2, index[letter]]
+    return mosaic
+
+
+def yuv(luma_first: bool) -> np.ndarray:
+    luma = np.rint(LUMA).astype(np.uint8)
+    chroma = np.full_like(luma, 128)
+    return np.stack([luma, chroma] if luma_first else [chroma, luma], axis=-1)
+
+
+CASES = {
+    "mono8": np.rint(LUMA).astype(np.uint8),
+    "8UC1": np.rint(LUMA).astype(np.uint8),
+    "mono16": (LUMA * 256).astype("<u2"),
+    "bgr8": COLOUR,
+    "rgb8": np.ascontiguousarray(COLOUR[..., ::-1]),
+    "bgra8": np.dstack([COLOUR, np.full((HEIGHT, WIDTH), 9, np.uint8)]),
+    "rgba8": np.dstack([COLOUR[..., ::-1], np.full((HEIGHT, WIDTH), 9, np.uint8)]),
+    "bayer_rggb8": bayer("rg", "gb"),
+    "bayer_bggr8": bayer("bg", "gr"),
+    "bayer_gbrg8": bayer("gb", "rg"),
+    "bayer_grbg8": bayer("gr", "bg"),
+    "yuv422": yuv(luma_first=False),
+    "yuv422_yuy2": yuv(luma_first=True),
+}
+
+
+@pytest.mark.parametrize("encoding", CASES)
+@pytest.mark.parametrize("padding", [0, 6])
+def test_every_encoding_becomes_the_same_grey(encoding, padding):
+    grey = images.to_grey(message(CASES[encoding], encoding, padding))
+    assert grey.shape == (HEIGHT, WIDTH) and grey.dtype == np.uint8
+    inner = np.s_[2:-2, 2:-2]  # a Bayer pattern is guessed at the rim
+    assert np.abs(grey.astype(float) - LUMA)[inner].max() <= 3.0
+
+
+def test_the_upper_byte_of_either_end():
+    big = message((LUMA * 256).astype(">u2"), "mono16")
+    big.is_bigendian = 1
+    assert np.abs(images.to_grey(big).astype(float) - LUMA).max() <= 1.0
+
+
+def test_a_grey_picture_is_not_copied():
+    made = message(CASES["mono8"], "mono8")
+    assert np.shares_memory(images.to_grey(made), np.frombuffer(made.data, np.uint8))
+
+
+@pytest.mark.parametrize("encoding", ["", "jpeg", "32FC1", "bayer_rggb16"])
+def test_an_encoding_that_is_not_known_is_named(encoding):
+    with pytest.raises(images.ImageRefused, match="known are mono8"):
+        images.to_grey(message(CASES["mono8"], encoding))
+
+
+@pytest.mark.parametrize("encoding", ["bgr8", "mono16", "yuv422"])
+def test_fewer_bytes_than_the_encoding_needs(encoding):
+    with pytest.raises(images.ImageRefused, match="32 x 24"):
+        images.to_grey(message(CASES["mono8"], encoding))
+
+
+def test_a_message_is_made_of_any_picture():
+    picture = RANDOM.integers(0, 255, (HEIGHT, WIDTH), dtype=np.uint8)
+    for one in (picture, picture[:, ::-1]):
+        assert np.array_equal(images.to_grey(images.to_message(one, "mono8")), one)
+    colour = images.to_message(COLOUR, "bgr8")
+    assert colour.step == 3 * WIDTH
+    assert np.array_equal(images.to_grey(colour), cv2.cvtColor(COLOUR, cv2.COLOR_BGR2GRAY))
