@@ -149,7 +149,7 @@ def _groups(groups: Sequence[Group]) -> str:
         f"<tr><td>{escape(group.planner or '-')}</td><td>{escape(group.object_name or '-')}</td>"
         f"<td>{group.reached} of {group.runs}</td><td>{_number(group.taps, 2)}</td>"
         f"<td>{group.most_taps}</td><td>{_pair(group.distance, group.rotation)}</td>"
-        f"<td>{_number(group.time, 1)} s</td></tr>"
+        f"<td>{_number(group.time, 1, ' s')}</td></tr>"
         for group in groups
     ]
     return f'<div class="scroll"><table class="wide">{head}{"".join(lines)}</table></div>'
@@ -162,8 +162,8 @@ def _charts(runs: Sequence[Run]) -> str:
     distances, rotations = [], []
     for run in runs:
         goal = run.goal
-        if goal is None or run.start is None:
-            continue
+        if goal is None or run.start is None or not run.taps:
+            continue  # nothing was moved: a refused goal far away would only hide the others
         poses = [run.start, *(tap.measured for tap in run.taps)]
         colour = colours[run.planner]
         distances.append((run.name, [1000 * pose.distance_to(goal) for pose in poses], colour))
@@ -190,5 +190,5 @@ def _pair(distance: float, rotation: float) -> str:
     return f"{distance:.2f} mm, {rotation:.2f} deg"
 
 
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+def _number(value: float, digits: int, unit: str = "") -> str:
+    return f"{value:.{digits}f}{unit}" if math.isfinite(value) else "-"
