@@ -60,7 +60,7 @@ def spread(
             weights[:, member] = (chosen == place).sum(axis=1)
     offset, own_std = _newton(weights, score, information)
     usable = np.isfinite(offset).all(axis=1) & np.isfinite(own_std).all(axis=1)
-    ratio = offset[usable] / np.maximum(own_std[usable], 1e-3 * std)
+    ratio = offset[usable] / np.maximum(own_std[usable], 1e-3 * std + 1e-300)
     # Within a run of n the resample's variance is short by (n - 1) / n.
     sizes = np.array([np.sum(labels == run) for run in labels], dtype=float)
     ratio *= math.sqrt(float(np.mean(sizes / np.maximum(sizes - 1, 1))))

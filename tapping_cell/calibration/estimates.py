@@ -58,7 +58,7 @@ def slide_estimates(
         raise RecordError(message) from problem
     # Also by what the measurement alone would allow: exact slides without a turn have no spread.
     expected = np.sqrt(np.diag(np.linalg.inv(slide.information.sum(axis=0))))
-    if max(float(np.max(width.std)), float(np.max(expected))) > _UNKNOWN:
+    if max(float(np.max(width.std[:2])), float(np.max(expected[:2]))) > _UNKNOWN:
         raise RecordError(message)
     values = (slide.friction, slide.torque_factor)
     old = (content.friction, content.torque_factor)

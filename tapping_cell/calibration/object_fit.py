@@ -118,7 +118,7 @@ def fit_object(experiments: Sequence[Experiment], content: ObjectFile, seed: int
             measured.of(impacts.rows), by_tapping.of(impacts.rows), impact, struck, content, seed
         )
     by_sliding = _slid(measured, slide, body)
-    sentences.extend(_slide_sentences(slide, estimates, labels))
+    sentences.extend(_slide_sentences(slide, estimates, labels, body.support_radius))
     return ObjectFit(
         content=content,
         estimates=tuple(estimates),
@@ -336,7 +336,7 @@ def _tapped(
 
 
 def _slide_sentences(
-    slide: SlideFit, estimates: Sequence[Estimate], labels: Sequence[str]
+    slide: SlideFit, estimates: Sequence[Estimate], labels: Sequence[str], slide_radius: float
 ) -> list[str]:
     total = slide.information.sum(axis=0)
     covariance = np.linalg.inv(total)
@@ -345,6 +345,14 @@ def _slide_sentences(
     if abs(correlation) > _CORRELATED:
         sentences.append(
             f"Friction and torque factor are hardly told apart (correlation {correlation:.2f})."
+        )
+    offsets = slide.pressure_centre
+    deviations = slide_radius * np.sqrt(np.diag(covariance)[2:])
+    if any(abs(c) > 3 * d for c, d in zip(offsets, deviations, strict=True)):
+        x, y = (1e3 * offset for offset in offsets)
+        sentences.append(
+            f"The object presses off its centre by ({x:+.2f}, {y:+.2f}) mm in its own frame, which "
+            "turns it by where it slides to. The fit allows for that; the planner does not."
         )
     torque = next(entry for entry in estimates if entry.name == "torque_factor")
     names = np.array(labels)

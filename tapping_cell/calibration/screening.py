@@ -78,8 +78,8 @@ def screen(experiments: Sequence[Experiment], body: Body, gravity: float) -> Scr
         for file, count in wrong.items():
             if count > total[file] / 2:
                 raise RecordError(
-                    f"{file}: {count} of {total[file]} rows have wrong units (or hardly moved), the "
-                    f"first in row {first[file].row}: {first[file].sentence}"
+                    f"{file}: {count} of {total[file]} rows have wrong units or hardly moved, "
+                    f"the first in row {first[file].row}: {first[file].sentence}"
                 )
     return enough(used, left_out)
 
@@ -223,6 +223,7 @@ def _from_velocities(
         rotation=trial.rotation,
         displacement_std=spread,
         rotation_std=turn_spread,
+        heading=trial.direction - trial.start_theta - trial.rotation / 2,
         speed=speed,
         spin=spin,
         speed_std=_or(trial.initial_speed_std, _SPEED_SHARE * speed),
@@ -296,6 +297,7 @@ def _from_track(
         displacement_std=spread,
         rotation_std=turn_spread,
         slide=slide,
+        heading=slide.heading,
     )
 
 

@@ -33,7 +33,8 @@ class Slide:
 
     ``distance_std`` and ``rotation_std`` (n,) are those of one sample. ``impact`` (s) and
     ``deceleration`` (m/s^2) are from the track alone; ``moving`` counts samples in the slide;
-    ``exposure`` (s) is that of one sample.
+    ``heading`` is the direction of travel in the object's frame, turned half-way; ``exposure`` (s)
+    is that of one sample.
     """
 
     time: Array
@@ -47,6 +48,7 @@ class Slide:
     impact: float
     deceleration: float
     moving: int
+    heading: float
     exposure: float = 0.0
 
 
@@ -108,6 +110,7 @@ def slide_of(
         impact=impact,
         deceleration=deceleration,
         moving=max(last - first + 1, 0),
+        heading=math.atan2(direction[1], direction[0]) - angle - turned / 2,
         exposure=exposure,
     )
 

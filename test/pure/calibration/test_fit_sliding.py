@@ -1,6 +1,7 @@
 """The fit's slides against the mechanics, and what it finds in slides that it knows."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from tapping_cell.calibration.sliding_fit import Motion, fit_slides
 from tapping_cell.calibration.track import Slide, slide_of
 from tapping_cell.calibration.trials import Trial
 from tapping_cell.mechanics import Disk, Polygon, Ring, Sliding
+from tapping_cell.simulation.sliding import Motion as SimulatedMotion
+from tapping_cell.simulation.sliding import Support, advance, sample_support
 
 BODIES = [Disk(0.048, 0.2455, 0.012), Ring(0.05, 0.2, 0.01)]
 FACTORS = (0.4, 1.0, 1.9, 3.64, 7.0)
@@ -120,3 +123,37 @@ def test_trials_that_determine_nothing_have_no_interval():
     information[:, 0, 0] = 1.0
     with pytest.raises(ValueError, match="determine"):
         spread(np.zeros((8, 2)), information, [1] * 8)
+
+
+def test_a_pressure_beside_the_middle_is_found_and_does_not_widen_the_torque_factor():
+    """The simulated world presses unevenly: 1 % of the radius towards +x, 0.75 % towards -y."""
+    body, random = DISK.body(), np.random.default_rng(6)
+    points, weights = sample_support(body, lean=(0.04, -0.03))
+    support = Support(points, weights, friction=0.2, torque_factor=2.5, gravity=9.81)
+    motions = []
+    for heading in np.arange(16) * math.tau / 16:
+        speed, spin = random.uniform(0.2, 0.3), random.uniform(1.0, 2.0)
+        twist = (speed * math.cos(heading), speed * math.sin(heading), spin)
+        moved = SimulatedMotion(pose=(0.0, 0.0, 0.0), twist=twist)
+        end = advance(moved, support, body.mass, body.inertia, 1.0).pose
+        motions.append(
+            Motion(
+                displacement=math.hypot(end[0], end[1]),
+                rotation=end[2],
+                displacement_std=1e-5,
+                rotation_std=5e-4,
+                heading=heading - end[2] / 2,
+                speed=speed,
+                spin=spin,
+                speed_std=0.005 * speed,
+                spin_std=0.01 * spin,
+            )
+        )
+    fit = fit_slides(motions, body, 9.81)
+    assert fit.torque_factor == pytest.approx(2.5, rel=0.02)
+    # the weights 1 + l . r / R move the centre by R l / 4
+    wanted = [body.radius * 0.04 / 4, -body.radius * 0.03 / 4]
+    assert fit.pressure_centre == pytest.approx(wanted, abs=0.15 * body.radius * 0.05 / 4)
+    blind = fit_slides([replace(m, heading=math.nan) for m in motions], body, 9.81)
+    width, wide = (spread(f.score, f.information, [1] * 16).std[1] for f in (fit, blind))
+    assert width < 0.4 * wide
