@@ -14,7 +14,6 @@ kept, and --resume goes on with it. The verb `fit` reads the folder.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import tempfile
@@ -26,7 +25,6 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.progress import Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.calibration.csv_table import RecordError
@@ -45,7 +43,7 @@ from tapping_cell.calibration.experiment import (
     StrikerSection,
     write_header,
 )
-from tapping_cell.calibration.trials import Trial, completed, read_trials, run_name
+from tapping_cell.calibration.trials import Trial, read_trials
 from tapping_cell.cli import session
 from tapping_cell.cli.graph import (
     HARDWARE,
@@ -55,7 +53,8 @@ from tapping_cell.cli.graph import (
     own_domain,
     with_own_ports,
 )
-from tapping_cell.cli.tap_series import READY_PATIENCE_S, Done, SeriesStopped, TapSeries
+from tapping_cell.cli.tap_series import READY_PATIENCE_S, SeriesStopped, TapSeries
+from tapping_cell.cli.tap_summary import tell, trial_text
 from tapping_cell.cli.up import add_truth_arguments, node_parameters
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell, load_cell
@@ -77,6 +76,14 @@ from tapping_cell.simulation.truth import TruthFile
 
 LOOK_AT_RATE_S = 1.0
 SLOW_MOTION = 3.0
+RANGES = (
+    ("trials", 1, 1000),
+    ("seed", 0, 1_000_000),
+    ("camera-rate", 1.0, 120.0),
+    ("slow-motion", 1.0, 100.0),
+    ("exposure", 0.0, 100.0),
+)
+"""Of the options, in their own units."""
 STEP_OF_SEED = 1000
 """Between the seeds of two sessions of one experiment: a world seeded as before would repeat its
 scatter."""
@@ -147,6 +154,7 @@ def run(arguments: argparse.Namespace) -> int:
     console = Console(stderr=arguments.json)
     session.end_on_signals()
     try:
+        _check_ranges(arguments)
         cell = load_cell(arguments.cell, object_path=arguments.object)
         folder, design = _open(arguments)
         trials = _recorded(folder)
@@ -172,8 +180,20 @@ def run(arguments: argparse.Namespace) -> int:
         code, sentence, status = ErrorCode.CONFIGURATION_CONFLICT, str(error), 1
     except KeyboardInterrupt:
         sentence, status = "interrupted", 130
-    _tell(arguments, folder, design, trials, (code, sentence), console)
+    tell(folder, design, trials, (code, sentence), console, as_json=arguments.json)
     return status
+
+
+def _check_ranges(arguments: argparse.Namespace) -> None:
+    """Refuse numbers that no experiment can have.
+
+    Raises:
+        ValueError: names the option, its value and the range.
+    """
+    for name, low, high in RANGES:
+        value = getattr(arguments, name.replace("-", "_"))
+        if value is not None and not low <= value <= high:
+            raise ValueError(f"--{name} is {value:g}; it must be {low:g} to {high:g}")
 
 
 def _open(arguments: argparse.Namespace) -> tuple[Path, Design]:
@@ -188,8 +208,6 @@ def _open(arguments: argparse.Namespace) -> tuple[Path, Design]:
     if arguments.seed is not None:
         asked["seed"] = arguments.seed
     if not arguments.resume:
-        if arguments.trials is not None and arguments.trials < 1:
-            raise RecordError(f"--trials is {arguments.trials}; it must be at least 1")
         name = f"single-tap_{datetime.now():%Y-%m-%d_%H-%M-%S}"
         return (arguments.runs_folder / name).resolve(), Design(**asked)  # type: ignore[arg-type]
     folder = arguments.resume.resolve()
@@ -368,95 +386,7 @@ def _follow(series: TapSeries, design: Design, trials: list[Trial], console: Con
         bar = shown.add_task("trials", total=wanted, completed=used, last="")
         for done in series.run():
             used += done.trial.outcome == "ok"
-            shown.update(bar, completed=used, last=_trial_text(done))
-
-
-def _trial_text(done: Done) -> str:
-    trial = completed(done.trial)
-    what = f"run {trial.run}, trial {trial.trial}: "
-    if trial.outcome != "ok":
-        return what + f"{trial.outcome} ({trial.note})"
-    return what + (
-        f"{1000 * trial.displacement:.1f} mm and {math.degrees(trial.rotation):+.1f} deg "
-        f"({1000 * done.expected:.1f} mm expected)"
-    )
-
-
-def _tell(
-    arguments: argparse.Namespace,
-    folder: Path,
-    design: Design,
-    trials: list[Trial],
-    end: tuple[int, str],
-    console: Console,
-) -> None:
-    """The summary: a row a run, and how it ended."""
-    rows = [_row(design, trials, number) for number in range(len(design.runs))]
-    code, sentence = end
-    if arguments.json:
-        content = {
-            "folder": str(folder),
-            "complete": all(row["used"] == design.trials for row in rows),
-            "error_code": code,
-            "error_msg": sentence,
-            "runs": rows,
-        }
-        print(json.dumps(content, indent=2))
-        return
-    table = Table(title=f"single taps in {folder.name}")
-    for title in ("run", "striker mm/s", "incidence deg", "used", "left out", "mm", "deg"):
-        table.add_column(title, justify="right")
-    for row in rows:
-        table.add_row(
-            str(row["run"]),
-            f"{row['striker_speed_mm_s']:.0f}",
-            f"{row['incidence_deg']:.1f}",
-            f"{row['used']} of {design.trials}",
-            ", ".join(f"{n} {word}" for word, n in row["left_out"].items()) or "none",
-            _spread_text(row["displacement_mm"]),
-            _spread_text(row["rotation_deg"]),
-        )
-    console.print(table)
-    if not sentence:
-        console.print(
-            f"[green]complete[/green]; next: python -m tapping_cell fit {folder}", highlight=False
-        )
-        return
-    console.print(
-        f"[red]stopped[/red] (code {code}): {sentence}; what is done is kept, go on with "
-        f"--resume {folder}",
-        highlight=False,
-    )
-
-
-def _row(design: Design, trials: list[Trial], index: int) -> dict[str, object]:
-    """What is known of one run."""
-    run = design.runs[index]
-    own = [completed(trial) for trial in trials if trial.run == run.number]
-    used = [trial for trial in own if trial.outcome == "ok"]
-    bad = [trial.outcome for trial in own if trial.outcome != "ok"]
-    return {
-        "run": run.number,
-        "striker_speed_mm_s": 1000 * run.striker_speed,
-        "incidence_deg": math.degrees(run.incidence),
-        "used": progress_of(design, trials)[run.number].used,
-        "left_out": {word: bad.count(word) for word in sorted(set(bad))},
-        "displacement_mm": _mean_and_deviation([1000 * t.displacement for t in used]),
-        "rotation_deg": _mean_and_deviation([math.degrees(t.rotation) for t in used]),
-        "file": run_name(run.number) if own else None,
-    }
-
-
-def _mean_and_deviation(values: list[float]) -> list[float] | None:
-    """Mean and standard deviation; None where there is nothing."""
-    if not values:
-        return None
-    deviation = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
-    return [round(float(np.mean(values)), 4), round(deviation, 4)]
-
-
-def _spread_text(spread: object) -> str:
-    return f"{spread[0]:.1f} +- {spread[1]:.1f}" if isinstance(spread, list) else ""
+            shown.update(bar, completed=used, last=trial_text(done))
 
 
 def _listed(values: Iterable[float]) -> str:

@@ -102,11 +102,20 @@ def own_signals() -> Iterator[None]:
         (("--speeds", "2300"), "leave the table"),
         (("--speeds", "5"), "tapper makes"),
         (("--incidences", "75"), "75.0 deg"),
-        (("--trials", "0"), "at least 1"),
+        (("--trials", "0"), "1 to 1000"),
+        (("--slow-motion", "0.5"), "1 to 100"),
         (("--object", "/nowhere/disk.yaml"), "/nowhere/disk.yaml"),
         (("--resume", "/nowhere/at/all"), "no experiment"),
     ],
-    ids=["too fast", "too slow", "grazing", "no trial", "no object", "nothing to resume"],
+    ids=[
+        "too fast",
+        "too slow",
+        "grazing",
+        "no trial",
+        "faster than real",
+        "no object",
+        "nothing to resume",
+    ],
 )
 def test_what_cannot_be_measured_is_refused_before_anything_starts(
     tmp_path: Path,
