@@ -22,8 +22,9 @@ SECTIONS = {
     "vision": "tapping_cell.cli.benchmarks.vision",
 }
 
-# Many scenes or frames, minutes long: only when named. Their module's ``measure`` takes how many.
+# Many experiments, scenes or frames, minutes long: only when named. Their module's ``measure`` takes how many.
 LONG_SECTIONS = {
+    "calibration": "tapping_cell.cli.benchmarks.calibration",
     "vision-calibrated": "tapping_cell.cli.benchmarks.vision_calibrated",
     "vision-covariance": "tapping_cell.cli.benchmarks.vision_covariance",
     "vision-robustness": "tapping_cell.cli.benchmarks.vision_robustness",
@@ -36,10 +37,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--section",
         action="append",
         choices=sorted(SECTIONS | LONG_SECTIONS),
-        help="what to measure, may be repeated (all rooms; vision-* only when named)",
+        help="what to measure, may be repeated (all rooms; calibration and vision-* only when named)",
     )
     parser.add_argument(
-        "--count", type=int, metavar="N", help="scenes or frames of the vision-* sections"
+        "--count",
+        "--experiments",
+        type=int,
+        metavar="N",
+        help="experiments of calibration, scenes or frames of the vision-* sections",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

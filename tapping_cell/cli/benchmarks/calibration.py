@@ -25,7 +25,7 @@ from tapping_cell.cli.benchmarks.single_taps import Design, simulated_trials
 from tapping_cell.configuration.objects import MarkerSection, ObjectFile, ShapeSection
 from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTruth, TruthFile
 
-EXPERIMENTS = 100
+DEFAULT_COUNT = 100
 _SHAPES = ("disk", "ring", "polygon")
 _OTHERS = 0.2  # experiments with each other shape, of those with a disk
 _PREDICTING = 4  # every so many experiments
@@ -34,12 +34,12 @@ _SCATTER = ScatterTruth(speed=0.05, spin=0.15, direction=math.radians(1.0))
 _STRIKER = StrikerSection(mass=0.1, tip_radius=0.0054, constraint="free")
 
 
-def measure(experiments: int = EXPERIMENTS) -> dict[str, Any]:
-    """Errors and coverage by shape, over ``experiments`` with disks and a fifth with the others."""
+def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
+    """Errors and coverage by shape, over ``count`` with disks and a fifth with the others."""
     report: dict[str, Any] = {"load": os.getloadavg()[0]}
     for shape in _SHAPES:
-        count = experiments if shape == "disk" else max(round(_OTHERS * experiments), 1)
-        report[shape] = _shape(shape, count)
+        number = count if shape == "disk" else max(round(_OTHERS * count), 1)
+        report[shape] = _shape(shape, number)
     report["loop"] = measure_loop()
     return report
 
