@@ -90,13 +90,14 @@ def fit_outline(
     blur: float = USUAL_BLUR,
     step: Array | None = None,
     with_dot: bool = True,
+    size: float = 1.0,
     size_spread: float = SIZE_SPREAD,
 ) -> OutlineFit | None:
     """The outline near ``start`` (3,), which must be right to half of ``width`` pixels.
 
-    ``size_spread`` is how much larger or smaller it may be (1 sigma, share). ``blur`` is the sigma
-    in pixels to begin with; ``step`` (2,) the object's motion since the last
-    frame in m. None where no such outline can be made out.
+    ``size`` is what it seems to measure, relative to the file; ``size_spread`` how much larger or
+    smaller it may be (1 sigma, share). ``blur`` is the sigma in pixels to begin with; ``step`` (2,)
+    the object's motion since the last frame in m. None where no such outline can be made out.
     """
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
     coarse = width > FINE
@@ -106,7 +107,7 @@ def fit_outline(
     moving = np.zeros(2) if step is None else np.asarray(step, dtype=float) / pixel
     scene = _Scene(outline, pixel, width, moving, not coarse, size_spread)
     dot = outline.dot if with_dot else None
-    state = _State(start.copy(), blur)
+    state = _State(start.copy(), blur, size)
     gathered: Array | None = None
     tolerance, stays = (0.1, 3.0) if coarse else (0.004, 1.0)
     for _ in range(12 if coarse else 20):
@@ -262,7 +263,7 @@ class _State:
         far = max(1.0, math.hypot(step[0], step[1]) / limit)
         step = step / far
         self.pose = self.pose + step[:3]
-        self.size = float(np.clip(self.size + step[_SIZE], 0.8, 1.25))
+        self.size = float(np.clip(self.size + step[_SIZE], 0.75, 1.35))
         self.dot_size = float(np.clip(self.dot_size + step[_DOT_SIZE], 0.5, 2.0))
         if scene.measures:
             self.blur = math.sqrt(float(np.clip(self.blur**2 + step[_BLUR], 0.15, 9.0)))

@@ -56,6 +56,17 @@ class Refused:
     sentence: str
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Place:
+    """Where a blob is: how its form differs from the outline's (rms, share of its size), its middle
+    (2,), the pose (3,) of the outline that fits best, and its size in relation to that."""
+
+    difference: float
+    middle: Array
+    pose: Array
+    size: float
+
+
 OTHER_SHAPE, OTHER_SIZE, NO_DOT, TWO_DOTS = "shape", "size", "no dot", "two dots"
 
 
@@ -73,8 +84,8 @@ def find_outlines(
     """
     found: list[OutlineFit] = []
     refused: list[Refused] = []
-    for start in rough_places(image, view, outline, known):
-        answer = look_closely(image, view, outline, start, blur)
+    for start, size in rough_places(image, view, outline, known):
+        answer = look_closely(image, view, outline, start, blur, size)
         if isinstance(answer, OutlineFit):
             apart = [math.hypot(*(answer.pose - other.pose)[:2]) for other in found]
             if not apart or min(apart) > 0.5 * outline.reach:
@@ -85,12 +96,18 @@ def find_outlines(
 
 
 def look_closely(
-    image: Image, view: View, outline: ObjectOutline, start: Array, blur: float = USUAL_BLUR
+    image: Image,
+    view: View,
+    outline: ObjectOutline,
+    start: Array,
+    blur: float = USUAL_BLUR,
+    size: float = 1.0,
 ) -> OutlineFit | Refused:
-    """The outline near a rough place (3,), or why that is not it."""
+    """The outline near a rough place (3,), or why that is not it; ``size`` is what is there, in
+    relation to the outline's, walls and shadows included."""
     rough = rim = None
     # A shadow makes a dark object seem larger, so first the size is taken for granted.
-    for size_spread in (_CERTAIN, 5.0 * SIZE_SPREAD):
+    for seems, size_spread in ((1.0, _CERTAIN), (1.0, 5.0 * SIZE_SPREAD), (size, 0.1)):
         rough = fit_outline(
             image,
             view,
@@ -99,9 +116,12 @@ def look_closely(
             width=COARSE,
             blur=blur,
             with_dot=False,
+            size=seems,
             size_spread=size_spread,
         )
         if rough is None or rough.seen < 0.5 * least_seen(outline):
+            continue
+        if abs(rough.size - 1.0) > LARGEST_STRETCH:
             continue
         rim = fit_outline(image, view, outline, rough.pose, blur=blur, with_dot=False)
         if rim is not None and rim.seen >= least_seen(outline):
@@ -157,8 +177,11 @@ def wrong_size(fit: OutlineFit) -> Refused:
     )
 
 
-def rough_places(image: Image, view: View, outline: ObjectOutline, known: Array) -> Iterator[Array]:
-    """Poses (3,) where a blob of about the object's area and shape is, the likeliest first."""
+def rough_places(
+    image: Image, view: View, outline: ObjectOutline, known: Array
+) -> Iterator[tuple[Array, float]]:
+    """Poses (3,) where a blob of about the object's area and shape is, and how large that is in
+    relation to it, the likeliest first."""
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
     across = 2.0 * math.sqrt(outline.area / math.pi) / pixel
     shrink = int(np.clip(round(across / _SMALL), 1, 12))
@@ -175,7 +198,7 @@ def rough_places(image: Image, view: View, outline: ObjectOutline, known: Array)
     operation = cv2.MORPH_OPEN if outline.brighter else cv2.MORPH_CLOSE
     around = np.asarray(cv2.morphologyEx(small, operation, kernel), dtype=np.float32)
     shade = np.abs(small.astype(np.float32) - around) / np.maximum(around, 8.0)
-    places: list[tuple[float, Array, Array]] = []  # difference of form, middle, pose
+    places: list[_Place] = []
     for threshold in _SHADES:
         mask = (shade > threshold).astype(np.uint8)
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -192,16 +215,16 @@ def rough_places(image: Image, view: View, outline: ObjectOutline, known: Array)
             rim = view.on_plane(_walked(seen), outline.height)
             middle = _middle(rim)
             place = _matched(outline, middle, rim)
-            if place[0] < _FORM:
+            if place.difference < _FORM:
                 places.append(place)
-    places.sort(key=lambda place: place[0])
+    places.sort(key=lambda place: place.difference)
     taken: list[Array] = []
-    for _, middle, pose in places:
+    for place in places:
         if len(taken) >= _CANDIDATES:
             return
-        if all(np.hypot(*(middle - other)) > 0.4 * outline.reach for other in taken):
-            taken.append(middle)
-            yield pose
+        if all(np.hypot(*(place.middle - other)) > 0.4 * outline.reach for other in taken):
+            taken.append(place.middle)
+            yield place.pose, place.size
 
 
 def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:
@@ -220,22 +243,22 @@ def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:
             cv2.fillPoly(small, [np.round(inner).astype(np.int32)], (level,))
 
 
-def _matched(outline: ObjectOutline, middle: Array, rim: Array) -> tuple[float, Array, Array]:
-    """How much the form of a rim (N, 2) around its middle differs from the outline's (share of its
-    size), the middle, and the pose (3,) that fits best."""
+def _matched(outline: ObjectOutline, middle: Array, rim: Array) -> _Place:
+    """A rim (N, 2) around its middle in relation to the outline."""
     model = outline.radii()
     arm = rim - middle
     angle = np.arctan2(arm[:, 1], arm[:, 0])
     order = np.argsort(angle)
     grid = np.linspace(0.0, 2.0 * math.pi, len(model), endpoint=False)
     radii = np.interp(grid, angle[order], np.hypot(*arm.T)[order], period=2.0 * math.pi)
+    size = float(radii.mean() / model.mean())
     # Walls and thresholds make it larger all round: only the form counts.
-    radii *= float(model.mean() / radii.mean())
-    differences = turn_differences(radii, model)
+    differences = turn_differences(radii / size, model)
     best = int(differences.argmin())
     turn = 0.0 if outline.vertices is None else float(grid[best])
-    place = middle - transform_points([0.0, 0.0, turn], outline.middle)
-    return float(differences[best] / model.mean()), middle, np.array([*place, turn])
+    at = middle - transform_points([0.0, 0.0, turn], outline.middle)
+    difference = float(differences[best] / model.mean())
+    return _Place(difference, middle, np.array([*at, turn]), size)
 
 
 def turn_by_dot(
