@@ -22,6 +22,7 @@ from tapping_cell.nodes.goal_client import GoalClient
 from tapping_cell.se2 import Pose
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+Keys = webdriver.Keys
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
 DRIVER = shutil.which("chromedriver")
 if BROWSER is None or DRIVER is None:
@@ -162,6 +163,11 @@ def test_the_dragged_ghost_is_the_goal_and_the_taps_are_told(page: Page) -> None
     page.drag("ghost-handle", 6, 10)
     page.wait(lambda: abs(page.fields()[2] - turned) > 3.0, "the handle turns the ghost")
     time.sleep(0.5)
+    x, y, angle = page.fields()
+    ghost = page.element("ghost-outline")
+    ghost.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, Keys.ARROW_UP, Keys.PAGE_DOWN)
+    keyed = [x + 2, y + 1, angle - 1]
+    page.wait(lambda: page.fields() == pytest.approx(keyed, abs=0.15), f"the keys: {keyed}")
     x, y, angle = page.fields()
     assert not page.element("goal-trouble").text
     page.element("send").click()
