@@ -22,9 +22,12 @@ SECTIONS = {
     "vision": "tapping_cell.cli.benchmarks.vision",
 }
 
-# Many experiments, scenes or frames, minutes long: only when named. Their module's ``measure`` takes how many.
+# Many experiments, scenes, frames or seconds: only when named. Their module's ``measure`` takes how
+# many.
 LONG_SECTIONS = {
     "calibration": "tapping_cell.cli.benchmarks.calibration",
+    "node": "tapping_cell.cli.benchmarks.node",
+    "outline": "tapping_cell.cli.benchmarks.outline",
     "vision-calibrated": "tapping_cell.cli.benchmarks.vision_calibrated",
     "vision-covariance": "tapping_cell.cli.benchmarks.vision_covariance",
     "vision-robustness": "tapping_cell.cli.benchmarks.vision_robustness",
@@ -37,14 +40,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--section",
         action="append",
         choices=sorted(SECTIONS | LONG_SECTIONS),
-        help="what to measure, may be repeated (all rooms; calibration and vision-* only when named)",
+        help=f"what to measure, may be repeated (default: {', '.join(SECTIONS)})",
     )
     parser.add_argument(
         "--count",
         "--experiments",
         type=int,
         metavar="N",
-        help="experiments of calibration, scenes or frames of the vision-* sections",
+        help="experiments of calibration, scenes of outline, scenes or frames of vision-*, seconds "
+        "of node",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
