@@ -35,9 +35,9 @@ class MarkerEdges:
     """Sides of M markers: side k runs from corner k to corner k + 1.
 
     ``points`` (M, 4, BINS, 2) in pixels, ``weights`` (M, 4, BINS) rows behind each, ``corners`` (M,
-    4, 2) where the sides meet, in pixels, ``spread`` (M,) standard deviation of one row across the
-    side in pixels, ``black`` and ``white`` (M,) grey levels, ``good`` (M,) all four sides are
-    whole.
+    4, 2) where the sides meet, in pixels, ``spread`` (M,) what one row adds to the standard
+    deviation across the side, in pixels (divide by the root of the rows), ``black`` and ``white``
+    (M,) grey levels, ``good`` (M,) all four sides are whole.
     """
 
     points: Array
@@ -57,9 +57,9 @@ def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> Marke
     """
     side = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).mean(axis=1)
     widths = np.clip(0.65 * side / modules, 2, 4).astype(int)
+    if widths.min() == widths.max():
+        return _refine(image, quads, int(widths[0]))
     kinds = np.unique(widths)
-    if len(kinds) == 1:
-        return _refine(image, quads, int(kinds[0]))
     order = np.concatenate([np.flatnonzero(widths == kind) for kind in kinds])
     whole = no_edges()
     for kind in kinds:
@@ -100,28 +100,28 @@ def _edges(image: Image, quads: Array, half_width: int) -> tuple[MarkerEdges, Ar
     inside = p <= high[:, None]
     centre = np.rint(q0[:, None] + slope[:, None] * (p - p0[:, None]))
     window = np.arange(-half_width, half_width + 1)
-    across = centre[:, :, None] + window
+    outward = np.sign(0.5 * (q0 + q1) - middle[each, 1 - along]).astype(np.intp)
     height, width = image.shape
     limit_p = np.where(steep, height, width)[:, None]
     limit_q = np.where(steep, width, height)[:, None]
     inside &= (p >= 0) & (p < limit_p)
-    inside &= (across[..., 0] >= 0) & (across[..., -1] < limit_q)
+    inside &= (centre >= half_width) & (centre < limit_q - half_width)
     step_p = np.where(steep, width, 1)[:, None]
     step_q = np.where(steep, 1, width)[:, None]
-    index = (p * step_p).astype(np.intp)[:, :, None] + (across * step_q[:, :, None]).astype(np.intp)
-    index[~inside] = 0
-    grey = image.reshape(-1)[index].astype(np.float32)
-    outward = np.sign(0.5 * (q0 + q1) - middle[each, 1 - along])
-    grey = np.where(outward[:, None, None] < 0, grey[..., ::-1], grey)
+    first = np.where(inside, p * step_p + centre * step_q, half_width * (width + 1)).astype(np.intp)
+    index = first[:, :, None] + (outward[:, None] * step_q * window)[:, None, :]
+    grey = image.reshape(-1).take(index).astype(np.float32)
     mask = inside.astype(float)
     black, white = _levels(grey, p, mask)
     contrast = white - black
     usable = mask * (contrast > _LEAST_CONTRAST)
-    share = (white[..., None] - grey).sum(axis=2) / np.where(contrast == 0, 1.0, contrast)
+    total = len(window) * white - grey.sum(axis=2, dtype=float)
+    share = total / np.where(contrast == 0, 1.0, contrast)
     q = centre + outward[:, None] * (share - half_width - 0.5)
     usable *= np.abs(share - half_width - 0.5) < half_width - 0.5
     offset, slope, residual = _line(p, q, usable)
-    scale = np.median(np.where(usable > 0, np.abs(residual), 0.0), axis=1) * 1.5
+    half = p.shape[1] // 2
+    scale = np.partition(np.abs(residual) * usable, half, axis=1)[:, half] * 1.5
     kept = usable * (np.abs(residual) < np.maximum(0.3, 4.0 * scale)[:, None])
     offset, slope, residual = _line(p, q, kept)
     steepness = np.sqrt(1.0 + slope**2)
@@ -138,6 +138,7 @@ def _edges(image: Image, quads: Array, half_width: int) -> tuple[MarkerEdges, Ar
         np.stack([-slope, np.ones_like(slope)], 1),
     )
     corners = _meet(normal.reshape(count, 4, 2), offset.reshape(count, 4))
+    squares *= _level_noise(2 * half_width + 1)
     spread = np.sqrt((squares / steepness**2).reshape(count, 4).mean(axis=1))
     total = np.maximum(mask.sum(axis=1), 1.0)
     edges = MarkerEdges(
@@ -160,13 +161,31 @@ def _levels(grey: NDArray[np.float32], p: Array, mask: Array) -> tuple[Array, Ar
     """Black and white beside every row: straight lines along the side through the outermost
     pixels."""
     sides = []
-    # Of a narrow window the second pixel from the end already belongs to the edge.
-    end = 1 if grey.shape[2] <= 5 else 2
+    end = _outermost(grey.shape[2])
     for columns in (grey[..., :end], grey[..., -end:]):
-        level = columns.mean(axis=2, dtype=float)
+        level = columns[..., 0].astype(float)
+        if end == 2:
+            level = 0.5 * (level + columns[..., 1])
         offset, slope, _ = _line(p, level, mask)
         sides.append(offset[:, None] + slope[:, None] * p)
     return sides[0], sides[1]
+
+
+def _outermost(window: int) -> int:
+    """How many pixels at either end of a window give the levels: of a narrow one the second already
+    belongs to the edge."""
+    return 1 if window <= 5 else 2
+
+
+def _level_noise(window: int) -> float:
+    """Factor on the variance of a side's line, because the levels come from the same rows.
+
+    An edge is the sum of the pixels of a window over the contrast: the pixels count -1 each, and
+    the outermost, as the mean of the levels, half the window besides.
+    """
+    end = _outermost(window)
+    outer = 0.5 * window / end - 1.0
+    return (window - 2 * end + 2 * end * outer**2) / window
 
 
 def _line(p: Array, q: Array, weight: Array) -> tuple[Array, Array, Array]:

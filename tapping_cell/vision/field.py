@@ -30,15 +30,18 @@ _LENS = (
 """Parameters of the lens (pixels, or which coefficient) and their usual standard deviations in
 relation to each other: what OpenCV's calibration reports for some twenty pictures of a board."""
 _FIELD = np.geomspace(0.002, 12.0, 12)
-_PRINT = np.geomspace(2e-7, 6e-4, 8)
+_PRINT = np.geomspace(2e-7, 6e-4, 20)
 """Amplitudes that are weighed: of the lens errors, in these deviations; of a marker's misplacement,
-m."""
-_TURNS = (0.1, 1.0)
+m. Coarser steps make the covariance too small where the truth lies between two."""
+_TURNS = (0.1, 0.3, 1.0)
 """Misplacement of a marker's corners by its turn, per shift: printed on one sheet, or glued one by
 one."""
-_PRIOR = (0.3, 2e-5, 1.5)
+_PRIOR = (0.5, 4e-5, 1.3)
 """What the two amplitudes usually are, and the logarithmic standard deviation of that: it decides
 where two or three references cannot."""
+_EXACT = (0.5, 0.02, 0.05)
+"""Probabilities beforehand that lens and print are as good as exact (then the smallest amplitude):
+both; the lens alone; the print alone."""
 _LEAST_WEIGHT = 0.02
 """Of the likeliest pair of amplitudes, below which a pair is not carried on."""
 
@@ -97,8 +100,8 @@ def condition(
     """Condition the field on the references.
 
     ``points`` (M, 4, 2) are the corners in the map, ``residuals`` (M, 4, 2) by how much they are
-    seen elsewhere (both in m), ``noise`` (M,) the standard deviation of a corner in m, ``pixel``
-    the size of one there; ``lens`` (8 M, 8) and ``trend`` (8 M, 6) are how the corners, seen on the
+    seen elsewhere (both in m), ``noise`` (8 M, 8 M) their covariance from the image's noise in m^2;
+    ``lens`` (8 M, 8) and ``trend`` (8 M, 6) are how the corners, seen on the
     table, answer the lens and a step of the camera's pose, ``gain`` (6, 8 M) the step that the fit
     makes of their misplacements. Rows count x and y of corner after corner.
     """
@@ -108,8 +111,7 @@ def condition(
     full, _ = np.linalg.qr(poses @ trend, mode="complete")
     basis = poses.T @ full[:, 6:]
     data = basis.T @ residuals.reshape(-1)
-    still = np.diag(np.repeat(noise**2, 8))
-    parts = np.stack([lens @ lens.T, *_misplaced(points), still])
+    parts = np.stack([lens @ lens.T, *_misplaced(points), noise])
     s, p, turn = (a.ravel() for a in np.meshgrid(_FIELD**2, _PRINT**2, np.square(_TURNS)))
     amounts = np.stack([s, p, p * turn, np.ones_like(s)], axis=-1)
     total = np.einsum("ka,aij->kij", amounts, basis.T @ parts @ basis)
@@ -117,8 +119,7 @@ def condition(
     white = np.linalg.solve(root, np.broadcast_to(data[:, None], (len(s), data.size, 1)))[..., 0]
     likelihood = -0.5 * (white**2).sum(axis=1)
     likelihood -= np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-    for amplitude, usual in ((s, _PRIOR[0]), (p, _PRIOR[1])):
-        likelihood -= 0.5 * (np.log(amplitude / usual**2) / (2.0 * _PRIOR[2])) ** 2
+    likelihood += np.log(_prior(s, p))
     weight = np.exp(likelihood - likelihood.max())
     weight[weight < _LEAST_WEIGHT] = 0.0
     weight /= weight.sum()
@@ -135,6 +136,27 @@ def condition(
             )
         )
     return ErrorField(lens, gain, basis, data, tuple(members))
+
+
+def _prior(field: Array, print_: Array) -> Array:
+    """Probability beforehand of pairs of amplitudes, given their squares."""
+    usually, exactly = [], []
+    for power, usual in ((field, _PRIOR[0]), (print_, _PRIOR[1])):
+        density = np.exp(-0.5 * (np.log(power / usual**2) / (2.0 * _PRIOR[2])) ** 2)
+        usually.append(density / density.sum())
+        least = power == power.min()
+        exactly.append(least / least.sum())
+    both, lens, sheet = _EXACT
+    count = len(field)
+    return np.asarray(
+        count
+        * (
+            both * exactly[0] * exactly[1]
+            + lens * exactly[0] * usually[1]
+            + sheet * usually[0] * exactly[1]
+            + (1.0 - both - lens - sheet) * usually[0] * usually[1]
+        )
+    )
 
 
 def _misplaced(points: Array) -> tuple[Array, Array]:

@@ -23,11 +23,6 @@ class PoseFit:
     size: float
 
 
-# Least squares of points on four sides; the levels beside an edge come from the same rows as the
-# edge and add noise that all points of a side share: measured factor on the variance.
-_LEVEL_NOISE = 2.0
-
-
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
     """Marker ``row`` of ``edges`` as a square of known side in the plane at the marker's height.
 
@@ -35,42 +30,43 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     """
     if not edges.good[row]:
         return None
-    points = view.on_plane(edges.points[row], marker.height)
+    pixels = np.concatenate([edges.points[row].reshape(-1, 2), edges.corners[row]])
+    seen = view.on_plane(pixels, marker.height)
+    points = seen[:-4].reshape(4, -1, 2)
     weights = edges.weights[row]
-    pose = pose_of_corners(view, edges.corners[row], marker)
+    pose = _square_pose(seen[-4:])
     size = marker.size
     # Side k of the unit square lies at distance 1/2 along this normal.
     normals = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
-    information = np.eye(4)
-    for _ in range(3):
-        normal = se2.transform_points([0.0, 0.0, pose[2]], normals)[:, None, :]
-        arm = points - pose[:2]
-        distance = (normal * arm).sum(axis=-1) - 0.5 * size
-        turning = -normal[..., 1] * arm[..., 0] + normal[..., 0] * arm[..., 1]
-        row_of = np.stack(
-            [
-                np.broadcast_to(normal[..., 0], distance.shape),
-                np.broadcast_to(normal[..., 1], distance.shape),
-                -turning,
-                np.full(distance.shape, 0.5),
-            ],
-            axis=-1,
-        )
-        information = np.einsum("sb,sbi,sbj->ij", weights, row_of, row_of)
-        step = np.linalg.solve(information, np.einsum("sb,sbi,sb->i", weights, row_of, distance))
-        pose = pose + step[:3]
-        size += step[3]
+    # One step: the corners are right to hundredths of a pixel, so the rest is linear.
+    normal = se2.transform_points([0.0, 0.0, pose[2]], normals)[:, None, :]
+    arm = points - pose[:2]
+    distance = (normal * arm).sum(axis=-1) - 0.5 * size
+    rows = np.empty((*distance.shape, 4))
+    rows[..., :2] = normal
+    rows[..., 2] = normal[..., 1] * arm[..., 0] - normal[..., 0] * arm[..., 1]
+    rows[..., 3] = 0.5
+    rows = rows.reshape(-1, 4)
+    weighted = rows * weights.reshape(-1, 1)
+    inverse = np.linalg.inv(weighted.T @ rows)
+    step = inverse @ (weighted.T @ distance.reshape(-1))
+    pose = pose + step[:3]
+    size += step[3]
     if not np.all(np.isfinite(pose)):
         return None
     pixel = view.pose.translation[2] / view.camera.fx
     noise = max(float(edges.spread[row]), 0.01) * pixel
-    covariance = np.linalg.inv(information)[:3, :3] * noise**2 * _LEVEL_NOISE
+    covariance = inverse[:3, :3] * noise**2
     return PoseFit(pose, covariance, float(size))
 
 
 def pose_of_corners(view: View, corners: Array, marker: ObjectMarker) -> Array:
     """Pose (x, y, theta) of the marker from its corners (4, 2) in pixels; the size is not used."""
-    seen = view.on_plane(corners, marker.height)
+    return _square_pose(view.on_plane(corners, marker.height))
+
+
+def _square_pose(seen: Array) -> Array:
+    """Pose (x, y, theta) of a square whose corners (4, 2) lie there, in m."""
     middle = seen.mean(axis=0)
     arm = seen - middle
     cross = (UNIT_CORNERS[:, 0] * arm[:, 1] - UNIT_CORNERS[:, 1] * arm[:, 0]).sum()

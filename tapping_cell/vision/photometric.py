@@ -41,7 +41,8 @@ class Template:
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
     """Pose (3,) of the marker in table, its covariance (3, 3) from pixel noise; ``noise`` the grey
-    levels that remain, ``blur`` the sigma in m that would have fitted best.
+    levels that remain where the pattern changes, ``blur`` the sigma in m that would have fitted
+    best.
     """
 
     pose: Array
@@ -107,6 +108,9 @@ def align(
         return None
     contrast = float(gain.mean())
     noise = max(math.sqrt(float((weight * residual**2).sum() / weight.sum())), spread, 0.3)
+    # What the edges leave is what moves the answer: a pattern not quite as modelled shows there.
+    slope = weight * (columns[:, 10] ** 2 + columns[:, 11] ** 2)
+    noise = max(noise, math.sqrt(float((slope * residual**2).sum() / slope.sum())))
     if contrast < 12.0 or noise > 0.12 * contrast:
         return None
     covariance = np.asarray(np.linalg.inv(information)[10:, 10:] * noise**2, dtype=float)

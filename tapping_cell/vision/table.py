@@ -103,14 +103,30 @@ def reference_rays(camera: CameraModel, edges: MarkerEdges) -> Array:
     return straight_corners(camera.rays(edges.points), edges.weights)
 
 
-def corner_noise(edges: MarkerEdges, focal: float) -> Array:
-    """Standard deviation (M,) of a corner's direction.
-
-    The end of a line through n points has 4 / n of the variance of one of them; the levels beside
-    the edge, estimated from the same rows, add about as much again (measured).
-    """
+def side_noise(edges: MarkerEdges, focal: float) -> Array:
+    """Standard deviation (M,) of the place of a side, across it, as a direction."""
     number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
-    return np.asarray(np.sqrt(8.0 / number) * np.maximum(edges.spread, 0.01) / focal)
+    return np.asarray(np.maximum(edges.spread, 0.01) / np.sqrt(number) / focal)
+
+
+def whitening(rays: Array, noise: Array) -> Array:
+    """Matrices (M, 8, 8) that take errors of corners (M, 4, 2) to eight independent ones of
+    variance 1.
+
+    The corners are where four lines meet, each fitted to a side of its own: independent are the
+    places of the lines (``noise`` (M,)) and their turns, which at the ends of the side weigh root
+    three times as much.
+    """
+    side = np.roll(rays, -1, axis=1) - rays
+    side /= np.linalg.norm(side, axis=2, keepdims=True)
+    normal = np.stack([side[..., 1], -side[..., 0]], axis=-1) / noise[:, None, None]
+    matrices = np.zeros((len(rays), 8, 4, 2))
+    for k in range(4):
+        begin, end = k, (k + 1) % 4
+        matrices[:, 2 * k, [begin, end]] = 0.5 * normal[:, k, None]
+        matrices[:, 2 * k + 1, begin] = -0.5 / np.sqrt(3.0) * normal[:, k]
+        matrices[:, 2 * k + 1, end] = 0.5 / np.sqrt(3.0) * normal[:, k]
+    return matrices.reshape(-1, 8, 8)
 
 
 def fit_table(
@@ -123,20 +139,22 @@ def fit_table(
 ) -> TableFit | None:
     """The pose near ``pose`` that brings table points (M, 4, 2) onto the directions (M, 4, 2).
 
-    ``noise`` (M,) is the standard deviation of a corner as a direction, ``focal`` pixels a unit of
-    direction. One marker after another is left out while it disagrees with the rest by more than
-    ``settings.displaced`` pixels. None if fewer than ``settings.least_references`` remain.
+    ``noise`` (M,) is :func:`side_noise`, ``focal`` pixels a unit of direction. One marker after
+    another is left out while it disagrees with the rest by more than ``settings.displaced`` pixels.
+    None if fewer than ``settings.least_references`` remain.
     """
     count = points.shape[0]
     flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1).reshape(-1, 3)
     used = np.ones(count, dtype=bool)
     covariance: Array = np.zeros((6, 6))
+    white = whitening(rays, noise)
     while used.sum() >= settings.least_references:
         for _ in range(2):
             jacobian, residual = _linearised(pose, flat, rays.reshape(-1, 2))
-            weight = np.where(used, 1.0 / noise**2, 0.0).repeat(8)
-            covariance = np.linalg.inv((jacobian * weight[:, None]).T @ jacobian)
-            step = covariance @ (jacobian.T @ (weight * residual))
+            weighted = (white[used] @ jacobian.reshape(count, 8, 6)[used]).reshape(-1, 6)
+            error = (white[used] @ residual.reshape(count, 8, 1)[used]).reshape(-1)
+            covariance = np.linalg.inv(weighted.T @ weighted)
+            step = covariance @ (weighted.T @ error)
             pose = pose.moved(step)
             if float(np.abs(step).max()) < 1e-7:
                 break
@@ -150,9 +168,11 @@ def fit_table(
         if used.sum() >= 3 and error[worst] > limit:
             used = others
             continue
-        taken = np.repeat(used, 8)
-        kept = jacobian[taken]
-        gain = covariance @ (kept * weight[taken, None]).T
+        kept = jacobian[np.repeat(used, 8)]
+        weights = white[used]
+        gain = (
+            covariance @ (weights.transpose(0, 2, 1) @ weighted.reshape(-1, 8, 6)).reshape(-1, 6).T
+        )
         return TableFit(pose, np.asarray(covariance), used, left[used], kept, gain)
     return None
 
@@ -217,7 +237,7 @@ class TableTracker:
             disturbed = np.zeros(len(rows), dtype=bool)
         moved = self._suspects >= s.confirm_frames
         self._suspects = 0
-        self._average(rays, corner_noise(edges, self.camera.fx), rows, disturbed)
+        self._average(rays, side_noise(edges, self.camera.fx), rows, disturbed)
         before = self.pose
         if not self._fit(edges, rows):
             return TableState.UNKNOWN if self.pose is None else TableState.SUSPECT
@@ -266,7 +286,8 @@ class TableTracker:
         self.displaced = tuple(int(i) for i in self.ids[have[~fit.used]])
         frames = float(self._seen.sum())
         if self._field is None or frames >= 1.5 * self._field_frames or self.used != before:
-            self._field, self._field_frames = self._condition(fit, self.points[have], noise), frames
+            self._field_frames = frames
+            self._field = self._condition(fit, self.points[have], self._rays[have], noise)
             self.field_number += 1
         return True
 
@@ -275,18 +296,22 @@ class TableTracker:
         flat = np.concatenate([self.points, np.zeros((*self.points.shape[:2], 1))], axis=-1)
         return float(np.linalg.norm(after.apply(flat) - before.apply(flat), axis=-1).max())
 
-    def _condition(self, fit: TableFit, points: Array, noise: Array) -> ErrorField:
+    def _condition(self, fit: TableFit, points: Array, rays: Array, noise: Array) -> ErrorField:
         """The error of the lens over the table, from what the markers still disagree about."""
         scale = float(fit.pose.translation[2])
         # Directions to lengths on the table, which lies nearly square to the optical axis.
-        to_table = scale * fit.pose.rotation[:2, :2].T
+        to_table: Array = scale * fit.pose.rotation[:2, :2].T
         count = int(fit.used.sum())
-        block = np.kron(np.eye(4 * count), to_table)
+        block: Array = np.kron(np.eye(4 * count), to_table)
         _, shifts = lens_shifts(View(self.camera, fit.pose), points[fit.used], 0.0)
+        still: Array = np.zeros((8 * count, 8 * count))
+        for k, white in enumerate(whitening(rays[fit.used], noise[fit.used])):
+            part = slice(8 * k, 8 * k + 8)
+            still[part, part] = np.linalg.inv(white.T @ white)
         return condition(
             points[fit.used],
             fit.residuals @ to_table.T,
-            noise[fit.used] * scale,
+            block @ still @ block.T,
             block @ shifts.reshape(8 * count, -1),
             block @ fit.jacobian,
             fit.gain @ np.linalg.inv(block),

@@ -18,8 +18,8 @@ from tapping_cell.vision.observation import Observation, Problem
 from tapping_cell.vision.outline import ObjectOutline
 from tapping_cell.vision.outline_finder import OutlineFinder
 from tapping_cell.vision.outline_fit import OutlineFit
-from tapping_cell.vision.photometric import Template, align, make_template
 from tapping_cell.vision.rest import Motion, RestSettings, Track
+from tapping_cell.vision.resting import RestingMarker
 from tapping_cell.vision.search import Census, census, near, patterns_agree
 from tapping_cell.vision.table import (
     CROSS,
@@ -37,9 +37,6 @@ _INSTANT = 1.5e-4
 0.13 ms in the middle of a slide, up to 0.6 ms where it begins or ends within an exposure."""
 _JUDGED_AGAIN = 0.003, 0.03
 """Motion (m) of an object at rest and of a moving one after which the lens error is asked again."""
-_USUAL_BLUR = 0.65
-"""Sigma in pixels of a well focused lens with the pixel's own area; the first alignment corrects
-it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +101,7 @@ class PoseTracker:
             # Only there where the object has a marker.
             self.marker = seen
             self._pattern = marker_pattern(seen.dictionary, seen.id)
+            self._resting = RestingMarker(seen)
         self._track = Track(rest)
         self._gate = FrameGate(camera, self.settings.dark, self.settings.bright)
         self._group = 0
@@ -114,7 +112,6 @@ class PoseTracker:
         self._references_seen = -math.inf
         self._object: tuple[float, Array, Array] | None = None
         self._judged: tuple[int, Array, Array, Array] | None = None
-        self._template: Template | None = None
         # Objects are followed through one frozen view, so that the improving average of the table's
         # pose does not look like motion; what is published is seen through the newest one.
         self._working: View | None = None
@@ -189,14 +186,17 @@ class PoseTracker:
     def _search_all(
         self, image: Image, stamp: float
     ) -> tuple[dict[int, Array], Array | None, tuple[Problem, str] | None]:
+        first = self._last_search == -math.inf
         self._last_search = stamp
         self._search_next = False
         marked = self._finder is None
         same = not marked or self._map.dictionary == self.marker.dictionary
         rows = {int(i): row for row, i in enumerate(self.table.ids)}
-        # The thorough search and its explanations take several frames' time: once in a while.
-        slow = stamp - self._last_thorough >= self.settings.audit_period
-        for thorough in (False, True) if slow else (False,):
+        # The thorough search and its explanations take several frames' time: all of it for the
+        # first frame, which may be the only one; later once in a while, and only if it is needed.
+        lost = self._object is None or stamp - self._object[0] > 0.2
+        slow = lost and stamp - self._last_thorough >= self.settings.audit_period
+        for thorough in (False, True) if first else (slow,):
             if thorough:
                 self._last_thorough = stamp
             table = census(image, self._map.dictionary, thorough)
@@ -227,7 +227,8 @@ class PoseTracker:
             self._trouble = None
             return quads, found, None
         if slow:
-            self._trouble = self._explain(image, objects, set(rows) if same else set())
+            half = image if first else image[::2, ::2]
+            self._trouble = self._explain(half, objects, set(rows) if same else set())
         return quads, None, self._trouble
 
     def _explain(
@@ -417,20 +418,15 @@ class PoseTracker:
             step = pose - self._object[1]
             if math.hypot(step[0], step[1]) > _SLOW or abs(wrap_angle(step[2])) > _SLOW_TURN:
                 return pose, covariance
-        pixel = float(view.pose.translation[2]) / view.camera.fx
-        if self._template is None:
-            self._template = make_template(self.marker, pixel, _USUAL_BLUR * pixel)
-        aligned = align(image, view, self._template, self.marker, fit.pose)
-        if aligned is None:
-            return pose, covariance
-        if abs(aligned.blur / self._template.blur - 1.0) > 0.15:
-            self._template = make_template(self.marker, pixel, aligned.blur)
-        return object_pose(aligned.pose, aligned.covariance, self.marker)
+        return self._resting.measure(image, view, fit)
 
     def _good(self, motion: Motion, stamp: float) -> Observation:
         pose = self._through_newest(motion.pose)
         error, shared = self._calibration(pose, _JUDGED_AGAIN[int(motion.rest_since is None)])
         pose = pose - error
+        # Of what a frame shows wrong, a share stays however many frames are fused.
+        fixed = self._resting.fixed if self._finder is None else 0.0
+        spread = motion.covariance * (1.0 + fixed * (motion.frames - 1))
         instant = _INSTANT * motion.velocity
         since, sentence = self._warning
         if self.table.displaced:
@@ -442,7 +438,7 @@ class PoseTracker:
             stamp=stamp,
             visible=True,
             pose=Pose(*pose.tolist()),
-            covariance=motion.covariance + shared + np.outer(instant, instant),
+            covariance=spread + shared + np.outer(instant, instant),
             at_rest=motion.rest_since is not None,
             at_rest_since=motion.rest_since,
             frames_fused=motion.frames,

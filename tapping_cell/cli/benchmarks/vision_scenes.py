@@ -1,0 +1,151 @@
+"""Random scenes of the vision benchmarks, and what is said about an answer when the truth is
+known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.objects import load_object
+from tapping_cell.configuration.table import load_camera_model, load_reference_map
+from tapping_cell.se2 import wrap_angle
+from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
+from tapping_cell.vision import CameraModel, CameraPose, ObjectMarker, Observation, ReferenceMap
+
+BOUND_95 = 7.815
+"""Chi-square of 3 degrees of freedom: 95 % lie below."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """What the files of ``config/`` say: camera, reference markers, the disk's marker."""
+
+    camera: CameraModel
+    table: ReferenceMap
+    marker: ObjectMarker
+
+    @classmethod
+    def load(cls) -> Cell:
+        """From the shared folder."""
+        folder = shared_folder()
+        marker = load_object(folder / "objects" / "aluminium_disk.yaml").seen()
+        assert isinstance(marker, ObjectMarker)
+        return cls(
+            load_camera_model(folder / "camera_info.yaml"),
+            load_reference_map(folder / "table.yaml"),
+            marker,
+        )
+
+
+def random_scene(
+    random: np.random.Generator, cell: Cell, seed: int, turn: float = 0.0
+) -> SceneRenderer:
+    """Tilt to 5 degrees, noise of 2 to 4 grey levels, light falling by up to two thirds; the camera
+    turned by ``turn`` rad about its own x axis after that."""
+    settings = SceneSettings(
+        noise=random.uniform(2.0, 4.0),
+        light_falloff=random.uniform(0.0, 0.67),
+        light_direction=random.uniform(0.0, 2.0 * math.pi),
+        vignetting=0.2,
+        blur=random.uniform(0.5, 0.9),
+    )
+    place = (*random.uniform(-0.043, 0.043, 2), 0.7)
+    pose = CameraPose.above(place, spin=random.uniform(-0.05, 0.05))
+    angle = np.linspace(0.0, 2.0 * math.pi, 120, endpoint=False)
+    outline = 0.048 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    pose = pose.moved([turn, 0.0, 0.0, 0.0, 0.0, 0.0])
+    return SceneRenderer(cell.camera, pose, cell.table, outline, cell.marker, settings, seed=seed)
+
+
+def random_place(random: np.random.Generator) -> np.ndarray:
+    """A pose (3,) anywhere on the table."""
+    return random.uniform([-0.25, -0.17, -math.pi], [0.25, 0.17, math.pi])
+
+
+def miscalibrated(
+    random: np.random.Generator, cell: Cell, lens: float, misprint: float
+) -> tuple[CameraModel, ReferenceMap]:
+    """Files that are wrong: the lens by ``lens`` times what OpenCV's calibration with twenty views
+    reports as standard deviations, the reference markers by ``misprint`` m and half of that at
+    their corners by a turn."""
+    n = lens * random.standard_normal(8)
+    known = cell.camera
+    wrong = np.array([0.0015 * n[4], 0.004 * n[5], 1.2e-4 * n[6], 1.2e-4 * n[7], 0.0])
+    camera = replace(
+        known,
+        fx=known.fx + 0.5 * n[0],
+        fy=known.fy + 0.5 * n[1],
+        cx=known.cx + 0.7 * n[2],
+        cy=known.cy + 0.7 * n[3],
+        distortion=tuple((known.coefficients[:5] + wrong).tolist()),
+    )
+    markers = []
+    for marker in cell.table.markers:
+        x, y, turn = misprint * random.standard_normal(3)
+        arm = marker.size / math.sqrt(2.0)
+        moved = replace(marker, x=marker.x + x, y=marker.y + y)
+        markers.append(replace(moved, theta=marker.theta + 0.5 * turn / arm))
+    return camera, ReferenceMap(cell.table.dictionary, tuple(markers))
+
+
+def error_of(observation: Observation, true: np.ndarray) -> np.ndarray:
+    """What a good observation is off by, (3,): m, m, rad."""
+    assert observation.pose is not None
+    error = np.array(observation.pose) - true
+    error[2] = wrap_angle(error[2])
+    return error
+
+
+@dataclass(slots=True)
+class Score:
+    """Errors and normalised errors of many observations."""
+
+    errors: list[np.ndarray]
+    normalised: list[float]
+    missed: int = 0
+
+    def add(self, observation: Observation, true: np.ndarray) -> None:
+        """Take one answer."""
+        if observation.covariance is None:
+            self.missed += 1
+            return
+        error = error_of(observation, true)
+        self.errors.append(error)
+        self.normalised.append(float(error @ np.linalg.solve(observation.covariance, error)))
+
+    def figures(self) -> dict[str, Any]:
+        """Mean normalised error squared, share within 95 %, and errors in mm and degrees."""
+        errors = np.array(self.errors)
+        gaps = np.hypot(errors[:, 0], errors[:, 1]) * 1e3
+        turns = np.degrees(np.abs(errors[:, 2]))
+        inside = np.array(self.normalised) < BOUND_95
+        return {
+            "count": len(errors),
+            "missed": self.missed,
+            "mean_normalised": float(np.mean(self.normalised)),
+            "within_95": float(inside.mean()),
+            "median_mm": float(np.median(gaps)),
+            "p95_mm": float(np.quantile(gaps, 0.95)),
+            "median_deg": float(np.median(turns)),
+            "p95_deg": float(np.quantile(turns, 0.95)),
+        }
+
+
+def score_lines(scores: dict[str, dict[str, Any]]) -> list[str]:
+    """Several scores as a table for people."""
+    width = max(len(name) for name in scores)
+    rows = [
+        f"{'':<{width}}  {'count':>5} {'missed':>6}  {'error^2':>7} {'in 95 %':>7}"
+        f"  {'mm median':>9} {'p95':>7}  {'deg median':>10} {'p95':>7}"
+    ]
+    for name, f in scores.items():
+        rows.append(
+            f"{name:<{width}}  {f['count']:>5} {f['missed']:>6}  {f['mean_normalised']:>7.2f} "
+            f"{f['within_95'] * 100:>6.1f}%  {f['median_mm']:>9.4f} {f['p95_mm']:>7.4f}  "
+            f"{f['median_deg']:>10.4f} {f['p95_deg']:>7.4f}"
+        )
+    return rows

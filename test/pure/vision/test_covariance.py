@@ -1,0 +1,95 @@
+"""The covariance against many random calibrations: corners by projection, no pictures."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scenes import CAMERA, REFERENCES
+
+from tapping_cell.se2 import transform_points
+from tapping_cell.vision import CameraModel, CameraPose, ReferenceMap, View
+from tapping_cell.vision.edges import BINS, MarkerEdges
+from tapping_cell.vision.table import TableState, TableTracker
+
+ROW = 0.05
+"""Standard deviation of one row of an edge, pixels; 60 rows a side."""
+HEIGHT = 0.012
+TRIALS = 150
+
+
+def told_camera(random: np.random.Generator, scale: float) -> CameraModel:
+    """A calibration that is off by as much as OpenCV's usually is, times ``scale``."""
+    n = scale * random.standard_normal(8)
+    usual = np.array([0.0015, 0.004, 1.2e-4, 1.2e-4, 0.0])
+    d = np.array(CAMERA.distortion) + usual * np.append(n[4:], 0.0)
+    return dataclasses.replace(
+        CAMERA,
+        fx=CAMERA.fx + 0.5 * n[0],
+        fy=CAMERA.fy + 0.5 * n[1],
+        cx=CAMERA.cx + 0.7 * n[2],
+        cy=CAMERA.cy + 0.7 * n[3],
+        distortion=tuple(d),
+    )
+
+
+def told_map(random: np.random.Generator, misprint: float) -> ReferenceMap:
+    """A table file whose markers are printed ``misprint`` m beside their places."""
+    return ReferenceMap(
+        REFERENCES.dictionary,
+        tuple(
+            dataclasses.replace(
+                m,
+                x=m.x + misprint * random.standard_normal(),
+                y=m.y + misprint * random.standard_normal(),
+                theta=m.theta + 0.5 * misprint / 0.028 * random.standard_normal(),
+            )
+            for m in REFERENCES.markers
+        ),
+    )
+
+
+def noisy_edges(view: View, random: np.random.Generator) -> MarkerEdges:
+    """The references' sides as the true camera sees them, with the noise of their rows."""
+    corners = REFERENCES.corners()
+    share = (np.arange(BINS) + 0.5) / BINS
+    start, end = corners[:, :, None], np.roll(corners, -1, axis=1)[:, :, None]
+    points = view.project(start + share[:, None] * (end - start))
+    pixels = view.project(corners)
+    side = np.roll(pixels, -1, axis=1) - pixels
+    normal = np.stack([side[..., 1], -side[..., 0]], -1) / np.linalg.norm(side, axis=2)[..., None]
+    weights = np.full(points.shape[:3], 60.0 / BINS)
+    noise = random.standard_normal(weights.shape) * ROW / np.sqrt(weights)
+    count = len(corners)
+    level, good = np.zeros(count), np.ones(count, dtype=bool)
+    points = points + noise[..., None] * normal[:, :, None]
+    return MarkerEdges(points, weights, pixels, np.full(count, ROW), level, level, good)
+
+
+@pytest.mark.parametrize(("lens", "misprint"), [(0.0, 0.0), (0.3, 0.0), (0.0, 3e-5), (1.0, 1e-4)])
+def test_the_normalised_error_follows_chi_square(lens, misprint):
+    """The error of a point of the table through camera and table files that are exact or not."""
+    normalised = []
+    for trial in range(TRIALS):
+        random = np.random.default_rng([trial, 5])
+        place = (*random.uniform(-0.05, 0.05, 2), 0.7)
+        view = View(CAMERA, CameraPose.above(place, spin=random.uniform(-0.1, 0.1)))
+        tracker = TableTracker(told_camera(random, lens), told_map(random, misprint))
+        state = tracker.update(noisy_edges(view, random), np.arange(len(REFERENCES.markers)))
+        assert state is TableState.STEADY and tracker.pose is not None
+        true = random.uniform([-0.25, -0.17, -np.pi], [0.25, 0.17, np.pi])
+        # A disk's marker as four points of its plane: where do the files put them?
+        arms = 0.02 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+        points = transform_points(true, arms)
+        told = View(tracker.camera, tracker.pose)
+        shift = told.on_plane(view.project(points, HEIGHT), HEIGHT) - points
+        arm = points - points.mean(axis=0)
+        turn = (arm[:, 0] * shift[:, 1] - arm[:, 1] * shift[:, 0]).sum() / (arm**2).sum()
+        error = np.array([*shift.mean(axis=0), turn])
+        likely, covariance = tracker.judge(true + error, HEIGHT)
+        error -= likely
+        normalised.append(error @ np.linalg.solve(covariance, error))
+    # Mean of 150 chi-squares of 3 degrees of freedom: standard deviation 0.2.
+    assert 2.4 < np.mean(normalised) < 3.7
+    assert np.mean(np.array(normalised) < 7.815) > 0.90
