@@ -9,6 +9,9 @@ from tapping_cell_msgs.msg import ErrorCode, ObjectState, PlanState
 TAPPING = (PlanState.PLACING, PlanState.FIRING)
 """Phases of a planner that waits for its tap."""
 
+IDLE_LIMIT_S = 1.5
+"""A planner whose tap it is not speaks twice a second: it is missed only after so long."""
+
 Trouble = tuple[int, str]
 """An error code and a sentence."""
 
@@ -57,14 +60,15 @@ class PeerWatch:
     def missing(self) -> Trouble | None:
         """Who has fallen silent; None where nobody has."""
         now = time.monotonic()
-        for who, heard, code in (
-            ("planner", self._plan_heard, ErrorCode.NOT_READY),
-            ("camera", self._object_heard, ErrorCode.CAMERA_SILENT),
+        of_planner = self._limit if self._planners_tap else max(self._limit, IDLE_LIMIT_S)
+        for who, heard, code, limit in (
+            ("planner", self._plan_heard, ErrorCode.NOT_READY, of_planner),
+            ("camera", self._object_heard, ErrorCode.CAMERA_SILENT, self._limit),
         ):
-            if heard is not None and now - heard > self._limit:
+            if heard is not None and now - heard > limit:
                 return (
                     code,
                     f"the {who} has been silent for {now - heard:.2f} s, more than"
-                    f" {self._limit:.2f} s: look after its node",
+                    f" {limit:.2f} s: look after its node",
                 )
         return None

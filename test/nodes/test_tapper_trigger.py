@@ -263,8 +263,9 @@ def test_whoever_falls_silent_has_the_striker_let_down_within_half_a_second(
 def test_nothing_is_drawn_while_the_planner_is_silent_and_goes_on_when_it_is_heard(
     cell: Cell,
 ) -> None:
-    cell.plan.publish(PlanState(state=PlanState.PLACING))
     cell.command(100)
+    cell.bench.wait(lambda: cell.states[-1].tap_id == 100, "taken")
+    cell.plan.publish(PlanState(state=PlanState.PLACING))
     time.sleep(0.6)
     keep_saying(cell, 0.6, tap_id=100)
     assert cell.device.state == "SAFE" and cell.outcome(100) == TapperState.NONE
@@ -273,6 +274,17 @@ def test_nothing_is_drawn_while_the_planner_is_silent_and_goes_on_when_it_is_hea
         cell.plan.publish(PlanState(state=PlanState.FIRING))
         keep_saying(cell, 0.05, tap_id=100)
     assert cell.shots() == [100]
+
+
+def test_another_program_may_command_taps_while_the_planner_is_idle(cell: Cell) -> None:
+    """The idle planner speaks only twice a second: that is no silence of a tap not its own."""
+    for tap_id in (100, 101, 102):
+        cell.command(tap_id)
+        end = time.monotonic() + 5.0
+        while cell.outcome(tap_id) == TapperState.NONE and time.monotonic() < end:
+            cell.plan.publish(PlanState(state=PlanState.IDLE))
+            keep_saying(cell, 0.6, tap_id=tap_id)
+    assert cell.shots() == [100, 101, 102]
 
 
 def test_a_planner_that_was_restarted_does_not_fire_the_tap_of_the_one_before(cell: Cell) -> None:
