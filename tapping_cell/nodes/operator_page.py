@@ -243,7 +243,6 @@ class OperatorPage(CellNode[Parameters]):
         )
 
     def _on_picture(self, message: Image) -> None:
-        self._view.on_picture(message)
         page = self._server
         now = self.get_clock().now().nanoseconds * 1e-9
         due = abs(now - self._picture_at) >= 0.9 / self.settings.picture_rate
@@ -261,12 +260,11 @@ class OperatorPage(CellNode[Parameters]):
     def _show(self) -> None:
         if self._server is None or self._watch is None:
             return
-        state = self._view.state(self.get_clock().now().nanoseconds * 1e-9)
+        state = self._view.state()
         state["nodes"] = self._watch.rows()
         state["simulated"] = self._watch.runs("sim_world")
         state["placeable"] = self._ghost is not None
         state["run"] = self._run_state()
-        state["pages"] = self._pages
         self._server.show(state)
 
     def _run_state(self) -> dict[str, object]:
@@ -284,13 +282,10 @@ class OperatorPage(CellNode[Parameters]):
     def greet(self) -> dict[str, object]:
         """What a page must know of the cell."""
         assert self._cell is not None
-        table, (distance, angle) = self._cell.file.table, self._cell.tolerance
         return {
             "cell": self._cell.file.name,
             "namespace": self.get_namespace(),
             "object": self._cell.object.name,
-            "table": [1e3 * table.length, 1e3 * table.width],
-            "tolerance": [round(1e3 * distance, 3), round(float(np.degrees(angle)), 3)],
         }
 
     def open_run(self) -> tuple[str, Path] | str:

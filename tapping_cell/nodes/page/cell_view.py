@@ -7,11 +7,10 @@ import time
 from collections import deque
 from typing import NamedTuple
 
-from sensor_msgs.msg import Image
 from tapping_cell_msgs.msg import ArmState, ErrorCode, GoalReport, PlanState, TapperState, TapRecord
 
 from tapping_cell.nodes.cell_monitor import CellMonitor
-from tapping_cell.nodes.conversions import covariance_from_message, from_message, seconds
+from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.goal_client import PHASES
 from tapping_cell.nodes.plan_reporter import FINAL
 from tapping_cell.report.hints import hint
@@ -84,7 +83,6 @@ class CellView:
         self._plan: PlanState | None = None
         self._plan_heard = -math.inf
         self._taps: list[dict[str, object]] = []
-        self._picture: tuple[float, float] | None = None
         self._own_goal: Pose | None = None
         self._report: GoalReport | None = None
         self._log: deque[dict[str, object]] = deque(maxlen=LOG_LENGTH)
@@ -100,7 +98,6 @@ class CellView:
         self.on_object = self._monitor.on_object
         self.on_arm = self._monitor.on_arm
         self.on_tapper = self._monitor.on_tapper
-        self._picture = None
         self._mode = ""
 
     def note(self, text: str, kind: str = "", at: float | None = None) -> None:
@@ -111,10 +108,6 @@ class CellView:
         """A goal is sent from a page."""
         self._own_goal = goal
         self.note(f"goal {pose_text(goal)} sent from the page ({who})")
-
-    def on_picture(self, message: Image) -> None:
-        """Hear of a picture."""
-        self._picture = (seconds(message.header.stamp), time.monotonic())
 
     def on_plan(self, message: PlanState) -> None:
         """Hear ``plan_state``: a new goal, a tap, an end."""
@@ -188,8 +181,8 @@ class CellView:
             return Mode("not ready", "the planner says nothing; start tap_planner")
         return Mode("ready", "the cell takes a goal")
 
-    def state(self, now: float) -> dict[str, object]:
-        """Everything that changes; ``now`` is ROS time in s."""
+    def state(self) -> dict[str, object]:
+        """Everything that changes."""
         mode = self.mode()
         sentence = with_code(mode.sentence, mode.code)
         if mode.word != self._mode:
@@ -200,7 +193,6 @@ class CellView:
             "mode": mode.word,
             "sentence": sentence,
             "hint": hint(mode.code),
-            "picture": self._picture_state(now),
             "object": self._object_state(),
             "plan": self._plan_state(),
             "taps": self._taps,
@@ -209,11 +201,6 @@ class CellView:
             "log": list(self._log),
         }
 
-    def _picture_state(self, now: float) -> dict[str, object]:
-        if self._picture is None:
-            return {"age": None}
-        return {"age": round(max(0.0, now - self._picture[0]), 1)}
-
     def _object_state(self) -> dict[str, object]:
         seen = self._monitor.object
         if seen is None or self._monitor.silent("object"):
@@ -221,15 +208,11 @@ class CellView:
         answer: dict[str, object] = {
             "visible": seen.visible,
             "at_rest": seen.at_rest,
-            "frames": seen.frames_fused,
             "sentence": seen.error_msg,
             "code": seen.error_code,
         }
         if seen.visible:
-            variances = covariance_from_message(seen.pose.covariance).diagonal()
-            x, y, angle = (math.sqrt(max(0.0, float(value))) for value in variances)
             answer["pose"] = triple(from_message(seen.pose.pose))
-            answer["deviation"] = [shown(1e3 * max(x, y), 3), shown(math.degrees(angle), 3)]
         return answer
 
     def _plan_state(self) -> dict[str, object]:
@@ -241,7 +224,6 @@ class CellView:
             "state": PHASES[plan.state],
             "busy": self.busy,
             "goal": triple(from_message(plan.goal.pose)) if has_goal else None,
-            "planner": plan.planner,
             "distance": shown(1e3 * plan.residual_distance),
             "rotation": shown(math.degrees(plan.residual_rotation)),
             "tolerance": [

@@ -17,7 +17,11 @@ from typing import Any
 
 import pytest
 from tornado.httpclient import HTTPClientError, HTTPRequest
-from tornado.websocket import WebSocketClientConnection, websocket_connect
+from tornado.websocket import (
+    WebSocketClientConnection,
+    WebSocketClosedError,
+    websocket_connect,
+)
 
 from tapping_cell.nodes.page import server
 from tapping_cell.nodes.page.archive import make_archive
@@ -171,7 +175,8 @@ def test_without_the_token_nothing_is_shown_and_nothing_is_done(
 ) -> None:
     async def scenario() -> None:
         async with site.page(hello) as page:
-            await page.write_message('{"do": "stop"}')
+            with contextlib.suppress(WebSocketClosedError):  # it may be closed already
+                await page.write_message('{"do": "stop"}')
             assert await read(page) is None
             assert page.close_code == server.BAD_TOKEN
 
