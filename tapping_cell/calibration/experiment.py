@@ -81,8 +81,10 @@ class Experiment(NamedTuple):
 def read_experiment(place: Path | str) -> Experiment:
     """The experiment in a folder; or of one CSV file, whose header stands beside it.
 
+    Without a header nothing is known of object and striker, and standard deviations are usual ones.
+
     Raises:
-        RecordError: no header, or records that cannot be used at all (see ``read_trials``).
+        RecordError: records that cannot be used at all (see ``read_trials``).
         ConfigurationError: the header has an unknown key or a value out of range.
     """
     place = Path(place)
@@ -90,10 +92,8 @@ def read_experiment(place: Path | str) -> Experiment:
     records = read_trials(place)
     header = folder / HEADER_FILE
     if not header.is_file():
-        raise RecordError(
-            f"{header}: is missing; it says what holds for all trials, at least format, made and "
-            "source (docs/calibration.md)"
-        )
+        unknown = ExperimentFile(format=1, made="", source="other")
+        return Experiment(folder, unknown, records.trials, records.left_out)
     return Experiment(folder, load(ExperimentFile, header), records.trials, records.left_out)
 
 

@@ -13,6 +13,7 @@ from tapping_cell.calibration.object_fit import fit_object, predict
 from tapping_cell.cli import main
 from tapping_cell.cli.benchmarks.calibration import draw
 from tapping_cell.cli.benchmarks.single_taps import Design, simulated_trials
+from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import load_object
 
 STRIKER = StrikerSection(0.1, 0.0054, "free")
@@ -184,3 +185,21 @@ def test_scatter_of_direction_is_found(tmp_path):
     ]
     fit = fit_object([read_experiment(write(tmp_path / "r", trials))], DISK)
     assert fit.estimate("scatter_direction").value == pytest.approx(0.03, rel=0.4)
+
+
+def test_a_csv_alone_does_for_the_sliding(tmp_path, capsys):
+    rows = ["run,trial,displacement_mm,rotation_deg,initial_speed_mm_s,initial_spin_deg_s"]
+    for t in taps(noise=(0.01, 0.03)):
+        numbers = (1e3 * t.displacement, math.degrees(t.rotation), 1e3 * t.initial_speed)
+        cells = [t.run, t.trial, *numbers, math.degrees(t.initial_spin)]
+        rows.append(",".join(str(cell) for cell in cells))
+    file = tmp_path / "mine.csv"
+    file.write_text("\n".join(rows) + "\n")
+    assert main(["fit", str(file)]) == 2
+    assert "--object" in capsys.readouterr().err
+    told = str(shared_folder() / "objects" / "aluminium_disk.yaml")
+    assert main(["fit", str(file), "--object", told, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["estimates"]
+    assert found["torque_factor"]["value"] == pytest.approx(TRUE["torque_factor"], rel=0.04)
+    assert found["friction"]["value"] == pytest.approx(TRUE["friction"], rel=0.02)
+    assert "restitution" not in found
