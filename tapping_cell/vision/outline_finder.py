@@ -22,7 +22,7 @@ from tapping_cell.vision.outline_search import (
 
 Trouble = tuple[Problem, str]
 
-RIM_BIAS = 8e-6
+RIM_BIAS = 1e-5
 """Standard deviation (m) of what all frames share: an edge in a pixel, light across the rim, a
 wall; measured on rendered scenes. Chamfers, dirt and a wrong file are not in it."""
 _PROBLEMS = {

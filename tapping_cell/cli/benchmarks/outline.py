@@ -15,8 +15,9 @@ from tapping_cell.configuration.table import load_camera_model, load_reference_m
 from tapping_cell.se2 import wrap_angle
 from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
 from tapping_cell.vision import CameraPose, Dot, ObjectOutline
+from tapping_cell.vision.outline_finder import OutlineFinder
 from tapping_cell.vision.outline_fit import fit_outline
-from tapping_cell.vision.outline_search import find_outlines
+from tapping_cell.vision.outline_search import Refused, accept, find_outlines
 
 DEFAULT_COUNT = 6
 """Scenes: camera, light, blur and noise differ from one to the next."""
@@ -55,6 +56,7 @@ def _one(outline: ObjectOutline, scenes: int) -> dict[str, float]:
     camera = load_camera_model(folder / "camera_info.yaml")
     table = load_reference_map(folder / "table.yaml")
     random = np.random.default_rng(2)
+    shared = OutlineFinder(outline, table).shared()
     gaps, turns, normalised, follow, search = [], [], [], [], []
     missed = 0
     for number in range(scenes):
@@ -79,14 +81,14 @@ def _one(outline: ObjectOutline, scenes: int) -> dict[str, float]:
             begin = time.process_time()
             fit = fit_outline(image, scene.view, outline, start)
             follow.append((time.process_time() - begin) * 1e3)
-            if fit is None:
+            if fit is None or isinstance(accept(fit, outline), Refused):
                 missed += 1
                 continue
             d = fit.pose - true
             d[2] = wrap_angle(d[2])
             gaps.append(math.hypot(d[0], d[1]) * 1e3)
             turns.append(math.degrees(abs(d[2])))
-            normalised.append(float(d @ np.linalg.solve(fit.covariance, d)))
+            normalised.append(float(d @ np.linalg.solve(fit.covariance + shared, d)))
     return {
         "median_mm": statistics.median(gaps),
         "p95_mm": float(np.quantile(gaps, 0.95)),
