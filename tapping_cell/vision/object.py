@@ -23,10 +23,15 @@ class PoseFit:
     size: float
 
 
+_OBLONG_PIXELS, _OBLONG = 0.5, 0.006
+"""Pixels, and share of the side, that a marker may be longer than wide: beyond, something lies
+along one of its sides and was taken for it."""
+
+
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
     """Marker ``row`` of ``edges`` as a square of known side in the plane at the marker's height.
 
-    None if the edges are not good or make no square.
+    None if the edges are not good or make no square, as when something lies along a side.
     """
     if not edges.good[row]:
         return None
@@ -55,6 +60,11 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     if not np.all(np.isfinite(pose)):
         return None
     pixel = view.pose.translation[2] / view.camera.fx
+    left = (weights * (distance - (rows @ step).reshape(distance.shape))).sum(axis=1)
+    sides = left / np.maximum(weights.sum(axis=1), 1.0)
+    oblong = abs(float(sides[0] - sides[1] + sides[2] - sides[3]))
+    if oblong > max(_OBLONG_PIXELS * pixel, _OBLONG * marker.size):
+        return None
     noise = max(float(edges.spread[row]), 0.01) * pixel
     covariance = inverse[:3, :3] * noise**2
     return PoseFit(pose, covariance, float(size))

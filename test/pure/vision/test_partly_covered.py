@@ -1,0 +1,46 @@
+"""Something dark or bright beside the marker must not be taken for its edge."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scenes import MARKER, renderer
+
+from tapping_cell.se2 import transform_points
+from tapping_cell.simulation.rendered_camera import Occluder
+from tapping_cell.vision.edges import refine
+from tapping_cell.vision.markers import UNIT_CORNERS, marker_pattern
+from tapping_cell.vision.object import fit_marker
+from tapping_cell.vision.search import patterns_agree
+
+
+def test_a_plate_along_a_side_moves_no_accepted_pose():
+    """Plates whose edge lies within 5 mm of one side or two, at any grey level."""
+    scene = renderer()
+    random = np.random.default_rng(3)
+    pattern = [marker_pattern(MARKER.dictionary, MARKER.id)]
+    read, refused = 0, 0
+    for number in range(60):
+        if number % 20 == 0:
+            true = random.uniform([-0.2, -0.15, -3.0], [0.2, 0.15, 3.0])
+        x = random.uniform(0.020, 0.027)
+        y = random.uniform(0.020, 0.027) if number % 2 else -0.2
+        plate = np.array([[x, y], [0.1, y], [0.1, 0.2], [x, 0.2]])
+        turn = true[2] + random.normal(0.0, 0.02) + random.integers(4) * math.pi / 2.0
+        corners = transform_points(np.array([true[0], true[1], turn]), plate)
+        height = random.uniform(0.013, 0.04)
+        cover = Occluder(np.column_stack([corners, np.full(4, height)]), random.uniform(20, 160))
+        image = scene.render(true, occluders=[cover])
+        square = transform_points(true, UNIT_CORNERS * MARKER.size)
+        quad = scene.view.project(square, MARKER.height)
+        edges = refine(image, quad[None], 8)
+        if not patterns_agree(image, edges, pattern)[0]:
+            continue
+        read += 1
+        fit = fit_marker(scene.view, edges, 0, MARKER)
+        if fit is None:
+            refused += 1
+            continue
+        assert math.hypot(*(fit.pose - true)[:2]) < 0.0002
+    assert read > 30 and refused > 5
