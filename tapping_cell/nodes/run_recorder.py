@@ -97,13 +97,17 @@ STREAMS: dict[str, type] = {
     "/diagnostics": DiagnosticArray,
     "emergency_stop": Bool,
     "goal_pose": PoseStamped,
-    "ground_truth": PoseStamped,
     "joint_states": JointState,
     "joint_trajectory": JointTrajectory,
-    "object_pose": PoseWithCovarianceStamped,
     "tap_command": TapCommand,
 }
 """Topics that are not latched."""
+FRAMES: dict[str, type] = {
+    "camera/camera_info": CameraInfo,
+    "ground_truth": PoseStamped,
+    "object_pose": PoseWithCovarianceStamped,
+}
+"""What comes with every picture: heard only while a goal is under way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +167,7 @@ class RunRecorder(CellNode[Parameters]):
         self._refusal: tuple[int, str, float] = (0, "", 0.0)
         self._picture_at = 0.0
         self._planner_heard = 0.0
-        self._picture_subscription: Subscription | None = None
+        self._frames: list[Subscription] = []
         self._folder, self._name = self.settings.folder, self.settings.name
         self._picture_rate = self.settings.picture_rate
         self._worker: Worker | None = None
@@ -171,10 +175,14 @@ class RunRecorder(CellNode[Parameters]):
         self._types = MessageTypes()
         self._last_run = self.create_publisher(String, "last_run", LATCHED)
         self._topics: dict[str, RecordedTopic] = {}
-        for topics, profile in ((STATES, _STATE), (STREAMS, _STREAM)):
-            for name, kind in topics.items():
-                self._listen(name, kind, profile)
-        self._listen("camera/camera_info", CameraInfo, images.PICTURES, reliable=False)
+        for name, kind in STATES.items():
+            self._know(name, kind, Quality(1, latched=True))
+            self._listen(name, kind, _STATE)
+        for name, kind in STREAMS.items():
+            self._know(name, kind, Quality())
+            self._listen(name, kind, _STREAM)
+        for name, kind in FRAMES.items():
+            self._know(name, kind, Quality(reliable=kind is not CameraInfo))
         self._picture_topic = self.resolve_topic_name(PICTURES)
         self._topics[self._picture_topic] = RecordedTopic(
             "sensor_msgs/msg/CompressedImage", Quality(reliable=False)
@@ -185,13 +193,14 @@ class RunRecorder(CellNode[Parameters]):
         )
         self.create_timer(0.1, self._tick)
 
-    def _listen(self, name: str, kind: type, profile: QoSProfile, reliable: bool = True) -> None:
+    def _know(self, name: str, kind: type, quality: Quality) -> None:
+        package = kind.__module__.partition(".")[0]
+        topic = RecordedTopic(f"{package}/msg/{kind.__name__}", quality)
+        self._topics[self.resolve_topic_name(name)] = topic
+
+    def _listen(self, name: str, kind: type, profile: QoSProfile) -> Subscription:
         topic = self.resolve_topic_name(name)
         latched = profile is _STATE
-        package, _, message = kind.__module__.partition(".")[0], None, kind.__name__
-        self._topics[topic] = RecordedTopic(
-            f"{package}/msg/{message}", Quality(1 if latched else 10, reliable, latched)
-        )
         readers: dict[type, Callable[[Any], None]] = {
             PlanState: self._on_plan_state,
             GoalReport: self._on_goal_report,
@@ -204,7 +213,7 @@ class RunRecorder(CellNode[Parameters]):
             if reader is not None:
                 reader(deserialize_message(data, kind))
 
-        self.create_subscription(kind, name, hear, profile, raw=True)
+        return self.create_subscription(kind, name, hear, profile, raw=True)
 
     # Life cycle
 
@@ -339,10 +348,16 @@ class RunRecorder(CellNode[Parameters]):
         self._planner_heard = time.monotonic()
         folder = Path(self._folder).expanduser().absolute()
         self._submit(lambda: self._open(folder, name))
-        if self._picture_rate > 0 and not refused and self._picture_subscription is None:
-            self._picture_subscription = self.create_subscription(
-                Image, "camera/image_annotated", self._on_picture, images.PICTURES, raw=True
-            )
+        if not refused and not self._frames:
+            self._frames = [
+                self._listen(name, kind, images.PICTURES if kind is CameraInfo else _STREAM)
+                for name, kind in FRAMES.items()
+            ]
+            if self._picture_rate > 0:
+                pictures = self.create_subscription(
+                    Image, "camera/image_annotated", self._on_picture, images.PICTURES, raw=True
+                )
+                self._frames.append(pictures)
 
     def _on_picture(self, data: bytes) -> None:
         now = time.monotonic()
@@ -366,9 +381,9 @@ class RunRecorder(CellNode[Parameters]):
             self._plan = self._ends_at = None
             rest = list(self._waiting)
             self._waiting.clear()
-        if self._picture_subscription is not None:
-            self.destroy_subscription(self._picture_subscription)
-            self._picture_subscription = None
+        for subscription in self._frames:
+            self.destroy_subscription(subscription)
+        self._frames = []
         self._submit(lambda: self._close(rest, pictures and self.settings.pictures))
 
     def _submit(self, job: Callable[[], None]) -> None:
