@@ -123,21 +123,29 @@ def calibrate_camera(
     _check_number(kept, rejected)
     _check_perspective(kept, target)
     lenses = [lens for lens in LENSES if lens_model in (None, lens.model)]
-    members = _consensus(kept, target, size)
+    members: NDArray[np.bool_] = np.ones(len(kept), dtype=bool)
     lens = lenses[0]
     held_out: dict[str, float] = {}
-    for _ in range(4):
+    errors: Array = np.full(len(kept), np.nan)
+    for turn in range(5):
         chosen = [view for view, member in zip(kept, members, strict=True) if member]
         if len(chosen) < LEAST_VIEWS:
             break
-        lens, held_out = _choose(chosen, target, size, lenses)
+        try:
+            lens, held_out = _choose(chosen, target, size, lenses)
+        except CalibrationRefused:
+            if turn:
+                raise
+            members = _consensus(kept, target, size, lenses)
+            continue
         fit = _fit(chosen, target, size, lens)
         errors = np.array([_error(view, target, fit) for view in kept])
         limit = max(_OUTLIER_RATIO * float(np.median(errors[members])), _OUTLIER_PIXELS)
         again = errors <= limit
         if np.array_equal(again, members):
             break
-        members = again
+        # Strangers among the views may have bent the first fit: then only what agrees goes on.
+        members = again if turn else _consensus(kept, target, size, lenses)
     chosen = [view for view, member in zip(kept, members, strict=True) if member]
     strangers = [view for view, member in zip(kept, members, strict=True) if not member]
     usual = float(np.median(errors[members])) if members.any() else np.nan
@@ -187,30 +195,29 @@ def _check_perspective(views: Sequence[TargetView], target: Target) -> None:
 
 
 def _consensus(
-    views: Sequence[TargetView], target: Target, size: tuple[int, int]
+    views: Sequence[TargetView],
+    target: Target,
+    size: tuple[int, int],
+    lenses: Sequence[Lens],
 ) -> NDArray[np.bool_]:
-    """Which views agree with each other, (V,): all, or the largest part of them that does.
-
-    Where some do not fit, the least median of squares over random subsets (Rousseeuw 1984).
+    """Which views agree with each other, (V,): those near the least median of squares over random
+    subsets (Rousseeuw 1984), fitted with the simplest and the richest lens in turn.
     """
-    lens = LENSES[0]
 
-    def judged(part: Sequence[TargetView]) -> Array:
+    def judged(part: Sequence[TargetView], lens: Lens) -> Array:
         try:
             fit = _fit(part, target, size, lens)
         except CalibrationRefused:
             return np.full(len(views), np.inf)
         return np.array([_error(view, target, fit) for view in views])
 
-    errors = judged(views)
-    if errors.max() <= max(_OUTLIER_RATIO * float(np.median(errors)), _OUTLIER_PIXELS):
-        return np.ones(len(views), dtype=bool)
     random = np.random.default_rng(0)
-    count = max(4, len(views) // 4)
-    best = errors
-    for _ in range(_SUBSETS):
+    count = max(5, len(views) // 4)
+    best: Array = np.full(len(views), np.inf)
+    for number in range(_SUBSETS):
         part = random.choice(len(views), count, replace=False)
-        errors = judged([views[index] for index in part])
+        lens = lenses[-1] if number % 2 else lenses[0]
+        errors = judged([views[index] for index in part], lens)
         if np.median(errors) < np.median(best):
             best = errors
     limit = max(_OUTLIER_RATIO * float(np.median(best)), _OUTLIER_PIXELS)
@@ -293,8 +300,9 @@ def _choose(
 ) -> tuple[Lens, dict[str, float]]:
     """The simplest lens that predicts left-out views as well as any other does.
 
-    A richer one must be better than the simpler by two standard errors of the difference over the
-    views, and by a fiftieth; and it must be invertible over the whole image.
+    A richer one must be better than the simpler by a quarter of the squared error, or by a fiftieth
+    and two standard errors of the difference over the views; and it must be invertible over the
+    whole image.
     """
     order = np.random.default_rng(1).permutation(len(views))
     folds = [order[start::_FOLDS] for start in range(_FOLDS)]
@@ -322,7 +330,8 @@ def _choose(
     for lens in list(squares)[1:]:
         gain = squares[best] - squares[lens]
         doubt = 2.0 * gain.std(ddof=1) / np.sqrt(len(views))
-        if gain.mean() > max(doubt, 0.02 * squares[best].mean()):
+        before = squares[best].mean()
+        if gain.mean() > max(min(doubt, 0.25 * before), 0.02 * before):
             best = lens
     return best, {lens.label: float(np.sqrt(s.mean())) for lens, s in squares.items()}
 

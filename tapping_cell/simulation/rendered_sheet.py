@@ -15,7 +15,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from tapping_cell.vision.camera import CameraModel, CameraPose, Image, View
 
-SAMPLES = 4
+SAMPLES = 3
 _PAPER, _INK, _TABLE = 215.0, 35.0, 120.0
 """Grey levels of white and black print and of what lies around the sheet, in full light."""
 _NODE = 8

@@ -27,7 +27,7 @@ from tapping_cell.simulation.rendered_sheet import SheetCamera
 from tapping_cell.vision import CameraModel, CameraPose
 
 VIEWS = 20
-CORNER_SETS, PHOTO_SETS, TABLES, ARMS, TAPPERS = 20, 2, 3, 100, 60
+CORNER_SETS, PHOTO_SETS, TABLES, ARMS, TAPPERS = 12, 2, 2, 100, 60
 CORNER_NOISE = 0.05
 """Pixels; what the search for corners leaves in rendered photographs is 0.02 to 0.04."""
 TARGETS = (

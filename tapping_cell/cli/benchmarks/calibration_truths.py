@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 
 from tapping_cell.calibration.arm import ArmRecord, predicted
-from tapping_cell.calibration.print_sheet import marker_loops
 from tapping_cell.calibration.tapper import TapRecord
 from tapping_cell.calibration.target import Target, TargetView
 from tapping_cell.hardware.scara import ScaraGeometry
 from tapping_cell.mechanics import Tap
+from tapping_cell.se2 import inverse, transform_points
 from tapping_cell.simulation.rendered_sheet import Sheet
 from tapping_cell.vision import CameraModel, CameraPose, ReferenceMap, ReferenceMarker, View
 from tapping_cell.vision.markers import marker_pattern
@@ -113,22 +112,24 @@ def markers(random: Random) -> ReferenceMap:
 
 
 def markers_sheet(references: ReferenceMap) -> Sheet:
-    """The markers on one sheet of 0.84 x 0.66 m, drawn from their outlines."""
+    """The markers on one sheet of 0.84 x 0.66 m: a drawn pixel is what lies at its middle."""
     pixel = 0.00025
     pattern = np.full((round(0.66 / pixel), round(0.84 / pixel)), 255, dtype=np.uint8)
-    origin = np.array([pattern.shape[1], pattern.shape[0]]) / 2
+    rows, columns = pattern.shape
     for m in references.markers:
-        cos, sin = math.cos(m.theta), math.sin(m.theta)
-        turn = np.array([[cos, sin], [-sin, cos]])
-        loops = [
-            (loop - 0.5 * m.size) @ turn + np.array([m.x, m.y])
-            for loop in marker_loops(references.dictionary, m.id, m.size)
-        ]
-        corners = [
-            np.round((origin + loop / pixel * [1.0, -1.0] - 0.5) * 256).astype(np.int32)
-            for loop in loops
-        ]
-        cv2.fillPoly(pattern, corners, (0,), shift=8)
+        modules = marker_pattern(references.dictionary, m.id)
+        reach = 0.75 * m.size
+        column = (
+            np.arange(round((m.x - reach) / pixel), round((m.x + reach) / pixel)) + columns // 2
+        )
+        row = np.arange(round((-m.y - reach) / pixel), round((-m.y + reach) / pixel)) + rows // 2
+        x, y = np.meshgrid((column + 0.5 - columns / 2) * pixel, (rows / 2 - row - 0.5) * pixel)
+        own = transform_points(inverse((m.x, m.y, m.theta)), np.stack([x, y], axis=-1))
+        across = np.floor((own[..., 0] / m.size + 0.5) * modules.shape[0]).astype(int)
+        down = np.floor((0.5 - own[..., 1] / m.size) * modules.shape[0]).astype(int)
+        inside = (across >= 0) & (across < len(modules)) & (down >= 0) & (down < len(modules))
+        ink = inside & ~modules[np.where(inside, down, 0), np.where(inside, across, 0)]
+        pattern[np.ix_(row, column)] = np.where(ink, 0, 255)
     return Sheet(pattern, pixel)
 
 
