@@ -1,0 +1,98 @@
+"""The map of the reference markers: hidden truths, markers that moved, parts that nothing joins."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tapping_cell.calibration.camera import CalibrationRefused
+from tapping_cell.calibration.table import MarkerView, calibrate_table
+from tapping_cell.calibration.table_frame import frame_of_map, frame_of_markers, in_frame, scaled
+from tapping_cell.cli.benchmarks import calibration_truths as truths
+from tapping_cell.vision import CameraModel, CameraPose, ReferenceMap, View
+
+CAMERA = CameraModel(1280, 1024, 1000.0, 1000.0, 640.0, 512.0)
+NOISE = 0.05
+
+
+def views_of(seed: int, images: int = 6) -> tuple[ReferenceMap, list[MarkerView]]:
+    random = np.random.default_rng(seed)
+    references = truths.markers(random)
+    ids = np.array([m.id for m in references.markers])
+    views = []
+    for number in range(images):
+        side = number * 2 * math.pi / images
+        place = (0.35 * math.cos(side), 0.35 * math.sin(side), 0.75)
+        pose = CameraPose.above(place, spin=random.uniform(-3, 3))
+        pixels = View(CAMERA, pose).project(references.corners())
+        pixels += NOISE * random.standard_normal(pixels.shape)
+        rays, noise = CAMERA.rays(pixels), np.full(len(ids), NOISE / CAMERA.fx)
+        views.append(MarkerView(f"view {number}", ids, rays, noise))
+    return references, views
+
+
+def solve(references: ReferenceMap, views: list[MarkerView]):
+    sizes = {m.id: m.size for m in references.markers}
+    return calibrate_table(views, sizes, references.dictionary, CAMERA.fx)
+
+
+def test_the_map_comes_back_within_its_standard_deviations() -> None:
+    off = []
+    for seed in range(4):
+        references, views = views_of(seed)
+        result = solve(references, views)
+        frame, left = frame_of_map(result.references, references)
+        assert left < 2e-4
+        assert result.rms == pytest.approx(NOISE * math.sqrt(2), rel=0.2)
+        # The deviations hold in the frame of all markers: their middle, their mean direction.
+        middle = np.mean([(m.x, m.y, m.theta) for m in references.markers], axis=0)
+        pairs = zip(result.references.markers, in_frame(references, middle).markers, strict=True)
+        for row, (a, b) in enumerate(pairs):
+            off += list(np.array([a.x - b.x, a.y - b.y]) / result.deviations[row, :2])
+    assert 0.6 < float(np.sqrt(np.mean(np.square(off)))) < 1.4
+
+
+def test_a_marker_that_lies_elsewhere_in_one_image_is_named() -> None:
+    references, views = views_of(7)
+    rays = views[2].rays.copy()
+    rays[4] += 0.01
+    result = solve(references, [*views[:2], replace(views[2], rays=rays), *views[3:]])
+    assert [(s.image, s.marker) for s in result.strays] == [("view 2", int(views[2].ids[4]))]
+    frame, left = frame_of_map(result.references, references)
+    assert left < 2e-4
+
+
+def test_a_marker_of_another_size_is_left_out_of_the_map() -> None:
+    references, views = views_of(8)
+    sizes = {m.id: m.size for m in references.markers} | {103: 0.030}
+    result = calibrate_table(views, sizes, references.dictionary, CAMERA.fx)
+    assert 103 not in [m.id for m in result.references.markers]
+    assert any("marker 103 is left out" in text for text in result.warnings)
+
+
+def test_frames_and_scales() -> None:
+    references, _ = views_of(9)
+    there = in_frame(references, frame_of_markers(references, 106, 108))
+    places = {m.id: m for m in there.markers}
+    assert (places[106].x, places[106].y) == pytest.approx((0, 0), abs=1e-12)
+    assert places[108].y == pytest.approx(0, abs=1e-12) and places[108].x > 0
+    frame, left = frame_of_map(there, references)
+    assert left < 1e-12
+    larger = scaled(references, 1.01).markers[0]
+    assert (larger.size, larger.x) == pytest.approx((0.0404, 1.01 * references.markers[0].x))
+
+
+def test_images_that_nothing_joins_are_refused() -> None:
+    references, views = views_of(10)
+    halves = [
+        MarkerView(v.name, v.ids[part], v.rays[part], v.noise[part])
+        for number, v in enumerate(views)
+        for part in [slice(0, 4) if number % 2 else slice(4, 8)]
+    ]
+    with pytest.raises(CalibrationRefused, match="no marker in common"):
+        solve(references, halves)
+    with pytest.raises(CalibrationRefused, match="at least 2"):
+        solve(references, views[:1])
