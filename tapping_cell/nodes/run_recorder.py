@@ -14,7 +14,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,11 +39,11 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from tapping_cell.configuration.cell import Cell, load_cell
-from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.nodes import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import seconds
 from tapping_cell.nodes.plan_reporter import FINAL
+from tapping_cell.nodes.recorder_parameters import Parameters
 from tapping_cell.nodes.recording import (
     MEGABYTE,
     CannotRecord,
@@ -110,39 +109,6 @@ FRAMES: dict[str, type] = {
 """What comes with every picture: heard only while a goal is under way."""
 
 
-@dataclass(frozen=True, slots=True)
-class Parameters:
-    """Parameters of run_recorder."""
-
-    autostart: bool = text("configure and activate without being asked", default=True)
-    cell_file: str = text("path of the cell file; empty for the package's own", default="")
-    object_file: str = text("path of the object file; empty for the cell file's", default="")
-    folder: str = text("folder in which every run gets one of its own", default="runs")
-    name: str = text("name of the run's folder; empty for time and goal", default="")
-    picture_rate: float = quantity(
-        "pictures kept of camera/image_annotated; 0 for none", "Hz", 0.0, 10.0, default=1.0
-    )
-    picture_width: int = quantity("width of a kept picture", "pixels", 160, 4096, default=960)
-    pictures: bool = text("draw cell.png and report.html at the end of a run", default=True)
-    least_free: float = quantity(
-        "room on the disk below which nothing is recorded", "MB", 0.0, 1e7, default=500.0
-    )
-    most_runs: int = quantity(
-        "folders beside each other after which nothing is recorded; nothing is ever deleted",
-        "",
-        1,
-        1_000_000,
-        default=10_000,
-    )
-    seed: int = quantity(
-        "seed of the simulated world, to be written down; negative for none",
-        "",
-        -1,
-        2**31 - 1,
-        default=-1,
-    )
-
-
 class RunRecorder(CellNode[Parameters]):
     """See the module's docstring.
 
@@ -161,6 +127,7 @@ class RunRecorder(CellNode[Parameters]):
         self._waiting: deque[Heard] = deque()
         self._plan: PlanState | None = None
         self._ends_at: float | None = None
+        self._end: PlanState | GoalReport | None = None
         self._recording: Recording | None = None
         self._trouble = ""
         self._runs = 0
@@ -296,8 +263,11 @@ class RunRecorder(CellNode[Parameters]):
             return
         self._planner_heard = time.monotonic()
         known = self._plan is not None and same_goal(self._plan, plan)
+        if self._is_late(plan):
+            return
         if not is_own_goal(plan, PRESCRIBED):
             if known and self._ends_at is None and plan.state in FINAL:
+                self._end = plan
                 self._ends_at = time.monotonic() + TAIL_S
             return
         if known and self._ends_at is None:
@@ -305,10 +275,18 @@ class RunRecorder(CellNode[Parameters]):
         self._conclude(pictures=True)
         self._begin(plan, refused=False)
 
+    def _is_late(self, plan: PlanState) -> bool:
+        """Whether a report is older than the end of its goal: topics overtake each other."""
+        end = self._end
+        if end is None or not same_goal(plan, end):
+            return False
+        return seconds(plan.header.stamp) <= seconds(end.header.stamp)
+
     def _on_goal_report(self, report: GoalReport) -> None:
         if not self.active:
             return
         if not report.refused:
+            self._end = report
             if self._plan is not None and same_goal(self._plan, report):
                 self._ends_at = time.monotonic() + TAIL_S
             return

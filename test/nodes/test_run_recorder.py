@@ -195,6 +195,22 @@ def test_a_name_is_never_taken_twice(tmp_path: Path) -> None:
     assert names == ["mine", "mine_2"]
 
 
+def test_a_report_that_is_overtaken_by_the_goals_end_begins_no_run(tmp_path: Path) -> None:
+    with cell(tmp_path) as fake:
+        goal = fake.goal()
+        late = fake.stamp(PlanState(state=PlanState.LOOKING, goal=goal, planner="optimal"))
+        time.sleep(0.1)
+        fake.plan(goal, PlanState.LOOKING)
+        time.sleep(0.3)
+        fake.report(goal)
+        time.sleep(0.3)
+        fake.plans.publish(late)
+        fake.recorded(1)
+        fake.plans.publish(late)
+        time.sleep(1.0)
+    assert len(list((tmp_path / "runs").iterdir())) == 1
+
+
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
