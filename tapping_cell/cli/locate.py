@@ -82,13 +82,10 @@ class SeenObject:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    folder = shared_folder()
     parser.add_argument("images", nargs="+", type=Path, metavar="IMAGE", help="image files")
+    parser.add_argument("--camera", type=Path, help="ROS camera_info file (default: the package's)")
     parser.add_argument(
-        "--camera", type=Path, default=folder / "camera_info.yaml", help="ROS camera_info file"
-    )
-    parser.add_argument(
-        "--table", type=Path, default=folder / "table.yaml", help="reference markers"
+        "--table", type=Path, help="reference markers (default: the package's table.yaml)"
     )
     parser.add_argument(
         "--object",
@@ -109,8 +106,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Locate the object in every image; 0 if it was found in one, 1 if in none, 2 for bad files."""
     try:
-        camera = load_camera_model(arguments.camera)
-        table = load_reference_map(arguments.table)
+        camera = load_camera_model(arguments.camera or shared_folder() / "camera_info.yaml")
+        table = load_reference_map(arguments.table or shared_folder() / "table.yaml")
         paths = arguments.object or [shared_folder() / "objects" / "aluminium_disk.yaml"]
         objects = [load_seen_object(path) for path in paths]
         search = Search(camera, table, [seen.seen() for seen in objects])
