@@ -41,8 +41,8 @@ class ProfileView:
     """One trial in time (ms from the impact): poses as seen, and curves as predicted.
 
     ``seen_*`` (n,) are samples of the track, ``rate_time`` the middles between them, but for
-    the step across the impact, with the velocities that their differences give; ``curve_*`` (k,) the prediction from the
-    displacement, ``plain_*`` the same with a torque factor of 1.
+    the step across the impact, with the velocities that their differences give; ``curve_*`` (k,)
+    the prediction from the displacement, ``plain_*`` the same with a torque factor of 1.
     """
 
     title: str
