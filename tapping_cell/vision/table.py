@@ -22,6 +22,9 @@ from tapping_cell.vision.edges import MarkerEdges, straight_corners
 from tapping_cell.vision.field import ErrorField, condition, lens_shifts
 from tapping_cell.vision.markers import ReferenceMap
 
+_SIDE_BIAS = 0.003
+"""Pixels that an averaged side may be off by where it lies between pixels (measured: a marker's
+middle by 0.0025)."""
 _EDGE_BIAS = 0.001
 """Pixels that averaged edges may be off by where the edge lies in a pixel and by uneven light."""
 
@@ -274,7 +277,7 @@ class TableTracker:
         start = self.pose or initial_pose(self.camera, self.points[rows], edges.corners)
         if start is None or len(have) < self.settings.least_references:
             return False
-        noise = self._noise[have] / np.sqrt(self._seen[have])
+        noise = np.hypot(self._noise[have] / np.sqrt(self._seen[have]), _SIDE_BIAS / self.camera.fx)
         fit = fit_table(
             start, self.points[have], self._rays[have], noise, self.settings, self.camera.fx
         )
