@@ -303,14 +303,15 @@ class TableTracker:
         """The error of the lens over the table, from what the markers still disagree about."""
         scale = float(fit.pose.translation[2])
         # Directions to lengths on the table, which lies nearly square to the optical axis.
-        to_table: Array = scale * fit.pose.rotation[:2, :2].T
+        to_table: Array = np.asarray(scale * fit.pose.rotation[:2, :2].T)
         count = int(fit.used.sum())
-        block: Array = np.kron(np.eye(4 * count), to_table)
+        block: Array = np.asarray(np.kron(np.eye(4 * count), to_table))
         _, shifts = lens_shifts(View(self.camera, fit.pose), points[fit.used], 0.0)
         still: Array = np.zeros((8 * count, 8 * count))
-        for k, white in enumerate(whitening(rays[fit.used], noise[fit.used])):
+        white = whitening(rays[fit.used], noise[fit.used])
+        for k in range(count):
             part = slice(8 * k, 8 * k + 8)
-            still[part, part] = np.linalg.inv(white.T @ white)
+            still[part, part] = np.linalg.inv(white[k].T @ white[k])
         return condition(
             points[fit.used],
             fit.residuals @ to_table.T,
