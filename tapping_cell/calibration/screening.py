@@ -79,7 +79,8 @@ def screen(experiments: Sequence[Experiment], body: Body, gravity: float) -> Scr
             if count > total[file] / 2:
                 raise RecordError(
                     f"{file}: {count} of {total[file]} rows have wrong units or hardly moved, "
-                    f"the first in row {first[file].row}: {first[file].sentence}"
+                    f"the first in row {first[file].row} ({first[file].reason}): "
+                    f"{first[file].sentence}"
                 )
     return enough(used, left_out)
 

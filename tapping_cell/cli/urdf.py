@@ -1,6 +1,6 @@
 """Write the arm of a cell file as URDF, for RViz, Foxglove and motion planners.
 
-    python -m tapping_cell urdf --cell my_cell.yaml > arm.urdf
+python -m tapping_cell urdf --cell my_cell.yaml > arm.urdf
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ at shoulder angle zero, z up. Joint order everywhere: shoulder in rad, elbow in 
 
 the tool's heading is h = q1 + q2 + q4, the tip stands at w + R(h) (tip_forward, tip_side) and looks
 (its line of travel) along h + tip_yaw. Joints are those of the controller throughout; the true q is
-theirs plus ``joint_offset``, which a calibration finds. The inverse is the two-circle construction of the planar
-two-link arm (Craig, *Introduction to Robotics*, section 4.4, algebraic solution).
+theirs plus ``joint_offset``, which a calibration finds. The inverse is the two-circle construction
+of the planar two-link arm (Craig, *Introduction to Robotics*, section 4.4, algebraic solution).
 """
 
 from __future__ import annotations

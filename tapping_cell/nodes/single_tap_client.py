@@ -40,6 +40,8 @@ AFTER_S = 0.7
 """A track begins so long before the release and ends so long after the object came to rest."""
 KEPT_POSES = 4000
 LONGEST_TAP_S = 120.0
+LONGEST_AWAY_S = 3.0
+"""An action server that discovery misses for longer has gone; for less, it only looks so."""
 LATCHED_QUALITY = Quality(1, latched=True)
 RECORDED: tuple[tuple[type, str, Any, Quality], ...] = (
     (PoseWithCovarianceStamped, "object_pose", 50, Quality()),
@@ -113,15 +115,15 @@ class SingleTapClient(GoalClient):
         self._handle = None
         # As in GoalClient.send: from the executor's thread.
         self._executor.create_task(self._send_tap, message)
-        deadline = time.monotonic() + LONGEST_TAP_S
+        begun = there = time.monotonic()
         try:
-            while time.monotonic() < deadline:
+            while (now := time.monotonic()) < min(begun + LONGEST_TAP_S, there + LONGEST_AWAY_S):
                 try:
                     return self._results.get(timeout=0.1)
                 except queue.Empty:
                     check()
-                if not self._single.server_is_ready():
-                    break
+                if self._single.server_is_ready():
+                    there = now
         except BaseException:
             self.cancel()
             raise

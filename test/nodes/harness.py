@@ -59,10 +59,13 @@ def bench(
     for node in nodes:
         executor.add_node(node)
     errors: list[BaseException] = []
+    ended = threading.Event()
 
     def spin() -> None:
+        # An executor that is shut down in mid-callback would fail in it: it ends by itself.
         try:
-            executor.spin()
+            while not ended.is_set():
+                executor.spin_once()
         except ExternalShutdownException:
             return
         except BaseException as error:
@@ -73,8 +76,10 @@ def bench(
     try:
         yield made
     finally:
-        executor.shutdown()
+        ended.set()
+        executor.wake()
         thread.join(5.0)
+        executor.shutdown()
         for node in nodes:
             node.cleanup()
             node.destroy_node()
