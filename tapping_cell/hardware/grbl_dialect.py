@@ -154,8 +154,11 @@ class GrblDialect:
         """Run ``$H``; the machine position afterwards proves that it ran.
 
         Neither the line nor its ``ok`` has a checksum: one wrong bit makes ``$X`` of it, which is
-        answered with ``ok`` as well.
+        answered with ``ok`` as well. A controller that still makes the last move of a program that
+        died refuses ``$H``: it is waited for.
         """
+        while _moving(self._ask_status(deadline)):
+            self._pump(POLL_PERIOD)
         try:
             self._command(b"$H\n", deadline)
         except HardwareFault as fault:

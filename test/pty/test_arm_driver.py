@@ -311,3 +311,33 @@ def test_a_board_that_resets_when_the_port_opens(plug: Callable[..., PseudoTermi
     time.sleep(0.1)
     driver.connect()
     assert not driver.homed
+
+
+def test_homing_waits_for_the_last_move_of_a_driver_that_died(
+    plug: Callable[..., PseudoTerminal],
+) -> None:
+    cell = Cell(plug)
+    old = cell.ready()
+
+    def move() -> None:
+        with pytest.raises(HardwareFault):
+            old.move_to((1.2, 0.6, -0.01, 1.0), 0.4)
+
+    moving = threading.Thread(target=move)
+    moving.start()
+    time.sleep(0.4)
+    cell.transport.close()
+    moving.join()
+    transport = SerialTransport(str(cell.port.path))
+    new = ArmDriver(
+        transport,
+        GrblDialect(transport, GrblSettings(expected={13: 0.0})),
+        ScaraGeometry(),
+        ArmSettings(home_joints=HOME),
+    )
+    new.connect()
+    before = cell.truth()
+    time.sleep(0.05)
+    assert cell.truth() != before, "the arm no longer moved: the test shows nothing"
+    assert new.home(HomingStrategy.FIRMWARE) == pytest.approx(HOME, abs=1e-6)
+    assert np.allclose(cell.truth(), HOME, atol=1e-3)
