@@ -2,9 +2,9 @@
 
     python environment/run_tests.py [pytest options]
 
-The pure ring shares out its tests between two processes. The others talk to pseudo-terminals and
-to the real middleware in real time, so they run one test after the other, with the machine to
-themselves. Every ring runs, also after one that failed; the last line counts all tests.
+The rings of the library and of the drivers share out their tests between two processes. Those of
+nodes and graphs keep real time over the real middleware, so they run one test after the other, with
+the machine to themselves. Every ring runs, also after one that failed; the last line counts all.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-RINGS = {"pure": ("-n", "2"), "pty": (), "nodes": (), "graph": ()}
+RINGS = {"pure": ("-n", "2"), "pty": ("-n", "2"), "nodes": (), "graph": ()}
 NO_TESTS_COLLECTED = 5  # pytest's exit status
 # As pytest's closing line has them.
 OUTCOMES = ("failed", "passed", "skipped", "deselected", "xfailed", "xpassed", "warnings", "errors")
