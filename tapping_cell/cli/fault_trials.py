@@ -229,14 +229,15 @@ class TrialCell:
 
     def recover(self) -> None:
         """Bring both devices back to where they take orders, with a person's help at the button."""
+        last = ""
         for _ in range(RECOVERIES):
             try:
                 self._recover_arm()
                 self._recover_tapper()
                 return
-            except HardwareFault:
-                continue
-        raise HangError(f"the cell did not recover in {RECOVERIES} rounds")
+            except HardwareFault as fault:
+                last = str(fault)
+        raise HangError(f"the cell did not recover in {RECOVERIES} rounds: {last}")
 
     def _recover_arm(self) -> None:
         if not self.arm.connected:

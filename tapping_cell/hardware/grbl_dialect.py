@@ -21,6 +21,8 @@ from tapping_cell.hardware.transport import Transport
 REPLY_TIMEOUT = 0.5
 """Longest wait for an answer to a question, s: a report comes within 10 ms, a `$$` within 100
 ms."""
+REST_PATIENCE = 15.0
+"""Longest wait for another program's last move to end before homing, s."""
 POLL_PERIOD = 0.01
 """Between status questions when a move is due to end, s; during it the controller is left alone."""
 LOCKED = {
@@ -155,9 +157,10 @@ class GrblDialect:
 
         Neither the line nor its ``ok`` has a checksum: one wrong bit makes ``$X`` of it, which is
         answered with ``ok`` as well. A controller that still makes the last move of a program that
-        died refuses ``$H``: it is waited for.
+        died refuses ``$H``: it is waited for, but not for ever, for a garbled feed may be tiny.
         """
-        while _moving(self._ask_status(deadline)):
+        patience = min(deadline, self._transport.now() + REST_PATIENCE)
+        while _moving(self._ask_status(deadline)) and self._transport.now() < patience:
             self._pump(POLL_PERIOD)
         try:
             self._command(b"$H\n", deadline)
