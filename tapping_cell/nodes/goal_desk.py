@@ -13,6 +13,7 @@ from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.goals import REFUSALS, Refused, read_goal, read_tolerance
+from tapping_cell.nodes.markers import region_marker
 from tapping_cell.nodes.tap_task import SingleTapTask, Task
 from tapping_cell.planning import (
     FreeSpace,
@@ -59,7 +60,7 @@ class GoalDesk:
         self._planner = planner or cell.file.goal.planner
         self._space = assembly.make_strike_space(cell)
         self._free = FreeSpace(self._space)
-        self.workable = self._free.outline()
+        self.region = region_marker(self._free.outline())
         self._experiments = assembly.make_strike_space(cell, cautious(self._space))
         self._planners: dict[str, Planner] = {}
         # Made now, so that a method that must be solved first begins before the first goal.

@@ -26,7 +26,6 @@ GREEN = ColorRGBA(r=0.2, g=0.8, b=0.3, a=1.0)
 AMBER = ColorRGBA(r=1.0, g=0.7, b=0.2, a=1.0)
 RED = ColorRGBA(r=0.9, g=0.2, b=0.2, a=1.0)
 GREY = ColorRGBA(r=0.6, g=0.6, b=0.65, a=0.7)
-NOTHING = np.empty((0, 2, 2))
 LINE_WIDTH = 0.002
 
 
@@ -37,12 +36,12 @@ def cell_markers(
     goal: Pose | None,
     strike: Strike | None,
     way: Sequence[Pose] = (),
-    workable: np.ndarray = NOTHING,
+    region: Marker | None = None,
 ) -> MarkerArray:
     """The table, the object, the goal and the tap under way; what is not there is taken away.
 
-    ``way``: where the object lay before each tap of this goal. ``workable``: edges (n, 2, 2) of the
-    region in which it can be worked on, m.
+    ``way``: where the object lay before each tap of this goal. ``region``: of
+    :func:`region_marker`.
     """
     table, keep_outs = cell.file.table, cell.file.keep_outs
     half = np.array([table.length, table.width]) / 2
@@ -77,13 +76,17 @@ def cell_markers(
         markers.append(_points("taps", Marker.POINTS, places, 3 * LINE_WIDTH, GREY))
     else:
         markers += [_gone("way", 0), _gone("taps", 0)]
-    if workable.size:
-        edges = workable.reshape(-1, 2)
-        markers.append(_points("workable", Marker.LINE_LIST, edges, LINE_WIDTH / 2, GREY))
+    if region is not None:
+        markers.append(region)
     markers.append(_strike_arrow(strike) if strike is not None else _gone("strike", 0))
     for marker in markers:
         marker.header = state.header
     return MarkerArray(markers=markers)
+
+
+def region_marker(edges: np.ndarray) -> Marker:
+    """The region in which an object can be worked on, by its edges (n, 2, 2) in m: made once."""
+    return _points("workable", Marker.LINE_LIST, edges.reshape(-1, 2), LINE_WIDTH / 2, GREY)
 
 
 def _circle(radius: float) -> np.ndarray:
