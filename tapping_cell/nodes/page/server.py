@@ -332,6 +332,8 @@ class PageSocket(_Guarded, WebSocketHandler):
 
     def on_message(self, message: str | bytes) -> None:
         """Serve one message; whatever it holds, the page gets an answer in words."""
+        if self.ws_connection is None:  # closed from here; what was still on its way is not served
+            return
         second, count = self._second
         now = int(time.monotonic())
         self._second = (now, count + 1 if now == second else 1)
@@ -379,7 +381,7 @@ class PageSocket(_Guarded, WebSocketHandler):
     def say(self, answer: dict[str, object]) -> None:
         """Send an answer; they all arrive, in order."""
         if len(self._answers) >= MOST_ANSWERS:
-            self._drop()
+            self.close(TOO_MANY_MESSAGES, "more messages at once than can be answered")
             return
         self._answers.append(json.dumps(answer, allow_nan=False))
         self._wake.set()
