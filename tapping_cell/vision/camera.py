@@ -19,8 +19,12 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _LENGTHS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14)}
-# Fixed-point undistortion gains at least a digit an iteration for lenses up to 100 degrees.
+# Fixed-point undistortion gains at least a digit an iteration for lenses up to 100 degrees; what it
+# leaves is for Newton's method.
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
+_FOUND = 1e-6
+"""Pixels by which a ray may miss the pixel that it was found for."""
+_NEWTON_STEPS = 40
 
 
 class CameraError(ValueError):
@@ -64,6 +68,8 @@ class CameraModel:
                 f"focal lengths are {self.fx} and {self.fy} pixels; they must be above 0 "
                 "(a camera_info full of zeros means an uncalibrated camera)"
             )
+        if any(self.distortion):
+            self._check_fold()
 
     @classmethod
     def from_camera_info(
@@ -114,15 +120,66 @@ class CameraModel:
 
     def rays(self, pixels: ArrayLike) -> Array:
         """Directions (x / z, y / z), shape (..., 2), of pixels of shape (..., 2): distortion
-        undone."""
+        undone. NaN where the lens model images no direction on a pixel."""
         p = np.asarray(pixels, dtype=float)
-        flat = np.ascontiguousarray(p.reshape(-1, 1, 2))
+        flat = np.ascontiguousarray(p.reshape(-1, 2))
         if flat.size == 0:
             return np.zeros(p.shape)
-        found = cv2.undistortPointsIter(
-            flat, self.matrix, self.coefficients, np.eye(3), np.eye(3), _UNDISTORT_CRITERIA
+        undone = cv2.undistortPointsIter(
+            flat[:, None], self.matrix, self.coefficients, np.eye(3), np.eye(3), _UNDISTORT_CRITERIA
         )
-        return np.asarray(found, dtype=float).reshape(p.shape)
+        found = np.asarray(undone, dtype=float).reshape(-1, 2)
+        missed = self._missed(found, flat)
+        if missed.any():
+            found[missed] = self._newton(flat[missed])
+        return found.reshape(p.shape)
+
+    def _missed(self, rays: Array, pixels: Array) -> NDArray[np.bool_]:
+        """Which rays (N, 2) are not seen at their pixels (N, 2)."""
+        homogeneous = np.column_stack([rays, np.ones(len(rays))])
+        with np.errstate(invalid="ignore", over="ignore"):
+            error = np.abs(self.project(homogeneous) - pixels).max(axis=1)
+        return np.asarray(~(error <= _FOUND))
+
+    def _newton(self, pixels: Array) -> Array:
+        """Rays (N, 2) by Newton's method from the undistorted ones; NaN where there is none.
+
+        With barrel distortion the radius in the image bends down, so every step ends short of the
+        answer and the next goes on from there; a step across the fold has no way back.
+        """
+        rays = (pixels - [self.cx, self.cy]) / [self.fx, self.fy]
+        zero = np.zeros(3)
+        left = np.arange(len(rays))
+        for _ in range(_NEWTON_STEPS):
+            points = np.column_stack([rays[left], np.ones(len(left))])
+            seen, slopes = cv2.projectPoints(points, zero, zero, self.matrix, self.coefficients)
+            # Columns 3 and 4: by the point's x and y, here at a depth of 1.
+            matrix = np.asarray(slopes, dtype=float)[:, 3:5].reshape(-1, 2, 2)
+            error = pixels[left] - seen.reshape(-1, 2)
+            forward = np.linalg.det(matrix) > 0
+            rays[left[~forward]] = np.nan
+            left, error = left[forward], error[forward]
+            rays[left] += np.linalg.solve(matrix[forward], error[..., None])[..., 0]
+            left = left[np.abs(error).max(axis=1) > 1e-3 * _FOUND]
+            if not len(left):
+                break
+        rays[self._missed(rays, pixels)] = np.nan
+        return rays
+
+    def _check_fold(self) -> None:
+        """Refuse a lens that folds back inside the image: pixels there would have no direction, or
+        two."""
+        along = np.linspace(0.0, 1.0, 9)
+        rim = np.concatenate([[(s, 0.0), (s, 1.0), (0.0, s), (1.0, s)] for s in along])
+        rim *= [self.width - 1, self.height - 1]
+        lost = np.isnan(self.rays(rim)).any(axis=1)
+        if lost.any():
+            x, y = rim[lost][0]
+            raise CameraError(
+                f"the lens model images no direction on the pixel ({x:.0f}, {y:.0f}): its "
+                f"coefficients {self.distortion} fold back inside the image; calibrate again with "
+                "views in the corners, or with rational_polynomial"
+            )
 
     def check_image(self, image: NDArray[np.generic]) -> str | None:
         """None if the image is one of this camera's (uint8, height x width), else a sentence."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 
@@ -14,7 +15,14 @@ from tapping_cell.hardware.scara import ScaraGeometry
 from tapping_cell.mechanics import Tap
 from tapping_cell.se2 import inverse, transform_points
 from tapping_cell.simulation.rendered_sheet import Sheet
-from tapping_cell.vision import CameraModel, CameraPose, ReferenceMap, ReferenceMarker, View
+from tapping_cell.vision import (
+    CameraError,
+    CameraModel,
+    CameraPose,
+    ReferenceMap,
+    ReferenceMarker,
+    View,
+)
 from tapping_cell.vision.markers import marker_pattern
 
 Random = np.random.Generator
@@ -24,21 +32,15 @@ _MODULES_A_SQUARE = 48
 
 def camera(random: Random) -> CameraModel:
     """Some camera of 1280 x 1024 pixels: 55 to 85 degrees wide, barrel or slight pincushion."""
-    focal = random.uniform(700.0, 1250.0)
-    return CameraModel(
-        1280,
-        1024,
-        focal,
-        focal * random.uniform(0.995, 1.005),
-        639.5 + random.uniform(-25.0, 25.0),
-        511.5 + random.uniform(-25.0, 25.0),
-        (
-            random.uniform(-0.25, 0.05),
-            random.uniform(0.0, 0.08),
-            *random.uniform(-5e-4, 5e-4, 2).tolist(),
-            0.0,
-        ),
-    )
+    while True:
+        focal = random.uniform(700.0, 1250.0)
+        size = (1280, 1024, focal, focal * random.uniform(0.995, 1.005))
+        middle = 639.5 + random.uniform(-25.0, 25.0), 511.5 + random.uniform(-25.0, 25.0)
+        radial = random.uniform(-0.25, 0.05), random.uniform(0.0, 0.08)
+        tangential = random.uniform(-5e-4, 5e-4, 2).tolist()
+        # Barrel distortion without its counterpart folds back inside a wide image: no lens does.
+        with contextlib.suppress(CameraError):
+            return CameraModel(*size, *middle, (*radial, *tangential, 0.0))
 
 
 def view_pose(random: Random, model: CameraModel, size: tuple[float, float]) -> CameraPose:

@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from tapping_cell.calibration.camera import CalibrationRefused
-from tapping_cell.calibration.table import MarkerView, calibrate_table
+from tapping_cell.calibration.table import MarkerView, calibrate_table, look
 from tapping_cell.calibration.table_frame import frame_of_map, frame_of_markers, in_frame, scaled
 from tapping_cell.cli.benchmarks import calibration_truths as truths
+from tapping_cell.se2 import transform_points
+from tapping_cell.simulation.rendered_sheet import SheetCamera
 from tapping_cell.vision import CameraModel, CameraPose, ReferenceMap, View
+from tapping_cell.vision.markers import UNIT_CORNERS
 
 CAMERA = CameraModel(1280, 1024, 1000.0, 1000.0, 640.0, 512.0)
 NOISE = 0.05
@@ -53,6 +56,27 @@ def test_the_map_comes_back_within_its_standard_deviations() -> None:
         for row, (a, b) in enumerate(pairs):
             off += list(np.array([a.x - b.x, a.y - b.y]) / result.deviations[row, :2])
     assert 0.6 < float(np.sqrt(np.mean(np.square(off)))) < 1.4
+
+
+def test_the_stated_noise_of_a_corner_is_its_error_in_photographs() -> None:
+    random = np.random.default_rng(51)
+    references = truths.markers(random)
+    truly = {m.id: m for m in references.markers}
+    eye, sheet = SheetCamera(CAMERA, 1), truths.markers_sheet(references)
+    off, stated = [], []
+    for side in (0.4, 2.5):
+        place = (0.35 * math.cos(side), 0.35 * math.sin(side), 0.7)
+        pose = CameraPose.above(place, spin=side)
+        view = look(eye.photograph(sheet, pose, noise=8.0), "", CAMERA, references.dictionary)
+        assert isinstance(view, MarkerView)
+        for i, rays, noise in zip(view.ids.tolist(), view.rays, view.noise, strict=True):
+            m = truly[i]
+            corners = transform_points((m.x, m.y, m.theta), UNIT_CORNERS * m.size)
+            in_camera = pose.apply(np.column_stack([corners, np.zeros(4)]))
+            off.append(rays - in_camera[:, :2] / in_camera[:, 2:])
+            stated.append(noise)
+    error = float(np.sqrt(np.mean(np.square(off))))
+    assert error == pytest.approx(float(np.sqrt(np.mean(np.square(stated)))), rel=0.25)
 
 
 def test_a_marker_that_lies_elsewhere_in_one_image_is_named() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -38,6 +40,40 @@ def test_projection_is_the_definition_and_rays_undo_it(values, x, y, count):
     pixel = camera.project([2.0 * x, 2.0 * y, 2.0])
     assert pixel == pytest.approx(by_definition(camera, x, y), abs=1e-8)
     assert camera.rays(pixel) == pytest.approx([x, y], abs=1e-8)
+
+
+def wide_lens(half_angle: float) -> CameraModel:
+    """A fisheye whose radius grows with the angle, as rational_polynomial, to ``half_angle`` deg in
+    the corners."""
+    angle = np.radians(np.linspace(0.0, half_angle, 80))
+    r = np.tan(angle)
+    powers = r[:, None] ** [2, 4, 6]
+    # angle (1 + k4 r^2 + k5 r^4 + k6 r^6) = r (1 + k1 r^2 + k2 r^4 + k3 r^6)
+    columns = np.hstack([r[:, None] * powers, -angle[:, None] * powers])
+    k = np.linalg.lstsq(columns, angle - r, rcond=None)[0]
+    focal = math.hypot(640.0, 512.0) / math.radians(half_angle)
+    lens = (k[0], k[1], 1e-4, -2e-4, *k[2:])
+    return CameraModel(1280, 1024, focal, focal, 639.5, 511.5, lens, "rational_polynomial")
+
+
+@pytest.mark.parametrize("half_angle", [50.0, 60.0, 65.0, 70.0])
+def test_rays_of_a_wide_lens_are_seen_at_their_pixels(half_angle):
+    camera = wide_lens(half_angle)
+    pixels = np.stack(np.meshgrid(np.linspace(0, 1279, 60), np.linspace(0, 1023, 50)), axis=-1)
+    rays = camera.rays(pixels)
+    seen = camera.project(np.concatenate([rays, np.ones((*rays.shape[:-1], 1))], axis=-1))
+    assert np.abs(seen - pixels).max() < 1e-6
+    steepest = np.degrees(np.arctan(np.linalg.norm(rays, axis=-1).max()))
+    assert steepest == pytest.approx(half_angle, abs=1.0)
+
+
+def test_a_lens_that_folds_back_inside_the_image_is_refused():
+    with pytest.raises(CameraError, match="pixel \\(0, 0\\).*fold back"):
+        CameraModel(1280, 1024, 500.0, 500.0, 639.5, 511.5, (-0.2, 0.0, 0.0, 0.0, 0.0))
+    # In the middle of such a lens all is well, and beyond its fold there is nothing to see.
+    small = CameraModel(640, 512, 500.0, 500.0, 319.5, 255.5, (-0.2, 0.0, 0.0, 0.0, 0.0))
+    assert np.isfinite(small.rays([0.0, 0.0])).all()
+    assert np.isnan(small.rays([-320.0, -256.0])).all()
 
 
 @given(
