@@ -122,12 +122,9 @@ def test_an_object_lost_after_the_tap_leaves_a_record_without_an_end(
     experiment: Experiment,
 ) -> None:
     actors = experiment.actors
-    thread, results = experiment.begin()
-    actors.bench.wait(actors.taps, "the tap")
-    actors.visible = False
-    thread.join(20)
-    (result,) = results
-    assert result.error_code == ErrorCode.OBJECT_NOT_SEEN
+    actors.lost_when_fired = True
+    result = experiment.tap()
+    assert result.error_code == ErrorCode.OBJECT_NOT_SEEN, result.error_msg
     assert result.record.tap_id == actors.taps()[0].tap_id
     assert math.isnan(result.record.measured_pose.pose.position.x)
 

@@ -51,6 +51,7 @@ class Actors:
     bench: Bench
     pose: Pose = START
     moves_when_fired: bool = True
+    lost_when_fired: bool = False
     visible: bool = True
     at_rest: bool = True
     camera_talks: bool = True
@@ -91,6 +92,8 @@ class Actors:
                     fired = self.tapper_answers != TapperState.NOT_FIRED
                     if fired and self.moves_when_fired:
                         self.pose = from_message(command.predicted_pose)
+                    # At once: a picture of the object after the tap would be one too many.
+                    self.visible = self.visible and not (fired and self.lost_when_fired)
             elif self.arm_withdraws:
                 self.arm_state = ArmState.IDLE
 
