@@ -70,6 +70,8 @@ class Tally:
     unsafe_fires: int = 0
     hangs: int = 0
     false_reports: int = 0
+    board_resets_asked: int = 0
+    """How often the arm's driver asked a person for the reset button."""
     faults_struck: int = 0
     cell_seconds: float = 0.0
     by_fault: dict[str, Counter[str]] = field(default_factory=dict)
@@ -89,6 +91,7 @@ class Tally:
             "unsafe_fires",
             "hangs",
             "false_reports",
+            "board_resets_asked",
             "faults_struck",
             "cell_seconds",
         ]:
@@ -240,16 +243,18 @@ class TrialCell:
         raise HangError(f"the cell did not recover in {RECOVERIES} rounds: {last}")
 
     def _recover_arm(self) -> None:
-        if not self.arm.connected:
-            self.arm.connect()
-        if self.arm.fault is not None or self.arm.read().alarm:
-            try:
+        try:
+            if not self.arm.connected:
+                self.arm.connect()
+            if self.arm.fault is not None or self.arm.read().alarm:
                 self.arm.clear_fault()
-            except HardwareFault as fault:
-                if fault.reason is FaultReason.NEEDS_PERSON:
-                    with self._arm_held():
-                        self.arm_device.power_cycle(self.clock.now)
-                raise
+        except HardwareFault as fault:
+            if fault.reason is FaultReason.NEEDS_PERSON:
+                # What the sentence asks of a person.
+                self.tally.board_resets_asked += 1
+                with self._arm_held():
+                    self.arm_device.power_cycle(self.clock.now)
+            raise
         if not self.arm.homed:
             self.arm.home(HomingStrategy.FIRMWARE)
 

@@ -134,6 +134,7 @@ def run(arguments: argparse.Namespace) -> int:
         "unsafe_fires": total.unsafe_fires,
         "hangs": total.hangs,
         "false_reports": total.false_reports,
+        "board_resets_asked": total.board_resets_asked,
         "faults": total.faults_struck,
         "by_fault": {kind: dict(counts) for kind, counts in sorted(total.by_fault.items())},
         "refused_because": dict(total.reasons.most_common()),

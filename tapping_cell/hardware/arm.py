@@ -13,12 +13,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from tapping_cell.hardware.axis_units import in_words, to_axes, to_joints
-from tapping_cell.hardware.dialect import (
-    ArmDialect,
-    AxisReading,
-    Firmware,
-    LineCounters,
-)
+from tapping_cell.hardware.dialect import ArmDialect, AxisReading, Firmware, LineCounters
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.motion import Waypoint, check_limits, move_duration
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
@@ -163,24 +158,26 @@ class ArmDriver:
         return self._dialect.counters
 
     def connect(self, timeout: float = 5.0) -> Firmware:
-        """Open the line (waiting for the port), identify the controller, read where it is.
+        """Open the line, identify the controller, read where it is.
 
-        Homing survives a reconnect only when the controller proves that it was not reset and stands
-        where it stood; else it must be homed again. Raises HardwareFault: PORT_MISSING, PORT_BUSY,
-        UNKNOWN_FIRMWARE, SETTINGS_MISMATCH, TIMEOUT.
+        ``timeout``: longest wait for the port, and then for the controller to answer, s. Homing
+        survives a reconnect only when the controller proves that it was not reset and stands where
+        it stood. Raises HardwareFault: PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE,
+        SETTINGS_MISMATCH, TIMEOUT, NEEDS_PERSON; the port is closed then.
         """
         self._connected = False
         self._fresh = None
-        deadline = self._transport.now() + timeout
         try:
             self._transport.open(timeout)
             if self._firmware is not None:
                 self.counters.reconnects += 1
-            firmware = self._dialect.connect(deadline)
+            firmware = self._dialect.connect(self._transport.now() + timeout)
             self._firmware = firmware
             self._connected = True
             reading = self._read()
         except HardwareFault as fault:
+            if fault.reason is not FaultReason.STOPPED:
+                self.close()
             raise self._noted(fault) from fault.__cause__
         held = self._confirmed is not None and self._agrees(self._confirmed, reading.joints)
         if not (firmware.continued and held and not reading.alarm):
@@ -297,6 +294,8 @@ class ArmDriver:
                 self._confirmed = None
                 self._dialect.clear(self._transport.now() + timeout)
         except HardwareFault as fault:
+            if fault.reason is FaultReason.NEEDS_PERSON:
+                self.close()
             noted = self._noted(fault)
             if must_unlock:
                 # What could not be cleared stays latched.

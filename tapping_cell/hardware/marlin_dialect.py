@@ -36,6 +36,8 @@ NO_EMERGENCY_PARSER = (
 )
 RECOVERIES = 8
 """Rounds of sending again before a line counts as dead."""
+IDENTIFICATIONS = 6
+"""Answers to ``M115`` of which two in a row must agree."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,7 @@ class MarlinDialect:
         self._buffer = b""
         self._frames: deque[marlin.Frame] = deque()
         self._number = 0
+        self._met = False
         self._beginnings = 0
         self._sent: dict[int, bytes] = {}
         self._known = False
@@ -83,13 +86,22 @@ class MarlinDialect:
         return marlin.QUICK_STOP if self._emergency_parser else marlin.KILL
 
     def connect(self, deadline: float) -> Firmware:
-        """Find out who is there, by line numbers whether it was reset, and set the modes."""
+        """Find out who is there, by line numbers whether it was reset, and set the modes.
+
+        A board that answered before and is mute on a port just opened is halted: NEEDS_PERSON.
+        """
         self._buffer = b""
         self._frames.clear()
         self._known = False
         continued = self._number > 0 and self._counts_on(deadline)
-        self._begin_numbers(deadline)
+        try:
+            self._begin_numbers(deadline)
+        except HardwareFault as fault:
+            if self._met and fault.reason is FaultReason.UNKNOWN_FIRMWARE:
+                raise self._halted() from fault
+            raise
         name = self._identify(deadline)
+        self._met = True
         self._steps = self._figures("M92", deadline)
         self._check_settings(deadline)
         for mode in ("G21", "G90"):
@@ -171,11 +183,7 @@ class MarlinDialect:
             try:
                 self._begin_numbers(deadline)
             except HardwareFault as still:
-                raise HardwareFault(
-                    FaultReason.NEEDS_PERSON,
-                    f"the arm's controller on {self._transport.name} is halted: press the reset"
-                    " button on its board, then clear the fault again",
-                ) from still
+                raise self._halted() from still
         for mode in ("G21", "G90"):
             self._command(mode, deadline)
         self._known = True
@@ -346,7 +354,7 @@ class MarlinDialect:
                     FaultReason.UNKNOWN_FIRMWARE,
                     f"nothing on {self._transport.name} answers like Marlin"
                     f" ({self.counters.bad_lines} unreadable lines): check the port, the baud rate"
-                    " and the dialect parameter",
+                    " and the dialect parameter; a board that is halted needs its reset button",
                 )
             self.counters.retries += 1
 
@@ -357,21 +365,29 @@ class MarlinDialect:
         self._frames.clear()
 
     def _identify(self, deadline: float) -> str:
-        for _ in range(3):
+        """Ask with ``M115`` until two answers agree, for they have no checksum.
+
+        A capability that a bad line hides would have a stop halt the board for nothing; one that it
+        feigns, a stop that does not act.
+        """
+        before: tuple[str, bool] | None = None
+        for _ in range(IDENTIFICATIONS):
             heard = self._command("M115", deadline)
             names = [f.name for f in heard if isinstance(f, marlin.FirmwareName)]
             capabilities = {f.name: f.present for f in heard if isinstance(f, marlin.Capability)}
-            if not names:
-                self.counters.retries += 1
+            told = (names[0], capabilities.get("EMERGENCY_PARSER", False)) if names else None
+            if told is None or told != before:
+                self.counters.retries += before is not None or told is None
+                before = told
                 continue
-            if not names[0].startswith("Marlin"):
+            name, self._emergency_parser = told
+            if not name.startswith("Marlin"):
                 raise HardwareFault(
                     FaultReason.UNKNOWN_FIRMWARE,
-                    f"firmware {names[0]!r} is not understood: this driver speaks Marlin; check the"
+                    f"firmware {name!r} is not understood: this driver speaks Marlin; check the"
                     " dialect parameter",
                 )
-            self._emergency_parser = capabilities.get("EMERGENCY_PARSER", False)
-            return names[0].removeprefix("Marlin").strip()
+            return name.removeprefix("Marlin").strip()
         raise HardwareFault(
             FaultReason.UNKNOWN_FIRMWARE,
             f"the controller on {self._transport.name} does not say what it is (M115): check the"
@@ -432,6 +448,14 @@ class MarlinDialect:
             for a, c, letter in zip(actual, commanded, letters, strict=True)
         )
         return AxisReading(actual, moving, "", True, asked)
+
+    def _halted(self) -> HardwareFault:
+        return HardwareFault(
+            FaultReason.NEEDS_PERSON,
+            f"the arm's controller on {self._transport.name} no longer answers, as Marlin does once"
+            " it was halted: press the reset button on its board (or look after power and cable),"
+            " then clear the fault and home again",
+        )
 
     def _restarted(self) -> HardwareFault:
         self._known = False

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import select
+import termios
 import threading
 import time
+from pathlib import Path
 
 import serial
 
@@ -65,8 +68,9 @@ class SerialTransport:
                 port = serial.Serial(
                     self._path, self._baud, timeout=0, write_timeout=0, exclusive=True
                 )
-                port.reset_input_buffer()
-            except (OSError, ValueError) as error:  # SerialException is an OSError
+            except (OSError, ValueError, termios.error) as error:
+                # SerialException is an OSError; the error of a port that vanishes between being
+                # opened and being set up is not.
                 if self.now() + REOPEN_PERIOD > deadline:
                     raise self._open_fault(error) from error
                 time.sleep(REOPEN_PERIOD)
@@ -183,10 +187,11 @@ class SerialTransport:
 
     def _open_fault(self, error: Exception) -> HardwareFault:
         code = getattr(error, "errno", None)
-        if code in (errno.EAGAIN, errno.EBUSY) or "lock" in str(error):
+        if code in (errno.EAGAIN, errno.EBUSY):
             return HardwareFault(
                 FaultReason.PORT_BUSY,
-                f"{self._path} is held by another program: end that program, then connect again",
+                f"{self._path} is held by another program{_holder(self._path)}: end that program,"
+                " then connect again",
             )
         if code == errno.EACCES:
             return HardwareFault(
@@ -199,6 +204,22 @@ class SerialTransport:
             f"{self._path} cannot be opened ({error}): check the cable, power and the path in the"
             " configuration",
         )
+
+
+def _holder(path: str) -> str:
+    """The process that has locked the port, in brackets; empty where the system does not tell."""
+    try:
+        port = os.stat(path)
+        place = f"{os.major(port.st_dev):02x}:{os.minor(port.st_dev):02x}:{port.st_ino}"
+        for line in Path("/proc/locks").read_text().splitlines():
+            words = line.split()
+            if "FLOCK" in words and place in words and "->" not in words:
+                number = words[words.index(place) - 1]
+                command = Path(f"/proc/{number}/cmdline").read_bytes().replace(b"\0", b" ")
+                return f" (process {number}: {command.decode(errors='replace').strip()[:80]})"
+    except OSError:
+        return ""
+    return ""
 
 
 def _stopped_fault(path: str) -> HardwareFault:

@@ -117,15 +117,27 @@ class TapperDriver:
         return self._stopped.is_set()
 
     def connect(self, timeout: float = 5.0) -> Reply:
-        """Open the line (waiting for the port) and a new session, which disarms the tapper.
+        """Open the line and a new session, which disarms the tapper.
 
-        Raises HardwareFault: PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, STOPPED.
+        ``timeout``: longest wait for the port, and then for an answer, s. Raises HardwareFault:
+        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, STOPPED; the port is closed then, but for a stop.
         """
-        deadline = self._transport.now() + timeout
         again = self._boot is not None
         self._boot = None
         self._transport.open(timeout)
         self.counters.reconnects += again
+        try:
+            reply = self._greet(self._transport.now() + timeout)
+        except HardwareFault as fault:
+            if fault.reason is not FaultReason.STOPPED:
+                self.close()
+            raise
+        self._version = reply.version
+        self._boot = reply.boot
+        return reply
+
+    def _greet(self, deadline: float) -> Reply:
+        """HELLO until somebody answers it."""
         self._buffer = b""
         # A number other than any recent one: a stray frame of an old session must not fit.
         self._session = self._draw_number(0xFFFF) + 1
@@ -147,8 +159,6 @@ class TapperDriver:
                 f"tapper firmware {reply.version or 'without a version'} is not understood: this"
                 f" driver speaks version {PROTOCOL_VERSION}; load the firmware of this repository",
             )
-        self._version = reply.version
-        self._boot = reply.boot
         return reply
 
     def close(self) -> None:

@@ -252,8 +252,9 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
-    except RCLError:
-        # A signal that arrives in mid-call leaves the call without its context.
+    except (RCLError, SystemError):
+        # A signal that arrives in mid-call leaves the call without its context, or, where the
+        # middleware was just warning, with an exception that it does not expect.
         if rclpy.ok():
             raise
         return 0

@@ -15,12 +15,17 @@ from tapping_cell.nodes.cell_node import CellNode, NotReady
 from tapping_cell.nodes.worker import Worker
 
 CONNECT_PATIENCE_S = 1.0
+"""First wait for a port, and for whoever is there to answer."""
+LONGEST_PATIENCE_S = 6.0
+"""Opening a port starts many boards anew, and some take seconds: each further try of a port that is
+there but mute waits longer, up to this."""
+MUTE = (FaultReason.UNKNOWN_FIRMWARE, FaultReason.TIMEOUT, FaultReason.NEEDS_PERSON)
 
 
 class DeviceDriver(Protocol):
     """What both drivers can do."""
 
-    def connect(self, timeout: float) -> object:
+    def connect(self, timeout: float) -> Any:
         """Open the line and identify who answers."""
 
     def stop(self) -> bool:
@@ -69,6 +74,7 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
         self._unconnected = unconnected
         self._snapshot: Any = unconnected
         self._lock = threading.Lock()
+        self._patience = CONNECT_PATIENCE_S
         self._worker: Worker | None = None
         # A guard condition brings a change from the worker's thread to the executor's.
         self._changed = self.create_guard_condition(self.publish_state)
@@ -104,9 +110,8 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
             NotReady: the device is not there or not understood; tried again by the life cycle.
         """
         try:
-            answer = driver.connect(timeout=CONNECT_PATIENCE_S)
+            answer = self.reach(driver)
         except HardwareFault as fault:
-            driver.close()
             self.set(error_code=self.code_of(fault), error_msg=fault.sentence)
             raise NotReady(fault.sentence) from fault
         self.driver, self.port = driver, port
@@ -115,6 +120,17 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
             self.stop_now()
         self._worker = Worker(self.get_name(), lambda: self._guarded(self.idle), self.idle_period)
         self._worker.start()
+        return answer
+
+    def reach(self, driver: Driver) -> Any:
+        """``connect``, with a patience that grows while a port is there and mute."""
+        try:
+            answer = driver.connect(timeout=self._patience)
+        except HardwareFault as fault:
+            longer = min(2 * self._patience, LONGEST_PATIENCE_S)
+            self._patience = longer if fault.reason in MUTE else CONNECT_PATIENCE_S
+            raise
+        self._patience = CONNECT_PATIENCE_S
         return answer
 
     def submit(self, job: Callable[[], None]) -> None:

@@ -24,6 +24,7 @@ _ARM = {
     FaultReason.BOARD_RESET: ErrorCode.ARM_NOT_HOMED,
     FaultReason.REJECTED: ErrorCode.ARM_ALARM,
     FaultReason.ALARM: ErrorCode.ARM_ALARM,
+    FaultReason.NEEDS_PERSON: ErrorCode.ARM_ALARM,
     FaultReason.STOPPED: ErrorCode.ARM_STOPPED,
     FaultReason.NOT_HOMED: ErrorCode.ARM_NOT_HOMED,
     FaultReason.HOMING_FAILED: ErrorCode.ARM_NOT_HOMED,

@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import time
 
+from rclpy.time import Time
 from tapping_cell_msgs.msg import ErrorCode, ObjectState, PlanState
 
 TAPPING = (PlanState.PLACING, PlanState.FIRING)
 """Phases of a planner that waits for its tap."""
+
+BLIND = frozenset(
+    {
+        ErrorCode.CAMERA_SILENT,
+        ErrorCode.CAMERA_NOT_CALIBRATED,
+        ErrorCode.IMAGE_INVALID,
+        ErrorCode.STAMP_INVALID,
+    }
+)
+"""What is said when no picture comes, or none that can be used: that is no word of the camera."""
 
 IDLE_LIMIT_S = 1.5
 """A planner whose tap it is not speaks twice a second: it is missed only after so long."""
@@ -20,8 +31,9 @@ class PeerWatch:
     """When planner and camera were last heard, and whether the planner still wants its tap.
 
     One that has never been heard is not missed: a person or a program may command single taps
-    without it. One that was heard and falls silent is lost, hung processes included. Written by the
-    executor, read by the worker too: each field is assigned at once.
+    without it. One that was heard and falls silent is lost, hung processes included; the camera's
+    word is as old as its picture. Written by the executor, read by the worker too: each field is
+    assigned at once.
     """
 
     def __init__(self, silence_limit: float) -> None:
@@ -42,10 +54,14 @@ class PeerWatch:
         if message.state in TAPPING:
             self._planners_tap = True
 
-    def on_object(self, message: ObjectState) -> None:
-        """Hear ``object_state``; that no picture comes is no word of the camera."""
-        if message.error_code != ErrorCode.CAMERA_SILENT:
-            self._object_heard = time.monotonic()
+    def on_object(self, message: ObjectState, now: Time) -> None:
+        """Hear ``object_state`` at ``now`` of the clock that stamps pictures."""
+        if message.error_code in BLIND:
+            return
+        taken = Time.from_msg(message.header.stamp)
+        # A stamp of zero means that none was given.
+        age = 1e-9 * (now - taken).nanoseconds if taken.nanoseconds else 0.0
+        self._object_heard = time.monotonic() - max(age, 0.0)
 
     def given_up(self) -> Trouble | None:
         """Why the tap under way is nobody's any more: its planner does something else."""
@@ -61,14 +77,21 @@ class PeerWatch:
         """Who has fallen silent; None where nobody has."""
         now = time.monotonic()
         of_planner = self._limit if self._planners_tap else max(self._limit, IDLE_LIMIT_S)
-        for who, heard, code, limit in (
-            ("planner", self._plan_heard, ErrorCode.NOT_READY, of_planner),
-            ("camera", self._object_heard, ErrorCode.CAMERA_SILENT, self._limit),
+        for heard, limit, code, sentence in (
+            (
+                self._plan_heard,
+                of_planner,
+                ErrorCode.NOT_READY,
+                "the planner has been silent for {:.2f} s, more than {:.2f} s: look after its node",
+            ),
+            (
+                self._object_heard,
+                self._limit,
+                ErrorCode.CAMERA_SILENT,
+                "the camera's last usable picture is {:.2f} s old, more than {:.2f} s: look after"
+                " the camera, its node and, where they run on two machines, their clocks",
+            ),
         ):
             if heard is not None and now - heard > limit:
-                return (
-                    code,
-                    f"the {who} has been silent for {now - heard:.2f} s, more than"
-                    f" {limit:.2f} s: look after its node",
-                )
+                return code, sentence.format(now - heard, limit)
         return None

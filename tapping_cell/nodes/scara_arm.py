@@ -36,7 +36,7 @@ from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.nodes import tap_commands
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, run
 from tapping_cell.nodes.conversions import from_message, to_message
-from tapping_cell.nodes.driver_node import CONNECT_PATIENCE_S, DriverNode, answer
+from tapping_cell.nodes.driver_node import DriverNode, answer
 from tapping_cell.nodes.error_codes import of_arm
 from tapping_cell.se2 import Pose
 
@@ -326,7 +326,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         if self.snapshot.state == ArmState.STOPPED:
             return
         if not driver.connected:
-            driver.connect(timeout=CONNECT_PATIENCE_S)
+            self.reach(driver)
             self._set_standing()
             if not self.active:
                 self._stand_inactive()

@@ -29,7 +29,7 @@ from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
 from tapping_cell.hardware.tapper_protocol import Reply, State
 from tapping_cell.nodes import tap_commands
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, run
-from tapping_cell.nodes.driver_node import CONNECT_PATIENCE_S, DriverNode
+from tapping_cell.nodes.driver_node import DriverNode
 from tapping_cell.nodes.error_codes import of_tapper
 from tapping_cell.nodes.peer_watch import PeerWatch
 
@@ -120,7 +120,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         self.create_subscription(TapCommand, "tap_command", self._on_tap_command, COMMAND)
         self.create_subscription(ArmState, "arm_state", self._on_arm_state, LATCHED)
         self.create_subscription(PlanState, "plan_state", self._on_plan_state, LATCHED)
-        self.create_subscription(ObjectState, "object_state", self._peers.on_object, LATCHED)
+        self.create_subscription(ObjectState, "object_state", self._on_object_state, LATCHED)
         self.create_timer(1.0 / self.settings.state_rate, self._tick)
 
     # Life cycle
@@ -246,6 +246,9 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
             code, sentence = gone
             self._abandon(sentence, code)
 
+    def _on_object_state(self, message: ObjectState) -> None:
+        self._peers.on_object(message, self.get_clock().now())
+
     def _on_arm_state(self, message: ArmState) -> None:
         # One assignment, because the worker reads it in the moment before it fires.
         self._heard = (message, time.monotonic())
@@ -352,7 +355,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         if self.snapshot.state == TapperState.STOPPED:
             return
         if not driver.connected:
-            self._set_safe(driver.connect(timeout=CONNECT_PATIENCE_S))
+            self._set_safe(self.reach(driver))
         else:
             self._read()
 

@@ -29,7 +29,9 @@ class PseudoTerminal:
 
     The driver may close and open the path as often as it likes. A lock file beside the path tells a
     running owner from a dead one, so a link left by a crash is replaced, and never that of a live
-    process. Use as a context manager, or ``open``/``close``.
+    process. The link goes through a descriptor of this process: one that is left by a crash leads
+    nowhere, while the terminal's number may soon be that of somebody else's terminal. Use as a
+    context manager, or ``open``/``close``.
 
     ``clock`` gives the emulator's time in s and runs ``time_scale`` times as fast as real time.
     ``reset_on_open``: opening the port restarts the board, as the DTR line does on many.
@@ -53,6 +55,7 @@ class PseudoTerminal:
         self._guard: int | None = None
         self._master: int | None = None
         self._slave: int | None = None
+        self._linked: int | None = None
         self._opened = False
         self._unsent = bytearray()
         self._wake_read, self._wake_write = -1, -1
@@ -102,6 +105,9 @@ class PseudoTerminal:
             if self._slave is not None:
                 os.close(self._slave)
                 self._slave = None
+            if self._linked is not None:
+                os.close(self._linked)
+                self._linked = None
             self._unsent.clear()
             with contextlib.suppress(FileNotFoundError):
                 self.path.unlink()
@@ -115,7 +121,8 @@ class PseudoTerminal:
             master, slave = os.openpty()
             tty.setraw(slave)
             os.set_blocking(master, False)
-            name = os.ttyname(slave)
+            # A place in the file system; it does not hold the terminal open.
+            self._linked = os.open(os.ttyname(slave), os.O_PATH | os.O_CLOEXEC)
             if self._reset_on_open:
                 # Without a descriptor of ours the terminal shows when a driver opens it.
                 os.close(slave)
@@ -126,7 +133,7 @@ class PseudoTerminal:
             fresh = self.path.with_name(self.path.name + ".new")
             with contextlib.suppress(FileNotFoundError):
                 fresh.unlink()
-            fresh.symlink_to(name)
+            fresh.symlink_to(f"/proc/{os.getpid()}/fd/{self._linked}")
             os.replace(fresh, self.path)
         self._wake()
 

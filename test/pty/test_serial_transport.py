@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
+import random
+import subprocess
+import sys
+import termios
 import threading
 import time
 import tty
@@ -10,10 +16,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import serial
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.serial_transport import SerialTransport
+from tapping_cell.hardware.tapper import TapperDriver
 from tapping_cell.simulation.pseudo_terminal import PortTakenError, PseudoTerminal
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
 
 
 class RawTerminal:
@@ -60,6 +69,7 @@ def test_a_second_program_is_refused(terminal: RawTerminal) -> None:
     with pytest.raises(HardwareFault, match="held by another program") as caught:
         second.open(0)
     assert caught.value.reason is FaultReason.PORT_BUSY
+    assert f"process {os.getpid()}: " in str(caught.value)
     first.close()
     second.open(1)
 
@@ -188,6 +198,92 @@ def test_stop_between_the_pieces_of_a_long_write(terminal: RawTerminal) -> None:
     worker.join(1)
     stopped.join(1)
     assert failures == [FaultReason.STOPPED]
+
+
+def test_a_port_that_vanishes_while_it_is_set_up_is_missing(
+    terminal: RawTerminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def vanished(*_: object, **__: object) -> None:
+        raise termios.error(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(serial, "Serial", vanished)
+    with pytest.raises(HardwareFault, match="cannot be opened") as caught:
+        SerialTransport(str(terminal.link)).open(0)
+    assert caught.value.reason is FaultReason.PORT_MISSING
+
+
+def test_however_connecting_fails_nothing_stays_open_or_locked(tmp_path: Path) -> None:
+    """Cables pulled at random moments of forty connects, and boards that say nothing."""
+    draw = random.Random(5)
+    path = tmp_path / "device"
+    board = TapperEmulator(now=time.monotonic())
+    mute = Silent()
+    with PseudoTerminal(board, path) as port:
+        driver = TapperDriver(SerialTransport(str(path)))
+        driver.connect()
+        driver.close()
+        opened = len(os.listdir("/proc/self/fd"))
+        for _ in range(40):
+            with port.lock:
+                port.emulator = mute if draw.random() < 0.3 else board
+            pull = threading.Timer(draw.uniform(0.0, 0.02), port.hang_up)
+            pull.start()
+            with contextlib.suppress(HardwareFault):
+                driver.connect(0.01)
+                driver.status()
+            pull.join()
+            if driver.connected:
+                with pytest.raises(HardwareFault):
+                    driver.status()
+            port.plug_in()
+            # Whoever else wants the port gets it.
+            other = SerialTransport(str(path))
+            other.open(0)
+            other.close()
+        with port.lock:
+            port.emulator = board
+        driver.close()
+        assert len(os.listdir("/proc/self/fd")) == opened
+        driver.connect()
+        assert driver.status().state.value == "SAFE"
+        driver.close()
+
+
+OWNER = """
+import sys, time
+sys.path.insert(0, {root!r})
+from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
+with PseudoTerminal(TapperEmulator(now=time.monotonic()), {path!r}):
+    print("there", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_the_link_of_a_killed_owner_leads_nowhere(tmp_path: Path) -> None:
+    """Its terminal's number is soon somebody else's, whose lines a driver must not touch."""
+    path = tmp_path / "device"
+    root = str(Path(__file__).resolve().parents[2])
+    script = OWNER.format(root=root, path=str(path))
+    owner = subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    try:
+        assert owner.stdout is not None and owner.stdout.readline() == b"there\n"
+        driver = TapperDriver(SerialTransport(str(path)))
+        driver.connect()
+        driver.close()
+    finally:
+        owner.kill()
+        owner.communicate()
+    assert path.is_symlink() and not path.exists()
+    terminals = [os.openpty() for _ in range(8)]
+    with pytest.raises(HardwareFault) as caught:
+        SerialTransport(str(path)).open(0)
+    assert caught.value.reason is FaultReason.PORT_MISSING
+    for pair in terminals:
+        for descriptor in pair:
+            os.close(descriptor)
 
 
 class Silent:

@@ -30,12 +30,14 @@ def test_random_faults(dialect: Dialect) -> None:
 
 
 @pytest.mark.parametrize(
-    ("dialect", "seed"), [(Dialect.MARLIN, 1_000_003), (Dialect.GRBL, 1_000_048)]
+    ("dialect", "seed"),
+    [(Dialect.MARLIN, 1_000_003), (Dialect.GRBL, 1_000_048), (Dialect.MARLIN, 2_000_073)],
 )
-def test_seeds_that_once_led_to_a_homing_or_an_offset_that_was_not_true(
+def test_seeds_that_once_led_to_something_untrue_or_a_board_that_nobody_reset(
     dialect: Dialect, seed: int
 ) -> None:
-    """A line number used for two lines; a move line that one wrong bit turned into G92."""
+    """A line number used for two lines; a move line that one wrong bit turned into G92; a bad
+    answer to M115, whereafter a stop halted the board while its cable was pulled."""
     tally = run_taps(dialect, 100, seed)
     assert tally.clean, tally.notes
 

@@ -103,6 +103,54 @@ def test_a_marlin_that_can_only_be_killed_says_so() -> None:
     assert "EMERGENCY_PARSER" in remark and "M112" in remark
 
 
+class OneBadAnswer(MarlinEmulator):
+    """A Marlin whose first word of its emergency parser is lost, or has one wrong bit."""
+
+    def __init__(self, present: bool, spoilt: bytes) -> None:
+        super().__init__(MarlinMachine(emergency_parser=present))
+        self._true = b"Cap:EMERGENCY_PARSER:%d\n" % present
+        self._spoilt: bytes | None = spoilt
+
+    def take_output(self, now: float) -> bytes:
+        out = super().take_output(now)
+        if self._spoilt is not None and self._true in out:
+            out, self._spoilt = out.replace(self._true, self._spoilt), None
+        return out
+
+
+@pytest.mark.parametrize(
+    ("present", "spoilt"),
+    [
+        (True, b"Cap:EMERPARSER:1\n"),
+        (True, b"Cap:EMERGENCY_PARSER:0\n"),
+        (False, b"Cap:EMERGENCY_PARSER:1\n"),
+    ],
+)
+def test_one_bad_line_does_not_choose_how_marlin_is_stopped(present: bool, spoilt: bytes) -> None:
+    """M112 would halt for good a board that can be stopped; M410 not stop one that cannot."""
+    line = line_to(OneBadAnswer(present, spoilt))
+    dialect = MarlinDialect(line)
+    ArmDriver(line, dialect, ScaraGeometry()).connect()
+    assert dialect.stop_bytes == (b"\nM410\n" if present else b"\nM112\n")
+
+
+def test_a_marlin_that_is_mute_when_its_cable_is_back_asks_for_its_reset_button() -> None:
+    board = MarlinEmulator()
+    line = line_to(board)
+    driver = ArmDriver(line, MarlinDialect(line), ScaraGeometry())
+    driver.connect()
+    board.receive(b"M112\n", line.now())
+    driver.close()
+    for _ in range(2):
+        with pytest.raises(HardwareFault, match="press the reset button") as caught:
+            driver.connect(2.0)
+        assert caught.value.reason is FaultReason.NEEDS_PERSON
+        assert not line.is_open
+    board.power_cycle(line.now())
+    assert not driver.connect().continued
+    assert driver.fault is None and not driver.homed
+
+
 def test_the_needs_are_the_geometrys_in_degrees_and_millimetres() -> None:
     needs = needs_of(ScaraGeometry(max_speed=(math.pi, 1.0, 0.25, 1.0)), (1.0, 2.0, 3.0, 4.0))
     assert needs.speed is not None and needs.steps == (1.0, 2.0, 3.0, 4.0)
@@ -159,6 +207,8 @@ def test_a_board_of_another_kind_is_refused_in_time_and_nothing_moves(
         DRIVERS[driver](line).connect(5.0)
     assert caught.value.reason in (FaultReason.UNKNOWN_FIRMWARE, FaultReason.TIMEOUT)
     assert "port" in str(caught.value) or "power" in str(caught.value)
+    # Whose board it is may open it.
+    assert not line.is_open
     assert line.now() < 20.0
     if isinstance(device, GrblEmulator | MarlinEmulator):
         assert not device.moving(line.now())
