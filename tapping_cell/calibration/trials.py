@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 import re
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -294,7 +295,8 @@ def append_trial(folder: Path, trial: Trial) -> None:
     """Add a trial to its run's file and write its track; the row comes last.
 
     So a crash in between leaves a track without a row, which nothing reads and the repeated trial
-    writes anew. ``file`` and ``row`` of the trial are not looked at.
+    writes anew; and the run's file is exchanged as a whole, so that a program that is ended in the
+    middle leaves no empty file and no half row. ``file`` and ``row`` of the trial are not looked at.
 
     Raises:
         RecordError: the trial is there already.
@@ -312,13 +314,18 @@ def append_trial(folder: Path, trial: Trial) -> None:
     if trial.track is not None:
         (folder / TRACK_FOLDER).mkdir(parents=True, exist_ok=True)
         _write_track(folder / TRACK_FOLDER / track_name(trial.run, trial.trial), trial.track)
-    with file.open("a", newline="", encoding="utf-8") as stream:
+    part = file.with_suffix(".part")
+    with part.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         if fresh:
             titles = [_title(column) for column in TRIAL_COLUMNS]
             writer.writerow(["run", "trial", "outcome", *titles, "note"])
+        else:
+            kept = file.read_bytes().decode()
+            stream.write(kept if kept.endswith("\n") else kept + "\r\n")
         numbers = [_cell(getattr(trial, column.name)) for column in TRIAL_COLUMNS]
         writer.writerow([trial.run, trial.trial, trial.outcome, *numbers, trial.note])
+    os.replace(part, file)
 
 
 def _write_track(file: Path, track: Track) -> None:

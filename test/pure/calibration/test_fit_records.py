@@ -2,6 +2,7 @@
 
 import csv
 import math
+import os
 from dataclasses import fields, replace
 
 import numpy as np
@@ -132,6 +133,23 @@ def test_a_trial_is_never_written_twice(tmp_path):
     append_trial(tmp_path, trial)
     with pytest.raises(RecordError, match="already"):
         append_trial(tmp_path, trial)
+
+
+@pytest.mark.parametrize("present", [0, 1])
+def test_a_program_ended_while_it_writes_leaves_the_rows_as_they_were(
+    tmp_path, monkeypatch, present
+):
+    for trial in range(present):
+        append_trial(tmp_path, Trial(1, trial + 1, displacement=0.02, rotation=0.1))
+    before = {file.name: file.read_bytes() for file in tmp_path.glob("*.csv")}
+    with monkeypatch.context() as ended:
+        ended.setattr(os, "replace", lambda *_: pytest.fail("ended"))
+        with pytest.raises(pytest.fail.Exception):
+            append_trial(tmp_path, Trial(1, present + 1, displacement=0.03, rotation=0.2))
+    assert {file.name: file.read_bytes() for file in tmp_path.glob("*.csv")} == before
+    append_trial(tmp_path, Trial(1, present + 1, displacement=0.03, rotation=0.2))
+    assert [trial.trial for trial in read_trials(tmp_path).trials] == list(range(1, present + 2))
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_the_header_is_strict(tmp_path):
