@@ -296,7 +296,7 @@ def append_trial(folder: Path, trial: Trial) -> None:
 
     So a crash in between leaves a track without a row, which nothing reads and the repeated trial
     writes anew; and the run's file is exchanged as a whole, so that a program that is ended in the
-    middle leaves no empty file and no half row. ``file`` and ``row`` of the trial are not looked at.
+    middle leaves no empty file and no half row. ``file`` and ``row`` of the trial are not used.
 
     Raises:
         RecordError: the trial is there already.
