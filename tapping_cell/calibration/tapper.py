@@ -7,8 +7,7 @@ the impact's ratio of launch to striker speed give a speed a tap. Over the energ
 
 the ideal drive (v ~ sqrt(E)) times a smooth departure g: a Gaussian process, averaged over its size
 and stretch by the marginal likelihood (Rasmussen and Williams, Gaussian Processes for Machine
-Learning, chapter 5). So a straight drive is fitted by one number, a bent one by as many as it
-needs.
+Learning, chapter 5). So the level is fitted freely, and a bend as far as the taps speak for it.
 """
 
 from __future__ import annotations
@@ -27,8 +26,13 @@ from tapping_cell.mechanics import Impact, Tap
 Array = NDArray[np.float64]
 
 LEAST_TAPS = 8
+SHARES = (8, 4, 3, 3, 4, 8)
+"""Of 30 taps, how many at each of six energies (steps alike in ln E): only the taps there tell the
+ends of the range."""
 POINTS = 8
 """Pairs of the curve that is written."""
+USUAL_DEVIATION = 1e-4
+"""Of a travel, in m, where nothing is said of it: two looks of a camera over the table."""
 _NO_MOTION = 0.0003
 """Travel in m below which the object did not move (a camera's error three times over)."""
 _SHORT, _NEIGHBOURS = 0.003, 5
@@ -38,9 +42,13 @@ _RELIABLE = 0.9
 _OUTLIER = 4.5
 _FLOOR = 0.01
 """Relative scatter below which no tap is called an outlier."""
-_AMPLITUDES = (0.0, 0.02, 0.04, 0.08, 0.16, 0.32)
-_STRETCHES = (0.35, 0.7, 1.4)
-"""Departures from the ideal drive, relative, and their lengths in shares of the range of ln E."""
+_AMPLITUDES = (0.08, 0.16, 0.32)
+_NOISES = 32
+"""Scatters of a tap that are tried."""
+_STRETCHES = (0.7, 1.4)
+"""Departures from the ideal drive, relative, and their lengths in shares of the range of ln E.
+Losses and thresholds bend every drive: to believe in smaller bends costs more where there is one
+than it gains where there is none."""
 _ALIKE = 0.02
 """Energies this near to each other (relative) are one draw."""
 
@@ -48,13 +56,15 @@ _ALIKE = 0.02
 @dataclass(frozen=True, slots=True, eq=False)
 class TapRecord:
     """Taps (N,): ``energies`` in J, travel ``distances`` in m, ``rotations`` in rad, ``incidences``
-    between the contact normal and the striker's axis in rad; ``rows`` of the file.
+    between the contact normal and the striker's axis in rad, ``deviations`` of the distances in m
+    (what the camera leaves, one standard deviation); ``rows`` of the file.
     """
 
     energies: Array
     distances: Array
     rotations: Array
     incidences: Array
+    deviations: Array
     rows: NDArray[np.intp]
 
 
@@ -150,14 +160,17 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
         )
     speeds = np.where(usable, striker_speeds(record, tap), 1.0)
     x, y = np.log(record.energies), np.log(speeds)
+    # A speed goes with the root of the travel.
+    seen = 0.5 * record.deviations / np.maximum(record.distances, _NO_MOTION)
     if len(np.unique(groups[usable])) < 3:
         raise CalibrationRefused(
             f"{len(np.unique(groups[usable]))} different energies do not make a curve: use at least"
             " 3, better 6, from the smallest tap to the largest"
         )
     while True:
-        curve = _Curve(x[usable], y[usable])
-        off = np.abs(y - curve.at(x)[0])
+        curve = _Curve(x[usable], y[usable], seen[usable])
+        # What the camera adds to the scatter of the shortest travels is no reason to leave one out.
+        off = np.abs(y - curve.at(x)[0]) / np.hypot(1.0, seen / max(curve.noise, _FLOOR))
         spread = max(1.4826 * float(np.median(off[usable])), _FLOOR)
         strange = usable & (off > _OUTLIER * spread)
         if not strange.any():
@@ -257,18 +270,18 @@ class _Curve:
     doubt whether a bend is there is part of the standard deviation.
     """
 
-    def __init__(self, x: Array, y: Array) -> None:
+    def __init__(self, x: Array, y: Array, seen: Array) -> None:
+        """Taps (N,): ln energies, ln speeds, and what the camera adds to the scatter of each."""
         self._x = x
         self._range = max(float(x.max() - x.min()), 1e-6)
         self._drive = y - 0.5 * x
+        self._seen = seen
         tried = []
         for amplitude in _AMPLITUDES:
-            stretches = _STRETCHES if amplitude else _STRETCHES[:1]
-            for stretch in stretches:
+            for stretch in _STRETCHES:
                 evidence, noise = self._evidence(amplitude, stretch)
-                prior = -math.log(len(stretches))
                 fitted = self._solve(amplitude, stretch, noise)
-                tried.append((evidence + prior, amplitude, stretch, *fitted, noise))
+                tried.append((evidence, amplitude, stretch, *fitted, noise))
         top = max(entry[0] for entry in tried)
         total = sum(math.exp(entry[0] - top) for entry in tried)
         self._departures = [
@@ -280,12 +293,17 @@ class _Curve:
         apart = (a[:, None] - b) / (stretch * self._range)
         return np.asarray(amplitude**2 * np.exp(-0.5 * apart**2))
 
+    def _covariance(self, amplitude: float, stretch: float, noise: Array) -> Array:
+        """Of the taps, (..., N, N), for tappers that scatter by ``noise`` (...)."""
+        own = noise[..., None] ** 2 + self._seen**2
+        kernel = self._kernel(self._x, self._x, amplitude, stretch)
+        return np.asarray(kernel + own[..., None] * np.eye(len(self._x)))
+
     def _solve(self, amplitude: float, stretch: float, noise: float) -> tuple[Array, Array, float]:
         """Cholesky factor, weights, and the level a."""
-        n = len(self._x)
-        matrix = self._kernel(self._x, self._x, amplitude, stretch) + noise**2 * np.eye(n)
+        matrix = self._covariance(amplitude, stretch, np.array(noise))
         factor = np.asarray(np.linalg.cholesky(matrix), dtype=float)
-        ones = np.linalg.solve(factor, np.ones(n))
+        ones = np.linalg.solve(factor, np.ones(len(self._x)))
         right = np.linalg.solve(factor, self._drive)
         level = float(ones @ right / (ones @ ones))
         weights = np.asarray(np.linalg.solve(factor.T, right - level * ones), dtype=float)
@@ -293,16 +311,15 @@ class _Curve:
 
     def _evidence(self, amplitude: float, stretch: float) -> tuple[float, float]:
         """Greatest log marginal likelihood over the noise, the level integrated out; the noise."""
-        n = len(self._x)
-        kernel = self._kernel(self._x, self._x, amplitude, stretch)
-        values, vectors = np.linalg.eigh(kernel)
-        drive, ones = vectors.T @ self._drive, vectors.T @ np.ones(n)
-        noise = max(float(np.std(self._drive)), 1e-3) * np.geomspace(0.1, 1.2, 48)
-        variance = np.maximum(values, 0.0) + noise[:, None] ** 2
-        total = (ones**2 / variance).sum(axis=1)
-        level = (ones * drive / variance).sum(axis=1) / total
-        left = (drive - level[:, None] * ones) ** 2 / variance
-        evidence = -0.5 * (left.sum(axis=1) + np.log(variance).sum(axis=1) + np.log(total))
+        highest = 1.2 * max(float(np.std(self._drive)), 1e-3)
+        noise: Array = np.geomspace(highest / 12.0, highest, _NOISES, dtype=np.float64)
+        factors = np.linalg.cholesky(self._covariance(amplitude, stretch, noise))
+        columns = np.stack([np.ones_like(self._drive), self._drive], axis=-1)
+        ones, drive = np.moveaxis(np.linalg.solve(factors, columns), -1, 0)
+        total = (ones**2).sum(axis=1)
+        left = drive - ((ones * drive).sum(axis=1) / total)[:, None] * ones
+        spread = 2.0 * np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)
+        evidence = -0.5 * ((left**2).sum(axis=1) + spread + np.log(total))
         best = int(np.argmax(evidence))
         return float(evidence[best]), float(noise[best])
 

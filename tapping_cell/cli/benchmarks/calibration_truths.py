@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -192,14 +192,20 @@ def tapper(random: Random, mass: float) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def tap_record(
-    random: Random, tap: Tap, speed: Callable[[np.ndarray], np.ndarray], count: int, scatter: float
+    random: Random,
+    tap: Tap,
+    speed: Callable[[np.ndarray], np.ndarray],
+    shares: Sequence[int],
+    scatter: float,
 ) -> TapRecord:
-    """Taps through the middle at six energies from 1 to 60 mJ, seen to 0.1 mm."""
-    energies = np.repeat(np.geomspace(1e-3, 6e-2, 6), count // 6)
+    """Taps through the middle at energies from 1 to 60 mJ, ``shares`` of them at each, seen to 0.1
+    mm."""
+    energies = np.repeat(np.geomspace(1e-3, 6e-2, len(shares)), shares)
     striker = speed(energies) * np.exp(scatter * random.standard_normal(len(energies)))
     near = np.array([-tap.body.bounding_radius, 0.0])
     launch = np.linalg.norm(tap.impact.strike(striker, 0.0, near).velocity, axis=-1)
     travel = tap.sliding.rest(launch, np.zeros_like(launch)).distance
     zero = np.zeros_like(energies)
     seen = np.maximum(travel + 1e-4 * random.standard_normal(len(energies)), 0.0)
-    return TapRecord(energies, seen, zero, zero, np.arange(2, len(energies) + 2))
+    known = zero + 1e-4
+    return TapRecord(energies, seen, zero, zero, known, np.arange(2, len(energies) + 2))

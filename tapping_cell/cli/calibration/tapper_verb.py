@@ -24,7 +24,12 @@ import numpy as np
 from tapping_cell.calibration.cell_file import calibrated_cell
 from tapping_cell.calibration.csv_table import Column, CsvTable, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
-from tapping_cell.calibration.tapper import TapperCalibration, TapRecord, calibrate_tapper
+from tapping_cell.calibration.tapper import (
+    USUAL_DEVIATION,
+    TapperCalibration,
+    TapRecord,
+    calibrate_tapper,
+)
 from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.provenance import Provenance
@@ -34,6 +39,7 @@ COLUMNS = (
     Column("distance", "m", 0.0, 1.0, least_largest=0.002),
     Column("rotation", "rad", -20.0, 20.0, required=False),
     Column("incidence", "rad", -1.4, 1.4, required=False),
+    Column("distance_std", "m", 1e-6, 0.01, required=False),
 )
 
 
@@ -82,6 +88,9 @@ def record_of(table: CsvTable) -> TapRecord:
         distances=table.values["distance"],
         rotations=np.nan_to_num(table.values.get("rotation", zero)),
         incidences=np.nan_to_num(table.values.get("incidence", zero)),
+        deviations=np.nan_to_num(
+            table.values.get("distance_std", zero + USUAL_DEVIATION), nan=USUAL_DEVIATION
+        ),
         rows=table.rows,
     )
 
