@@ -2,9 +2,10 @@
 
     python environment/run_tests.py [pytest options]
 
-The rings of the library and of the drivers share out their tests between two processes. Those of
-nodes and graphs keep real time over the real middleware, so they run one test after the other, with
-the machine to themselves. Every ring runs, also after one that failed; the last line counts all.
+The rings of the library, of the drivers and of the nodes share out their tests between two
+processes. Tests of nodes that are marked ``alone`` serve or judge pictures at the camera's rate,
+and those of graphs run every node in real time, so they have the machine to themselves, one after
+the other. Every ring runs, also after one that failed; the last line counts all.
 """
 
 from __future__ import annotations
@@ -18,7 +19,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-RINGS = {"pure": ("-n", "2"), "pty": ("-n", "2"), "nodes": (), "graph": ()}
+# Name of the ring: the folder in test/ and the options with which it is run.
+RINGS: dict[str, tuple[str, ...]] = {
+    "pure": ("pure", "-n", "2"),
+    "pty": ("pty", "-n", "2"),
+    "nodes": ("nodes", "-m", "not alone", "-n", "2"),
+    "nodes, alone": ("nodes", "-m", "alone"),
+    "graph": ("graph",),
+}
 NO_TESTS_COLLECTED = 5  # pytest's exit status
 # As pytest's closing line has them.
 OUTCOMES = ("failed", "passed", "skipped", "deselected", "xfailed", "xpassed", "warnings", "errors")
@@ -41,7 +49,8 @@ def closing_line(counts: Counter[str], seconds: float) -> str:
 
 def run_ring(ring: str, options: Sequence[str]) -> tuple[int, Counter[str]]:
     """Run one ring; its exit status and its outcomes."""
-    words = [sys.executable, "-m", "pytest", f"test/{ring}", *RINGS[ring], *options]
+    folder, *own = RINGS[ring]
+    words = [sys.executable, "-m", "pytest", f"test/{folder}", *own, *options]
     last = ""
     with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -57,8 +66,9 @@ def main(options: Sequence[str]) -> int:
     total: Counter[str] = Counter()
     failed = []
     for ring in RINGS:
-        if not (ROOT / "test" / ring).is_dir():
-            print(f"---- ring {ring}: there is no folder test/{ring}", flush=True)
+        folder = RINGS[ring][0]
+        if not (ROOT / "test" / folder).is_dir():
+            print(f"---- ring {ring}: there is no folder test/{folder}", flush=True)
             failed.append(ring)
             continue
         print(f"---- ring {ring}", flush=True)

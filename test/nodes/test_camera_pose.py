@@ -33,6 +33,8 @@ from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.truth import CameraTruth
 from tapping_cell.vision import View
 
+pytestmark = pytest.mark.alone
+
 TRUE = Pose(0.06, -0.04, 0.8)
 
 

@@ -44,6 +44,8 @@ from tapping_cell.nodes.tap_planner import TapPlanner
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraPose, View
 
+pytestmark = pytest.mark.alone
+
 PATIENCE_S = 20.0
 PARAMETERS: dict[str, dict[str, object]] = {"operator_page": {"port": 0}}
 

@@ -17,6 +17,8 @@ from tapping_cell.configuration.cell import load_cell
 from tapping_cell.nodes import images
 from tapping_cell.nodes.overhead_camera import OverheadCamera
 
+pytestmark = pytest.mark.alone
+
 LEVELS = (40, 80, 120)
 
 

@@ -27,6 +27,8 @@ from tapping_cell.report.run import Run
 from tapping_cell.report.run_folder import read_run
 from tapping_cell.se2 import Pose
 
+pytestmark = pytest.mark.alone
+
 START, GOAL = Pose(0.0, 0.0, 0.0), Pose(0.02, 0.0, 0.1)
 
 

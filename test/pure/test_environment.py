@@ -446,7 +446,7 @@ def test_any_ring_that_fails_fails_all(
     tmp_path, monkeypatch, capsys, rings, options, status, closing
 ):
     monkeypatch.setattr(run_tests, "ROOT", tmp_path)
-    monkeypatch.setattr(run_tests, "RINGS", {"pure": (), "pty": ()})
+    monkeypatch.setattr(run_tests, "RINGS", {"pure": ("pure",), "pty": ("pty",)})
     for ring, asserted in rings.items():
         folder = tmp_path / "test" / ring
         folder.mkdir(parents=True)
