@@ -17,7 +17,8 @@ from typing import Protocol
 
 import numpy as np
 
-from tapping_cell.hardware.arm import ArmDriver, ArmReading, ArmSettings, HomingStrategy
+from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.arm_settings import ArmReading, ArmSettings, HomingStrategy
 from tapping_cell.hardware.dialect import ArmDialect
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.grbl_dialect import GrblDialect

@@ -8,10 +8,15 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterable
-from dataclasses import dataclass
-from enum import Enum
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
 
+from tapping_cell.hardware.arm_settings import (
+    ArmCounters,
+    ArmReading,
+    ArmSettings,
+    HomingStrategy,
+)
 from tapping_cell.hardware.axis_units import in_words, to_axes, to_joints
 from tapping_cell.hardware.dialect import ArmDialect, AxisReading, Firmware, LineCounters
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
@@ -37,70 +42,6 @@ UNHOMING = frozenset(
     }
 )
 """Faults after which the arm's position is not trusted."""
-
-
-class HomingStrategy(Enum):
-    """How the arm learns where it is."""
-
-    FIRMWARE = "firmware"
-    """The controller's own cycle with home switches (``$H``, ``G28``)."""
-    MANUAL_POSE = "manual_pose"
-    """A person has moved the arm to the marked pose; it is declared to be there."""
-    NONE = "none"
-    """The controller knows its position by itself (absolute encoders)."""
-
-
-@dataclass(frozen=True, slots=True)
-class ArmSettings:
-    """The arm's wiring, homing and tolerances; SI."""
-
-    axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
-    """Direction of each controller axis against the joint: 1 or -1."""
-    home_joints: tuple[float, float, float, float] | None = (0.0, 1.5708, 0.0, 0.0)
-    """Joints where homing ends or the marked pose stands; None trusts the firmware's own zero."""
-    homing_timeout: float = 60.0
-    """s."""
-    reply_timeout: float = 2.0
-    """Longest time without any answer to a question, s."""
-    move_factor: float = 1.5
-    """A move may take this times its computed duration ..."""
-    move_margin: float = 2.0
-    """... and this much more, s."""
-    tolerance_angle: float = 1e-3
-    """Largest difference between a target and the position read back, rad."""
-    tolerance_quill: float = 1e-4
-    """The same for the quill, m."""
-    settle_time: float = 0.15
-    """Rest after the last waypoint of a path before it counts as reached, s."""
-
-    def __post_init__(self) -> None:
-        if any(sign not in (1, -1) for sign in self.axis_sign):
-            raise ValueError(f"axis_sign {self.axis_sign}: each must be 1 or -1")
-
-
-@dataclass(frozen=True, slots=True)
-class ArmReading:
-    """Where the arm is, read from the controller."""
-
-    joints: Joints
-    moving: bool
-    alarm: str
-    """Empty, or why the controller refuses to move."""
-    measured: bool
-    """False where the controller can only repeat what it was commanded."""
-    stamp: float
-    """Time of the transport's steady clock just before the question was sent, s."""
-
-
-@dataclass(slots=True)
-class ArmCounters:
-    """Figures for diagnostics."""
-
-    moves: int = 0
-    retries: int = 0
-    reconnects: int = 0
-    stops: int = 0
-    last_error: str = ""
 
 
 class ArmDriver:
@@ -224,23 +165,30 @@ class ArmDriver:
         return (self._recent() or self.read()).joints
 
     def move_to(
-        self, joints: Iterable[float], speed: float = 0.5, deadline: float | None = None
+        self,
+        joints: Iterable[float],
+        speed: float = 0.5,
+        deadline: float | None = None,
+        via: Iterable[float] | None = None,
     ) -> ArmReading:
         """Move straight in joint space; returns when idle and read back within tolerance.
 
         ``speed``: fraction of the joint speeds, in (0, 1]. ``deadline``: time of the transport's
-        clock, computed from the move when None. Raises HardwareFault: OUT_OF_RANGE, NOT_HOMED,
-        POSITION_LOST, POSITION_MISMATCH, TIMEOUT (the arm is then stopped), ALARM, STOPPED,
-        BOARD_RESET, REJECTED, DISCONNECTED.
+        clock, computed from the move when None. ``via``: joints on the way, which nobody confirms:
+        for where it does no harm if their line is lost. Raises HardwareFault: OUT_OF_RANGE,
+        NOT_HOMED, POSITION_LOST, POSITION_MISMATCH, TIMEOUT (the arm is then stopped), ALARM,
+        STOPPED, BOARD_RESET, REJECTED, DISCONNECTED.
         """
         goal = Joints(*joints)
         if not 0 < speed <= 1:
             sentence = f"speed {speed:g} must be a fraction in (0, 1]"
             raise HardwareFault(FaultReason.OUT_OF_RANGE, sentence)
-        check_limits(self.geometry, goal)
+        legs = (goal,) if via is None else (Joints(*via), goal)
+        for leg in legs:
+            check_limits(self.geometry, leg)
         self._require_ready(homed=True)
         try:
-            return self._move(goal, speed, deadline)
+            return self._move(legs, speed, deadline)
         except HardwareFault as fault:
             raise self._noted(fault) from fault.__cause__
 
@@ -248,7 +196,7 @@ class ArmDriver:
         """Take the waypoints one by one, settle, and read back once more; raises as ``move_to``."""
         last: Joints | None = None
         for waypoint in path:
-            self.move_to(waypoint.joints, waypoint.speed)
+            self.move_to(waypoint.joints, waypoint.speed, via=waypoint.via)
             last = waypoint.joints
         return self.settle(last)
 
@@ -303,7 +251,8 @@ class ArmDriver:
             raise noted from fault.__cause__
         self._fault = None
 
-    def _move(self, goal: Joints, speed: float, deadline: float | None) -> ArmReading:
+    def _move(self, legs: tuple[Joints, ...], speed: float, deadline: float | None) -> ArmReading:
+        goal = legs[-1]
         start = self._recent() or self._read()
         self._fresh = None
         if start.alarm:
@@ -324,7 +273,8 @@ class ArmDriver:
                 f" {in_words(self._confirmed)}: it was moved or its controller restarted; clear"
                 " the fault and home again",
             )
-        duration = move_duration(self.geometry, start.joints, goal, speed)
+        places = (start.joints, *legs)
+        duration = self._duration(places, speed)
         if deadline is None:
             deadline = (
                 self._transport.now()
@@ -337,10 +287,14 @@ class ArmDriver:
                 self.counters.retries += attempt > 0
                 # From here on the arm may be anywhere between start and goal.
                 self._confirmed = None
-                refusal = self._send(start.joints, goal, speed, deadline)
+                refusal = self._send(places, speed, deadline)
                 if refusal is None:
-                    reading = self._arrive(self._transport.now() + duration, deadline)
+                    end = self._transport.now() + self._duration(places, speed)
+                    reading = self._arrive(end, deadline)
                 if refusal is not None or not self._agrees(goal, reading.joints):
+                    if refusal is not None and len(places) > 2:
+                        # The line before the refused one may be under way.
+                        self._arrive(self._transport.now(), deadline)
                     # One garbled report must not count: this asks until two agree.
                     reading = self._read()
                 if not reading.moving and self._agrees(goal, reading.joints):
@@ -348,9 +302,12 @@ class ArmDriver:
                     self._fresh = reading
                     self.counters.moves += 1
                     return reading
-                # A garbled line was refused or lost: while the arm stands it may be sent again.
-                if reading.moving or not self._agrees(start.joints, reading.joints):
+                # A garbled line was refused or lost: from where the arm stands, if that is a place
+                # of the path, what is left of it may be sent again.
+                stands = [n for n, p in enumerate(places[:-1]) if self._agrees(p, reading.joints)]
+                if reading.moving or not stands:
                     break
+                places = places[stands[-1] :]
             if refusal is not None:
                 self._confirmed = None if reading.moving else reading.joints
                 raise refusal
@@ -366,24 +323,28 @@ class ArmDriver:
         self._confirmed = reading.joints
         raise self._mismatch(goal, reading.joints)
 
+    def _duration(self, places: Sequence[Joints], speed: float) -> float:
+        return sum(move_duration(self.geometry, a, b, speed) for a, b in pairwise(places))
+
     def _send(
-        self, start: Joints, goal: Joints, speed: float, deadline: float
+        self, places: Sequence[Joints], speed: float, deadline: float
     ) -> HardwareFault | None:
-        """Send the line of one move; returns the controller's refusal if it refused it."""
-        target = to_axes(self.settings.axis_sign, goal)
-        length = math.dist(to_axes(self.settings.axis_sign, start), target)
-        time = max(
-            abs(b - a) / (v * speed)
-            for a, b, v in zip(start, goal, self.geometry.max_speed, strict=True)
-        )
-        if time == 0:
-            return None
-        try:
-            self._dialect.start_move(target, max(60 * length / time, LEAST_FEED), deadline)
-        except HardwareFault as fault:
-            if fault.reason is not FaultReason.REJECTED:
-                raise
-            return fault
+        """Send a line for each step; returns the controller's refusal if it refused one."""
+        for start, goal in pairwise(places):
+            target = to_axes(self.settings.axis_sign, goal)
+            length = math.dist(to_axes(self.settings.axis_sign, start), target)
+            time = max(
+                abs(b - a) / (v * speed)
+                for a, b, v in zip(start, goal, self.geometry.max_speed, strict=True)
+            )
+            if time == 0:
+                continue
+            try:
+                self._dialect.start_move(target, max(60 * length / time, LEAST_FEED), deadline)
+            except HardwareFault as fault:
+                if fault.reason is not FaultReason.REJECTED:
+                    raise
+                return fault
         return None
 
     def _arrive(self, expected_end: float, deadline: float) -> ArmReading:

@@ -23,8 +23,12 @@ REPLY_TIMEOUT = 0.5
 ms."""
 REST_PATIENCE = 15.0
 """Longest wait for another program's last move to end before homing, s."""
-POLL_PERIOD = 0.01
-"""Between status questions when a move is due to end, s; during it the controller is left alone."""
+EARLY = 0.002
+"""A move is asked after so long before its computed end, s: it began while its ``ok`` was on the
+line."""
+POLL_PERIODS = (0.002, 0.02)
+"""Between status questions when a move is due to end, s: the first, and the longest, to which each
+further one grows; during the move the controller is left alone."""
 LOCKED = {
     "Alarm": "locked by an alarm",
     "Hold": "in a feed hold",
@@ -131,8 +135,9 @@ class GrblDialect:
 
     def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
         """Listen until ``expected_end``, then poll until a report says that the axes rest."""
-        while (left := expected_end - self._transport.now()) > 0:
+        while (left := expected_end - EARLY - self._transport.now()) > 0:
             self._pump(left)
+        pause, longest = POLL_PERIODS
         while True:
             status = self._ask_status(deadline)
             if status.state == "Alarm":
@@ -145,7 +150,8 @@ class GrblDialect:
                 )
             if not _moving(status) and self._work_position(status) is not None:
                 return self._reading(status)
-            self._pump(POLL_PERIOD)
+            self._pump(pause)
+            pause = min(2 * pause, longest)
 
     def idle(self, duration: float) -> None:
         """Listen; a banner or an alarm that comes is raised."""
@@ -161,7 +167,7 @@ class GrblDialect:
         """
         patience = min(deadline, self._transport.now() + REST_PATIENCE)
         while _moving(self._ask_status(deadline)) and self._transport.now() < patience:
-            self._pump(POLL_PERIOD)
+            self._pump(POLL_PERIODS[1])
         try:
             self._command(b"$H\n", deadline)
         except HardwareFault as fault:
@@ -173,7 +179,7 @@ class GrblDialect:
             raise
         self._offset, self._frozen = None, False
         while _moving(status := self._ask_status(deadline)):
-            self._pump(POLL_PERIOD)
+            self._pump(POLL_PERIODS[1])
         place = status.machine or ()
         if len(place) < AXIS_COUNT or any(
             abs(found - wanted) > HOMED_TOLERANCE

@@ -27,6 +27,9 @@ DRAIN_SILENCE = 0.05
 """Silence after which nothing more is expected to be on the line, s."""
 POLL_PERIOD = 0.02
 """Between position questions while the last steps are made, s."""
+EARLY = 0.003
+"""A move is asked after so long before its computed end, s: it began while its ``ok`` was on the
+line."""
 FIRST_NUMBERS = (1000, 100_000_000)
 """Range of the number at which counting starts: a board that was reset counts from 0 instead."""
 RESET_PAUSE = 0.2
@@ -126,7 +129,17 @@ class MarlinDialect:
         self._order(marlin.move_code(self._settings.letters, target, feed), deadline)
 
     def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
-        """``M400``, then the position until the step counts stand where they were sent."""
+        """The position, until the step counts stand where they were sent.
+
+        A firmware that gives no counts is asked with ``M400``, and so is one whose axes still move
+        when their move is due to end: its ``ok`` comes at the end.
+        """
+        while (left := expected_end - EARLY - self._transport.now()) > 0:
+            self._pump(left)
+        if self._steps:
+            reading = self.read(deadline)
+            if reading.measured and not reading.moving:
+                return reading
         self._command("M400", deadline)
         while (reading := self.read(deadline)).moving:
             self._pump(POLL_PERIOD)

@@ -41,13 +41,14 @@ class MotionSettings:
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """One straight move in joint space: where to, at which fraction of the joint speeds, and
-    why."""
+    """One move in joint space: where to, at which fraction of the joint speeds, and why."""
 
     joints: Joints
     speed: float
     phase: str
-    """``back_off``, ``raise``, ``travel``, ``lower`` or ``park``."""
+    """``raise``, ``travel``, ``lower`` or ``park``."""
+    via: Joints | None = None
+    """Passed on the way, straight to it and straight on."""
 
 
 def strike_path(
@@ -82,7 +83,7 @@ def withdraw_path(
     start = Joints(*current)
     steps: list[Waypoint] = []
     here = geometry.forward(start)
-    low = start
+    low, via = start, None
     if settings.back_off > 0 and here.z < settings.travel_height:
         behind = here._replace(
             x=here.x - settings.back_off * math.cos(here.yaw),
@@ -90,11 +91,11 @@ def withdraw_path(
         )
         solution = geometry.inverse(behind, geometry.branch_of(start), near=start)
         if solution.joints is not None:
-            low = solution.joints
-            steps.append(Waypoint(low, settings.near_speed, "back_off"))
+            # Should the line of this step be lost, the striker rises where it stands: no harm.
+            low = via = solution.joints
     park = Joints(*settings.park)
     high = _travel_quill(geometry, settings, max(start.quill, park.quill))
-    steps.append(Waypoint(low._replace(quill=high), settings.near_speed, "raise"))
+    steps.append(Waypoint(low._replace(quill=high), settings.near_speed, "raise", via))
     steps.append(Waypoint(park._replace(quill=high), settings.travel_speed, "travel"))
     steps.append(Waypoint(park, settings.near_speed, "park"))
     return _moves(start, *steps)
@@ -121,9 +122,12 @@ def move_duration(
 def path_duration(
     geometry: ScaraGeometry, start: Sequence[float], path: Sequence[Waypoint]
 ) -> float:
-    """Least time in s of a path with a stop at every waypoint."""
+    """Least time in s of a path with a stop at every place."""
     total, here = 0.0, tuple(start)
     for waypoint in path:
+        if waypoint.via is not None:
+            total += move_duration(geometry, here, waypoint.via, waypoint.speed)
+            here = waypoint.via
         total += move_duration(geometry, here, waypoint.joints, waypoint.speed)
         here = waypoint.joints
     return total

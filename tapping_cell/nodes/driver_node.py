@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
@@ -11,7 +13,7 @@ from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.nodes.cell_node import CellNode, NotReady
+from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.worker import Worker
 
 CONNECT_PATIENCE_S = 1.0
@@ -19,6 +21,8 @@ CONNECT_PATIENCE_S = 1.0
 LONGEST_PATIENCE_S = 6.0
 """Opening a port starts many boards anew, and some take seconds: each further try of a port that is
 there but mute waits longer, up to this."""
+URGENCY = 1
+"""Priority among the processes of real-time scheduling: the lowest, above all ordinary ones."""
 MUTE = (FaultReason.UNKNOWN_FIRMWARE, FaultReason.TIMEOUT, FaultReason.NEEDS_PERSON)
 
 
@@ -234,6 +238,19 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver, Snapshot]):
         self.stopped = False
         self.submit(self.clear)
         return answer(response, True, "clearing; the node's state tells the result")
+
+
+def run_driver(
+    make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None = None
+) -> int:
+    """Run a driver's node; where the system allows it, ahead of ordinary processes.
+
+    An emergency stop must not wait for a processor that others keep busy. Every thread that is
+    made from here on inherits the scheduling. Who may not choose it runs as before.
+    """
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(URGENCY))
+    return run(make_node, arguments)
 
 
 def answer(response: Trigger.Response, success: bool, sentence: str) -> Trigger.Response:

@@ -14,12 +14,13 @@ from rclpy.duration import Duration
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
-from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand
+from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand, TapperState
 from trajectory_msgs.msg import JointTrajectory
 
 from tapping_cell.configuration.cell import ArmSection, Cell, load_cell
 from tapping_cell.configuration.schema import quantity, text
-from tapping_cell.hardware.arm import ArmDriver, ArmReading, ArmSettings, HomingStrategy
+from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.arm_settings import ArmReading, ArmSettings, HomingStrategy
 from tapping_cell.hardware.dialect import ArmDialect
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
@@ -34,15 +35,17 @@ from tapping_cell.hardware.motion import (
 from tapping_cell.hardware.scara import Joints, TipPose
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.nodes import tap_commands
-from tapping_cell.nodes.cell_node import COMMAND, LATCHED, run
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import from_message, to_message
-from tapping_cell.nodes.driver_node import DriverNode, answer
+from tapping_cell.nodes.driver_node import DriverNode, answer, run_driver
 from tapping_cell.nodes.error_codes import of_arm
 from tapping_cell.se2 import Pose
 
 RELEASE_GUARD_S = 0.1
-"""From saying that it withdraws to moving: longer than arm_state takes to the tapper and a release
-takes to end."""
+"""From saying that it withdraws to moving, where the tapper has not said how the tap ended: longer
+than arm_state takes to the tapper and a release takes to end."""
+RELEASE_S = 0.03
+"""From hearing that the striker was released to moving: longer than a release takes to end."""
 READ_PERIOD_S = 0.05
 """Between read-backs while the arm stands: a strike pose is confirmed twenty times a second."""
 
@@ -104,10 +107,12 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         self._cell: Cell | None = None
         self._published = Snapshot()
         self._last_tap_id = 0
+        self._ended_tap = (-1, 0.0)
         self._state_publisher = self.create_publisher(ArmState, "arm_state", LATCHED)
         self._joint_publisher = self.create_publisher(JointState, "joint_states", 10)
         self.create_subscription(TapCommand, "tap_command", self._on_tap_command, COMMAND)
         self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, COMMAND)
+        self.create_subscription(TapperState, "tapper_state", self._on_tapper_state, LATCHED)
         self.create_service(Trigger, "~/home", self._on_home)
         self.create_timer(1.0 / self.settings.state_rate, self.publish_state)
 
@@ -215,6 +220,12 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         if self.snapshot.state == ArmState.IDLE:
             self.set(error_code=code, error_msg=sentence)
 
+    def _on_tapper_state(self, message: TapperState) -> None:
+        over = message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED)
+        if over and message.tap_id != self._ended_tap[0]:
+            # One assignment, because the worker reads it.
+            self._ended_tap = (message.tap_id, time.monotonic())
+
     def _on_trajectory(self, message: JointTrajectory) -> None:
         if not self.active or self.snapshot.state != ArmState.IDLE:
             code = ErrorCode.ARM_BUSY if self.active else ErrorCode.NOT_ACTIVE
@@ -273,8 +284,11 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
     def _withdraw(self) -> None:
         self.abandoned.clear()
         self.set(state=ArmState.WITHDRAWING, expiry=None)
-        # A release that was commanded just before is over when the arm begins to move.
-        time.sleep(RELEASE_GUARD_S)
+        # A release that was commanded just before is over when the arm begins to move; once the
+        # tapper has said how the tap ended, none can follow.
+        ended, heard = self._ended_tap
+        over = ended == self.snapshot.tap_id
+        time.sleep(max(heard + RELEASE_S - time.monotonic(), 0.0) if over else RELEASE_GUARD_S)
         self._park()
 
     def _park(self) -> None:
@@ -301,7 +315,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         for waypoint in path:
             if self.abandoned.is_set() or (expiry and self.get_clock().now() > expiry):
                 return False
-            self._take_in(driver.move_to(waypoint.joints, waypoint.speed))
+            self._take_in(driver.move_to(waypoint.joints, waypoint.speed, via=waypoint.via))
         return not self.abandoned.is_set()
 
     def _stand_inactive(self) -> None:
@@ -428,7 +442,7 @@ def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node."""
-    return run(ScaraArm, arguments)
+    return run_driver(ScaraArm, arguments)
 
 
 if __name__ == "__main__":

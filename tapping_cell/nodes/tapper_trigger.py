@@ -28,8 +28,8 @@ from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
 from tapping_cell.hardware.tapper_protocol import Reply, State
 from tapping_cell.nodes import tap_commands
-from tapping_cell.nodes.cell_node import COMMAND, LATCHED, run
-from tapping_cell.nodes.driver_node import DriverNode
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.driver_node import DriverNode, run_driver
 from tapping_cell.nodes.error_codes import of_tapper
 from tapping_cell.nodes.peer_watch import PeerWatch
 
@@ -418,7 +418,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node."""
-    return run(TapperTrigger, arguments)
+    return run_driver(TapperTrigger, arguments)
 
 
 if __name__ == "__main__":

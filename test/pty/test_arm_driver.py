@@ -10,7 +10,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tapping_cell.hardware.arm import ArmDriver, ArmSettings, HomingStrategy
+from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
 from tapping_cell.hardware.motion import MotionSettings, path_duration, strike_path

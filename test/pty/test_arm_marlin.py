@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tapping_cell.hardware.arm import ArmDriver, ArmSettings, HomingStrategy
+from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.marlin_dialect import MarlinDialect, MarlinSettings
 from tapping_cell.hardware.scara import Joints, ScaraGeometry

@@ -69,8 +69,11 @@ def test_withdrawing_backs_off_along_the_travel_then_raises_then_parks() -> None
     at_strike = GEOMETRY.inverse(tip).joints
     assert at_strike is not None
     path = withdraw_path(GEOMETRY, at_strike, SETTINGS)
-    assert [w.phase for w in path] == ["back_off", "raise", "travel"]
-    behind = GEOMETRY.forward(path[0].joints)
+    assert [w.phase for w in path] == ["raise", "travel"]
+    assert path[0].via is not None
+    behind = GEOMETRY.forward(path[0].via)
+    assert behind.z == pytest.approx(tip.z)
+    assert path[0].joints == path[0].via._replace(quill=path[0].joints.quill)
     along = (tip.x - behind.x) * math.cos(tip.yaw) + (tip.y - behind.y) * math.sin(tip.yaw)
     across = (tip.y - behind.y) * math.cos(tip.yaw) - (tip.x - behind.x) * math.sin(tip.yaw)
     assert along == pytest.approx(SETTINGS.back_off)
@@ -108,11 +111,14 @@ def test_duration_is_that_of_the_slowest_joint_alone(
 
 def test_path_duration_adds_the_moves() -> None:
     path = strike_path(GEOMETRY, SETTINGS.park, TipPose(0.45, 0.1, 0.01, 0.5), SETTINGS)
+    path += withdraw_path(GEOMETRY, path[-1].joints, SETTINGS)
     here, total = Joints(*SETTINGS.park), 0.0
     for waypoint in path:
-        total += move_duration(GEOMETRY, here, waypoint.joints, waypoint.speed)
-        here = waypoint.joints
-    assert path_duration(GEOMETRY, SETTINGS.park, path) == pytest.approx(total)
+        for place in (waypoint.via, waypoint.joints):
+            if place is not None:
+                total += move_duration(GEOMETRY, here, place, waypoint.speed)
+                here = place
+    assert len(path) == 4 and path_duration(GEOMETRY, SETTINGS.park, path) == pytest.approx(total)
 
 
 @pytest.mark.parametrize(
