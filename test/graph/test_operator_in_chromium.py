@@ -53,7 +53,7 @@ class Page:
     url: str
     downloads: Path
 
-    def wait(self, condition: Callable[[], object], what: str, patience: float = 30.0) -> None:
+    def wait(self, condition: Callable[[], object], what: str, patience: float = 90.0) -> None:
         end = time.monotonic() + patience
         while not condition():
             self.graph.check()
@@ -90,7 +90,7 @@ class Page:
         )
         hands.release().perform()
 
-    def ready(self, patience: float = 30.0) -> None:
+    def ready(self, patience: float = 90.0) -> None:
         self.wait(lambda: self.mode() == "ready", "the cell is ready", patience)
 
 
@@ -128,7 +128,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 
 
 def test_an_idle_cell_is_shown_with_its_picture_and_nodes(page: Page) -> None:
-    page.ready(60.0)
+    page.ready()
     names = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
     page.wait(
         lambda: all(f"{name}\nactive, ok" in page.text("nodes") for name in names), "every node"
@@ -171,10 +171,8 @@ def test_the_dragged_ghost_is_the_goal_and_the_taps_are_told(page: Page) -> None
     x, y, angle = page.fields()
     assert not page.element("goal-trouble").text
     page.element("send").click()
-    page.wait(lambda: page.mode() == "moving", "the cell moves", 15.0)
-    page.wait(
-        lambda: page.driver.find_elements("css selector", "#taps tbody tr"), "the first tap", 60.0
-    )
+    page.wait(lambda: page.mode() == "moving", "the cell moves")
+    page.wait(lambda: page.driver.find_elements("css selector", "#taps tbody tr"), "the first tap")
     page.wait(lambda: "reached" in page.text("goal-words"), "the goal is reached", 150.0)
     rows = page.driver.find_elements("css selector", "#taps tbody tr")
     assert str(len(rows)) == page.text("to-go-taps")
@@ -249,7 +247,7 @@ def test_stop_takes_one_click_and_the_way_back_is_confirmed(page: Page) -> None:
         page.wait(lambda: page.element("home").is_displayed(), "the page offers to home")
         page.element("home").click()
         page.element("confirm-yes").click()
-    page.ready(60.0)
+    page.ready()
 
 
 def test_a_lost_server_is_said_and_found_again_by_itself(page: Page) -> None:
@@ -266,7 +264,7 @@ def test_a_lost_server_is_said_and_found_again_by_itself(page: Page) -> None:
     assert "This picture is" in page.text("stage-words")
     assert "lost" in str(page.driver.execute_script("return document.body.className"))
     page.graph.restart("operator_page")
-    page.ready(60.0)
+    page.ready()
     assert not page.element("banner").is_displayed() and page.element("stop").is_enabled()
 
 
