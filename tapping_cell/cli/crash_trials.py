@@ -127,8 +127,6 @@ class CrashCell:
             WORLD: {"arm_port": arm, "tapper_port": tapper, "seed": seed},
             "scara_arm": {"port": arm},
             "tapper_trigger": {"port": tapper},
-            # On a machine that is busy elsewhere a node may take half a minute to start.
-            "tap_planner": {"resume_within": 180.0},
         }
         # The planner's memory of its goal is kept apart from that of other cells.
         self.graph = Graph(SIMULATED, parameters, folder / "logs", {"HOME": str(folder)})
