@@ -27,7 +27,7 @@ from tapping_cell.hardware.motion import MotionSettings
 from tapping_cell.hardware.scara import ScaraGeometry
 from tapping_cell.mechanics import Striker
 from tapping_cell.se2 import Pose
-from tapping_cell.vision import CameraModel, ReferenceMap
+from tapping_cell.vision import CameraModel, ReferenceMap, marker_ids
 
 FourNumbers = tuple[float, float, float, float]
 Constraint = Literal["linear_bearings", "free"]
@@ -295,3 +295,34 @@ def load_cell(path: Path | str | None = None, object_path: Path | str | None = N
         references=load_reference_map(folder / content.reference_markers),
         camera=load_camera_model(folder / content.camera_info),
     )
+
+
+def load_other_objects(paths: str, cell: Cell) -> tuple[ObjectFile, ...]:
+    """The files of further objects on a cell's table, ``paths`` separated by commas.
+
+    Raises:
+        ConfigurationError: a file cannot be used, two objects have one name or one marker, or the
+            arm cannot travel over one.
+    """
+    named = [path.strip() for path in paths.split(",")]
+    files = tuple(load_object(Path(path).expanduser()) for path in named if path)
+    names = [file.name for file in (cell.object, *files)]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ConfigurationError(
+            f"parameter other_object_files: two objects have the name '{twice[0]}'; give each a "
+            "name of its own"
+        )
+    try:
+        marker_ids([file.seen() for file in (cell.object, *files)])
+    except ValueError as error:
+        raise ConfigurationError(f"parameter other_object_files: {error}") from error
+    travel = cell.file.arm.travel_height
+    for file in files:
+        if file.height >= travel:
+            raise ConfigurationError(
+                f"parameter other_object_files: '{file.name}' is {1e3 * file.height:.1f} mm high, "
+                f"but the tip travels at {1e3 * travel:.1f} mm (key 'arm.travel_height' of "
+                f"{cell.path}) and would hit it; raise that or keep the object off the table"
+            )
+    return files

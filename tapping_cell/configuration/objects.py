@@ -40,6 +40,13 @@ class ShapeSection:
         if getattr(self, surplus) is not None:
             raise ValueError(f"a {self.kind} takes no key 'shape.{surplus}'")
 
+    def reach(self) -> float:
+        """Largest distance of the outline from the object's origin, m."""
+        if self.vertices is not None:
+            return max(math.hypot(x, y) for x, y in self.vertices)
+        assert self.radius is not None
+        return self.radius
+
 
 @dataclass(frozen=True, slots=True)
 class MarkerSection:

@@ -10,8 +10,8 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
+import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
@@ -20,9 +20,9 @@ from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 from tapping_cell_msgs.msg import ErrorCode, ObjectState, PlanState
 
-from tapping_cell.configuration.cell import Cell, load_cell
-from tapping_cell.configuration.objects import ObjectFile, load_object
-from tapping_cell.configuration.schema import ConfigurationError, quantity, text
+from tapping_cell.configuration.cell import Cell, load_cell, load_other_objects
+from tapping_cell.configuration.objects import ObjectFile
+from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.nodes import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import (
@@ -67,6 +67,10 @@ CODES = {
     Problem.DOT_HIDDEN: ErrorCode.OBJECT_NOT_SEEN,
 }
 
+WATCH_PERIOD_S = 0.05
+"""Between two looks whether pictures still come."""
+SILENCE_TOLD_EVERY = 5
+"""Looks in vain between two reports of a silent camera."""
 CAMERA_PERIOD_S = 1.0
 """Between two reports of where the camera is."""
 STAMP_AHEAD_S = 1.0
@@ -90,7 +94,7 @@ class Parameters:
         "s",
         0.1,
         60.0,
-        default=1.0,
+        default=0.4,
     )
     annotated_rate: float = quantity(
         "greatest rate of camera/image_annotated, sent only while somebody listens",
@@ -111,11 +115,13 @@ class CameraPose(CellNode[Parameters]):
         self._others: OtherObjects | None = None
         self._tracker: PoseTracker | None = None
         self._camera: CameraModel | None = None
+        self._calibration: tuple[object, ...] = ()
         self._camera_problem = ""
         self._late = 0
         self._unanswered_since = 0.0
         self._goal: Pose | None = None
         self._heard = time.monotonic()
+        self._missed = 0
         self._annotated_at = 0.0
         self._camera_told_at = 0.0
         self._frames = 0
@@ -133,18 +139,13 @@ class CameraPose(CellNode[Parameters]):
         )
         self.create_subscription(Image, "camera/image_raw", self._on_image, images.PICTURES)
         self.create_subscription(PlanState, "plan_state", self._on_plan_state, LATCHED)
-        self.create_timer(0.25, self._watch)
+        self.create_timer(WATCH_PERIOD_S, self._watch)
 
     def configure(self) -> None:
         """Read the cell, table and object files."""
         self._cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
-        paths = [path.strip() for path in self.settings.other_object_files.split(",")]
-        self._other_files = tuple(load_object(Path(p).expanduser()) for p in paths if p)
-        self._camera = None
-        try:
-            marker_ids([file.seen() for file in (self._cell.object, *self._other_files)])
-        except ValueError as error:
-            raise ConfigurationError(f"parameter other_object_files: {error}") from error
+        self._other_files = load_other_objects(self.settings.other_object_files, self._cell)
+        self._camera, self._calibration = None, ()
 
     def cleanup(self) -> None:
         """Forget the track."""
@@ -167,6 +168,10 @@ class CameraPose(CellNode[Parameters]):
     def _on_camera_info(self, message: CameraInfo) -> None:
         if not self.active or self._cell is None:
             return
+        heard = images.calibration_of(message)
+        if heard == self._calibration:
+            return
+        self._calibration = heard
         try:
             camera = images.from_camera_info(message)
         except CameraError as error:
@@ -174,9 +179,8 @@ class CameraPose(CellNode[Parameters]):
             self._tracker = self._camera = self._others = None
             return
         self._camera_problem = ""
-        if camera != self._camera:
-            self._camera = camera
-            self._make_trackers(camera, self._cell)
+        self._camera = camera
+        self._make_trackers(camera, self._cell)
 
     def _make_trackers(self, camera: CameraModel, cell: Cell) -> None:
         seen, others = cell.object.seen(), [file.seen() for file in self._other_files]
@@ -296,8 +300,14 @@ class CameraPose(CellNode[Parameters]):
 
     def _watch(self) -> None:
         """Say so when no picture comes."""
-        silent = time.monotonic() - self._heard
-        if self.active and silent > self.settings.silence_limit:
+        now = time.monotonic()
+        silent = now - self._heard
+        if not self.active or silent <= self.settings.silence_limit:
+            self._missed = 0
+            return
+        # Where this process itself was held up, a picture waits: it is taken before the next look.
+        self._missed += 1
+        if self._missed % SILENCE_TOLD_EVERY == 2:
             empty = Image()
             empty.header.stamp = self.get_clock().now().to_msg()
             self._refuse(
@@ -338,6 +348,8 @@ def _state_of(picture: Image, name: str, observation: Observation) -> ObjectStat
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node."""
+    cv2.setNumThreads(1)
+    images.keep_memory()
     return run(CameraPose, arguments)
 
 

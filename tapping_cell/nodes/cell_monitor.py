@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 
+from rclpy.time import Time
 from tapping_cell_msgs.msg import ArmState, ErrorCode, ObjectState, TapperState
 
 from tapping_cell.nodes.conversions import from_message
@@ -48,6 +49,19 @@ class CellMonitor:
         """Where the object is seen now; None while it is not seen."""
         seen = self.object
         return from_message(seen.pose.pose) if seen is not None and seen.visible else None
+
+    def usable(self, after: Time, frames: int) -> bool:
+        """True for a look at the object at rest that is newer than a moment, of so many frames."""
+        seen = self.object
+        return bool(
+            seen is not None
+            and not self.silent("object")
+            and Time.from_msg(seen.header.stamp) > after
+            and seen.visible
+            and seen.at_rest
+            and seen.error_code == ErrorCode.NONE
+            and seen.frames_fused >= frames
+        )
 
     def missing(self) -> Trouble | None:
         """What keeps the cell from tapping; None when nothing does."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from geometry_msgs.msg import PoseStamped
 from rclpy.action.server import ServerGoalHandle
+from rclpy.time import Time
 from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.configuration import assembly
@@ -14,6 +15,7 @@ from tapping_cell.configuration.cell import Cell
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.goals import REFUSALS, Refused, read_goal, read_tolerance
 from tapping_cell.nodes.markers import region_marker
+from tapping_cell.nodes.neighbours import Neighbours
 from tapping_cell.nodes.tap_task import SingleTapTask, Task
 from tapping_cell.planning import (
     FreeSpace,
@@ -51,20 +53,62 @@ class GoalDesk:
             in earlier runs cannot be read.
     """
 
-    def __init__(self, cell: Cell, planner: str, *, adapt: bool, keep: bool) -> None:
-        """``adapt``: learn from taps; ``keep``: remember what was learnt between runs."""
+    def __init__(
+        self, cell: Cell, planner: str, neighbours: Neighbours, *, adapt: bool, keep: bool
+    ) -> None:
+        """``neighbours``: the further objects, to be kept clear of; ``adapt``: learn from taps;
+        ``keep``: remember what was learnt between runs."""
         self.cell = cell
+        self._neighbours = neighbours
         self._adapt = adapt
         self._keep = keep
         self._gains = load_gains(cell.object.name) if keep else Gains.start()
         self._planner = planner or cell.file.goal.planner
-        self._space = assembly.make_strike_space(cell)
-        self._free = FreeSpace(self._space)
-        self.region = region_marker(self._free.outline())
-        self._experiments = assembly.make_strike_space(cell, cautious(self._space))
+        self._alone = assembly.make_strike_space(cell)
+        self._experiments_alone = assembly.make_strike_space(cell, cautious(self._alone))
+        self.others = neighbours.areas()
+        """Where the further objects lie; None for one that is not on the table."""
+        self._planned_among = self.others
+        self._place()
         self._planners: dict[str, Planner] = {}
         # Made now, so that a method that must be solved first begins before the first goal.
         self._planner_for(cell.tolerance)
+
+    def room_for(self, task: Task, since: Time) -> tuple[int, str] | None:
+        """Have a task work in the room that the further objects leave; or why that is not known:
+        the camera has not looked for one of them since a moment."""
+        names = self._neighbours.unlooked(since)
+        if names:
+            return (
+                ErrorCode.NOT_READY,
+                f"nothing is heard of the object {names} on other_objects; give camera_pose the "
+                "same other_object_files as tap_planner",
+            )
+        self._keep_clear()
+        self._planned_among = self.others
+        if task.room is not self._free:
+            single = isinstance(task, SingleTapTask)
+            task.session.use_room(self._experiments if single else self._space, self._free)
+            task.room = self._free
+        return None
+
+    def others_moved(self) -> bool:
+        """True where a further object lies elsewhere than when a task was last given its room."""
+        return self._neighbours.moved_since(self._planned_among)
+
+    def _keep_clear(self) -> None:
+        """Take in where the further objects lie now."""
+        before, self.others = self.others, self._neighbours.areas()
+        if before != self.others:
+            self._place()
+
+    def _place(self) -> None:
+        """Make the map of the table with the further objects on it (about 0.1 s)."""
+        others = [area for area in self.others if area is not None]
+        self._space = self._alone.among(others)
+        self._experiments = self._experiments_alone.among(others)
+        self._free = FreeSpace(self._space)
+        self.region = region_marker(self._free.outline())
 
     def use(self, planner: str) -> None:
         """Take another planning method, from the next goal on.
@@ -102,6 +146,7 @@ class GoalDesk:
                 f"max_taps is {request.max_taps}, the cell allows {limit}; ask for at most that "
                 "many",
             )
+        self._keep_clear()
         unreachable = check_goal(goal, self._space, self._free)
         if unreachable is not None:
             return Refused(REFUSALS[unreachable.reason], unreachable.sentence)

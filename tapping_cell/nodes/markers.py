@@ -17,7 +17,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.nodes.conversions import to_message
-from tapping_cell.planning import Strike
+from tapping_cell.planning import CircleArea, KeepOut, Strike
 from tapping_cell.se2 import Pose
 
 WHITE = ColorRGBA(r=0.9, g=0.9, b=0.9, a=0.8)
@@ -37,11 +37,12 @@ def cell_markers(
     strike: Strike | None,
     way: Sequence[Pose] = (),
     region: Marker | None = None,
+    others: Sequence[KeepOut | None] = (),
 ) -> MarkerArray:
     """The table, the object, the goal and the tap under way; what is not there is taken away.
 
     ``way``: where the object lay before each tap of this goal. ``region``: of
-    :func:`region_marker`.
+    :func:`region_marker`. ``others``: the further objects, None for one not on the table.
     """
     table, keep_outs = cell.file.table, cell.file.keep_outs
     half = np.array([table.length, table.width]) / 2
@@ -54,6 +55,15 @@ def cell_markers(
         markers.append(_line("keep_out", number, _circle(radius), Pose(x, y, 0.0), RED))
     for number, polygon in enumerate(keep_outs.polygons, start=len(keep_outs.circles)):
         markers.append(_line("keep_out", number, np.asarray(polygon), Pose(0.0, 0.0, 0.0), RED))
+    for number, area in enumerate(others):
+        if area is None:
+            markers.append(_gone("other_object", number))
+        elif isinstance(area, CircleArea):
+            place = Pose(area.x, area.y, 0.0)
+            markers.append(_line("other_object", number, _circle(area.radius), place, RED))
+        else:
+            corners = np.asarray(area.vertices)
+            markers.append(_line("other_object", number, corners, Pose(0.0, 0.0, 0.0), RED))
     predicted = strike.predicted if strike is not None else None
     for name, place, colour in (
         ("object", pose, BLUE),

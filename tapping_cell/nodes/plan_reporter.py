@@ -89,7 +89,7 @@ class PlanReporter:
             records = task.records if task is not None else ()
             way = [from_message(record.object_pose) for record in records]
             self._markers.publish(
-                cell_markers(desk.cell, state, pose, goal, strike, way, desk.region)
+                cell_markers(desk.cell, state, pose, goal, strike, way, desk.region, desk.others)
             )
 
     def refuse(self, trouble: tuple[int, str], request: Request) -> None:

@@ -14,6 +14,18 @@ class Parameters:
     autostart: bool = text("configure and activate without being asked", default=True)
     cell_file: str = text("path of the cell file; empty for the package's own", default="")
     object_file: str = text("path of the object file; empty for the cell file's", default="")
+    other_object_files: str = text(
+        "paths of the files of further objects on the table, separated by commas: kept clear of; "
+        "the same as camera_pose's",
+        default="",
+    )
+    others_memory: float = quantity(
+        "time after which a further object that is no longer seen counts as taken away",
+        "s",
+        0.2,
+        3600.0,
+        default=5.0,
+    )
     planner: str = text("planning method; empty for the cell file's", default="")
     adapt: bool = text("learn from every tap how the object answers", default=True)
     keep_gains: bool = text("remember what was learnt of an object between runs", default=False)

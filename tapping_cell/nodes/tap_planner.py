@@ -29,7 +29,7 @@ from tapping_cell_msgs.msg import (
     TapperState,
 )
 
-from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.cell import load_cell, load_other_objects
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes.action_door import ActionDoor
 from tapping_cell.nodes.cell_monitor import CellMonitor
@@ -38,6 +38,7 @@ from tapping_cell.nodes.conversions import from_message
 from tapping_cell.nodes.goal_desk import GoalDesk, Request
 from tapping_cell.nodes.goal_memory import GoalMemory
 from tapping_cell.nodes.goals import REFUSALS, Refused
+from tapping_cell.nodes.neighbours import Neighbours
 from tapping_cell.nodes.peer_watch import TAPPING
 from tapping_cell.nodes.plan_reporter import PlanReporter
 from tapping_cell.nodes.planner_parameters import Parameters
@@ -65,6 +66,7 @@ class TapPlanner(CellNode[Parameters]):
             self.settings.resume_within,
         )
         self._monitor = CellMonitor(self.settings.silence_limit)
+        self._neighbours = Neighbours()
         self._left: Request | None = None
         self._task: Task | None = None
         self._shot: Shot | None = None
@@ -77,6 +79,7 @@ class TapPlanner(CellNode[Parameters]):
         self._reporter = PlanReporter(self)
         self.create_subscription(PoseStamped, "goal_pose", self._on_goal_pose, COMMAND)
         self.create_subscription(ObjectState, "object_state", self._monitor.on_object, LATCHED)
+        self.create_subscription(ObjectState, "other_objects", self._neighbours.on_object, 10)
         self.create_subscription(ArmState, "arm_state", self._monitor.on_arm, LATCHED)
         self.create_subscription(TapperState, "tapper_state", self._monitor.on_tapper, LATCHED)
         self._door = ActionDoor(
@@ -94,10 +97,13 @@ class TapPlanner(CellNode[Parameters]):
     def configure(self) -> None:
         """Read the files, make the method and the map of the table."""
         cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
+        others = load_other_objects(self.settings.other_object_files, cell)
+        self._neighbours.expect(others, self.settings.others_memory, self.settings.moved_limit)
         try:
             self._desk = GoalDesk(
                 cell,
                 self.settings.planner,
+                self._neighbours,
                 adapt=self.settings.adapt,
                 keep=self.settings.keep_gains,
             )
@@ -267,8 +273,9 @@ class TapPlanner(CellNode[Parameters]):
     def _look(self) -> None:
         """Look at the object at rest, take in the last tap, decide on the next."""
         task, seen = self._task, self._monitor.object
-        assert task is not None
-        if seen is None or not self._usable(seen):
+        assert task is not None and self._desk is not None
+        fresh = self._monitor.usable(self._look_after, self.settings.frames_needed)
+        if seen is None or not fresh:
             if self._monitor.silent("object"):
                 # Its node may be on the way back: it has as long as any part of the cell.
                 self._enter(PlanState.WAITING_FOR_CELL, self.settings.ready_deadline)
@@ -279,6 +286,11 @@ class TapPlanner(CellNode[Parameters]):
         if shot is not None and shot.outcome != TapperState.NOT_FIRED:
             task.take_in(shot, seen)
             self._say(ErrorCode.NONE, "")
+        unknown = self._desk.room_for(task, self._look_after)
+        if unknown is not None:
+            if self._late():
+                self._fail(*unknown)
+            return
         decision = task.decide(seen)
         if isinstance(decision, Done):
             self._finish(task.done_phase, ErrorCode.NONE, "")
@@ -306,16 +318,10 @@ class TapPlanner(CellNode[Parameters]):
         else:
             self._command(decision, from_message(seen.pose.pose))
 
-    def _usable(self, seen: ObjectState) -> bool:
-        """True for a look at the object at rest that is newer than the last tap."""
-        return bool(
-            not self._monitor.silent("object")
-            and Time.from_msg(seen.header.stamp) > self._look_after
-            and seen.visible
-            and seen.at_rest
-            and seen.error_code == ErrorCode.NONE
-            and seen.frames_fused >= self.settings.frames_needed
-        )
+    def _disturbed(self, shot: Shot) -> bool:
+        """True when the object, or another one, was moved since the tap was planned."""
+        moved = self._monitor.seen_away_from(shot.before, self.settings.moved_limit)
+        return moved or (self._desk is not None and self._desk.others_moved())
 
     def _command(self, strike: Strike, before: Pose) -> None:
         """Publish one tap, under an id that was never used before."""
@@ -337,8 +343,8 @@ class TapPlanner(CellNode[Parameters]):
         """The arm brings the striker to its place; the tapper waits for it."""
         shot = self._shot
         assert shot is not None
-        if self._monitor.seen_away_from(shot.before, self.settings.moved_limit):
-            self.get_logger().warning("the object was moved before the tap; looking again")
+        if self._disturbed(shot):
+            self.get_logger().warning("an object was moved before the tap; looking again")
             self._abandon()
         elif self._tapper_answered(shot):
             return
@@ -354,7 +360,7 @@ class TapPlanner(CellNode[Parameters]):
         """The tapper draws and fires once."""
         shot = self._shot
         assert shot is not None
-        if self._monitor.seen_away_from(shot.before, self.settings.moved_limit):
+        if self._disturbed(shot):
             # It may be the tap itself, seen before the tapper's report: withdrawing is right in
             # both cases, and the outcome stays what the tapper says.
             self._withdraw(shot.tap_id)

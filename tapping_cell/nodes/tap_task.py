@@ -16,6 +16,7 @@ from tapping_cell_msgs.msg import ObjectState, PlanState, TapCommand, TapperStat
 from tapping_cell.nodes.conversions import covariance_from_message, from_message, to_message
 from tapping_cell.planning import (
     Done,
+    FreeSpace,
     PositioningSession,
     PrescribedSession,
     Refusal,
@@ -102,6 +103,8 @@ class Task:
     not_fired: int = 0
     without_effect: int = 0
     canceled: bool = False
+    room: FreeSpace | None = None
+    """The map that the session was last told to work in."""
 
     def words(self) -> str:
         """The goal for people."""

@@ -30,7 +30,7 @@ from tapping_cell.planning.strike import (
     Waypoint,
     reach_everywhere,
 )
-from tapping_cell.planning.workspace import CircleArea, PolygonArea, Workspace
+from tapping_cell.planning.workspace import CircleArea, KeepOut, PolygonArea, Workspace
 
 __all__ = [
     "ArmReach",
@@ -40,6 +40,7 @@ __all__ = [
     "Done",
     "FreeSpace",
     "Gains",
+    "KeepOut",
     "Planner",
     "PlannerSettings",
     "PlanningError",

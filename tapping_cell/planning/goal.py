@@ -18,6 +18,12 @@ def place_text(pose: ArrayLike) -> str:
     return f"({1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {math.degrees(theta):.1f} degrees)"
 
 
+def others_text(space: StrikeSpace) -> str:
+    """The objects that lie in the way, to be added to a refusal: "; besides it there lie 'a'"."""
+    others = space.workspace.others()
+    return f"; besides it the camera sees {others}: take away what is in the way" if others else ""
+
+
 def check_goal(
     goal_pose: ArrayLike, space: StrikeSpace, free: FreeSpace | None = None
 ) -> Refusal | None:
@@ -46,7 +52,8 @@ def check_goal(
     if keep_out < radius + table.keep_out_margin:
         return Refusal(
             RefusalReason.GOAL_IN_KEEP_OUT,
-            f"the goal {place_text(goal)} is {1e3 * keep_out:.1f} mm from a keep-out area; the "
+            f"the goal {place_text(goal)} is {1e3 * keep_out:.1f} mm from "
+            f"{table.nearest_keep_out(goal[:2])}; the "
             f"object needs {1e3 * (radius + table.keep_out_margin):.1f} mm; move the goal away",
         )
     gap = float(widest_gap(space, goal[:2]))
@@ -57,6 +64,7 @@ def check_goal(
             f"at the goal {place_text(goal)} the arm cannot tap from a range of "
             f"{math.degrees(gap):.0f} degrees of directions; at most "
             f"{math.degrees(WIDEST_GAP):.0f} degrees may be missing for a tap to be corrected; "
-            "choose a goal nearer to the middle of the arm's reach, or away from keep-outs",
+            "choose a goal nearer to the middle of the arm's reach, or away from keep-outs"
+            + others_text(space),
         )
     return None

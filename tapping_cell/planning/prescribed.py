@@ -21,7 +21,7 @@ from tapping_cell.mechanics import Polygon, TapResult
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.gains import Gains
-from tapping_cell.planning.goal import place_text
+from tapping_cell.planning.goal import others_text, place_text
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.session import Decision, Done, Strike, noise_of
@@ -156,6 +156,11 @@ class PrescribedSession:
         noise = CameraNoise() if covariance is None else noise_of(covariance)
         self.gains = self.gains.observe(strike.commanded, moved, self._space.scatter, noise)
 
+    def use_room(self, space: StrikeSpace, free: FreeSpace) -> None:
+        """Work in this space from now on: what stands on the table may have changed."""
+        self._space = space
+        self._free = free
+
     def _contacts(self, pose: Array, wanted: float) -> Array:
         """Poses (n, 3) of the tip at contacts with the prescribed incidence, in `table`."""
         body = self._space.tap.body
@@ -267,7 +272,7 @@ class PrescribedSession:
                 RefusalReason.TAP_LEAVES_TABLE,
                 f"{slide} to where it would leave the table, enter a keep-out or be out of the "
                 "arm's reach; ask for a lower striker speed or another direction, or move the "
-                "object towards the middle",
+                "object towards the middle" + others_text(self._space),
             )
         if problems["view"][index]:
             return Refusal(
@@ -280,7 +285,8 @@ class PrescribedSession:
             RefusalReason.NO_STRIKE,
             f"the arm or the tool has no room to tap the object at {place} so that it travels "
             f"within {math.degrees(min(self.prescription.slack, math.pi)):.0f} deg of the "
-            f"direction {heading:.0f} deg; allow more slack, or move the object towards the middle",
+            f"direction {heading:.0f} deg; allow more slack, or move the object towards the middle"
+            + others_text(self._space),
         )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from tapping_cell.planning.alternatives import alternative_taps
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.gains import Gains
-from tapping_cell.planning.goal import check_goal, place_text
+from tapping_cell.planning.goal import check_goal, others_text, place_text
 from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.settings import CameraNoise
@@ -97,13 +97,17 @@ class PositioningSession:
         self.gains = Gains.start() if gains is None else gains
         self.taps = 0
         self._missed: tuple[float, ...] = ()  # headings of taps since the object last moved
-        self._space = space
         self._adapt = adapt
         self._most_taps = most_taps
-        self._free = FreeSpace(space) if free is None else free
-        self._goal_refusal = check_goal(goal_pose, space, self._free)
+        self.use_room(space, FreeSpace(space) if free is None else free)
+
+    def use_room(self, space: StrikeSpace, free: FreeSpace) -> None:
+        """Work in this space from now on: what stands on the table may have changed."""
+        self._space = space
+        self._free = free
+        self._goal_refusal = check_goal(self.goal, space, free)
         if self._goal_refusal is None:
-            self._paths = self._free.to_goal(self.goal)
+            self._paths = free.to_goal(self.goal)
 
     @property
     def method(self) -> str:
@@ -199,7 +203,8 @@ class PositioningSession:
             return Refusal(
                 RefusalReason.NO_PATH_TO_GOAL,
                 f"no path of places where the object can be tapped leads from {place_text(pose)} "
-                f"to the goal {place_text(self.goal)}; remove a keep-out or choose another goal",
+                f"to the goal {place_text(self.goal)}; remove a keep-out or choose another goal"
+                + others_text(self._space),
             )
         if self.taps >= self._most_taps:
             return Refusal(
@@ -234,7 +239,8 @@ class PositioningSession:
             RefusalReason.NO_STRIKE,
             f"no tap is possible with the object at {place_text(pose)}: every one would leave the "
             "table, enter a keep-out or a place where the object cannot be tapped back, or is out "
-            f"of the arm's reach (first: {detour}); move the object by hand towards the middle",
+            f"of the arm's reach (first: {detour}); move the object by hand towards the middle"
+            + others_text(self._space),
         )
 
     def _ends_well(self, pose: Array, commanded: Array) -> BoolArray:

@@ -8,7 +8,8 @@ line.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.settings import Scatter
-from tapping_cell.planning.workspace import Workspace
+from tapping_cell.planning.workspace import KeepOut, Workspace
 from tapping_cell.se2 import Pose, transform_points
 
 BoolArray = NDArray[np.bool_]
@@ -132,6 +133,12 @@ class StrikeSpace:
         """Points of the object's outline in its own frame, (points, 2), m."""
         self.object_radius = tap.body.bounding_radius
         self.tip_radius = float(tap.impact.striker.tip_radius)
+
+    def among(self, areas: Sequence[KeepOut]) -> StrikeSpace:
+        """The same space with these keep-outs besides the workspace's own."""
+        made = copy(self)
+        made.workspace = replace(self.workspace, keep_outs=(*self.workspace.keep_outs, *areas))
+        return made
 
     def elbows(self, tip_poses: ArrayLike) -> BoolArray:
         """Which elbow sides reach the tip poses (..., 3): shape (..., sides)."""

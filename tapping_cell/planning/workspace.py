@@ -17,11 +17,13 @@ from tapping_cell.planning.interface import Array
 
 @dataclass(frozen=True, slots=True)
 class CircleArea:
-    """A round keep-out: a clamp, a screw, a camera's foot. Centre and radius in m."""
+    """A round keep-out: a clamp, a screw, a camera's foot. Centre and radius in m; ``name`` of the
+    object that it is, where it is one."""
 
     x: float
     y: float
     radius: float
+    name: str = ""
 
     def __post_init__(self) -> None:
         """Refuse a circle that is not finite or has no size (PlanningError)."""
@@ -36,9 +38,11 @@ class CircleArea:
 
 @dataclass(frozen=True, slots=True)
 class PolygonArea:
-    """A keep-out with straight edges, convex or not; corners in m in order around the area."""
+    """A keep-out with straight edges, convex or not; corners in m in order around the area;
+    ``name`` as for a circle."""
 
     vertices: tuple[tuple[float, float], ...]
+    name: str = ""
 
     def __post_init__(self) -> None:
         """Refuse fewer than three corners or numbers that are not finite (PlanningError)."""
@@ -114,6 +118,17 @@ class Workspace:
         for area in self.keep_outs:
             nearest = np.minimum(nearest, area.distance(p))
         return nearest
+
+    def nearest_keep_out(self, point: ArrayLike) -> str:
+        """The keep-out nearest to a point (2,), for people; an empty text where there is none."""
+        if not self.keep_outs:
+            return ""
+        nearest = min(self.keep_outs, key=lambda area: float(area.distance(point)))
+        return f"the object '{nearest.name}'" if nearest.name else "a keep-out area"
+
+    def others(self) -> str:
+        """The objects among the keep-outs, for people: "'a', 'b'"; empty where there are none."""
+        return ", ".join(f"'{area.name}'" for area in self.keep_outs if area.name)
 
     def object_room(self, points: ArrayLike) -> Array:
         """Largest radius of an object centred at the points that respects both margins."""

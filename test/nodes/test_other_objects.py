@@ -1,0 +1,114 @@
+"""The planning node keeps clear of the other objects that the camera sees."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from harness import Bench
+from tapping_cell_msgs.msg import ErrorCode, ObjectState, PlanState, TapCommand
+from test_tap_planner import acted
+
+from tapping_cell.configuration.cell import load_cell, load_other_objects
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.se2 import Pose
+
+OTHER = shared_folder() / "objects" / "plain_disk_with_dot.yaml"
+PATIENT = {"other_object_files": OTHER, "look_deadline": 10.0, "place_deadline": 10.0}
+NAME, RADIUS = "plain disk with dot", 0.048
+START, GOAL = Pose(-0.10, 0.0, 0.0), Pose(0.12, 0.0, 0.3)
+BETWEEN = Pose(0.01, 0.02, 0.0)
+
+
+class Other:
+    """Says where the other object is seen, ten times a second."""
+
+    def __init__(self, bench: Bench, pose: Pose | None) -> None:
+        assert bench.probe is not None
+        self._node = bench.probe
+        self.pose = pose
+        self._publisher = self._node.create_publisher(ObjectState, "other_objects", 10)
+        self._node.create_timer(0.1, self._say)
+        bench.wait(lambda: self._publisher.get_subscription_count() == 1, "the planner listens")
+
+    def _say(self) -> None:
+        pose = self.pose
+        state = ObjectState(object_id=NAME, visible=pose is not None)
+        state.header.stamp = self._node.get_clock().now().to_msg()
+        if pose is not None:
+            state.pose.pose = to_message(pose)
+        self._publisher.publish(state)
+
+
+def gap(command: TapCommand, other: Pose) -> float:
+    """Least distance of the two disks' rims on the straight way of a tap."""
+    start, end = from_message(command.object_pose), from_message(command.predicted_pose)
+    ways = [start.x + s * (end.x - start.x) for s in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    sides = [start.y + s * (end.y - start.y) for s in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    return min(
+        math.hypot(x - other.x, y - other.y) - 2 * RADIUS for x, y in zip(ways, sides, strict=True)
+    )
+
+
+def test_the_object_goes_around_another_one() -> None:
+    with acted(**PATIENT) as actors:
+        actors.pose = START
+        Other(actors.bench, BETWEEN)
+        actors.send(GOAL)
+        end = actors.end(60.0)
+        assert end.state == PlanState.REACHED, end.error_msg
+        assert min(gap(tap, BETWEEN) for tap in actors.taps()) > 0.004
+        assert max(abs(from_message(tap.object_pose).y) for tap in actors.taps()) > 0.05
+
+
+def test_a_goal_where_another_object_lies_is_refused_and_the_object_named() -> None:
+    with acted(**PATIENT) as actors:
+        actors.pose = START
+        Other(actors.bench, Pose(GOAL.x, GOAL.y + 0.02, 0.0))
+        actors.send(GOAL)
+        words = f"'{NAME}'"
+        actors.bench.wait(lambda: any(words in plan.error_msg for plan in actors.plans), "refused")
+        refused = next(plan for plan in actors.plans if words in plan.error_msg)
+        assert refused.error_code == ErrorCode.GOAL_IN_KEEP_OUT
+        assert actors.taps() == []
+
+
+def test_an_object_of_which_nothing_is_heard_is_waited_for_and_named() -> None:
+    with acted(other_object_files=OTHER) as actors:
+        actors.pose = START
+        actors.send(GOAL)
+        end = actors.end()
+        assert end.error_code == ErrorCode.NOT_READY and NAME in end.error_msg
+        assert actors.taps() == []
+
+
+def test_an_object_put_in_the_way_of_a_tap_has_it_planned_anew() -> None:
+    with acted(**PATIENT) as actors:
+        actors.pose, actors.arm_arrives = START, False
+        other = Other(actors.bench, None)
+        actors.send(GOAL)
+        actors.bench.wait(actors.taps, "a tap")
+        first = actors.taps()[0]
+        actors.arm_arrives = True
+        other.pose = BETWEEN
+        actors.bench.wait(lambda: len(actors.taps()) > 1, "another tap")
+        ended = actors.commands[1]
+        assert (ended.request, ended.tap_id) == (TapCommand.WITHDRAW, first.tap_id)
+        assert gap(actors.taps()[1], BETWEEN) > 0.004
+
+
+def test_files_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
+    cell = load_cell()
+    with pytest.raises(ConfigurationError, match="the name 'aluminium disk'"):
+        load_other_objects(str(shared_folder() / "objects" / "aluminium_disk.yaml"), cell)
+    tall = tmp_path / "tall.yaml"
+    tall.write_text(OTHER.read_text().replace("height: 0.012", "height: 0.300"))
+    with pytest.raises(ConfigurationError, match=r"300\.0 mm high, but the tip travels"):
+        load_other_objects(f" {tall} ,", cell)
+    renamed = tmp_path / "renamed.yaml"
+    renamed.write_text(cell.object_path.read_text().replace("aluminium disk", "twin"))
+    with pytest.raises(ConfigurationError, match="two objects have marker"):
+        load_other_objects(str(renamed), cell)
