@@ -26,6 +26,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from tapping_cell.cli.calibration.camera_verb import read_grey
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import (
     MarkerSection,
@@ -117,7 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
     cv2.setNumThreads(1)
     results = []
     for number, path in enumerate(arguments.images):
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        image = read_grey(path)
         if image is None:
             sentence = f"{path} cannot be read as an image; give a PNG, JPEG, TIFF or PGM file"
             results.extend(unread(path, seen.name, sentence) for seen in objects)

@@ -72,6 +72,22 @@ def test_poses_in_mm_and_degrees(folder, capsys):
     assert results[2]["problem"] == "object_hidden"
 
 
+def test_a_viewers_rotation_of_a_photograph_is_not_applied(folder, capsys):
+    """A JPEG whose EXIF orientation says "turn by 90 degrees": the lens knows nothing of that."""
+    good, data = cv2.imencode(".jpg", cv2.imread(str(folder / "shot0.png")))
+    assert good
+    orientation = bytes.fromhex("49492a00080000000100120103000100000006000000" + "00000000")
+    exif = b"Exif\0\0" + orientation
+    segment = b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif
+    jpeg = bytes(data)
+    (folder / "turned.jpg").write_bytes(jpeg[:2] + segment + jpeg[2:])
+    turned = cv2.imread(str(folder / "turned.jpg"))
+    assert turned.shape[:2] == (CAMERA.width, CAMERA.height)
+    assert locate(folder, str(folder / "turned.jpg"), "--json") == 0
+    (result,) = json.loads(capsys.readouterr().out)
+    assert result["x"] == pytest.approx(PLACES[0][0] * 1e3, abs=0.05)
+
+
 def test_a_sequence_is_fused(folder, capsys):
     names = [f"film{k}.png" for k in range(6)]
     assert locate(folder, *names, "--sequence", "--json") == 0
