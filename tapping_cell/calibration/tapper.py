@@ -122,10 +122,10 @@ class TapperCalibration:
 def striker_speeds(record: TapRecord, tap: Tap) -> Array:
     """Speed of the striker in m/s that each tap's travel tells, (N,)."""
     launch = tap.sliding.launch(record.distances, record.rotations)
-    return np.asarray(launch.speed / _launch_ratio(tap.impact, record.incidences))
+    return np.asarray(launch.speed / launch_ratio(tap.impact, record.incidences))
 
 
-def _launch_ratio(impact: Impact, incidences: Array) -> Array:
+def launch_ratio(impact: Impact, incidences: Array) -> Array:
     """Launch speed over striker speed for blows through the middle of the body's near side."""
     # Towards -x from the centre; for a polygon the nearest side.
     angles = np.linspace(0.0, 2.0 * np.pi, 721)

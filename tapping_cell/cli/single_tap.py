@@ -53,7 +53,9 @@ from tapping_cell.cli.graph import (
     own_domain,
     with_own_ports,
 )
-from tapping_cell.cli.tap_series import READY_PATIENCE_S, SeriesStopped, TapSeries
+from tapping_cell.cli.tap_maker import READY_PATIENCE_S, SeriesStopped
+from tapping_cell.cli.tap_room import TapRoom
+from tapping_cell.cli.tap_series import TapSeries
 from tapping_cell.cli.tap_summary import tell, trial_text
 from tapping_cell.cli.up import add_truth_arguments, node_parameters
 from tapping_cell.configuration import assembly
@@ -61,16 +63,7 @@ from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError, load
 from tapping_cell.nodes.single_tap_client import NoAnswer, SingleTapClient
-from tapping_cell.planning import (
-    FreeSpace,
-    Gains,
-    PlanningError,
-    PrescribedSession,
-    Prescription,
-    Refusal,
-    StrikeSpace,
-    cautious,
-)
+from tapping_cell.planning import PlanningError
 from tapping_cell.report.bag import BagError, BagWriter
 from tapping_cell.simulation.truth import TruthFile
 
@@ -238,32 +231,15 @@ def _recorded(folder: Path) -> list[Trial]:
 
 def _refused(cell: Cell, design: Design) -> str:
     """Why one of the design's taps cannot be made even from the middle; empty where all can."""
-    space = assembly.make_strike_space(cell)
-    limits = space.settings
-    cautiously = assembly.make_strike_space(cell, cautious(space))
-    free = FreeSpace(space)
+    room = TapRoom(cell)
     for run in design.runs:
-        what = (
-            f"run {run.number} ({1000 * run.striker_speed:.0f} mm/s, "
-            f"{math.degrees(run.incidence):.1f} deg)"
-        )
-        if not limits.slowest <= run.striker_speed <= limits.fastest:
-            return (
-                f"{what}: the tapper makes {1000 * limits.slowest:.0f} to "
-                f"{1000 * limits.fastest:.0f} mm/s; ask for speeds between these"
-            )
-        problem = _problem(cell, cautiously, free, Prescription(run.striker_speed, run.incidence))
+        problem = room.problem(run.striker_speed, run.incidence)
         if problem:
-            return f"{what}: {problem}"
+            return (
+                f"run {run.number} ({1000 * run.striker_speed:.0f} mm/s, "
+                f"{math.degrees(run.incidence):.1f} deg): {problem}"
+            )
     return ""
-
-
-def _problem(cell: Cell, space: StrikeSpace, free: FreeSpace, tap: Prescription) -> str:
-    """Why a tap cannot be made with the object in the middle of the table."""
-    decision = PrescribedSession(tap, space, free, Gains.start()).decide(
-        (0.0, 0.0, 0.0), in_view=cell.references.corners().reshape(-1, 2)
-    )
-    return decision.sentence if isinstance(decision, Refusal) else ""
 
 
 def _measure(

@@ -125,11 +125,13 @@ class SimWorld(CellNode[Parameters]):
         """Pictures sent."""
         return DiagnosticStatus.OK, "ok", {"pictures": self._frames}
 
-    def _on_strike(self, tip: Pose, height: float, speed: float, now: float) -> None:
-        """The tapper was released; called from the emulator's thread."""
+    def _on_strike(self, tip: Pose, height: float, speed: float, now: float) -> float:
+        """The tapper was released, and measures its speed; called from the emulator's thread."""
         with self._lock:
-            if self._world is not None:
-                self._world.strike(tip, height, speed, now)
+            if self._world is None:
+                return speed
+            self._world.strike(tip, height, speed, now)
+            return self._world.gate_speed(speed)
 
     def _expose(self) -> None:
         """Take a picture where one is due; send the one whose latency is over."""
@@ -143,12 +145,9 @@ class SimWorld(CellNode[Parameters]):
             taken = self._pace.next_picture(now, self._world.at_rest)
             if taken is None:
                 return
-            self._world.advance(taken - camera.exposure)
-            opening = self._world.pose
-            self._world.advance(taken - camera.exposure / 2)
-            middle = self._world.pose
-            self._world.advance(taken)
-            closing = self._world.pose
+            opening, middle, closing = (
+                self._pose_at(taken - camera.exposure * share) for share in (1.0, 0.5, 0.0)
+            )
         if taken == now:
             # Kept through a slide: a switch of tasks between the two clocks would shift a picture.
             self._world_began = clock - Duration(seconds=now)
@@ -159,6 +158,13 @@ class SimWorld(CellNode[Parameters]):
         picture.header.stamp = stamp.to_msg()
         self._late.append((now + camera.latency, picture))
         self._send_late()
+
+    def _pose_at(self, time: float) -> Pose:
+        """The object's true pose, on the table or held by the arm."""
+        assert self._world is not None and self._truth is not None and self._devices is not None
+        self._world.advance(time)
+        held = self._truth.arm.holds
+        return self._world.pose if held is None else self._devices.tip(time)[0] @ Pose(*held)
 
     def _send_late(self) -> None:
         while self._late and self._late[0][0] <= time.monotonic():

@@ -16,8 +16,9 @@ from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import ArmTruth
 
-OnStrike = Callable[[Pose, float, float, float], None]
-"""Called at a release: true tip pose in ``table``, its height in m, speed in m/s, time in s."""
+OnStrike = Callable[[Pose, float, float, float], float]
+"""Called at a release: true tip pose in ``table``, its height in m, commanded speed in m/s, time in
+s; returns what the tapper's gate measures of the speed."""
 
 LARGEST_BOOT = 1_000_000
 
@@ -68,12 +69,16 @@ class SimulatedDevices:
 
     def _fire(self, shot: int, energy: float, now: float) -> float | None:
         """The tapper was released: the striker flies from where the arm truly holds it."""
+        tip, height = self.tip(now)
+        speed = self._curve.speed_for(energy)
+        return self._on_strike(tip, height, speed, now)
+
+    def tip(self, now: float) -> tuple[Pose, float]:
+        """Where the striker's tip truly is: its pose in ``table`` and its height in m."""
         with self._arm_port.lock:
             joints = self._arm.joints(now)
         tip = self._geometry.forward(joints)
-        speed = self._curve.speed_for(energy)
-        self._on_strike(self._base @ Pose(tip.x, tip.y, tip.yaw), tip.z, speed, now)
-        return speed
+        return self._base @ Pose(tip.x, tip.y, tip.yaw), tip.z
 
 
 def arm_emulator(

@@ -39,6 +39,13 @@ class ImpactTruth:
     striker_speed_factor: float = quantity(
         "true over commanded striker speed", "", 0.1, 3.0, default=1.0
     )
+    gate_noise: float = quantity(
+        "standard deviation of the tapper's own measurement of the speed, relative",
+        "",
+        0.0,
+        0.2,
+        default=0.0,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +76,13 @@ class ArmTruth:
         0.0,
         0.05,
         default=(0.0,) * 4,
+    )
+    holds: tuple[float, float, float] | None = quantity(
+        "pose of the object on the striker, where the arm holds it to be calibrated: m, m, rad",
+        "",
+        -7.0,
+        7.0,
+        default=None,
     )
 
 

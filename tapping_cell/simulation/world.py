@@ -51,6 +51,8 @@ class World:
             slope=truth.support.slope,
         )
         self._random = np.random.default_rng(seed)
+        # Of its own: how a tap scatters does not depend on whether it is measured.
+        self._gate_random = np.random.default_rng([seed, 1])
         self._motion = Motion(truth.object_start)
         self._time = -math.inf
         self._launches: deque[Launch] = deque()
@@ -113,6 +115,12 @@ class World:
             )
         )
         return True
+
+    def gate_speed(self, speed: float) -> float:
+        """What the tapper's gate measures, m/s, of a striker released with a commanded speed."""
+        impact = self._truth.impact
+        noise = impact.gate_noise * self._gate_random.standard_normal()
+        return speed * impact.striker_speed_factor * (1 + float(noise))
 
     def advance(self, now: float) -> None:
         """Let the object slide until ``now``."""

@@ -16,7 +16,8 @@ from tapping_cell_msgs.msg import ErrorCode, TapperState, TapRecord
 from tapping_cell.calibration.design import Design
 from tapping_cell.calibration.experiment import ExperimentFile
 from tapping_cell.calibration.trials import Track, read_trials
-from tapping_cell.cli.tap_series import SeriesStopped, TapSeries
+from tapping_cell.cli.tap_maker import SeriesStopped
+from tapping_cell.cli.tap_series import TapSeries
 from tapping_cell.mechanics import Disk, Impact, Sliding, Striker, Tap
 from tapping_cell.nodes.conversions import covariance_to_message, to_message
 from tapping_cell.nodes.goal_client import Finished

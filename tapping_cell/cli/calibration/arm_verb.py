@@ -6,7 +6,13 @@ theta_deg) in the frame table. Without theta the rows are points of the table th
 20 poses over the whole table, the elbow bent by different angles to both sides, the tool turned.
 Writes a copy of the cell file with the new values in its section arm.
 
+With --record the running cell makes the record first: the arm, holding a marker whose object file
+the cell was started with (its height: that of the marker over the table), goes over the table as
+high as it is, and what the camera sees is written pose by pose. Ctrl-C stops; --resume goes on.
+
   python -m tapping_cell calibrate arm poses.csv --cell config/cell.yaml --output cell.yaml
+  python -m tapping_cell up --hardware --object held_marker.yaml    # in another terminal, and then
+  python -m tapping_cell calibrate arm poses.csv --record --output cell.yaml
 """
 
 from __future__ import annotations
@@ -20,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from tapping_cell.calibration.arm import (
+    LEAST_POSES,
     ArmCalibration,
     ArmRecord,
     calibrate_arm,
@@ -27,6 +34,11 @@ from tapping_cell.calibration.arm import (
 from tapping_cell.calibration.cell_file import calibrated_cell
 from tapping_cell.calibration.csv_table import Column, CsvTable, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
+from tapping_cell.cli.calibration.recording_arguments import (
+    add_recording_arguments,
+    check_count,
+    recording_console,
+)
 from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.provenance import Provenance
@@ -57,15 +69,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="pose of the held marker in the frame striker (mm, mm, deg), if it is known: then the"
         " tip's place on the tool is calibrated too",
     )
+    add_recording_arguments(parser)
+    parser.add_argument(
+        "--poses", type=int, default=20, metavar="N", help="with --record: how many poses (20)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Calibrate; 0 if the file was written."""
+    """Calibrate; 0 if the file was written, 130 if the recording was interrupted."""
     output = output_of(arguments, ("arm", "calibration"))
     refuse_existing(output)
     cell = load_cell(arguments.cell)
+    if arguments.record_first:
+        check_count("--poses", arguments.poses, LEAST_POSES)
+        from tapping_cell.cli.calibration.arm_recording import record as make_record
+
+        if not make_record(arguments, cell, recording_console(arguments)):
+            return 130
     table = read_csv(arguments.record, COLUMNS)
     result = calibrate_arm(record_of(table), cell.file.arm.geometry(), arguments.links)
     values = file_values(result, cell, arguments.marker_on_tip)

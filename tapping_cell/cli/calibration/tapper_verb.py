@@ -5,9 +5,15 @@ where there are such columns also its rotation (rad; or rotation_deg) and the in
 striker against the normal of the contact (rad; or incidence_deg; 0 without). About 30 taps through
 the object's middle, at six energies or more from the smallest tap to the largest. Friction and
 restitution come from the object file. Writes a copy of the cell file with the new curve in its
-section tapper.
+section tapper. A column distance_std gives what the camera leaves of each travel (else 0.1 mm).
+
+With --record the running cell makes the record first: taps about the middle of the table, from the
+smallest that the object's file names to the largest that surely stays on the table and in view,
+most of them at the two ends of that range. Ctrl-C stops; --resume goes on.
 
   python -m tapping_cell calibrate tapper taps.csv --cell config/cell.yaml --output cell.yaml
+  python -m tapping_cell up --hardware                              # in another terminal, and then
+  python -m tapping_cell calibrate tapper taps.csv --record --output cell.yaml
 """
 
 from __future__ import annotations
@@ -25,10 +31,16 @@ from tapping_cell.calibration.cell_file import calibrated_cell
 from tapping_cell.calibration.csv_table import Column, CsvTable, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
 from tapping_cell.calibration.tapper import (
+    LEAST_TAPS,
     USUAL_DEVIATION,
     TapperCalibration,
     TapRecord,
     calibrate_tapper,
+)
+from tapping_cell.cli.calibration.recording_arguments import (
+    add_recording_arguments,
+    check_count,
+    recording_console,
 )
 from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.cell import load_cell
@@ -52,15 +64,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--object", type=Path, metavar="FILE", help="object that was tapped (the cell's)"
     )
+    add_recording_arguments(parser)
+    parser.add_argument(
+        "--taps", type=int, default=30, metavar="N", help="with --record: about how many taps (30)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Calibrate; 0 if the file was written."""
+    """Calibrate; 0 if the file was written, 130 if the recording was interrupted."""
     output = output_of(arguments, ("tapper", "calibration"))
     refuse_existing(output)
     cell = load_cell(arguments.cell, arguments.object)
+    if arguments.record_first:
+        check_count("--taps", arguments.taps, LEAST_TAPS)
+        from tapping_cell.cli.calibration.tapper_recording import record as make_record
+
+        if not make_record(arguments, cell, recording_console(arguments)):
+            return 130
     table = read_csv(arguments.record, COLUMNS)
     tap = cell.object.tap(cell.file.tapper.striker())
     result = calibrate_tapper(record_of(table), tap)

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tapping_cell.calibration.arm import ArmRecord, calibrate_arm
+from tapping_cell.calibration.arm import ArmRecord, calibrate_arm, predicted
+from tapping_cell.calibration.arm_places import arm_places
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.cli import main
 from tapping_cell.cli.benchmarks import calibration_truths as truths
@@ -160,3 +161,30 @@ def test_the_verb_refuses_wrong_units_and_keeps_the_file(tmp_path: Path, capsys)
     assert output.read_text() == before
     assert main(["calibrate", "arm", str(noisy), *words, "--force", "--accept-worse"]) == 0
     assert output.read_text() != before
+
+
+@pytest.mark.parametrize("base", [Pose(0.0, 0.47, -math.pi / 2), Pose(-0.55, 0.05, 0.2)])
+def test_places_for_a_record_are_within_limits_and_tell_all_that_is_asked(base: Pose) -> None:
+    geometry = ScaraGeometry(joint_offset=(0.01, -0.02, 0.0, 0.03))
+    places = arm_places(geometry, base, (0.25, 0.2), 0.05, 20)
+    assert places == arm_places(geometry, base, (0.25, 0.2), 0.05, 20) and len(places) == 20
+    for joints in places:
+        tip = geometry.forward(joints)
+        at = base @ Pose(tip.x, tip.y, tip.yaw)
+        assert abs(at.x) <= 0.25 and abs(at.y) <= 0.2 and tip.z == pytest.approx(0.05)
+        assert geometry.limit_excess(joints)[1] == 0.0
+    turned = np.array(places)
+    assert (turned[:, 1] > 0.3).any() and (turned[:, 1] < -0.3).any()
+    truth = truths.arm(np.random.default_rng(1)) | {"base_x": base.x, "base_y": base.y}
+    truth |= {"base_yaw": base.theta}
+    joints = turned[:, [0, 1, 3]]
+    points, angles = predicted(joints, truth)
+    record = ArmRecord(
+        joints, np.stack([points.real, points.imag], axis=1), angles, np.arange(2, 22)
+    )
+    result = calibrate_arm(record, ScaraGeometry())
+    assert not result.held and result.wrist_deviation < 5e-5
+
+
+def test_a_table_out_of_reach_has_no_places() -> None:
+    assert arm_places(ScaraGeometry(), Pose(0.0, 5.0, 0.0), (0.1, 0.1), 0.05, 5) == []

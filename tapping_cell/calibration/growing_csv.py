@@ -1,0 +1,57 @@
+"""A CSV file that grows by a row at a time, so that what was measured is never lost."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from tapping_cell.calibration.csv_table import RecordError
+
+
+class GrowingCsv:
+    """Rows of numbers under one header; each is on the disk when ``append`` returns.
+
+    Raises:
+        RecordError: the file is there already and ``resume`` is not wanted, or it holds other
+            columns.
+    """
+
+    def __init__(self, path: Path, header: Sequence[str], resume: bool) -> None:
+        self._path = path
+        self._columns = len(header)
+        line = ",".join(header)
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._write(line + "\n", "x")
+            return
+        if not resume:
+            raise RecordError(
+                f"{path}: is there already and is not overwritten; give --resume to go on with it,"
+                " or another name"
+            )
+        text = path.read_text(encoding="utf-8-sig")
+        first = next((row for row in text.splitlines() if row and not row.startswith("#")), "")
+        if first.strip() != line:
+            raise RecordError(
+                f"{path}: has the columns {first.strip() or '(none)'}, where the recording has"
+                f" {line}; give another name"
+            )
+        if not text.endswith("\n"):
+            self._write("\n", "a")
+
+    def append(self, values: Sequence[float]) -> None:
+        """Add a row: values as in the header, in its units.
+
+        Raises:
+            OSError: the disk is full or away.
+        """
+        if len(values) != self._columns:
+            raise ValueError(f"{len(values)} values for {self._columns} columns")
+        self._write(",".join(f"{value:.9g}" for value in values) + "\n", "a")
+
+    def _write(self, text: str, mode: str) -> None:
+        with self._path.open(mode, encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())

@@ -1,0 +1,122 @@
+"""The record of `calibrate arm` by the running cell: the arm goes about and the camera looks."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+import numpy as np
+from rich.console import Console
+
+from tapping_cell.calibration.arm_places import arm_places
+from tapping_cell.calibration.camera import CalibrationRefused
+from tapping_cell.calibration.csv_table import read_csv
+from tapping_cell.calibration.growing_csv import GrowingCsv
+from tapping_cell.cli import session
+from tapping_cell.cli.calibration.arm_verb import COLUMNS
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.hardware.scara import Joints
+from tapping_cell.nodes.arm_pose_client import ArmPoseClient, ArmRefused
+
+HEADER = ("shoulder", "elbow", "tool", "x", "y", "theta")
+SPEED = 0.6
+"""Of the farthest joint, rad/s."""
+SPARE = 2
+"""Postures that are kept for each that is wanted: some show the marker outside the picture."""
+BLIND = 6
+"""Postures in a row without the marker in view after which it cannot be luck."""
+READY_PATIENCE_S = 30.0
+_SAME = 0.03
+"""Recorded joints this near to a posture, in rad, are of it."""
+
+
+def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
+    """Go on until there are so many poses as are asked for; False where it was interrupted.
+
+    Raises:
+        CalibrationRefused: the cell or the camera does not do; the sentence says why.
+        RecordError: the file cannot be gone on with.
+    """
+    session.end_on_signals()
+    growing = GrowingCsv(arguments.record, HEADER, arguments.resume)
+    try:
+        with ArmPoseClient(arguments.namespace) as client:
+            session.wait_until_ready(client, READY_PATIENCE_S, lambda: None, console)
+            _visit(arguments, cell, client, growing, console)
+    except KeyboardInterrupt:
+        console.print("interrupted; --resume goes on")
+        return False
+    except (ArmRefused, session.NotReadyInTime) as error:
+        raise CalibrationRefused(str(error)) from error
+    return True
+
+
+def _visit(
+    arguments: argparse.Namespace,
+    cell: Cell,
+    client: ArmPoseClient,
+    growing: GrowingCsv,
+    console: Console,
+) -> None:
+    here = client.joints()
+    assert here is not None
+    corners = cell.references.corners().reshape(-1, 2)
+    half = np.minimum(np.abs(corners).max(axis=0), [cell.file.table.length, cell.file.table.width])
+    geometry = cell.file.arm.geometry()
+    places = arm_places(
+        geometry,
+        cell.arm_base,
+        tuple((0.8 * half).tolist()),
+        geometry.forward(here).z,
+        SPARE * arguments.poses,
+    )
+    done = _recorded(arguments)
+    left = [joints for joints in places if not _among(joints, done)]
+    number, blind = len(done), 0
+    console.print(
+        f"the arm goes to {arguments.poses - number} postures over the table, as high as it is now;"
+        " Ctrl-C stops it after a move"
+    )
+    for joints in left:
+        if number >= arguments.poses:
+            return
+        seen = client.visit(joints, SPEED, lambda: None)
+        if seen is None:
+            blind += 1
+            console.print("not recorded: the camera does not see the marker at rest there")
+            if blind >= BLIND:
+                raise CalibrationRefused(
+                    f"in {blind} postures in a row the camera did not see the marker at rest; is"
+                    " the object file that camera_pose was started with that of the marker which"
+                    " the arm holds, and the marker uncovered?"
+                )
+            continue
+        blind = 0
+        number += 1
+        at = seen.pose
+        growing.append((seen.joints.shoulder, seen.joints.elbow, seen.joints.tool, *at))
+        console.print(
+            f"pose {number} of {arguments.poses}: {session.pose_text(at)}", highlight=False
+        )
+    if number < arguments.poses:
+        raise CalibrationRefused(
+            f"only {number} of {arguments.poses} postures that the arm can take show the marker;"
+            " they are in the record: calibrate with them, or move the camera"
+        )
+
+
+def _recorded(arguments: argparse.Namespace) -> list[tuple[float, ...]]:
+    """Joints of the poses that are there already."""
+    text = arguments.record.read_text(encoding="utf-8-sig")
+    if sum(1 for line in text.splitlines() if line and not line.startswith("#")) < 2:
+        return []
+    table = read_csv(arguments.record, COLUMNS)
+    return [tuple(row) for row in table.columns("shoulder", "elbow", "tool").tolist()]
+
+
+def _among(joints: Joints, done: list[tuple[float, ...]]) -> bool:
+    here = (joints.shoulder, joints.elbow, joints.tool)
+    return any(
+        max(abs(math.remainder(a - b, math.tau)) for a, b in zip(here, row, strict=True)) < _SAME
+        for row in done
+    )

@@ -1,0 +1,40 @@
+"""Options of the calibrations that can make their own record with a running cell."""
+
+from __future__ import annotations
+
+import argparse
+
+from rich.console import Console
+
+from tapping_cell.calibration.csv_table import RecordError
+
+
+def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare --record, --resume and --namespace."""
+    parser.add_argument(
+        "--record",
+        action="store_true",
+        dest="record_first",
+        help="make the record first, with the cell that is running (verb `up`)",
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="with --record: go on with a record that is there"
+    )
+    parser.add_argument(
+        "--namespace", default="", help="with --record: namespace of the running cell's nodes"
+    )
+
+
+def check_count(name: str, count: int, least: int) -> None:
+    """Refuse a number of measurements that makes no calibration.
+
+    Raises:
+        RecordError: names the option, its value and the range.
+    """
+    if not least <= count <= 1000:
+        raise RecordError(f"{name} is {count}; it must be {least} to 1000")
+
+
+def recording_console(arguments: argparse.Namespace) -> Console:
+    """Where the recording speaks: beside what --json prints."""
+    return Console(stderr=arguments.json)

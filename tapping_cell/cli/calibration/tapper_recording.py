@@ -1,0 +1,171 @@
+"""The record of `calibrate tapper` by the running cell: taps of many energies and their travels."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+from rich.console import Console
+
+from tapping_cell.calibration.camera import CalibrationRefused
+from tapping_cell.calibration.csv_table import read_csv
+from tapping_cell.calibration.design import judged
+from tapping_cell.calibration.experiment import ExperimentFile
+from tapping_cell.calibration.growing_csv import GrowingCsv
+from tapping_cell.calibration.tapper import SHARES, launch_ratio
+from tapping_cell.calibration.trials import Trial, completed
+from tapping_cell.cli import session
+from tapping_cell.cli.calibration.tapper_verb import COLUMNS
+from tapping_cell.cli.tap_maker import SeriesStopped, TapMaker, trial_of
+from tapping_cell.cli.tap_room import TapRoom
+from tapping_cell.configuration import assembly
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.nodes.single_tap_client import NoAnswer, SingleTapClient
+
+HEADER = ("energy", "distance", "rotation", "incidence", "distance_std")
+LONGEST = 0.090
+"""Travel in m of the largest tap, as far as the cell's files know; the smallest is the object's."""
+_STEP = 0.93
+"""Between largest speeds that are tried until one has room on the table."""
+_USELESS = 4
+"""Taps in a row that cannot be used after which something is wrong."""
+READY_PATIENCE_S = 60.0
+LOOK_AT_RATE_S = 1.0
+_ALIKE = 0.02
+
+
+def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
+    """Go on until there are so many taps as are asked for; False where it was interrupted.
+
+    Raises:
+        CalibrationRefused: the cell or the object does not do; the sentence says why.
+        RecordError: the file cannot be gone on with.
+    """
+    session.end_on_signals()
+    energies = energies_of(cell)
+    growing = GrowingCsv(arguments.record, HEADER, arguments.resume)
+    done = _recorded(arguments)
+    left = list(order(energies, arguments.taps, done))
+    console.print(
+        f"{len(left)} taps of {1e3 * energies[0]:.3g} to {1e3 * energies[-1]:.3g} mJ about the"
+        " middle of the table; Ctrl-C stops them"
+    )
+    try:
+        with SingleTapClient("calibrate_tapper", arguments.namespace) as client:
+            session.wait_until_ready(client, READY_PATIENCE_S, lambda: None, console)
+            _make(cell, client, left, growing, console)
+    except KeyboardInterrupt:
+        console.print("interrupted; --resume goes on")
+        return False
+    except (SeriesStopped, NoAnswer, session.NotReadyInTime) as error:
+        raise CalibrationRefused(f"{error}; --resume goes on with what is recorded") from error
+    return True
+
+
+def energies_of(cell: Cell) -> list[float]:
+    """Energies in J, steps alike in ln E, from a short travel to the longest that has room.
+
+    Raises:
+        CalibrationRefused: there is no room, or the tapper's range is too narrow.
+    """
+    tap, curve, room = assembly.make_tap(cell), cell.file.tapper.curve(), TapRoom(cell)
+    still = np.zeros(2)
+    launch = tap.sliding.launch(np.array([cell.object.smallest_tap, LONGEST]), still).speed
+    ratio = float(launch_ratio(tap.impact, np.zeros(1))[0])
+    slowest, fastest = (
+        min(max(speed / ratio, curve.slowest), curve.fastest) for speed in launch.tolist()
+    )
+    while problem := room.problem(fastest, 0.0):
+        fastest *= _STEP
+        if fastest < 1.5 * slowest:
+            raise CalibrationRefused(f"no range of taps has room on the table: {problem}")
+    low, high = curve.energy_for(slowest), curve.energy_for(fastest)
+    # A hair inside, so that rounding asks for no speed beyond the tapper's.
+    return [float(e) for e in np.geomspace(low * (1 + 1e-9), high * (1 - 1e-9), len(SHARES))]
+
+
+def order(energies: list[float], taps: int, done: list[float]) -> Iterator[float]:
+    """The energies still to be tapped of ``taps`` in all, most often the ends of the range, and
+    mixed: what drifts bends no curve, and what was interrupted tells of all."""
+    wanted = Counter(
+        {e: max(1, round(taps * n / sum(SHARES))) for e, n in zip(energies, SHARES, strict=True)}
+    )
+    for energy in done:
+        nearest = min(energies, key=lambda e: abs(math.log(e / energy)))
+        if abs(math.log(nearest / energy)) < _ALIKE:
+            wanted[nearest] -= 1
+    # The shares of each energy spread evenly over the recording.
+    yield from (
+        energy
+        for _, energy in sorted(
+            ((turn + 0.5) / count, energy)
+            for energy, count in wanted.items()
+            for turn in range(count)
+        )
+    )
+
+
+def _make(
+    cell: Cell,
+    client: SingleTapClient,
+    energies: list[float],
+    growing: GrowingCsv,
+    console: Console,
+) -> None:
+    if client.object_state is None or client.object_state.object_id != cell.object.name:
+        seen = client.object_state.object_id if client.object_state else "nothing"
+        raise CalibrationRefused(
+            f"the camera looks for '{seen}', but the taps are to be on '{cell.object.name}'; give"
+            " the running cell's own --object"
+        )
+    maker = TapMaker(client, lambda: None)
+    curve, tap = cell.file.tapper.curve(), assembly.make_tap(cell)
+    rate = client.camera_rate(LOOK_AT_RATE_S, lambda: None)
+    header = ExperimentFile(
+        format=1,
+        made="",
+        source="simulated" if client.simulated else "hardware",
+        rest_position_std=cell.file.camera.position_noise,
+        rest_rotation_std=cell.file.camera.angle_noise,
+    )
+    made = useless = 0
+    for energy in energies:
+        while True:
+            result = maker.make(curve.speed_for(energy), 0.0, made)
+            if result is None:
+                continue
+            made += 1
+            trial = trial_of(client, tap, result.record, rate, result.error_msg)
+            expected = math.hypot(result.record.dx, result.record.dy)
+            trial = completed(judged(trial, header, expected))
+            if trial.outcome in ("ok", "missed"):
+                break
+            useless += 1
+            console.print(f"not recorded: {trial.outcome} ({trial.note})", highlight=False)
+            if useless >= _USELESS:
+                raise CalibrationRefused(
+                    f"{useless} taps in a row cannot be used, the last: {trial.note}"
+                )
+        useless = 0
+        growing.append(_row(energy, trial))
+        console.print(
+            f"{1e3 * energy:.3g} mJ: {1e3 * trial.displacement:.2f} mm, "
+            f"{math.degrees(trial.rotation):+.1f} deg ({1e3 * expected:.1f} mm expected)",
+            highlight=False,
+        )
+
+
+def _row(energy: float, trial: Trial) -> tuple[float, ...]:
+    incidence = trial.incidence if math.isfinite(trial.incidence) else 0.0
+    return (energy, trial.displacement, trial.rotation, incidence, trial.displacement_std)
+
+
+def _recorded(arguments: argparse.Namespace) -> list[float]:
+    """Energies of the taps that are there already."""
+    text = arguments.record.read_text(encoding="utf-8-sig")
+    if sum(1 for line in text.splitlines() if line and not line.startswith("#")) < 2:
+        return []
+    return [float(energy) for energy in read_csv(arguments.record, COLUMNS).values["energy"]]

@@ -1,0 +1,151 @@
+"""One tap of an experiment after the other: the cell waited for, the object brought back, the tap
+read."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from tapping_cell_msgs.action import SingleTap
+from tapping_cell_msgs.msg import ErrorCode, TapperState, TapRecord
+
+from tapping_cell.calibration.design import contact_of, travel_direction
+from tapping_cell.calibration.trials import Trial
+from tapping_cell.mechanics import Tap
+from tapping_cell.nodes.conversions import covariance_from_message, from_message
+from tapping_cell.nodes.error_codes import NAMES
+from tapping_cell.nodes.goal_client import Finished
+from tapping_cell.nodes.single_tap_client import SingleTapClient
+from tapping_cell.se2 import Pose
+
+READY_PATIENCE_S = 60.0
+BACK_TOLERANCE = (0.015, math.radians(45.0))
+"""Of a goal that brings the object back, m and rad: loose, so that it is quick."""
+NO_ROOM = (ErrorCode.TAP_LEAVES_TABLE, ErrorCode.TAP_LEAVES_VIEW, ErrorCode.NO_TAP_FOUND)
+"""Refusals that a better place of the object may cure."""
+PASSING = (
+    ErrorCode.OBJECT_NOT_SEEN,
+    ErrorCode.OBJECT_NOT_AT_REST,
+    ErrorCode.OBJECT_MOVED,
+    ErrorCode.REFERENCES_NOT_SEEN,
+    ErrorCode.CAMERA_SILENT,
+    ErrorCode.IMAGE_INVALID,
+    ErrorCode.GOAL_REPLACED,
+    ErrorCode.PLANNER_BUSY,
+)
+"""Failures that may pass by themselves: the cell is waited for, then the trial is made again."""
+IN_A_ROW = 3
+
+
+class SeriesStopped(RuntimeError):
+    """The experiment cannot go on; ``code`` of ErrorCode and a sentence. What is done is kept."""
+
+    def __init__(self, code: int, sentence: str) -> None:
+        super().__init__(sentence)
+        self.code = code
+
+
+@dataclass(slots=True)
+class TapMaker:
+    """Makes prescribed taps about the middle of the table."""
+
+    client: SingleTapClient
+    check: Callable[[], None]
+    """Raises where the experiment must end, such as when a node died."""
+    _failures: int = field(default=0, init=False)
+
+    def make(self, striker_speed: float, incidence: float, number: int) -> SingleTap.Result | None:
+        """One tap (m/s, rad), ``number`` of the whole experiment; None where nothing was tapped
+        and it should be tried again.
+
+        Raises:
+            SeriesStopped: it cannot go on.
+        """
+        self._wait()
+        wanted = travel_direction(self.client.object_pose(), number)
+        result = self.client.tap(striker_speed, incidence, wanted, math.pi, self.check)
+        if result.record.tap_id == 0:
+            self._untapped(result.error_code, result.error_msg)
+            return None
+        self._failures = 0
+        return result
+
+    def _untapped(self, code: int, sentence: str) -> None:
+        """What to do about a tap that never began."""
+        self._failures += 1
+        name = NAMES.get(code, str(code))
+        if self._failures >= IN_A_ROW or code not in (*NO_ROOM, *PASSING):
+            raise SeriesStopped(code, f"{name}: {sentence}")
+        if code in NO_ROOM:
+            self._bring_back(code, sentence)
+
+    def _bring_back(self, code: int, sentence: str) -> None:
+        """Bring the object to the middle of the table by an ordinary goal."""
+        middle = Pose(0.0, 0.0, self.client.object_pose().theta)
+        if self.client.object_pose().distance_to(middle) <= BACK_TOLERANCE[0]:
+            raise SeriesStopped(code, f"{NAMES.get(code, code)}: {sentence}")
+        self.client.send(middle, BACK_TOLERANCE)
+        try:
+            for event in self.client.events():
+                self.check()
+                if isinstance(event, Finished) and event.error_code:
+                    raise SeriesStopped(
+                        event.error_code,
+                        f"the object could not be brought back to the middle of the table: "
+                        f"{event.error_msg}",
+                    )
+        except BaseException:
+            self.client.cancel()
+            raise
+
+    def _wait(self) -> None:
+        """Wait until the cell can tap."""
+        deadline = time.monotonic() + READY_PATIENCE_S
+        while missing := self.client.missing():
+            self.check()
+            if time.monotonic() > deadline:
+                raise SeriesStopped(
+                    ErrorCode.NOT_READY,
+                    f"the cell was not ready for a tap within {READY_PATIENCE_S:.0f} s: "
+                    + "; ".join(missing),
+                )
+            time.sleep(0.02)
+
+
+def trial_of(
+    client: SingleTapClient, tap: Tap, record: TapRecord, camera_rate: float, trouble: str
+) -> Trial:
+    """A tap as measured; ``lost`` where the object was not seen after it. ``camera_rate`` in Hz may
+    be NaN, ``trouble`` is what the planner said of it."""
+    start, end = from_message(record.object_pose), from_message(record.measured_pose.pose)
+    lost = not math.isfinite(end.x)
+    tip = client.tip_of(int(record.tap_id)) or from_message(record.strike_pose)
+    incidence, contact = contact_of(tap, start, tip, record.striker_speed)
+    spread = covariance_from_message(record.measured_pose.covariance)
+    notes = [trouble] if trouble else []
+    if record.outcome != TapperState.FIRED:
+        notes.append("the tapper did not say whether it fired")
+    return Trial(
+        run=0,
+        trial=0,
+        outcome="lost" if lost else "ok",
+        striker_speed=record.striker_speed,
+        # NaN without a gate; 0 where the release was not heard of.
+        striker_speed_measured=record.measured_speed or math.nan,
+        incidence=incidence,
+        contact_angle=contact,
+        start_x=start.x,
+        start_y=start.y,
+        start_theta=start.theta,
+        end_x=end.x,
+        end_y=end.y,
+        end_theta=end.theta,
+        # Two looks make a displacement; of one axis of it.
+        displacement_std=math.nan if lost else math.sqrt(spread[0, 0] + spread[1, 1]),
+        rotation_std=math.nan if lost else math.sqrt(2 * spread[2, 2]),
+        camera_rate_hz=camera_rate,
+        note="; ".join(notes),
+        track=client.track_of(record),
+    )

@@ -1,0 +1,39 @@
+"""Whether a prescribed tap can be made at all: asked before anything starts."""
+
+from __future__ import annotations
+
+from tapping_cell.configuration import assembly
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.planning import (
+    FreeSpace,
+    Gains,
+    PrescribedSession,
+    Prescription,
+    Refusal,
+    cautious,
+)
+
+
+class TapRoom:
+    """The room that taps of a cell have around the middle of its table."""
+
+    def __init__(self, cell: Cell) -> None:
+        space = assembly.make_strike_space(cell)
+        self._limits = space.settings
+        self._space = assembly.make_strike_space(cell, cautious(space))
+        self._free = FreeSpace(space)
+        self._view = cell.references.corners().reshape(-1, 2)
+
+    def problem(self, striker_speed: float, incidence: float) -> str:
+        """Why a tap (m/s, rad) cannot be made with the object in the middle; empty where it can."""
+        limits = self._limits
+        if not limits.slowest <= striker_speed <= limits.fastest:
+            return (
+                f"the tapper makes {1000 * limits.slowest:.0f} to "
+                f"{1000 * limits.fastest:.0f} mm/s; ask for speeds between these"
+            )
+        tap = Prescription(striker_speed, incidence)
+        decision = PrescribedSession(tap, self._space, self._free, Gains.start()).decide(
+            (0.0, 0.0, 0.0), in_view=self._view
+        )
+        return decision.sentence if isinstance(decision, Refusal) else ""

@@ -1,0 +1,36 @@
+"""Records that grow row by row: nothing lost, nothing overwritten."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tapping_cell.calibration.csv_table import Column, RecordError, read_csv
+from tapping_cell.calibration.growing_csv import GrowingCsv
+
+HEADER = ("energy", "distance")
+COLUMNS = (Column("energy", "J"), Column("distance", "m"))
+
+
+def test_rows_are_read_back_as_they_were_and_gone_on_with(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "taps.csv"
+    GrowingCsv(path, HEADER, resume=False).append((0.001, 1 / 3))
+    GrowingCsv(path, HEADER, resume=True).append((0.002, 0.5))
+    table = read_csv(path, COLUMNS)
+    np.testing.assert_allclose(table.columns(*HEADER), [[0.001, 1 / 3], [0.002, 0.5]], rtol=1e-8)
+
+
+def test_a_file_that_is_there_is_neither_overwritten_nor_mixed(tmp_path: Path) -> None:
+    path = tmp_path / "taps.csv"
+    path.write_text("# by hand\nenergy,distance\n0.1,0.2", encoding="utf-8")
+    with pytest.raises(RecordError, match="--resume"):
+        GrowingCsv(path, HEADER, resume=False)
+    with pytest.raises(RecordError, match="another name"):
+        GrowingCsv(path, ("energy", "travel"), resume=True)
+    # A last line without its end is ended first.
+    GrowingCsv(path, HEADER, resume=True).append((0.3, 0.4))
+    assert len(read_csv(path, COLUMNS).rows) == 2
+    with pytest.raises(ValueError, match="2 columns"):
+        GrowingCsv(path, HEADER, resume=True).append((0.3,))
