@@ -349,7 +349,6 @@ def _state_of(picture: Image, name: str, observation: Observation) -> ObjectStat
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node."""
     cv2.setNumThreads(1)
-    images.keep_memory()
     return run(CameraPose, arguments)
 
 

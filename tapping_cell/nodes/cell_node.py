@@ -29,6 +29,7 @@ from std_msgs.msg import Bool
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes import parameters
+from tapping_cell.nodes.memory import keep_memory
 
 Parameters = TypeVar("Parameters")
 
@@ -242,7 +243,10 @@ def choose_transport(pictures: bool) -> None:
 
 def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None = None) -> int:
     """Run one node until Ctrl-C, a termination signal or a fatal error; returns the exit status."""
-    choose_transport(getattr(make_node, "carries_pictures", True))
+    pictures = getattr(make_node, "carries_pictures", True)
+    choose_transport(pictures)
+    if pictures:
+        keep_memory()
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.ALL)
     node: CellNode[Any] | None = None
     executor = SingleThreadedExecutor()

@@ -187,7 +187,6 @@ class OverheadCamera(CellNode[Parameters]):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node."""
-    images.keep_memory()
     return run(OverheadCamera, arguments)
 
 
