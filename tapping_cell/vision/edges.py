@@ -8,7 +8,8 @@ is biased by where the edge lies between pixels, and any symmetric blur cancels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +22,18 @@ side."""
 
 _LEAST_CONTRAST = 12.0
 """Grey levels between black and white below which a side is not trusted (six times usual noise)."""
-_SOFT = 0.015
+_SOFT = 0.02
 """Change at the ends of a window, per pixel and contrast, from which the levels beside the edge are
 not clean: the answer is then drawn towards the middle of the window, and the look repeated until
 they meet."""
+_USUAL = 0.68
+"""Half a window in modules, 4 pixels at most: narrower ones end in the blur of their edge, wider
+ones of small markers in that of the modules behind the black border."""
+_WIDE, _WIDEST = 0.75, 8
+"""Half a window for edges that are soft at the ends of the usual one (smeared by motion, out of
+focus), in modules: beyond, the modules next to the black border begin; and in pixels at most."""
 _MOST_LOOKS = 8
+_MOST_PULL = 0.9
 _LEAST_SHARE = 0.7
 """Share of a side's rows that must agree with a straight line."""
 
@@ -37,7 +45,9 @@ class MarkerEdges:
     ``points`` (M, 4, BINS, 2) in pixels, ``weights`` (M, 4, BINS) rows behind each, ``corners`` (M,
     4, 2) where the sides meet, in pixels, ``spread`` (M,) what one row adds to the standard
     deviation across the side, in pixels (divide by the root of the rows), ``black`` and ``white``
-    (M,) grey levels, ``good`` (M,) all four sides are whole.
+    (M,) grey levels, ``pull`` (M,) the share by which the worst side goes where its window goes,
+    because the levels at the ends are not clean (1: nothing is known), ``good`` (M,) all four sides
+    are whole and not smeared beyond measure.
     """
 
     points: Array
@@ -46,6 +56,7 @@ class MarkerEdges:
     spread: Array
     black: Array
     white: Array
+    pull: Array
     good: NDArray[np.bool_]
 
 
@@ -56,7 +67,26 @@ def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> Marke
     stays within one of them.
     """
     side = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).mean(axis=1)
-    widths = np.clip(0.65 * side / modules, 2, 4).astype(int)
+    usual = np.clip(_USUAL * side / modules, 2, 4).astype(int)
+    found = _at_widths(image, quads, usual)
+    wide = np.clip(_WIDE * side / modules, 2, _WIDEST).astype(int)
+    softest = (2 * usual - 1) * _SOFT
+    redo = np.flatnonzero(found.good & (found.pull > softest) & (wide > usual))
+    if not redo.size:
+        return _believed(found)
+    again = _at_widths(image, found.corners[redo], wide[redo])
+    better = again.good & (again.pull < found.pull[redo])
+    order = np.arange(len(quads))
+    order[redo[better]] = len(quads) + np.flatnonzero(better)
+    return _believed(take(join(found, again), order))
+
+
+def _believed(edges: MarkerEdges) -> MarkerEdges:
+    return replace(edges, good=edges.good & (edges.pull < _MOST_PULL))
+
+
+def _at_widths(image: Image, quads: Array, widths: NDArray[np.intp]) -> MarkerEdges:
+    """Edges by windows of these half widths (M,), in pixels."""
     if widths.min() == widths.max():
         return _refine(image, quads, int(widths[0]))
     kinds = np.unique(widths)
@@ -70,26 +100,53 @@ def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> Marke
 
 def _refine(image: Image, quads: Array, half_width: int) -> MarkerEdges:
     """Looks at the edges with windows of one width until the windows lie on them."""
-    found, soft = _edges(image, quads, half_width)
+    found = _look(image, quads, half_width)
     for _ in range(_MOST_LOOKS):
         shift = np.abs(found.corners - quads).max(axis=(1, 2))
-        redo = found.good & (shift > np.where(soft > _SOFT, 0.04, 0.6)) & (shift < 8.0)
+        redo = found.good & (shift > np.where(found.soft > _SOFT, 0.04, 0.6)) & (shift < 8.0)
         if not redo.any():
             break
         quads = np.where(redo[:, None, None], found.corners, quads)
-        found, soft = _edges(image, quads, half_width)
-    return found
+        found = _look(image, quads, half_width)
+    return _edges(found)
 
 
-def _edges(image: Image, quads: Array, half_width: int) -> tuple[MarkerEdges, Array]:
-    """One look; and how much of the contrast (M,) still changes at the ends of the windows."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """One look at all sides (4 M), outwards of which q goes by ``outward`` (1 or -1).
+
+    ``p`` (4 M, R) counts the rows of a side, ``q`` is where the edge crosses them, ``kept`` (1 or
+    0) the rows that agree with the line q = offset + slope p, ``residual`` what they miss it by;
+    ``black`` and ``white`` the levels beside the rows, ``mask`` (1 or 0) the rows that there are;
+    ``corners`` (M, 4, 2) where the lines meet.
+    """
+
+    half_width: int
+    steep: NDArray[np.bool_]
+    outward: Array
+    low: Array
+    high: Array
+    p: Array
+    q: Array
+    kept: Array
+    slope: Array
+    residual: Array
+    black: Array
+    white: Array
+    mask: Array
+    corners: Array
+    soft: Array
+    good: NDArray[np.bool_]
+
+
+def _look(image: Image, quads: Array, half_width: int) -> _Look:
     count = quads.shape[0]
     start = quads.reshape(-1, 2)
-    end = np.roll(quads, -1, axis=1).reshape(-1, 2)
-    middle = np.repeat(quads.mean(axis=1), 4, axis=0)
-    steep = np.abs(end[:, 1] - start[:, 1]) > np.abs(end[:, 0] - start[:, 0])
-    along = steep.astype(int)  # coordinate that counts the rows: y of a steep side, else x
-    each = np.arange(start.shape[0])
+    end = quads[:, [1, 2, 3, 0]].reshape(-1, 2)
+    step = np.abs(end - start)
+    steep = step[:, 1] > step[:, 0]
+    along = steep.astype(np.intp)  # coordinate that counts the rows: y of a steep side, else x
+    each = np.arange(4 * count)
     p0, q0 = start[each, along], start[each, 1 - along]
     p1, q1 = end[each, along], end[each, 1 - along]
     slope = (q1 - q0) / np.where(p1 == p0, 1.0, p1 - p0)
@@ -97,84 +154,135 @@ def _edges(image: Image, quads: Array, half_width: int) -> tuple[MarkerEdges, Ar
     low, high = np.minimum(p0, p1) + trim, np.maximum(p0, p1) - trim
     rows = max(2, int(np.ceil((high - low).max())) + 1)
     p = np.ceil(low)[:, None] + np.arange(rows)
-    inside = p <= high[:, None]
-    centre = np.rint(q0[:, None] + slope[:, None] * (p - p0[:, None]))
-    window = np.arange(-half_width, half_width + 1)
-    outward = np.sign(0.5 * (q0 + q1) - middle[each, 1 - along]).astype(np.intp)
+    centre = np.rint(slope[:, None] * p + (q0 - slope * p0)[:, None])
+    middle = quads.mean(axis=1).repeat(4, axis=0)
+    outward = np.sign(0.5 * (q0 + q1) - middle[each, 1 - along])
     height, width = image.shape
     limit_p = np.where(steep, height, width)[:, None]
-    limit_q = np.where(steep, width, height)[:, None]
-    inside &= (p >= 0) & (p < limit_p)
-    inside &= (centre >= half_width) & (centre < limit_q - half_width)
+    limit_q = np.where(steep, width, height)[:, None] - half_width
+    inside = (p <= high[:, None]) & (p >= 0) & (p < limit_p)
+    inside &= (centre >= half_width) & (centre < limit_q)
     step_p = np.where(steep, width, 1)[:, None]
-    step_q = np.where(steep, 1, width)[:, None]
-    first = np.where(inside, p * step_p + centre * step_q, half_width * (width + 1)).astype(np.intp)
-    index = first[:, :, None] + (outward[:, None] * step_q * window)[:, None, :]
-    grey = image.reshape(-1).take(index).astype(np.float32)
+    step_q = np.where(steep, 1, width)
+    first = np.where(inside, p * step_p + centre * step_q[:, None], half_width * (width + 1))
+    window = (outward * step_q).astype(np.intp)[:, None] * np.arange(-half_width, half_width + 1)
+    grey = image.reshape(-1).take(first.astype(np.intp)[:, :, None] + window[:, None, :])
+    grey = grey.astype(np.float32)
     mask = inside.astype(float)
-    black, white = _levels(grey, p, mask)
+    # Grey levels are whole numbers: exact in single precision.
+    sums = np.matmul(grey, _sums(half_width)).astype(float)
+    black, white = _along(p, np.moveaxis(sums[..., 1:3], -1, 0), mask)
     contrast = white - black
     usable = mask * (contrast > _LEAST_CONTRAST)
-    total = len(window) * white - grey.sum(axis=2, dtype=float)
-    share = total / np.where(contrast == 0, 1.0, contrast)
-    q = centre + outward[:, None] * (share - half_width - 0.5)
-    usable *= np.abs(share - half_width - 0.5) < half_width - 0.5
-    offset, slope, residual = _line(p, q, usable)
-    half = p.shape[1] // 2
-    scale = np.partition(np.abs(residual) * usable, half, axis=1)[:, half] * 1.5
-    kept = usable * (np.abs(residual) < np.maximum(0.3, 4.0 * scale)[:, None])
+    total = (2 * half_width + 1) * white - sums[..., 0]
+    share = total / np.where(contrast == 0.0, 1.0, contrast) - (half_width + 0.5)
+    usable *= np.abs(share) < half_width - 0.5
+    q = centre + outward[:, None] * share
+    _, _, residual = _line(p, q, usable)
+    off = np.abs(residual)
+    half = rows // 2
+    scale = np.partition(off * usable, half, axis=1)[:, half] * 1.5
+    kept = usable * (off < np.maximum(0.3, 4.0 * scale)[:, None])
     offset, slope, residual = _line(p, q, kept)
-    steepness = np.sqrt(1.0 + slope**2)
     number = kept.sum(axis=1)
-    squares = (kept * residual**2).sum(axis=1) / np.maximum(number - 2.0, 1.0)
     good = (number >= _LEAST_SHARE * np.maximum(mask.sum(axis=1), 4.0)) & (
         number >= _LEAST_SHARE * (high - low)
     )
-    points, weights = _condense(p, q, kept, low, high, steep)
-    # q = offset + slope p, written as normal . (x, y) = value
-    normal = np.where(
-        steep[:, None],
-        np.stack([np.ones_like(slope), -slope], 1),
-        np.stack([-slope, np.ones_like(slope)], 1),
+    corners = _corners(offset, slope, along)
+    # How much of the contrast still changes from pixel to pixel at the ends, in the mean of rows.
+    ends = np.abs(np.matmul(usable[:, None, :], sums[..., 3:])[:, 0])
+    soft = ends.sum(axis=1) / np.maximum(2.0 * (contrast * usable).sum(axis=1), 1e-9)
+    return _Look(
+        half_width,
+        steep,
+        outward,
+        low,
+        high,
+        p,
+        q,
+        kept,
+        slope,
+        residual,
+        black,
+        white,
+        mask,
+        corners,
+        soft.reshape(count, 4).max(axis=1),
+        good.reshape(count, 4).all(axis=1) & np.isfinite(corners).all(axis=(1, 2)),
     )
-    corners = _meet(normal.reshape(count, 4, 2), offset.reshape(count, 4))
-    squares *= _level_noise(2 * half_width + 1)
-    spread = np.sqrt((squares / steepness**2).reshape(count, 4).mean(axis=1))
-    total = np.maximum(mask.sum(axis=1), 1.0)
-    edges = MarkerEdges(
+
+
+@lru_cache(maxsize=16)
+def _sums(half_width: int) -> NDArray[np.float32]:
+    """Matrix (window, 5): sum of a window, levels at its inner and outer end, changes there."""
+    size = 2 * half_width + 1
+    end = _outermost(size)
+    matrix = np.zeros((size, 5), dtype=np.float32)
+    matrix[:, 0] = 1.0
+    matrix[:end, 1] = matrix[-end:, 2] = 1.0 / end
+    matrix[:2, 3] = matrix[-2:, 4] = -1.0, 1.0
+    return matrix
+
+
+def _edges(look: _Look) -> MarkerEdges:
+    """What a look says."""
+    count = len(look.good)
+    squares = (look.kept * look.residual**2).sum(axis=1)
+    squares /= np.maximum(look.kept.sum(axis=1) - 2.0, 1.0) * (1.0 + look.slope**2)
+    squares *= _level_noise(2 * look.half_width + 1)
+    spread = np.sqrt(squares.reshape(count, 4).mean(axis=1))
+    number = np.maximum(look.mask.sum(axis=1), 1.0)
+    black, white = ((level * look.mask).sum(axis=1) / number for level in (look.black, look.white))
+    q = look.q + _uneven(look, white)[:, None]
+    points, weights = _condense(look.p, q, look.kept, look.low, look.high, look.steep)
+    return MarkerEdges(
         points=points.reshape(count, 4, BINS, 2),
         weights=weights.reshape(count, 4, BINS),
-        corners=corners,
+        corners=look.corners,
         spread=spread,
-        black=((black * mask).sum(axis=1) / total).reshape(count, 4).mean(axis=1),
-        white=((white * mask).sum(axis=1) / total).reshape(count, 4).mean(axis=1),
-        good=good.reshape(count, 4).all(axis=1)
-        & (spread < 0.6)
-        & np.isfinite(corners).all(axis=(1, 2)),
+        black=black.reshape(count, 4).mean(axis=1),
+        white=white.reshape(count, 4).mean(axis=1),
+        # A ramp over the whole window changes by one over this from pixel to pixel.
+        pull=look.soft * (2 * look.half_width - 1),
+        good=look.good & (spread < 0.6),
     )
-    ends = 0.5 * (grey[..., 1] - grey[..., 0] + grey[..., -1] - grey[..., -2])
-    change = (ends * usable).sum(axis=1) / np.maximum((contrast * usable).sum(axis=1), 1e-9)
-    return edges, change.reshape(count, 4).max(axis=1)
 
 
-def _levels(grey: NDArray[np.float32], p: Array, mask: Array) -> tuple[Array, Array]:
-    """Black and white beside every row: straight lines along the side through the outermost
-    pixels."""
-    sides = []
-    end = _outermost(grey.shape[2])
-    for columns in (grey[..., :end], grey[..., -end:]):
-        level = columns[..., 0].astype(float)
-        if end == 2:
-            level = 0.5 * (level + columns[..., 1])
-        offset, slope, _ = _line(p, level, mask)
-        sides.append(offset[:, None] + slope[:, None] * p)
-    return sides[0], sides[1]
+def _uneven(look: _Look, white: Array) -> Array:
+    """What uneven light moves the sides (S,) by in q, to be added.
+
+    The levels come from pixels a distance m outside and inside the edge. Where light grows by a
+    share g a pixel outwards, black and white at the edge are not those: to first order an edge in
+    a window of L pixels to either side seems to lie L g (m - L / 2) too far out, opposite sides of
+    a marker to the same direction. The light's slope comes from ``white`` (S,) beside the sides.
+    """
+    corners, each = look.corners, np.arange(len(white))
+    away = look.half_width - 0.5 * (_outermost(2 * look.half_width + 1) - 1)
+    place = 0.5 * (corners + corners[:, [1, 2, 3, 0]]).reshape(-1, 2)
+    place[each, 1 - look.steep.astype(np.intp)] += look.outward * away
+    place, level = place.reshape(-1, 4, 2), white.reshape(-1, 4)
+    gaps = place[:, :2] - place[:, 2:]
+    turned = gaps[:, 0, 0] * gaps[:, 1, 1] - gaps[:, 0, 1] * gaps[:, 1, 0]
+    change = (level[:, :2] - level[:, 2:]) / np.maximum(level.mean(axis=1), 1.0)[:, None]
+    across = change[:, 0] * gaps[:, 1, 1] - change[:, 1] * gaps[:, 0, 1]
+    down = change[:, 1] * gaps[:, 0, 0] - change[:, 0] * gaps[:, 1, 0]
+    slopes = np.stack([across, down], axis=-1) / np.where(turned == 0.0, 1.0, turned)[:, None]
+    slope = np.where(look.steep, slopes[:, 0].repeat(4), slopes[:, 1].repeat(4))
+    length = look.half_width + 0.5
+    # The slope is that of the coordinate itself: outwards and back again cancel.
+    return np.asarray(-slope * length * (away - 0.5 * length))
+
+
+def _along(p: Array, levels: Array, mask: Array) -> Array:
+    """Straight lines along the sides through levels (2, S, R), at every row."""
+    offset, slope, _ = _line(p, levels, mask)
+    return np.asarray(offset[..., None] + slope[..., None] * p)
 
 
 def _outermost(window: int) -> int:
     """How many pixels at either end of a window give the levels: of a narrow one the second already
     belongs to the edge."""
-    return 1 if window <= 5 else 2
+    return 1 if window <= 7 else 2
 
 
 def _level_noise(window: int) -> float:
@@ -189,13 +297,16 @@ def _level_noise(window: int) -> float:
 
 
 def _line(p: Array, q: Array, weight: Array) -> tuple[Array, Array, Array]:
-    """Least squares q = offset + slope p, a line for every first index; and the residuals."""
-    total = np.maximum(weight.sum(axis=1), 1e-9)
-    mean_p = (weight * p).sum(axis=1) / total
-    mean_q = (weight * q).sum(axis=1) / total
-    dp, dq = p - mean_p[:, None], q - mean_q[:, None]
-    slope = (weight * dp * dq).sum(axis=1) / np.maximum((weight * dp * dp).sum(axis=1), 1e-9)
-    return mean_q - slope * mean_p, slope, dq - slope[:, None] * dp
+    """Least squares q = offset + slope p, a line for every index but the last; the residuals."""
+    weighted = weight * p
+    total = np.maximum(weight.sum(axis=-1), 1e-9)
+    mean_p = weighted.sum(axis=-1) / total
+    mean_q = np.einsum("...i,...i->...", weight, q) / total
+    squares = np.einsum("...i,...i->...", weighted, p) - total * mean_p**2
+    products = np.einsum("...i,...i->...", weighted, q) - total * mean_p * mean_q
+    slope = products / np.maximum(squares, 1e-6)
+    offset = mean_q - slope * mean_p
+    return offset, slope, q - (offset[..., None] + slope[..., None] * p)
 
 
 def _condense(
@@ -215,10 +326,19 @@ def _condense(
     return points, np.asarray(number, dtype=float).reshape(sides, BINS)
 
 
+def _corners(offset: Array, slope: Array, along: NDArray[np.intp]) -> Array:
+    """Corners (M, 4, 2) of lines (4 M) q = offset + slope p; ``along`` is p's coordinate."""
+    each = np.arange(len(slope))
+    normal = np.empty((len(slope), 2))
+    normal[each, 1 - along] = 1.0
+    normal[each, along] = -slope
+    return _meet(normal.reshape(-1, 4, 2), offset.reshape(-1, 4))
+
+
 def _meet(normal: Array, value: Array) -> Array:
     """Corners (M, 4, 2): corner k is where side k - 1 and side k meet."""
-    n0, n1 = np.roll(normal, 1, axis=1), normal
-    v0, v1 = np.roll(value, 1, axis=1), value
+    n0, n1 = normal[:, [3, 0, 1, 2]], normal
+    v0, v1 = value[:, [3, 0, 1, 2]], value
     determinant = n0[..., 0] * n1[..., 1] - n0[..., 1] * n1[..., 0]
     determinant = np.where(np.abs(determinant) < 1e-9, np.nan, determinant)
     x = (v0 * n1[..., 1] - v1 * n0[..., 1]) / determinant
@@ -248,6 +368,7 @@ def take(edges: MarkerEdges, rows: NDArray[np.intp]) -> MarkerEdges:
         edges.spread[rows],
         edges.black[rows],
         edges.white[rows],
+        edges.pull[rows],
         edges.good[rows],
     )
 
@@ -261,6 +382,7 @@ def join(first: MarkerEdges, second: MarkerEdges) -> MarkerEdges:
         np.concatenate([first.spread, second.spread]),
         np.concatenate([first.black, second.black]),
         np.concatenate([first.white, second.white]),
+        np.concatenate([first.pull, second.pull]),
         np.concatenate([first.good, second.good]),
     )
 
@@ -272,6 +394,7 @@ def no_edges() -> MarkerEdges:
         np.zeros((0, 4, 1, 2)),
         np.zeros((0, 4, 1)),
         np.zeros((0, 4, 2)),
+        none,
         none,
         none,
         none,

@@ -40,14 +40,14 @@ class Template:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """Pose (3,) of the marker in table, its covariance (3, 3) from pixel noise; ``noise`` the grey
-    levels that remain where the pattern changes, ``blur`` the sigma in m that would have fitted
-    best.
+    """Pose (3,) of the marker in table, its covariance (3, 3) from pixel noise; ``unexplained`` the
+    grey levels (root mean square) that remain where the pattern changes, ``blur`` the sigma in m
+    that would have fitted best.
     """
 
     pose: Array
     covariance: Array
-    noise: float
+    unexplained: float
     blur: float
 
 
@@ -110,13 +110,14 @@ def align(
     noise = max(math.sqrt(float((weight * residual**2).sum() / weight.sum())), spread, 0.3)
     # What the edges leave is what moves the answer: a pattern not quite as modelled shows there.
     slope = weight * (columns[:, 10] ** 2 + columns[:, 11] ** 2)
-    noise = max(noise, math.sqrt(float((slope * residual**2).sum() / slope.sum())))
+    unexplained = math.sqrt(float((slope * residual**2).sum() / slope.sum()))
+    noise = max(noise, unexplained)
     if contrast < 12.0 or noise > 0.12 * contrast:
         return None
     covariance = np.asarray(np.linalg.inv(information)[10:, 10:] * noise**2, dtype=float)
     softening = template.blur**2 + 2.0 * float(answer[6])
     blur = math.sqrt(max(softening, (0.3 * pixel) ** 2))
-    return Alignment(pose, covariance, noise, blur)
+    return Alignment(pose, covariance, unexplained, blur)
 
 
 def _pixels(

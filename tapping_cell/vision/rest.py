@@ -16,6 +16,12 @@ from tapping_cell.se2 import wrap_angle
 from tapping_cell.vision.camera import Array
 from tapping_cell.vision.fusion import fuse
 
+_BEGINNING, _LARGEST_BEGINNING = 0.25, 0.002
+"""Standard deviation of the first pose after a rest, as a share of the way from there, and the way
+(m) up to which it grows. When the motion begins within the exposure, the blurred image stands for
+another moment than the middle of the exposure: at most the whole way, and none of it where that is
+longer than an eighth of the way of a whole exposure."""
+
 
 @dataclass(frozen=True, slots=True)
 class RestSettings:
@@ -81,7 +87,7 @@ class Track:
             self._strayed += 1
             if self._strayed == 1:
                 velocity = self._step_velocity(stamp, pose)
-                return Motion(pose, covariance, 1, velocity, None)
+                return Motion(pose, covariance + self._beginning(pose), 1, velocity, None)
             self.clear()
         self._recent.append((stamp, pose, covariance))
         window = self._resting_window()
@@ -142,6 +148,14 @@ class Track:
         step = pose - last_pose
         step[2] = wrap_angle(step[2])
         return np.asarray(step / (stamp - last_stamp))
+
+    def _beginning(self, pose: Array) -> Array:
+        """Covariance (3, 3) of a pose just after a rest: when did the motion begin?"""
+        step = pose - self._fused[0]
+        step[2] = wrap_angle(step[2])
+        way = float(np.hypot(step[0], step[1]))
+        step *= _BEGINNING * min(1.0, _LARGEST_BEGINNING / max(way, 1e-9))
+        return np.asarray(np.outer(step, step), dtype=float)
 
 
 def _distance(first: Array, first_cov: Array, second: Array, second_cov: Array) -> float:

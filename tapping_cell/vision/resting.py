@@ -57,10 +57,10 @@ class RestingMarker:
         if aligned is None:
             self.fixed = _FIXED_EDGES
             return object_pose(fit.pose, fit.covariance, self._marker)
-        self._compare(image, view, aligned.pose, aligned.noise)
+        self._compare(image, view, aligned.pose, aligned.unexplained)
         return object_pose(aligned.pose, aligned.covariance, self._marker)
 
-    def _compare(self, image: Image, view: View, pose: Array, noise: float) -> None:
+    def _compare(self, image: Image, view: View, pose: Array, unexplained: float) -> None:
         """Learn what changes from the last frame to this one, if the marker stayed in its place."""
         square = transform_points(pose, UNIT_CORNERS * self._marker.size)
         seen = view.project(square, self._marker.height)
@@ -72,7 +72,7 @@ class RestingMarker:
             share = 1.0 / min(self._pairs + 1, _MEMORY)
             self._pairs += 1
             self._changing += share * (0.5 * float(np.var(now - self._last)) - self._changing)
-            self._unexplained += share * (noise**2 - self._unexplained)
+            self._unexplained += share * (unexplained**2 - self._unexplained)
             stays = 1.0 - self._changing / max(self._unexplained, 1e-9)
             self.fixed = min(max(stays, _LEAST_FIXED), 1.0)
         else:

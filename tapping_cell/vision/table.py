@@ -22,11 +22,10 @@ from tapping_cell.vision.edges import MarkerEdges, straight_corners
 from tapping_cell.vision.field import ErrorField, condition, lens_shifts
 from tapping_cell.vision.markers import ReferenceMap
 
-_SIDE_BIAS = 0.003
-"""Pixels that an averaged side may be off by where it lies between pixels (measured: a marker's
-middle by 0.0025)."""
-_EDGE_BIAS = 0.001
-"""Pixels that averaged edges may be off by where the edge lies in a pixel and by uneven light."""
+_SIDE_BIAS = 0.001
+"""Pixels that an averaged side may be off by where it lies between pixels (measured: 0.0005)."""
+_EDGE_BIAS = 0.0003
+"""Pixels that all averaged edges may be off by together (measured: below 0.0002)."""
 
 
 @dataclass(frozen=True, slots=True)

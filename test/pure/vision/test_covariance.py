@@ -64,7 +64,7 @@ def noisy_edges(view: View, random: np.random.Generator) -> MarkerEdges:
     count = len(corners)
     level, good = np.zeros(count), np.ones(count, dtype=bool)
     points = points + noise[..., None] * normal[:, :, None]
-    return MarkerEdges(points, weights, pixels, np.full(count, ROW), level, level, good)
+    return MarkerEdges(points, weights, pixels, np.full(count, ROW), level, level, level, good)
 
 
 @pytest.mark.parametrize(("lens", "misprint"), [(0.0, 0.0), (0.3, 0.0), (0.0, 3e-5), (1.0, 1e-4)])
