@@ -1,7 +1,8 @@
 """Measurements in CSV files, read strictly: what is wrong is named by file and row.
 
 The first line that is not a comment (``#``) names the columns. A column's unit is SI, or the one
-that its name ends in: ``x`` and ``x_m`` are in m, ``x_mm`` in mm, ``shoulder_deg`` in degrees. A
+that its name ends in: ``x`` and ``x_m`` are in m, ``x_mm`` in mm, ``shoulder_deg`` in degrees.
+Cells are separated by commas, or by semicolons or tabs; then all numbers may have decimal commas. A
 row with a cell that is no number or outside the column's range is left out and named in ``faults``;
 a file in which many rows are so is refused, with the unit that would mend it. Columns that nobody
 asked for are not read. Row numbers are those of a text editor or spreadsheet: the header is 1 when
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +35,8 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """Endings of a column's name and what they multiply, by the SI unit of the quantity."""
 
+_DECIMAL_POINT = re.compile(r"[+-]?\d*\.\d*([eE][+-]?\d+)?")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d*([eE][+-]?\d+)?")
 _MOST = 0.3
 """Share of rows out of range above which the file, not a row, is wrong."""
 
@@ -178,7 +182,20 @@ def _lines(path: Path) -> list[tuple[int, list[str]]]:
             raise RecordError(f"{path}, row {number}: is not CSV: {error}") from error
     if not found:
         raise RecordError(f"{path}: is empty; its first line must name the columns")
-    return found
+    return found if delimiter == "," else _with_points(found)
+
+
+def _with_points(lines: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+    """Decimal commas as points, in a file without a single decimal point: where there is one, a
+    comma may stand between thousands."""
+    cells = [cell.strip() for _, row in lines[1:] for cell in row]
+    if any(_DECIMAL_POINT.fullmatch(cell) for cell in cells):
+        return lines
+    commas = [
+        (number, [c.replace(",", ".") if _DECIMAL_COMMA.fullmatch(c.strip()) else c for c in row])
+        for number, row in lines[1:]
+    ]
+    return [lines[0], *commas]
 
 
 def _names(places: Sequence[_Place]) -> set[str]:

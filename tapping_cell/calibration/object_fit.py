@@ -30,7 +30,7 @@ from tapping_cell.calibration.impact_fit import (
 from tapping_cell.calibration.paper_criterion import PaperFit, paper_fit
 from tapping_cell.calibration.prediction import Launches, RunErrors, run_errors
 from tapping_cell.calibration.screening import LEAST_TRIALS, Used, enough, run_of, screen
-from tapping_cell.calibration.slide_curves import SlideCurves
+from tapping_cell.calibration.slide_curves import TORQUE_FACTORS, SlideCurves
 from tapping_cell.calibration.sliding_fit import SlideFit, fit_slides
 from tapping_cell.calibration.trials import LeftOut
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile
@@ -43,6 +43,7 @@ _LEAST_FRICTION_SPREAD = 0.01
 _MISFIT = 5.0
 _MOST_OUTLIERS = 0.25
 _CORRELATED = 0.9
+_AS_TOLD = 0.01  # relative: of a striker's speed
 
 
 class SpeedPoint(NamedTuple):
@@ -97,6 +98,7 @@ def fit_object(experiments: Sequence[Experiment], content: ObjectFile, seed: int
         kept = [entry for index, entry in enumerate(used) if index not in strange]
         used, left_out = enough(kept, (*left_out, *strange.values()))
         slide = _fit_slides(used, body)
+    _check_range(slide)
     labels = _labels(used)
     numbers = [labels.index(label) for label in labels]
     measured = _measured(used, slide)
@@ -118,6 +120,7 @@ def fit_object(experiments: Sequence[Experiment], content: ObjectFile, seed: int
             measured.of(impacts.rows), by_tapping.of(impacts.rows), impact, struck, content, seed
         )
     by_sliding = _slid(measured, slide, body)
+    sentences.extend(_tapper_sentences(used))
     sentences.extend(_slide_sentences(slide, estimates, labels, body.support_radius))
     return ObjectFit(
         content=content,
@@ -140,6 +143,17 @@ def fit_object(experiments: Sequence[Experiment], content: ObjectFile, seed: int
 
 def _fit_slides(used: Sequence[Used], body: Body) -> SlideFit:
     return fit_slides([entry.motion for entry in used], body, GRAVITY)
+
+
+def _check_range(slide: SlideFit) -> None:
+    """Refuse a fit that ended where no object is."""
+    low, high = TORQUE_FACTORS
+    if not 1.01 * low < slide.torque_factor < 0.99 * high:
+        raise RecordError(
+            f"the trials ask for a torque factor of {slide.torque_factor:.3g} with a friction of "
+            f"{slide.friction:.3g}, the limit of what is looked for ({low:g} to {high:g}): the "
+            "units of displacement, rotation or spin are wrong, or the radius in the object file"
+        )
 
 
 def _labels(used: Sequence[Used]) -> list[str]:
@@ -167,7 +181,9 @@ def _strangers(used: Sequence[Used], slide: SlideFit) -> dict[int, LeftOut]:
                 f"it slows down {100 * math.expm1(centred[index]):+.0f} % beside the other trials"
             )
         elif slide.misfit[index] > _MISFIT * usual:
-            reason = f"its track is {slide.misfit[index] / usual:.0f} times as far from any slide"
+            what = "track" if entry.motion.slide is not None else "launch"
+            times = slide.misfit[index] / usual
+            reason = f"its {what} is {times:.0f} times as far from any slide to its end"
         if reason:
             sentence = f"the object does not slide as in the other trials: {reason}"
             found[index] = LeftOut(entry.trial.file, entry.trial.row, "disturbed", sentence)
@@ -371,6 +387,23 @@ def _slide_sentences(
             "object more tell more."
         )
     return sentences
+
+
+def _tapper_sentences(used: Sequence[Used]) -> list[str]:
+    """Whether the striker is as fast as it was told to be."""
+    pairs = np.array([(t.trial.striker_speed_measured, t.trial.striker_speed) for t in used])
+    ratios = pairs[np.isfinite(pairs).all(axis=1)]
+    if len(ratios) < LEAST_TRIALS:
+        return []
+    off = np.log(ratios[:, 0] / ratios[:, 1])
+    mean, doubt = float(off.mean()), float(off.std(ddof=1)) / math.sqrt(len(off))
+    if abs(mean) < max(_AS_TOLD, 3.0 * doubt):
+        return []
+    return [
+        f"The striker is {100 * math.expm1(mean):+.1f} % faster than commanded. The fit allows for "
+        f"that; the planner's distances come out {100 * math.expm1(2 * mean):+.0f} % until "
+        "`calibrate tapper` has measured its curve."
+    ]
 
 
 def _tapper(used: Sequence[Used]) -> tuple[SpeedPoint, ...]:

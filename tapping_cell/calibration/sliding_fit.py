@@ -466,6 +466,9 @@ def _result(problem: _Problem, best: _Solution, scatter: float) -> SlideFit:
     squares = np.where(sampled, point.distance**2 + point.rotation**2, 0.0)
     total = np.bincount(samples.rows, squares, minlength=tracked.size)
     count = np.bincount(samples.rows, 2.0 * sampled, minlength=tracked.size)
+    speed_off = (given.speed - best.local[:, _SPEED]) / given.speed_std
+    launch_off = np.hypot(speed_off, (given.spin - best.local[:, _SPIN]) / given.spin_std)
+    by_track = np.sqrt(total / np.maximum(count, 1.0))
     return SlideFit(
         friction=math.exp(best.shared[0]),
         torque_factor=math.exp(best.shared[1]),
@@ -487,6 +490,6 @@ def _result(problem: _Problem, best: _Solution, scatter: float) -> SlideFit:
         friction_scatter=scatter,
         position_rms=_rms(point.distance[sampled] * samples.distance_std[sampled]),
         rotation_rms=_rms(point.rotation[sampled] * samples.rotation_std[sampled]),
-        misfit=np.sqrt(total / np.maximum(count, 1.0)),
+        misfit=np.where(tracked, by_track, launch_off / math.sqrt(2.0)),
         evaluations=best.evaluations,
     )

@@ -100,3 +100,19 @@ def test_any_text_is_read_within_the_ranges_or_refused(
         return
     assert np.all(np.abs(table.values["x"]) <= 3.0)
     assert np.all(np.abs(table.values["angle"]) <= 7.0)
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_decimal_commas_are_read_where_no_number_has_a_point(
+    tmp_path: Path, separator: str
+) -> None:
+    path = tmp_path / "a.csv"
+    rows = ("x_mm;note", "1,5;a,b", "-2e1;c", ",25;d", "+1,0E-1;e")
+    path.write_bytes(("\ufeff" + "\r\n".join(rows) + "\r\n").replace(";", separator).encode())
+    table = read_csv(path, (Column("x", "m"),), texts=("note",))
+    assert table.values["x"].tolist() == pytest.approx([0.0015, -0.020, 0.00025, 0.0001])
+    assert table.texts["note"] == ("a,b", "c", "d", "e") and table.faults == ()
+    # Beside a decimal point the comma may be one between thousands: that row is not guessed at.
+    path.write_text(f"x_mm{separator}y_mm\n1,250{separator}1.5\n3{separator}4\n5{separator}6\n")
+    table = read_csv(path, (Column("x", "m"), Column("y", "m")))
+    assert [fault.row for fault in table.faults] == [2] and "'1,250'" in str(table.faults[0])

@@ -160,6 +160,20 @@ def test_a_commanded_speed_alone_is_said_so(tmp_path):
     assert any("was not measured" in s for s in fit.sentences)
 
 
+def test_a_striker_faster_than_commanded_is_said_so_and_not_taken_for_restitution(tmp_path):
+    random = np.random.default_rng(4)
+    trials = [
+        replace_values(t, {"striker_speed": t.striker_speed / (1.03 + 0.01 * random.normal())})
+        for t in taps()
+    ]
+    fit = fit_object([read_experiment(write(tmp_path / "r", trials))], DISK)
+    said = [s for s in fit.sentences if "faster than commanded" in s]
+    assert len(said) == 1 and "+6 %" in said[0] and "calibrate tapper" in said[0]
+    assert fit.estimate("restitution").value == pytest.approx(TRUE["restitution"], rel=0.01)
+    exact = fit_object([read_experiment(write(tmp_path / "e", taps()))], DISK)
+    assert not any("faster than commanded" in s for s in exact.sentences)
+
+
 def replace_values(trial, values):
     from dataclasses import replace
 

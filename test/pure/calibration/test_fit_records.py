@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from single_tap_records import DISK, STRIKER, taps, track, write
+from single_tap_records import DISK, STRIKER, TRUE, taps, track, write
 
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.experiment import ExperimentFile, read_experiment, write_header
@@ -229,6 +229,31 @@ def test_a_push_by_hand_does_not_reach_the_mean(tmp_path):
     fit = fit_object([read_experiment(pushed)], DISK)
     assert [(row.row, row.reason) for row in fit.left_out] == [(7, "disturbed")]
     assert fit.slide.friction == pytest.approx(clean.slide.friction, rel=0.003)
+
+
+def test_pushes_of_a_few_taps_are_all_named_where_launches_are_exact(tmp_path):
+    pushed = write(tmp_path / "b", taps())
+    further = times("displacement_m", factor=1.6)
+    for run, trial in ((1, "5"), (2, "8"), (4, "2")):
+        rewrite(
+            pushed / f"run_0{run}.csv",
+            lambda row, trial=trial: further(row) if row["trial"] == trial else row,
+        )
+    fit = fit_object([read_experiment(pushed)], DISK)
+    assert {(row.file[-10:], row.row) for row in fit.left_out} == {
+        ("run_01.csv", 6),
+        ("run_02.csv", 9),
+        ("run_04.csv", 3),
+    }
+    assert fit.slide.friction == pytest.approx(TRUE["friction"], rel=0.002)
+
+
+def test_units_wrong_by_ten_end_at_the_limit_and_are_refused(tmp_path):
+    short = write(tmp_path / "b", taps())
+    for file in short.glob("run_*.csv"):
+        rewrite(file, times("displacement_m", factor=0.1))
+    with pytest.raises(RecordError, match="units"):
+        fit_object([read_experiment(short)], DISK)
 
 
 def test_too_few_runs_or_trials_are_refused(tmp_path):
