@@ -3,7 +3,13 @@
 import os
 from pathlib import Path
 
+from hypothesis import settings
+
 from tapping_cell.cli.graph import own_domain
+
+# How long an example takes says more of what else the machine does than of the code.
+settings.register_profile("patient", deadline=None)
+settings.load_profile("patient")
 
 # A domain that the caller's shell has may be that of a real cell, so it does not count here. Each
 # process takes its own (the workers of pytest-xdist too) and holds it until it ends.

@@ -1,6 +1,6 @@
 """Nodes killed at every phase of a tap and started again: does the cell go on, and safely?
 
-A simulated cell runs as processes; a goal is sent; at a chosen phase of its first tap one node gets
+A simulated cell runs as processes; a goal is sent; at a chosen phase of a tap one node gets
 ``SIGKILL`` and is started again. What counts is where the object truly is at the end, and that it
 moved only while the arm held the striker in position, once for each tap that may have been fired.
 """
@@ -171,7 +171,7 @@ class CrashCell:
         self.graph.__exit__(kind, error, trace)
 
     def begin(self, phase: str) -> bool:
-        """Send the goal and wait for ``phase`` of its first tap; False where it never comes."""
+        """Send the goal and wait for ``phase`` of a tap; False where it never comes."""
         self._prepare()
         goal = PoseStamped(pose=to_message(GOAL))
         goal.header.frame_id = "table"
@@ -182,7 +182,7 @@ class CrashCell:
         return came
 
     def trial(self, node: str, phase: str) -> Crash:
-        """Kill ``node`` at ``phase`` of the first tap, start it again, see the goal's end."""
+        """Kill ``node`` at ``phase`` of a tap, start it again, see the goal's end."""
         if not self.begin(phase):
             return Crash(node, phase, "hung", 60.0, f"the phase {phase} never came", ())
         os.kill(self.graph.process_ids[node], signal.SIGKILL)
@@ -222,14 +222,15 @@ class CrashCell:
         seen, plan = self.seen, self.seen.plans[-1] if self.seen.plans else PlanState()
         arm, tapper = seen.arm, seen.tapper
         low = arm.tip_pose.position.z < LOW
-        mine = bool(seen.commands) and arm.tap_id == seen.commands[0].tap_id
-        fired = seen.commands and tapper.tap_id == seen.commands[0].tap_id
+        # The first tap, or the one after it where that was given up.
+        tap = next((c.tap_id for c in reversed(seen.commands) if c.request == TapCommand.TAP), 0)
+        mine = tap > 0 and arm.tap_id == tap
         return {
             "planning": plan.state == PlanState.LOOKING,
             "travelling": mine and arm.state == ArmState.MOVING and not low,
             "lowered": mine and arm.state in (ArmState.MOVING, ArmState.IN_POSITION) and low,
             "drawn": tapper.state in (TapperState.DRAWING, TapperState.READY),
-            "fired": bool(fired) and tapper.outcome == TapperState.FIRED,
+            "fired": tapper.tap_id == tap > 0 and tapper.outcome == TapperState.FIRED,
             "withdrawing": arm.state == ArmState.WITHDRAWING,
             "settling": plan.state == PlanState.SETTLING,
         }[phase]

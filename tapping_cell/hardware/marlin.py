@@ -36,7 +36,8 @@ class LineError:
     """A line was refused for its number or checksum."""
 
     why: str
-    last_line: int
+    last_line: int | None
+    """None where the firmware does not tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,10 +150,9 @@ class Decoded:
 
 
 _OK = re.compile(r"^ok(?: N\d{1,10})?(?: P\d{1,3})?(?: B\d{1,3})?$")
-_LINE_ERROR = re.compile(
-    r"^Error:(checksum mismatch|Line Number is not Last Line Number\+1"
-    r"|No Checksum with line number|No Line Number with checksum), Last Line: (\d{1,10})$"
-)
+# Marlin 2 has four wordings with the last line; its relatives have others.
+_LINE_ERROR = re.compile(r"^Error: ?(.*(?:checksum|line number|expected line).*)$", re.IGNORECASE)
+_LAST_LINE = re.compile(r"Last Line: ?(\d{1,10})$")
 _RESEND = re.compile(r"^(?:Resend|rs): ?N?(\d{1,10})$")
 _POSITION = re.compile(r"^(?:[A-Z]:-?\d{1,7}\.\d{1,4} ?)+(?:Count:? ?(.*))?$")
 _AXIS = re.compile(r"([A-Z]):(-?\d{1,7}\.\d{1,4})(?= |$)")
@@ -191,7 +191,8 @@ def decode_line(line: bytes) -> Frame:
     if text == "start":
         return Start()
     if found := _LINE_ERROR.match(text):
-        return LineError(found[1], int(found[2]))
+        last = _LAST_LINE.search(found[1])
+        return LineError(found[1].split(", Last")[0], int(last[1]) if last else None)
     if found := _RESEND.match(text):
         return Resend(int(found[1]))
     if text.startswith("Error:"):

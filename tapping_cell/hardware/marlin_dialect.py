@@ -20,7 +20,11 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.transport import Transport
 
 SILENCE = 2.5
-"""Longest wait for ``ok`` or ``busy``, s: a working Marlin says ``busy`` about every 2 s."""
+"""Longest wait for ``ok`` or ``busy`` of a line that works for long, s: ``busy`` comes about every
+2 s."""
+SHORT_SILENCE = 0.6
+"""The same for any other line, s: it is answered at once."""
+LONG_CODES = ("M400", "G28")
 REPEAT_SILENCE = 0.4
 """The same for a line sent again: it is answered at once, or was taken before, s."""
 DRAIN_SILENCE = 0.05
@@ -32,7 +36,7 @@ EARLY = 0.003
 line."""
 FIRST_NUMBERS = (1000, 100_000_000)
 """Range of the number at which counting starts: a board that was reset counts from 0 instead."""
-RESET_PAUSE = 0.2
+RESET_PAUSE = 0.5
 """The port stays closed for this long, so that its DTR line resets a halted board, s."""
 NO_EMERGENCY_PARSER = (
     "this Marlin is built without EMERGENCY_PARSER: a stop halts it (M112) until its board is reset"
@@ -223,7 +227,7 @@ class MarlinDialect:
         self._sent.pop(number - 4, None)
         self._transport.write(self._sent[number])
         heard: list[marlin.Frame] = []
-        patience = SILENCE
+        longest = patience = SILENCE if code in LONG_CODES else SHORT_SILENCE
         strange = 0
         for _ in range(RECOVERIES):
             outcome = self._await(number, patience, deadline, heard)
@@ -233,7 +237,7 @@ class MarlinDialect:
                 # The board has this line already and wants the next: only the `ok` was lost.
                 return heard
             if outcome < 0:
-                if self._is_taken(number, deadline):
+                if self._is_taken(number, longest, deadline):
                     return heard
                 outcome = number
             if outcome not in self._sent:
@@ -250,7 +254,7 @@ class MarlinDialect:
             for again in range(outcome, number + 1):
                 self._transport.write(self._sent[again])
                 self.counters.resends += 1
-            patience = REPEAT_SILENCE if outcome == number else SILENCE
+            patience = REPEAT_SILENCE if outcome == number else longest
         raise self._dead(code)
 
     def _await(
@@ -277,7 +281,7 @@ class MarlinDialect:
                 if isinstance(frame, marlin.Position) and frame.with_ok:
                     return wanted
 
-    def _is_taken(self, number: int, deadline: float) -> bool:
+    def _is_taken(self, number: int, patience: float, deadline: float) -> bool:
         """After silence: send the line again, and if that is met with silence too, ask with the
         next.
 
@@ -296,7 +300,7 @@ class MarlinDialect:
         self._number = number + 1
         self._sent[number + 1] = marlin.numbered(number + 1, "M114")
         self._transport.write(self._sent[number + 1])
-        outcome = self._await(number + 1, SILENCE, deadline, heard)
+        outcome = self._await(number + 1, patience, deadline, heard)
         if outcome is None or outcome == number + 2:
             return True
         # The number of this question is used up, whether it arrived or is still on the line:
@@ -344,8 +348,10 @@ class MarlinDialect:
         while (frame := self._next(until)) is not None:
             if isinstance(frame, marlin.Start):
                 return False
-            if isinstance(frame, marlin.LineError):
+            if isinstance(frame, marlin.LineError) and frame.last_line is not None:
                 return frame.last_line in known
+            if isinstance(frame, marlin.Resend):
+                return frame.number - 1 in known
         return False
 
     def _begin_numbers(self, deadline: float) -> None:

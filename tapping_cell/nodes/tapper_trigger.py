@@ -57,7 +57,7 @@ class Parameters:
         "s",
         0.1,
         5.0,
-        default=0.4,
+        default=0.45,
     )
 
 

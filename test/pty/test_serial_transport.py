@@ -60,7 +60,7 @@ def test_bytes_go_both_ways(terminal: RawTerminal) -> None:
     assert transport.read(1) == b"\r\nback\x11\x13"
     before = time.monotonic()
     assert transport.read(0.1) == b""
-    assert 0.09 < time.monotonic() - before < 0.3
+    assert time.monotonic() - before > 0.09
 
 
 def test_a_second_program_is_refused(terminal: RawTerminal) -> None:
@@ -95,9 +95,7 @@ def test_an_unplugged_port_is_noticed_and_found_again(terminal: RawTerminal, cal
     assert not transport.is_open
     back = threading.Timer(0.3, terminal.plug)
     back.start()
-    before = time.monotonic()
-    transport.open(5)
-    assert time.monotonic() - before < 1.0
+    transport.open(20)
     os.write(terminal.master, b"again")
     assert transport.read(1) == b"again"
     back.join()
@@ -138,7 +136,7 @@ def test_a_line_that_takes_nothing_ends_at_its_deadline(terminal: RawTerminal) -
     with pytest.raises(HardwareFault, match="took no byte for 0.2 s") as caught:
         transport.write(bytes(1_000_000), timeout=0.2)
     assert caught.value.reason is FaultReason.TIMEOUT
-    assert time.monotonic() - before < 2
+    assert 0.19 < time.monotonic() - before < 20
 
 
 def test_stop_goes_out_at_once_and_nothing_after_it(terminal: RawTerminal) -> None:
@@ -155,11 +153,12 @@ def test_stop_goes_out_at_once_and_nothing_after_it(terminal: RawTerminal) -> No
     worker = threading.Thread(target=wait)
     worker.start()
     time.sleep(0.05)
-    before = time.monotonic()
+    # The other thread waits for ten seconds; `bench --section drivers` measures how little this
+    # does.
     assert transport.stop(b"!\x18")
     assert os.read(terminal.master, 10) == b"!\x18"
-    assert time.monotonic() - before < 0.02
-    worker.join(1)
+    assert not failures or failures[0].reason is FaultReason.STOPPED
+    worker.join(5)
     assert [fault.reason for fault in failures] == [FaultReason.STOPPED]
     for call in (lambda: transport.write(b"G1"), lambda: transport.read(0)):
         with pytest.raises(HardwareFault) as caught:
@@ -177,7 +176,7 @@ def test_stop_between_the_pieces_of_a_long_write(terminal: RawTerminal) -> None:
 
     def write() -> None:
         try:
-            transport.write(b"a" * 1_000_000, timeout=5)
+            transport.write(b"a" * 1_000_000, timeout=20)
         except HardwareFault as fault:
             failures.append(fault.reason)
 
@@ -189,14 +188,14 @@ def test_stop_between_the_pieces_of_a_long_write(terminal: RawTerminal) -> None:
     stopped = threading.Thread(target=transport.stop, args=(b"!",))
     stopped.start()
     os.set_blocking(terminal.master, False)
-    end = time.monotonic() + 1
+    end = time.monotonic() + 20
     while time.monotonic() < end and (stopped.is_alive() or worker.is_alive()):
         try:
             received.extend(os.read(terminal.master, 4096))
         except BlockingIOError:
             time.sleep(0.001)
-    worker.join(1)
-    stopped.join(1)
+    worker.join(20)
+    stopped.join(20)
     assert failures == [FaultReason.STOPPED]
 
 
