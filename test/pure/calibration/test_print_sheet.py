@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from pypdf import PdfReader
+from pypdf import PageObject, PdfReader
 
 from tapping_cell.calibration.print_sheet import (
     SheetError,
@@ -25,15 +25,58 @@ from tapping_cell.vision.markers import find_markers, marker_pattern
 DPI = 254.0  # ten dots a millimetre
 
 
-def page(tmp_path: Path, what: str, *words: str) -> np.ndarray:
-    path = tmp_path / f"{what}.png"
+def page(tmp_path: Path, what: str, *words: str, kind: str = "png") -> np.ndarray:
+    path = tmp_path / f"{what}.{kind}"
     line = ["calibrate", "print", "--what", what, "--dpi", str(DPI), "--output", str(path), *words]
     assert main(line) == 0
-    return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if kind == "png":
+        return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    (one,) = PdfReader(path).pages
+    return rasterised(one)
 
 
-def test_reference_markers_are_where_the_table_file_says(tmp_path: Path) -> None:
-    image = page(tmp_path, "table", "--paper", "a4")
+def rasterised(one: PageObject) -> np.ndarray:
+    """The page's filled paths as a printer would draw them at DPI, by PDF's own rules: a unit is
+    1/72 inch, the origin below, a path's loops are filled where they wind about."""
+    assert "/UserUnit" not in one and not one.get("/Rotate")
+    # OpenCV fills the rim's pixels as well, half a dot too many: four dots for each.
+    scale = 4 * DPI / 72.0
+    width, height = (float(side) for side in one.mediabox[2:])
+    image = np.full((round(height * scale), round(width * scale)), 255, dtype=np.uint8)
+    stack: list[str] = []
+    loops: list[list[tuple[float, float]]] = []
+    grey, kept, text = 255, [255], False
+    for word in one.get_contents().get_data().decode("latin1").split():
+        if text:
+            text = word != "ET"
+        elif word in ("m", "l"):
+            x, y = float(stack[-2]), float(stack[-1])
+            if word == "m":
+                loops.append([])
+            loops[-1].append((x * scale - 0.5, (height - y) * scale - 0.5))
+        elif word == "g":
+            grey = round(255 * float(stack[-1]))
+        elif word == "q":
+            kept.append(grey)
+        elif word == "Q":
+            grey = kept.pop()
+        elif word == "cm":
+            # Only text is moved, and nothing is scaled.
+            assert [float(number) for number in stack[-6:-2]] == [1.0, 0.0, 0.0, 1.0]
+        elif word == "BT":
+            text = True
+        elif word == "f" and loops:
+            corners = [np.rint(np.array(loop) * 256).astype(np.int32) for loop in loops]
+            cv2.fillPoly(image, corners, grey, shift=8)
+        if word in ("f", "S", "n"):
+            loops = []
+        stack = stack[-5:] + [word]
+    return cv2.resize(image, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+
+
+@pytest.mark.parametrize("kind", ["png", "pdf"])
+def test_reference_markers_are_where_the_table_file_says(tmp_path: Path, kind: str) -> None:
+    image = page(tmp_path, "table", "--paper", "a4", kind=kind)
     references = load_reference_map(tmp_path / "table.table.yaml")
     assert image.shape == (2100, 2970)
     found = {d.id: d for d in find_markers(image, references.dictionary)}
@@ -45,8 +88,9 @@ def test_reference_markers_are_where_the_table_file_says(tmp_path: Path) -> None
         assert np.abs(seen - corners[row]).max() < 5e-5
 
 
-def test_the_target_has_its_size(tmp_path: Path) -> None:
-    image = page(tmp_path, "charuco")
+@pytest.mark.parametrize("kind", ["png", "pdf"])
+def test_the_target_has_its_size(tmp_path: Path, kind: str) -> None:
+    image = page(tmp_path, "charuco", kind=kind)
     target = Target("charuco", 10, 7, 0.025, 0.01875, "4X4_250")
     view = find_target(image, target, "page")
     assert not isinstance(view, str)
