@@ -127,6 +127,7 @@ class CameraPose(CellNode[Parameters]):
         self._frames = 0
         self._busy_seconds = 0.0
         self._last = ObjectState()
+        self._notice = ""
         self._pose_publisher = self.create_publisher(PoseWithCovarianceStamped, "object_pose", 10)
         self._state_publisher = self.create_publisher(ObjectState, "object_state", LATCHED)
         self._others_publisher = self.create_publisher(ObjectState, "other_objects", 10)
@@ -157,8 +158,8 @@ class CameraPose(CellNode[Parameters]):
             "pictures": self._frames,
             "milliseconds a picture": f"{1000 * self._busy_seconds / max(1, self._frames):.2f}",
         }
-        if self._last.error_code:
-            return DiagnosticStatus.WARN, self._last.error_msg, values
+        if self._last.error_code or self._notice:
+            return DiagnosticStatus.WARN, self._last.error_msg or self._notice, values
         return DiagnosticStatus.OK, "ok", values
 
     def _on_plan_state(self, message: PlanState) -> None:
@@ -261,6 +262,14 @@ class CameraPose(CellNode[Parameters]):
             self._pose_publisher.publish(pose)
         self._state_publisher.publish(state)
         self._last = state
+        self._note(observation)
+
+    def _note(self, observation: Observation) -> None:
+        """What does not spoil the pose but must be known: a covered reference, a moved camera."""
+        if observation.visible and observation.sentence != self._notice:
+            self._notice = observation.sentence
+            if self._notice:
+                self.get_logger().warning(self._notice)
 
     def _tell_camera(self, picture: Image) -> None:
         """Say where the camera is over the table: what turns a pixel into a place on it."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image
 
-from tapping_cell.vision import CameraModel
+from tapping_cell.vision import CameraError, CameraModel
 
 PICTURES = QoSProfile(
     depth=15, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
@@ -127,16 +127,31 @@ def to_camera_info(camera: CameraModel) -> CameraInfo:
 
 def calibration_of(message: CameraInfo) -> tuple[object, ...]:
     """What of a camera_info message :func:`from_camera_info` reads, to be compared."""
-    d, k = bytes(message.d), message.k.tobytes()
-    return message.width, message.height, message.distortion_model, d, k
+    d, k, roi = bytes(message.d), message.k.tobytes(), message.roi
+    part = (roi.x_offset, roi.y_offset, roi.width, roi.height)
+    binning = (message.binning_x, message.binning_y)
+    return message.width, message.height, message.distortion_model, d, k, binning, part
 
 
 def from_camera_info(message: CameraInfo) -> CameraModel:
     """The calibration of a camera_info message.
 
     Raises:
-        tapping_cell.vision.CameraError: the camera is not calibrated or its lens model not known.
+        tapping_cell.vision.CameraError: the camera is not calibrated, its lens model not known, or
+            its pictures are not the whole sensor's.
     """
+    roi = message.roi
+    whole = (0, 0, message.width, message.height)
+    if max(message.binning_x, message.binning_y) > 1:
+        raise CameraError(
+            f"camera_info tells of binning {message.binning_x} x {message.binning_y}; set the "
+            "camera to whole pixels, or calibrate with the binning and leave it out"
+        )
+    if (roi.x_offset, roi.y_offset, roi.width, roi.height) not in ((0, 0, 0, 0), whole):
+        raise CameraError(
+            f"camera_info tells of a part of {roi.width} x {roi.height} pixels at "
+            f"({roi.x_offset}, {roi.y_offset}); set the camera to the whole picture"
+        )
     return CameraModel.from_camera_info(
         message.width, message.height, message.distortion_model, list(message.d), list(message.k)
     )

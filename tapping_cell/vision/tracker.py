@@ -39,6 +39,10 @@ _JUDGED_AGAIN = 0.003, 0.03
 """Motion (m) of an object at rest and of a moving one after which the lens error is asked again."""
 
 
+_UNMET = 3
+"""Looks in vain for a reference marker after which it counts as covered."""
+
+
 @dataclass(frozen=True, slots=True)
 class TrackerSettings:
     """``audit_period`` (s) between full searches while all is well; ``lost_period`` (s) between
@@ -117,6 +121,7 @@ class PoseTracker:
         self._working: View | None = None
         self._reference_quads: Array | None = None
         self._warning: tuple[float, str] = (-math.inf, "")
+        self._unmet: dict[int, int] = {}
 
     @property
     def view(self) -> View | None:
@@ -137,6 +142,7 @@ class PoseTracker:
             return self._nothing(stamp, *refusal)
         seen, object_quad, trouble = self._look(image, stamp)
         found = self._measure(image, seen, object_quad)
+        self._count_unmet(seen, found)
         marked = self._finder is None
         if marked and found.object_row is None and trouble is None and self.view is not None:
             found = self._search_object(image, stamp, found)
@@ -270,6 +276,14 @@ class PoseTracker:
         if object_quad is None or not right[-1]:
             return _Found(take(edges, kept), chosen, None)
         return _Found(take(edges, np.append(kept, len(rows))), chosen, len(kept))
+
+    def _count_unmet(self, looked_for: dict[int, Array], found: _Found) -> None:
+        """How often in a row each reference marker that was once seen is not."""
+        met = set(found.rows.tolist())
+        self._unmet |= dict.fromkeys(met, 0)
+        for row in looked_for.keys() - met:
+            if row in self._unmet:
+                self._unmet[row] += 1
 
     def _search_object(self, image: Image, stamp: float, found: _Found) -> _Found:
         """The object is not where it was expected: search around, then everywhere."""
@@ -433,7 +447,9 @@ class PoseTracker:
             names = ", ".join(map(str, self.table.displaced))
             sentence = f"reference marker {names} is not where the table file puts it; left out"
         elif stamp - since > 2.0:
-            sentence = ""
+            hidden = [int(self.table.ids[r]) for r, n in self._unmet.items() if n >= _UNMET]
+            names = ", ".join(map(str, sorted(hidden)))
+            sentence = f"reference marker {names} is not seen; uncover it" if hidden else ""
         return Observation(
             stamp=stamp,
             visible=True,

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from harness import Bench, bench
 from rclpy.duration import Duration
@@ -28,7 +29,7 @@ from tapping_cell.nodes.conversions import (
     from_message,
 )
 from tapping_cell.se2 import Pose
-from tapping_cell.simulation.rendered_camera import SceneRenderer
+from tapping_cell.simulation.rendered_camera import Occluder, SceneRenderer
 from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.truth import CameraTruth
 from tapping_cell.vision import View
@@ -208,6 +209,34 @@ def test_a_calibration_of_another_resolution_is_refused(cell: Cell) -> None:
     cell.bench.wait(lambda: cell.states, "answered")
     assert cell.states[-1].error_code == ErrorCode.IMAGE_INVALID
     assert "640 x 512" in cell.states[-1].error_msg
+
+
+@pytest.mark.parametrize("trouble", ["binning", "part"])
+def test_a_calibration_of_other_pixels_is_refused(cell: Cell, trouble: str) -> None:
+    if trouble == "binning":
+        cell.info.binning_x = cell.info.binning_y = 2
+    else:
+        cell.info.roi.x_offset, cell.info.roi.width, cell.info.roi.height = 100, 640, 480
+    cell.show(5)
+    cell.bench.wait(lambda: cell.states, "answered")
+    assert cell.states[-1].error_code == ErrorCode.CAMERA_NOT_CALIBRATED
+    assert trouble in cell.states[-1].error_msg
+
+
+def test_a_covered_reference_is_told_in_the_diagnostics(cell: Cell) -> None:
+    told = cell.bench.listen(DiagnosticArray, "/diagnostics")
+    cell.show(20)
+    marker = load_cell().references.markers[0]
+    corners = 0.03 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) + [marker.x, marker.y]
+    cover = Occluder(np.column_stack([corners, np.full(4, 0.01)]))
+    words = f"reference marker {marker.id} is not seen"
+
+    def said() -> bool:
+        cell.send(images.to_message(cell.renderer.render(TRUE, occluders=[cover]), "mono8"))
+        return any(words in status.message for array in told for status in array.status)
+
+    cell.bench.wait(said, words)
+    assert cell.states[-1].visible
 
 
 def test_two_objects_in_one_picture() -> None:

@@ -1,7 +1,8 @@
 """The running graph: what each node takes of a core, and how long camera_pose takes for a picture.
 
 Starts the simulated cell as processes, lets the object lie still, and reads for some seconds the
-processes' times and the stamps of object_state against the clock.
+processes' times and the stamps of object_state against the clock. Then feeds camera_pose alone with
+pictures of several kinds.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from tapping_cell_msgs.msg import ObjectState
 
+from tapping_cell.cli.benchmarks import node_pictures
 from tapping_cell.cli.graph import SIMULATED, Graph, own_domain, with_own_ports
 from tapping_cell.nodes.cell_node import LATCHED
 
@@ -35,9 +37,14 @@ def measure(seconds: int) -> dict[str, Any]:
         with Graph(SIMULATED, parameters, Path(folder) / "logs", local) as graph:
             rclpy.init()
             try:
-                return _watch(graph, seconds)
-            finally:
+                report = _watch(graph, seconds)
+            except BaseException:
                 rclpy.try_shutdown()
+                raise
+    try:
+        return report | {"pictures": node_pictures.measure(seconds, local, _cpu_seconds)}
+    finally:
+        rclpy.try_shutdown()
 
 
 def _watch(graph: Graph, seconds: int) -> dict[str, Any]:
@@ -95,4 +102,4 @@ def lines(report: dict[str, Any]) -> list[str]:
         f"of the exposure; camera_pose takes {report['picture_ms']:.2f} ms a picture "
         f"(load {report['load']:.1f})"
     )
-    return text
+    return [*text, "camera_pose alone:", *node_pictures.lines(report["pictures"])]

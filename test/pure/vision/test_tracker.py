@@ -163,6 +163,18 @@ def test_a_covered_reference_is_done_without(scene):
     assert np.all(np.abs(error(seen, HOME)) < 0.01)
 
 
+def test_a_reference_that_is_covered_later_is_named_until_it_is_seen_again(scene):
+    film = Film()
+    assert film.rest(scene, 12).sentence == ""
+    cover = hand(np.array([-0.33, 0.25, 0.0]), 0.04, 0.0)
+    for _ in range(15):
+        seen = film.show(scene.render(HOME, occluders=[cover]))
+        assert seen.visible
+        assert np.all(np.abs(error(seen, HOME)) < 0.01)
+    assert seen.sentence == "reference marker 101 is not seen; uncover it"
+    assert film.rest(scene, 6).sentence == ""
+
+
 def test_a_displaced_reference_is_named():
     wrong = tuple(
         dataclasses.replace(m, x=m.x + 0.003) if m.id == 105 else m for m in REFERENCES.markers
