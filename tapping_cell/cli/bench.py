@@ -26,6 +26,7 @@ SECTIONS = {
 # many.
 LONG_SECTIONS = {
     "calibration": "tapping_cell.cli.benchmarks.calibration",
+    "demos": "tapping_cell.cli.benchmarks.demos",
     "disarm": "tapping_cell.cli.benchmarks.disarm",
     "node": "tapping_cell.cli.benchmarks.node",
     "outline": "tapping_cell.cli.benchmarks.outline",
@@ -48,8 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--experiments",
         type=int,
         metavar="N",
-        help="experiments of calibration, losses of disarm, scenes of outline, scenes or frames of "
-        "vision-*, seconds of node",
+        help="experiments of calibration, demos a truth, losses of disarm, scenes of outline, "
+        "scenes or frames of vision-*, seconds of node",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
