@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -59,24 +59,36 @@ def load_camera_model(path: Path | str) -> CameraModel:
     """A camera from ROS' ``camera_info`` YAML (as camera_calibration writes it).
 
     Keys that the pose does not need (projection and rectification matrices, the camera's name) are
-    not read.
+    not read. What ``calibrate camera`` wrote of the standard deviations is.
 
     Raises:
         ConfigurationError: names file, key and what is wrong with it.
     """
     document = read_yaml(Path(path))
     try:
-        return CameraModel.from_camera_info(
+        camera = CameraModel.from_camera_info(
             width=int(document["image_width"]),
             height=int(document["image_height"]),
             distortion_model=str(document["distortion_model"]),
             d=_numbers(document["distortion_coefficients"]),
             k=_numbers(document["camera_matrix"]),
         )
+        return replace(camera, deviations=_deviations(document))
     except KeyError as error:
         raise ConfigurationError(f"{path}: key {error} of a camera_info file is missing") from error
     except (TypeError, ValueError) as error:
         raise ConfigurationError(f"{path}: is not a camera_info file: {error}") from error
+
+
+def _deviations(document: dict[str, Any]) -> tuple[float, ...]:
+    """Those of fx, fy, cx, cy, k1, k2, p1, p2, from the file's own record; a file of another
+    program has none."""
+    record = document.get("calibration")
+    stated = record.get("deviations") if isinstance(record, dict) else None
+    if not isinstance(stated, dict):
+        return ()
+    names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+    return tuple(float(stated.get(name, 0.0)) for name in names) if "fx" in stated else ()
 
 
 def _numbers(matrix: dict[str, Any]) -> list[float]:

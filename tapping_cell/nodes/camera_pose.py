@@ -179,6 +179,8 @@ class CameraPose(CellNode[Parameters]):
             self._camera_problem = str(error)
             self._tracker = self._camera = self._others = None
             return
+        if camera == self._cell.camera:
+            camera = self._cell.camera  # the file knows the standard deviations, too
         self._camera_problem = ""
         self._camera = camera
         self._make_trackers(camera, self._cell)

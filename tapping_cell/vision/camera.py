@@ -8,8 +8,9 @@ from the centre of the top left pixel, x to the right, y down. Optical frame: z 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -33,7 +34,11 @@ class CameraError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class CameraModel:
-    """Size of the image in pixels, focal lengths and principal point in pixels, lens distortion."""
+    """Size of the image in pixels, focal lengths and principal point in pixels, lens distortion.
+
+    ``deviations`` are the standard deviations of fx, fy, cx, cy, k1, k2, p1 and p2 where the
+    calibration states them, else none; they belong to the numbers and are not compared.
+    """
 
     width: int
     height: int
@@ -43,6 +48,7 @@ class CameraModel:
     cy: float
     distortion: tuple[float, ...] = ()
     distortion_model: str = "plumb_bob"
+    deviations: tuple[float, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         """Refuse what is no camera, with the value."""
@@ -60,6 +66,13 @@ class CameraModel:
         if not np.all(np.isfinite(numbers)):
             raise CameraError(
                 "the camera matrix or the distortion holds a number that is not finite"
+            )
+        if len(self.deviations) not in (0, 8) or not all(
+            math.isfinite(value) and value >= 0.0 for value in self.deviations
+        ):
+            raise CameraError(
+                f"the standard deviations of the camera are {self.deviations}: eight numbers of at "
+                "least 0 (fx, fy, cx, cy, k1, k2, p1, p2) or none"
             )
         if self.width < 16 or self.height < 16:
             raise CameraError(f"an image of {self.width} x {self.height} pixels is too small")

@@ -17,7 +17,7 @@ import numpy as np
 
 from tapping_cell.vision.camera import Array, View
 
-_LENS = (
+_LENS: tuple[tuple[str | int, float], ...] = (
     ("fx", 0.5),
     ("fy", 0.5),
     ("cx", 0.7),
@@ -28,7 +28,8 @@ _LENS = (
     (3, 0.00012),
 )
 """Parameters of the lens (pixels, or which coefficient) and their usual standard deviations in
-relation to each other: what OpenCV's calibration reports for some twenty pictures of a board."""
+relation to each other: what OpenCV's calibration reports for some twenty pictures of a board. Those
+that a calibration states (``CameraModel.deviations``) take their place."""
 _FIELD = np.geomspace(0.002, 12.0, 12)
 _PRINT = np.geomspace(2e-7, 6e-4, 20)
 """Amplitudes that are weighed: of the lens errors, in these deviations; of a marker's misplacement,
@@ -42,6 +43,9 @@ where two or three references cannot."""
 _EXACT = (0.5, 0.02, 0.05)
 """Probabilities beforehand that lens and print are as good as exact (then the smallest amplitude):
 both; the lens alone; the print alone."""
+_STATED = 1.0, 0.5
+"""Usual amplitude of the lens errors in deviations that the calibration states, and logarithmic
+standard deviation of that; such a lens is never taken for exact."""
 _LEAST_WEIGHT = 0.02
 """Of the likeliest pair of amplitudes, below which a pair is not carried on."""
 
@@ -96,6 +100,7 @@ def condition(
     lens: Array,
     trend: Array,
     gain: Array,
+    stated: bool = False,
 ) -> ErrorField:
     """Condition the field on the references.
 
@@ -103,7 +108,8 @@ def condition(
     seen elsewhere (both in m), ``noise`` (8 M, 8 M) their covariance from the image's noise in m^2;
     ``lens`` (8 M, 8) and ``trend`` (8 M, 6) are how the corners, seen on the
     table, answer the lens and a step of the camera's pose, ``gain`` (6, 8 M) the step that the fit
-    makes of their misplacements. Rows count x and y of corner after corner.
+    makes of their misplacements. Rows count x and y of corner after corner. ``stated``: the
+    deviations behind ``lens`` are those of its calibration, not usual ones.
     """
     # Only where each marker is and how it is turned counts: ink, bloom and blur make it seem
     # larger, smaller or stretched, and a lens that explains that is a wrong one.
@@ -119,7 +125,7 @@ def condition(
     white = np.linalg.solve(root, np.broadcast_to(data[:, None], (len(s), data.size, 1)))[..., 0]
     likelihood = -0.5 * (white**2).sum(axis=1)
     likelihood -= np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-    likelihood += np.log(_prior(s, p))
+    likelihood += np.log(_prior(s, p, stated))
     weight = np.exp(likelihood - likelihood.max())
     weight[weight < _LEAST_WEIGHT] = 0.0
     weight /= weight.sum()
@@ -138,15 +144,16 @@ def condition(
     return ErrorField(lens, gain, basis, data, tuple(members))
 
 
-def _prior(field: Array, print_: Array) -> Array:
+def _prior(field: Array, print_: Array, stated: bool) -> Array:
     """Probability beforehand of pairs of amplitudes, given their squares."""
     usually, exactly = [], []
-    for power, usual in ((field, _PRIOR[0]), (print_, _PRIOR[1])):
-        density = np.exp(-0.5 * (np.log(power / usual**2) / (2.0 * _PRIOR[2])) ** 2)
+    of_lens = _STATED if stated else (_PRIOR[0], _PRIOR[2])
+    for power, (usual, spread) in ((field, of_lens), (print_, (_PRIOR[1], _PRIOR[2]))):
+        density = np.exp(-0.5 * (np.log(power / usual**2) / (2.0 * spread)) ** 2)
         usually.append(density / density.sum())
         least = power == power.min()
         exactly.append(least / least.sum())
-    both, lens, sheet = _EXACT
+    both, lens, sheet = (0.0, 0.0, _EXACT[0] + _EXACT[2]) if stated else _EXACT
     count = len(field)
     return np.asarray(
         count
@@ -188,14 +195,15 @@ def _turned(points: Array) -> Array:
 
 def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]:
     """Directions (..., 2) of points (..., 2) of the plane at ``height``, and how these move when
-    the true lens differs from the calibrated one by a usual deviation of each parameter, (..., 2,
-    8).
+    the true lens differs from the calibrated one by a deviation of each parameter, stated or usual,
+    (..., 2, 8).
     """
     camera = view.camera
     coefficients = camera.coefficients.tolist()
     rays = camera.rays(view.project(points, height))
     columns = []
-    for parameter, deviation in _LENS:
+    for k, (parameter, usual) in enumerate(_LENS):
+        deviation = camera.deviations[k] if camera.deviations else usual
         if isinstance(parameter, str):
             true = replace(camera, **{parameter: getattr(camera, parameter) + deviation})
         else:

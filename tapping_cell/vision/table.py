@@ -22,9 +22,9 @@ from tapping_cell.vision.edges import MarkerEdges, straight_corners
 from tapping_cell.vision.field import ErrorField, condition, lens_shifts
 from tapping_cell.vision.markers import ReferenceMap
 
-_SIDE_BIAS = 0.001
+_SIDE_BIAS = 0.0007
 """Pixels that an averaged side may be off by where it lies between pixels (measured: 0.0005)."""
-_EDGE_BIAS = 0.0003
+_EDGE_BIAS = 0.0002
 """Pixels that all averaged edges may be off by together (measured: below 0.0002)."""
 
 
@@ -287,7 +287,7 @@ class TableTracker:
         self.used = tuple(int(i) for i in self.ids[have[fit.used]])
         self.displaced = tuple(int(i) for i in self.ids[have[~fit.used]])
         frames = float(self._seen.sum())
-        if self._field is None or frames >= 1.5 * self._field_frames or self.used != before:
+        if self._field is None or frames >= 1.25 * self._field_frames or self.used != before:
             self._field_frames = frames
             self._field = self._condition(fit, self.points[have], self._rays[have], noise)
             self.field_number += 1
@@ -318,6 +318,7 @@ class TableTracker:
             block @ shifts.reshape(8 * count, -1),
             block @ fit.jacobian,
             fit.gain @ np.linalg.inv(block),
+            stated=bool(self.camera.deviations),
         )
 
     def judge(self, pose: ArrayLike, height: float) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ calibration, once with the exact one.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -48,7 +49,7 @@ def measure(count: int) -> dict[str, Any]:
             scene = random_scene(random, cell, seed=number)
             calibration = calibrated(random, cell.camera)
             calibrations.append(calibration)
-            camera = calibration.model
+            camera = replace(calibration.model, deviations=_stated(calibration))
         assert scene is not None
         true = random_place(random)
         trackers = [PoseTracker(c, cell.table, cell.marker) for c in (camera, cell.camera)]
@@ -96,6 +97,12 @@ def calibrated(random: np.random.Generator, camera: CameraModel) -> CameraCalibr
         if isinstance(found, TargetView):
             views.append(found)
     return calibrate_camera(views, TARGET, (camera.width, camera.height))
+
+
+def _stated(calibration: CameraCalibration) -> tuple[float, ...]:
+    """The standard deviations that the calibration's file states."""
+    names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+    return tuple(calibration.deviations.get(name, 0.0) for name in names)
 
 
 def _board() -> np.ndarray:

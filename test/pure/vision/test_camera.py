@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.table import load_camera_model
 from tapping_cell.vision import CameraError, CameraModel, CameraPose, View
 
 coefficient = st.floats(-0.1, 0.1)
@@ -36,7 +39,10 @@ def by_definition(camera: CameraModel, x: float, y: float) -> tuple[float, float
 def test_projection_is_the_definition_and_rays_undo_it(values, x, y, count):
     model = "rational_polynomial" if count == 8 else "plumb_bob"
     values = [v * (0.02 if i in (2, 3) else 1.0) for i, v in enumerate(values)]
-    camera = CameraModel(1280, 1024, 1100.0, 1120.0, 630.0, 515.0, tuple(values[:count]), model)
+    try:
+        camera = CameraModel(1280, 1024, 1100.0, 1120.0, 630.0, 515.0, tuple(values[:count]), model)
+    except CameraError:
+        reject()  # folds back inside the image
     pixel = camera.project([2.0 * x, 2.0 * y, 2.0])
     assert pixel == pytest.approx(by_definition(camera, x, y), abs=1e-8)
     assert camera.rays(pixel) == pytest.approx([x, y], abs=1e-8)
@@ -137,3 +143,17 @@ def test_an_image_of_another_kind_is_told_apart(image):
     camera = CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5)
     assert "1280" in camera.check_image(image)
     assert camera.check_image(np.zeros((1024, 1280), np.uint8)) is None
+
+
+def test_a_calibrations_own_deviations_are_read_and_belong_to_its_numbers(tmp_path):
+    text = (shared_folder() / "camera_info.yaml").read_text()
+    plain = load_camera_model(shared_folder() / "camera_info.yaml")
+    path = tmp_path / "camera_info.yaml"
+    path.write_text(text + "calibration: {deviations: {fx: 0.05, fy: 0.06, k1: 1.0e-4}}\n")
+    stated = load_camera_model(path)
+    assert plain.deviations == ()
+    assert stated.deviations == (0.05, 0.06, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0)
+    # The same camera, whoever tells its numbers: a camera_info message has no deviations.
+    assert stated == plain
+    with pytest.raises(CameraError, match="deviations"):
+        dataclasses.replace(plain, deviations=(0.1, -1.0))
