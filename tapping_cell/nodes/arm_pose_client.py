@@ -62,7 +62,7 @@ class ArmPoseClient(GoalClient):
             return ["the arm's driver is not up"]
         if self.arm_state.state != ArmState.IDLE:
             return [f"the arm is not idle ({self.arm_state.error_msg or 'busy'})"]
-        if self.joints() is None:
+        if self.joints() is None or not self.arm_state.homed:
             return ["the arm's joints have not been read back yet: is it homed?"]
         if self.object_state is None:
             return ["the camera has not looked yet"]

@@ -50,6 +50,8 @@ class HeldMarker:
     unseen: int = 0
     """Of the next postures, so many are out of the camera's view."""
     joints: Joints = field(default_factory=lambda: Joints(0.4, 0.8, -0.02, 0.0))
+    other_file: float = 0.0
+    """The running cell's own file has the tip so many m away."""
     visits: int = 0
     _visible: bool = True
     _error: str = ""
@@ -85,6 +87,8 @@ class HeldMarker:
             here = JointState(name=list(Joints._fields), position=list(self.joints))
             here.header.stamp = now
             tip = CELL.file.arm.geometry().forward(self.joints)
+            thought = CELL.arm_base @ Pose(tip.x + self.other_file, tip.y, tip.yaw)
+            arm.tip_pose = to_message(thought, tip.z)
             held = BASE @ Pose(tip.x, tip.y, tip.yaw) @ MOUNT
             seen = ObjectState(visible=self._visible, at_rest=self._visible, frames_fused=30)
             seen.header.stamp, seen.at_rest_since = now, self._rest.to_msg()
@@ -139,6 +143,15 @@ def test_an_arm_that_does_not_go_stops_the_recording_in_its_own_words(
     held.refuses = True
     with pytest.raises(CalibrationRefused, match="joint elbow beyond its limit"):
         arm_recording.record(asked(tmp_path / "poses.csv"), CELL, QUIET)
+
+
+def test_another_cell_file_than_the_running_cells_is_refused(
+    held: HeldMarker, tmp_path: Path
+) -> None:
+    held.other_file = 0.02
+    with pytest.raises(CalibrationRefused, match="running cell's own file"):
+        arm_recording.record(asked(tmp_path / "poses.csv"), CELL, QUIET)
+    assert held.visits == 0
 
 
 def test_a_marker_that_is_never_seen_stops_the_recording(

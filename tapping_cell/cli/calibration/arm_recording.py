@@ -17,6 +17,8 @@ from tapping_cell.cli.calibration.arm_verb import COLUMNS
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.nodes.arm_pose_client import ArmPoseClient, ArmRefused
+from tapping_cell.nodes.conversions import from_message
+from tapping_cell.se2 import Pose
 
 HEADER = ("shoulder", "elbow", "tool", "x", "y", "theta")
 SPEED = 0.6
@@ -26,6 +28,8 @@ SPARE = 2
 BLIND = 6
 """Postures in a row without the marker in view after which it cannot be luck."""
 READY_PATIENCE_S = 30.0
+_SAME_TIP = 0.001
+"""Between two accounts of where the tip is, m: one cell file gives one."""
 _SAME = 0.03
 """Recorded joints this near to a posture, in rad, are of it."""
 
@@ -63,6 +67,7 @@ def _visit(
     corners = cell.references.corners().reshape(-1, 2)
     half = np.minimum(np.abs(corners).max(axis=0), [cell.file.table.length, cell.file.table.width])
     geometry = cell.file.arm.geometry()
+    _check_same_arm(cell, client, here)
     places = arm_places(
         geometry,
         cell.arm_base,
@@ -102,6 +107,19 @@ def _visit(
         raise CalibrationRefused(
             f"only {number} of {arguments.poses} postures that the arm can take show the marker;"
             " they are in the record: calibrate with them, or move the camera"
+        )
+
+
+def _check_same_arm(cell: Cell, client: ArmPoseClient, here: Joints) -> None:
+    """Refuse a cell file that is not the running cell's: postures would be others than thought."""
+    assert client.arm_state is not None
+    tip = cell.file.arm.geometry().forward(here)
+    thought = cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
+    told = from_message(client.arm_state.tip_pose)
+    if thought.distance_to(told) > _SAME_TIP:
+        raise CalibrationRefused(
+            f"by {cell.path} the tip is at {session.pose_text(thought)}, by the running cell at"
+            f" {session.pose_text(told)}; give the running cell's own file with --cell"
         )
 
 
