@@ -18,6 +18,7 @@ from tapping_cell.vision.outline_search import (
     accept,
     find_outlines,
     look_closely,
+    stands_out,
 )
 
 Trouble = tuple[Problem, str]
@@ -75,6 +76,8 @@ class OutlineFinder:
 
     def _follow(self, image: Image, view: View, expected: Array, step: Array) -> OutlineFit | None:
         """The outline where it is expected, or a few pixels beside."""
+        if not stands_out(image, view, self.outline, expected):
+            return None
         fit = fit_outline(image, view, self.outline, expected, blur=self._blur, step=step)
         if fit is not None and isinstance(accept(fit, self.outline), OutlineFit):
             return fit

@@ -23,6 +23,8 @@ from tapping_cell.se2 import inverse, transform_points
 from tapping_cell.vision.camera import Array, Image, View
 from tapping_cell.vision.outline import Dot, ObjectOutline
 from tapping_cell.vision.outline_pixels import (
+    MOST_PIXELS,
+    ROUGH_PIXELS,
     SOFTENED,
     Pixels,
     dot_pixels,
@@ -47,6 +49,8 @@ _EVEN = 0.02
 """Pixels by which a sector of a good rim may differ from the whole."""
 _SLOPE_SPREAD = 0.5
 """Usual change of the light across the rim, grey levels a pixel."""
+_SMEARED = 2.0
+"""Pixels from frame to frame beyond which an object's rim is smeared by its motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,14 +110,16 @@ def fit_outline(
         blur = math.hypot(blur, SOFTENED)
     moving = np.zeros(2) if step is None else np.asarray(step, dtype=float) / pixel
     scene = _Scene(outline, pixel, width, moving, not coarse, size_spread)
+    smeared = float(np.hypot(*moving)) > _SMEARED
+    most = ROUGH_PIXELS if coarse or smeared else MOST_PIXELS
     dot = outline.dot if with_dot else None
     state = _State(start.copy(), blur, size)
     gathered: Array | None = None
-    tolerance, stays = (0.1, 3.0) if coarse else (0.004, 1.0)
+    tolerance, stays = (0.1, 3.0) if coarse else (0.02, 2.0) if smeared else (0.004, 1.0)
     for _ in range(12 if coarse else 20):
         if gathered is None or np.hypot(*(state.pose - gathered)[:2]) > stays * pixel:
             gathered = state.pose.copy()
-            found = rim_pixels(image, view, outline, gathered, width)
+            found = rim_pixels(image, view, outline, gathered, width, most)
             around = None if dot is None else dot_pixels(image, view, outline, dot, gathered)
             if found is None or (dot is not None and around is None):
                 return None
@@ -394,7 +400,7 @@ class _State:
     def _prior(self, scene: _Scene) -> Array:
         """Precisions (7,) of the globals around what is usual; hardly any of the pose."""
         blur = 4.0 if scene.measures else 1e8
-        moving = float(np.hypot(*scene.step)) > 2.0 and scene.measures
+        moving = float(np.hypot(*scene.step)) > _SMEARED and scene.measures
         place = 1.0 / (5.0 * scene.pixel) ** 2
         return np.array(
             [place, place, 1.0, scene.size_spread**-2, blur, 1e4 if moving else 1e12, 100.0]

@@ -16,8 +16,9 @@ from tapping_cell.vision.photometric import window_rays
 
 SOFTENED = 2.5
 """Sigma in pixels by which the image is softened around a rough place: it catches from as far."""
-_MOST_PIXELS = 3000
-"""A camera that sees the object larger is not asked for more."""
+MOST_PIXELS, ROUGH_PIXELS = 3000, 1000
+"""A camera that sees the object larger is not asked for more; of a rough place, or of an object
+whose rim is smeared by its motion, fewer tell as much as is needed."""
 _SECTORS = 24
 
 
@@ -44,9 +45,14 @@ def softened(image: Image, view: View, outline: ObjectOutline, pose: Array, widt
 
 
 def rim_pixels(
-    image: Image, view: View, outline: ObjectOutline, pose: Array, width: float
+    image: Image,
+    view: View,
+    outline: ObjectOutline,
+    pose: Array,
+    width: float,
+    most: int = MOST_PIXELS,
 ) -> Pixels | None:
-    """The pixels of the band along the rim of the top."""
+    """The pixels of the band along the rim of the top, not more than ``most`` of them."""
     top = view.project(transform_points(pose, outline.points()), outline.height)
     reach = math.ceil(width) + 1
     camera = view.camera
@@ -64,7 +70,7 @@ def rim_pixels(
         # Blurred corners are round: the sides say where the outline is.
         for x, y in face:
             cv2.circle(mask, (int(x), int(y)), round(16.0 * width), (0,), -1, shift=4)
-    return _seen_through(image, view, outline.height, mask, (int(x0), int(y0)))
+    return _seen_through(image, view, outline.height, mask, (int(x0), int(y0)), most)
 
 
 def dot_pixels(
@@ -87,7 +93,12 @@ def dot_pixels(
 
 
 def _seen_through(
-    image: Image, view: View, height: float, mask: NDArray[np.uint8], corner: tuple[int, int]
+    image: Image,
+    view: View,
+    height: float,
+    mask: NDArray[np.uint8],
+    corner: tuple[int, int],
+    most: int = MOST_PIXELS,
 ) -> Pixels | None:
     """The pixels of a mask whose first one is ``corner`` (x, y) of the image."""
     rows, columns = mask.shape
@@ -95,7 +106,7 @@ def _seen_through(
     chosen = np.flatnonzero(mask)
     if len(chosen) < 40:
         return None
-    chosen = chosen[:: math.ceil(len(chosen) / _MOST_PIXELS)]
+    chosen = chosen[:: math.ceil(len(chosen) / most)]
     rays = window_rays(view.camera, x0, y0, x0 + columns, y0 + rows).reshape(-1, 2)[chosen]
     grey = image[y0 : y0 + rows, x0 : x0 + columns].reshape(-1)[chosen].astype(float)
     return Pixels(view.rays_on_plane(rays, height), view.rays_on_plane(rays, 0.0), grey)

@@ -24,6 +24,7 @@ from tapping_cell.vision import (
     View,
 )
 from tapping_cell.vision.outline_fit import fit_outline
+from tapping_cell.vision.outline_search import stands_out
 
 DISK = ObjectOutline(0.012, False, radius=0.048, dot=Dot(0.006, (0.03, 0.0), True))
 FOUR = ObjectOutline(
@@ -178,6 +179,21 @@ def test_the_normalised_error_is_that_of_the_covariance(outline):
     # 3 degrees of freedom, 8 looks; the table's and the rim's biases are shared by some of them.
     assert 0.2 < np.mean(normalised) < 6.0
     assert np.max(normalised) < 20.0
+
+
+@pytest.mark.parametrize("outline", [DISK, FOUR, SQUARE])
+def test_where_no_rim_can_be_none_is_fitted(outline):
+    """Some pixels beside the true place it may be; on the bare table not."""
+    shown = scene(outline, noise=4.0, light_falloff=0.67)
+    random = np.random.default_rng(7)
+    pixel = 0.7 / CAMERA.fx
+    for _ in range(10):
+        place = random.uniform((-0.2, -0.12, -3.0), (0.2, 0.12, 3.0))
+        image = shown.render(place)
+        beside = place + np.array([*random.normal(0.0, 1.5 * pixel, 2), 0.0])
+        assert stands_out(image, shown.view, outline, beside)
+        away = place + np.array([-0.13 if place[0] > 0 else 0.13, 0.0, 0.0])
+        assert not stands_out(image, shown.view, outline, away)
 
 
 def test_a_slide_is_followed_and_its_end_noticed():
