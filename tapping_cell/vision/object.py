@@ -23,7 +23,7 @@ class PoseFit:
     size: float
 
 
-_CLEAN, _SMEARED = 0.05, 0.16
+_CLEAN, _SMEARED = 0.03, 0.25
 """An edge smeared over its window (``MarkerEdges.pull`` p above the first, which is noise) is off
 by a standard deviation of the second, in pixels, times p / (1 - p): measured on rendered slides
 with smears of up to 14 pixels."""

@@ -153,3 +153,46 @@ def test_camera_pose_of_a_tilted_view_is_not_square():
     fit = fit_marker(view, refine(image, quad[None], 8), 0, MARKER)
     assert errors(fit.pose, pose)[0] < 0.005
     assert fit.size == pytest.approx(MARKER.size, rel=3e-4)
+
+
+def test_light_that_falls_across_a_marker_moves_no_side():
+    """A marker in light that grows by 0.15 % a pixel, as in the darkest corner of the table."""
+    shifts = []
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        pose = random.uniform([-0.2, -0.15, -np.pi], [0.2, 0.15, np.pi])
+        image = area_sampled_marker(VIEW, MARKER, pose).astype(float)
+        quad = VIEW.project(transform_points(pose, UNIT_CORNERS * MARKER.size), MARKER.height)
+        x = np.arange(image.shape[1]) - quad[:, 0].mean()
+        lit = np.clip(image * (1.0 + 0.0015 * x), 0.0, 255.0)
+        noise = random.normal(0.0, 0.5, image.shape)
+        seen = np.rint(np.clip(lit + noise, 0.0, 255.0)).astype(np.uint8)
+        fit = fit_marker(VIEW, refine(seen, quad[None], 10), 0, MARKER)
+        shifts.append((fit.pose - pose)[:2] / PIXEL)
+    # Not corrected, all markers seem 0.008 pixel nearer to the light.
+    assert np.abs(np.mean(shifts, axis=0)).max() < 0.002
+
+
+@pytest.mark.parametrize("smear", [5.0, 8.5, 11.0, 15.0])
+def test_a_marker_smeared_by_motion_is_right_or_known_to_be_uncertain(smear):
+    """Smeared by that many pixels, begun up to three pixels beside."""
+    random = np.random.default_rng(int(smear))
+    measured = 0
+    for _ in range(4):
+        pose = random.uniform([-0.2, -0.15, -np.pi], [0.2, 0.15, np.pi])
+        angle = random.uniform(-np.pi, np.pi)
+        step = smear * PIXEL * np.array([np.cos(angle), np.sin(angle), 0.0])
+        shares = (np.arange(12) + 0.5) / 12 - 0.5
+        moments = [area_sampled_marker(VIEW, MARKER, pose + s * step, samples=5) for s in shares]
+        noise = random.normal(0.0, 2.0, moments[0].shape)
+        image = np.rint(np.clip(np.mean(moments, axis=0) + noise, 0, 255)).astype(np.uint8)
+        quad = VIEW.project(transform_points(pose, UNIT_CORNERS * MARKER.size), MARKER.height)
+        edges = refine(image, quad[None] + random.uniform(-2.0, 2.0, 2), 10)
+        fit = fit_marker(VIEW, edges, 0, MARKER)
+        if fit is None:
+            continue
+        measured += 1
+        error = fit.pose - pose
+        error[2] = wrap_angle(error[2])
+        assert error @ np.linalg.solve(fit.covariance, error) < 25.0
+    assert measured == 4 or smear > 10.0
