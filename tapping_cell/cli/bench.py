@@ -22,8 +22,8 @@ SECTIONS = {
     "vision": "tapping_cell.cli.benchmarks.vision",
 }
 
-# Many experiments, scenes, frames or seconds: only when named. Their module's ``measure`` takes how
-# many.
+# Many experiments, scenes, frames or seconds: only when named. A module with a
+# ``DEFAULT_COUNT`` takes how many as ``measure(count)``.
 LONG_SECTIONS = {
     "calibration": "tapping_cell.cli.benchmarks.calibration",
     "demos": "tapping_cell.cli.benchmarks.demos",
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         help="experiments of calibration, demos a truth, losses of disarm, scenes of outline, "
-        "scenes or frames of vision-*, seconds of node",
+        "scenes or frames of vision*, seconds of node",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     reports = {}
     for name in arguments.section or SECTIONS:
         section = importlib.import_module((SECTIONS | LONG_SECTIONS)[name])
-        if name in LONG_SECTIONS:
+        if hasattr(section, "DEFAULT_COUNT"):
             reports[name] = section.measure(arguments.count or section.DEFAULT_COUNT)
         else:
             reports[name] = section.measure()

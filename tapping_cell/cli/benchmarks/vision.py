@@ -29,7 +29,7 @@ from tapping_cell.vision.markers import UNIT_CORNERS, find_markers, marker_patte
 from tapping_cell.vision.object import fit_marker, pose_of_corners
 from tapping_cell.vision.photometric import align, make_template
 
-SCENES = 60
+DEFAULT_COUNT = 60
 FRAMES = 30
 """Frames of one object at rest for the tracker's own time."""
 MARGIN = 40
@@ -38,17 +38,17 @@ USUAL_BLUR = 0.65
 Pose = np.ndarray | None
 
 
-def measure() -> dict[str, Any]:
-    """Errors and times over random scenes, and of a tracker at rest."""
+def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
+    """Errors and times over ``count`` random scenes, and of a tracker at rest."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        return _measure()
+        return _measure(count)
     finally:
         cv2.setNumThreads(threads)
 
 
-def _measure() -> dict[str, Any]:
+def _measure(count: int) -> dict[str, Any]:
     folder = shared_folder()
     camera = load_camera_model(folder / "camera_info.yaml")
     table = load_reference_map(folder / "table.yaml")
@@ -60,7 +60,7 @@ def _measure() -> dict[str, Any]:
     results: dict[str, list[tuple[float, float, float]]] = {}
     missed: dict[str, int] = {}
     scene, methods = None, {}
-    for number in range(SCENES):
+    for number in range(count):
         if number % 10 == 0:
             place = (*random.uniform(-0.06, 0.06, 2), 0.7)
             settings = SceneSettings(
@@ -88,7 +88,7 @@ def _measure() -> dict[str, Any]:
             results.setdefault(name, []).append((gap, turn, spent))
     assert scene is not None
     return {
-        "scenes": SCENES,
+        "scenes": count,
         "methods": {
             name: _figures(rows) | {"missed": missed.get(name, 0)} for name, rows in results.items()
         },
