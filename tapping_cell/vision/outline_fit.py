@@ -111,11 +111,13 @@ def fit_outline(
     moving = np.zeros(2) if step is None else np.asarray(step, dtype=float) / pixel
     scene = _Scene(outline, pixel, width, moving, not coarse, size_spread)
     smeared = float(np.hypot(*moving)) > _SMEARED
-    most = ROUGH_PIXELS if coarse or smeared else MOST_PIXELS
+    # A fit that leaves the dot out is only the way to one with it.
+    rough = coarse or smeared or (outline.dot is not None and not with_dot)
+    most = ROUGH_PIXELS if rough else MOST_PIXELS
     dot = outline.dot if with_dot else None
     state = _State(start.copy(), blur, size)
     gathered: Array | None = None
-    tolerance, stays = (0.1, 3.0) if coarse else (0.02, 2.0) if smeared else (0.004, 1.0)
+    tolerance, stays = (0.1, 3.0) if coarse else (0.02, 2.0) if rough else (0.004, 1.0)
     for _ in range(12 if coarse else 20):
         if gathered is None or np.hypot(*(state.pose - gathered)[:2]) > stays * pixel:
             gathered = state.pose.copy()
