@@ -260,7 +260,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         self.abandoned.clear()
         self.set(state=ArmState.HOMING, error_code=0, error_msg="")
         driver.home(HomingStrategy(cell.file.arm.homing))
-        self._park()
+        self._park(driver.read_joints())
 
     def _place(self, strike: Pose, tap_id: int, expiry: Time) -> None:
         driver, cell = self.require(), self._require_cell()
@@ -288,12 +288,14 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         # tapper has said how the tap ended, none can follow.
         ended, heard = self._ended_tap
         over = ended == self.snapshot.tap_id
-        time.sleep(max(heard + RELEASE_S - time.monotonic(), 0.0) if over else RELEASE_GUARD_S)
-        self._park()
+        due = heard + RELEASE_S if over else time.monotonic() + RELEASE_GUARD_S
+        here = self.require().read_joints()  # the arm stands until then: the wait serves to read
+        time.sleep(max(due - time.monotonic(), 0.0))
+        self._park(here)
 
-    def _park(self) -> None:
+    def _park(self, here: Joints) -> None:
         driver, cell = self.require(), self._require_cell()
-        path = withdraw_path(driver.geometry, driver.read_joints(), cell.file.arm.motion())
+        path = withdraw_path(driver.geometry, here, cell.file.arm.motion())
         if self._move_along(path):
             self.set(state=ArmState.IDLE, tap_id=0, clear_of_camera=True, expiry=None)
 
