@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import fcntl
+import json
 import os
 import random
 import signal
@@ -99,8 +100,7 @@ class Graph:
         if self._parameter_file is not None:
             command += ["--params-file", str(self._parameter_file)]
         for key, value in self._parameters.get(name, {}).items():
-            text = str(value).lower() if isinstance(value, bool) else str(value)
-            command += ["-p", f"{key}:={text}"]
+            command += ["-p", f"{key}:={parameter_text(value)}"]
         log = self._log_folder / f"{name}.log"
         stream = log.open("ab")
         process = subprocess.Popen(
@@ -184,6 +184,16 @@ def _signal_group(child: Child, number: signal.Signals) -> None:
 
 def _die_with_parent() -> None:
     ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
+
+
+def parameter_text(value: object) -> str:
+    """A parameter's value as ROS's command line reads it, which is as YAML: texts stand in quotes,
+    so that a folder named ``101`` or ``no`` stays a text."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (str, Path)):
+        return json.dumps(str(value), ensure_ascii=False)
+    return str(value)
 
 
 def with_own_ports(

@@ -51,9 +51,12 @@ def declare(node: Node, kind: type[Parameters], changeable: tuple[str, ...] = ()
             override = node._parameter_overrides.get(entry.name)
             given = override.value if override is not None else entry.default
             limits: Limits = entry.metadata["limits"]
+            wanted = _type_name(hints[entry.name])
+            if hints[entry.name] is not str or limits.choices:
+                wanted = f"{limits.range_text()} ({wanted})"
             raise ConfigurationError(
-                f"{node.get_name()}: parameter '{entry.name}' is {given!r}, but must be "
-                f"{limits.range_text()} ({_type_name(hints[entry.name])}): {limits.description}"
+                f"{node.get_name()}: parameter '{entry.name}' is {given!r}, but must be {wanted}: "
+                f"{limits.description}"
             ) from error
 
 

@@ -62,8 +62,8 @@ def wait_for_nodes(folder: Path, process: subprocess.Popen[str]) -> dict[str, in
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Iterator[Path]:
-    yield tmp_path / "run"
-    assert children_of(tmp_path / "run") == {}, "a node was left behind"
+    yield tmp_path / "101"
+    assert children_of(tmp_path / "101") == {}, "a node was left behind"
 
 
 def test_the_demo_reaches_a_goal_and_tells_the_truth(folder: Path) -> None:

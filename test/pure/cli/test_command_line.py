@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
 
 import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tapping_cell.cli import VERBS, main
+from tapping_cell.cli.graph import parameter_text
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -38,3 +43,13 @@ def test_an_unreadable_cell_file_is_refused_before_anything_starts(
 ) -> None:
     assert main(["demo", "--cell", "/nowhere/cell.yaml"]) == 2
     assert "/nowhere/cell.yaml" in capsys.readouterr().out.replace("\n", "")
+
+
+@given(st.text(st.characters(exclude_categories=("Cs", "Cc"))) | st.booleans() | st.integers())
+def test_a_parameter_reaches_a_node_as_it_is_given(value: object) -> None:
+    assert yaml.safe_load(parameter_text(value)) == value
+
+
+@pytest.mark.parametrize("name", ["101", "no", "1e3", "", "null", "with a space", "a: b", '"'])
+def test_a_folder_may_be_named_like_a_number(name: str) -> None:
+    assert yaml.safe_load(parameter_text(Path(name))) == str(Path(name))
