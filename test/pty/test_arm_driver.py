@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from emulated_arm import HOME, NEAR_HOME, EmulatedArm
 
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
@@ -23,50 +24,25 @@ from tapping_cell.simulation.grbl_machine import GrblMachine
 from tapping_cell.simulation.joint_motion import AxisErrors
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 
-HOME = (0.0, math.pi / 2, 0.0, 0.0)
-NEAR_HOME = GrblMachine(start_joints=(0.05, 1.5, -0.005, 0.1), home_joints=HOME)
+MACHINE = GrblMachine(start_joints=NEAR_HOME, home_joints=HOME)
 
 
-class Cell:
-    """One emulated arm and its driver."""
-
-    def __init__(
-        self,
-        plug: Callable[..., PseudoTerminal],
-        machine: GrblMachine = NEAR_HOME,
-        expected: dict[int, float] | None = None,
-        **options: bool,
-    ) -> None:
-        self.emulator = GrblEmulator(machine, seed=1, now=time.monotonic())
-        self.port = plug(self.emulator, **options)
-        self.transport = SerialTransport(str(self.port.path))
-        dialect = GrblDialect(self.transport, GrblSettings(expected=expected or {13: 0.0}))
-        self.driver = ArmDriver(
-            self.transport, dialect, ScaraGeometry(), ArmSettings(home_joints=HOME)
-        )
-
-    def ready(self) -> ArmDriver:
-        self.driver.connect()
-        self.driver.home(HomingStrategy.FIRMWARE)
-        return self.driver
-
-    def wait_moving(self, moving: bool) -> None:
-        """Wait until the emulated arm moves, or no longer."""
-        deadline = time.monotonic() + 20.0
-        while True:
-            with self.port.lock:
-                if self.emulator.moving(time.monotonic()) is moving:
-                    return
-            assert time.monotonic() < deadline, f"moving={moving} never came"
-            time.sleep(0.005)
-
-    def truth(self) -> Joints:
-        with self.port.lock:
-            return Joints(*self.emulator.joints(time.monotonic()))
+def emulated(
+    plug: Callable[..., PseudoTerminal],
+    machine: GrblMachine = MACHINE,
+    expected: dict[int, float] | None = None,
+    **options: bool,
+) -> EmulatedArm:
+    """One emulated Grbl arm and its driver."""
+    emulator = GrblEmulator(machine, seed=1, now=time.monotonic())
+    port = plug(emulator, **options)
+    transport = SerialTransport(str(port.path))
+    dialect = GrblDialect(transport, GrblSettings(expected=expected or {13: 0.0}))
+    return EmulatedArm(emulator, port, transport, dialect)
 
 
 def test_nothing_moves_before_homing(plug: Callable[..., PseudoTerminal]) -> None:
-    cell = Cell(plug)
+    cell = emulated(plug)
     firmware = cell.driver.connect()
     assert (firmware.name, firmware.continued) == ("Grbl", False)
     before = cell.truth()
@@ -78,7 +54,7 @@ def test_nothing_moves_before_homing(plug: Callable[..., PseudoTerminal]) -> Non
 
 
 def test_home_move_read_back(plug: Callable[..., PseudoTerminal]) -> None:
-    cell = Cell(plug)
+    cell = emulated(plug)
     driver = cell.ready()
     assert driver.read_joints() == pytest.approx(HOME, abs=1e-6)
     goal = Joints(0.3, 1.2, -0.02, -0.5)
@@ -92,7 +68,7 @@ def test_a_path_ends_on_the_strike_pose_and_rests_there(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     """What the driver adds to the time of the moves is measured by ``bench --section drivers``."""
-    cell = Cell(plug)
+    cell = emulated(plug)
     driver = cell.ready()
     tip = TipPose(0.40, 0.35, 0.01, 0.6)
     settings = MotionSettings(travel_speed=1.0, near_speed=1.0)
@@ -109,7 +85,7 @@ def test_the_drivers_word_is_the_controllers_not_the_truth(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     offset = (0.002, -0.001, 0.0, 0.003)
-    cell = Cell(
+    cell = emulated(
         plug, GrblMachine(start_joints=HOME, home_joints=HOME, errors=AxisErrors(offset=offset))
     )
     reading = cell.ready().move_to((0.2, 1.4, -0.01, 0.2))
@@ -123,7 +99,7 @@ def test_the_drivers_word_is_the_controllers_not_the_truth(
 def test_targets_out_of_range_send_nothing(
     plug: Callable[..., PseudoTerminal], joints: tuple[float, ...], speed: float
 ) -> None:
-    cell = Cell(plug)
+    cell = emulated(plug)
     driver = cell.ready()
     before = cell.truth()
     with pytest.raises(HardwareFault) as caught:
@@ -135,7 +111,7 @@ def test_targets_out_of_range_send_nothing(
 def test_stop_from_another_thread_halts_the_arm_and_latches(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
-    cell = Cell(plug)
+    cell = emulated(plug)
     driver = cell.ready()
     caught: list[HardwareFault] = []
 
@@ -170,7 +146,7 @@ def test_stop_from_another_thread_halts_the_arm_and_latches(
 
 
 def test_stop_waits_for_nobody(plug: Callable[..., PseudoTerminal]) -> None:
-    cell = Cell(plug)
+    cell = emulated(plug)
     driver = cell.ready()
     delays = []
     for _ in range(20):
@@ -182,7 +158,7 @@ def test_stop_waits_for_nobody(plug: Callable[..., PseudoTerminal]) -> None:
 
 
 def test_a_reset_board_must_be_homed_again(plug: Callable[..., PseudoTerminal]) -> None:
-    cell = Cell(plug)
+    cell = emulated(plug)
     driver = cell.ready()
     with cell.port.lock:
         cell.emulator.power_cycle(time.monotonic())
@@ -198,7 +174,7 @@ def test_a_reset_board_must_be_homed_again(plug: Callable[..., PseudoTerminal]) 
 def test_homing_survives_a_pulled_cable_but_not_a_reset(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
-    cell = Cell(plug)
+    cell = emulated(plug)
     driver = cell.ready()
     for reset in (False, True):
         cell.port.hang_up()
@@ -216,7 +192,7 @@ def test_homing_survives_a_pulled_cable_but_not_a_reset(
 
 def test_an_arm_pushed_while_unplugged_is_noticed(plug: Callable[..., PseudoTerminal]) -> None:
     """The controller counts a push as no motion; only a jump of its own count can be seen."""
-    cell = Cell(plug)
+    cell = emulated(plug)
     driver = cell.ready()
     with cell.port.lock:
         cell.emulator.receive(b"G21G90G94G1X5F5000\n", time.monotonic())
@@ -227,7 +203,7 @@ def test_an_arm_pushed_while_unplugged_is_noticed(plug: Callable[..., PseudoTerm
 
 
 def test_an_alarm_in_mid_move(plug: Callable[..., PseudoTerminal]) -> None:
-    cell = Cell(plug)
+    cell = emulated(plug)
     driver = cell.ready()
 
     def hit() -> None:
@@ -245,7 +221,7 @@ def test_an_alarm_in_mid_move(plug: Callable[..., PseudoTerminal]) -> None:
 
 
 def test_settings_that_differ_are_refused_by_name(plug: Callable[..., PseudoTerminal]) -> None:
-    cell = Cell(plug, expected={13: 0.0, 110: 1234.0, 999: 1.0})
+    cell = emulated(plug, expected={13: 0.0, 110: 1234.0, 999: 1.0})
     with pytest.raises(
         HardwareFault, match=r"\$110 is 6900, must be 1234; \$999 is miss"
     ) as caught:
@@ -285,7 +261,7 @@ def test_unknown_firmware_is_refused(plug: Callable[..., PseudoTerminal]) -> Non
 
 def test_a_homing_that_did_not_run_is_not_believed(plug: Callable[..., PseudoTerminal]) -> None:
     """One wrong bit makes $X of $H, which an unlocked Grbl answers with ok."""
-    cell = Cell(plug)
+    cell = emulated(plug)
     cell.driver.connect()
     cell.driver.clear_fault()
     original = cell.emulator.receive
@@ -305,10 +281,10 @@ def test_a_homing_that_did_not_run_is_not_believed(plug: Callable[..., PseudoTer
 def test_homing_without_switches(
     plug: Callable[..., PseudoTerminal], strategy: HomingStrategy
 ) -> None:
-    settings = dict(NEAR_HOME.settings) | {22: 0.0}
+    settings = dict(MACHINE.settings) | {22: 0.0}
     # The marked pose; the controller counts from zero there.
     place = HOME if strategy is HomingStrategy.MANUAL_POSE else (0.0, 0.0, 0.0, 0.0)
-    cell = Cell(plug, GrblMachine(start_joints=place, settings=settings))
+    cell = emulated(plug, GrblMachine(start_joints=place, settings=settings))
     cell.driver.connect()
     assert cell.driver.home(strategy) == pytest.approx(place, abs=1e-6)
     cell.driver.move_to((0.2, 1.2, -0.02, 0.3))
@@ -316,7 +292,7 @@ def test_homing_without_switches(
 
 
 def test_a_board_that_resets_when_the_port_opens(plug: Callable[..., PseudoTerminal]) -> None:
-    cell = Cell(plug, reset_on_open=True)
+    cell = emulated(plug, reset_on_open=True)
     driver = cell.ready()
     driver.move_to((0.2, 1.4, -0.01, 0.3))
     driver.close()
@@ -328,7 +304,7 @@ def test_a_board_that_resets_when_the_port_opens(plug: Callable[..., PseudoTermi
 def test_homing_waits_for_the_last_move_of_a_driver_that_died(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
-    cell = Cell(plug)
+    cell = emulated(plug)
     old = cell.ready()
 
     def move() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from emulated_arm import HOME, NEAR_HOME, EmulatedArm
 
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
@@ -20,47 +20,20 @@ from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 
-HOME = (0.0, math.pi / 2, 0.0, 0.0)
 Plug = Callable[..., PseudoTerminal]
 
 
-class Cell:
-    """One emulated arm and its driver."""
-
-    def __init__(self, plug: Plug, parser: bool = True, **options: bool) -> None:
-        machine = MarlinMachine(
-            start_joints=(0.05, 1.5, -0.005, 0.1), home_joints=HOME, emergency_parser=parser
-        )
-        self.emulator = MarlinEmulator(machine, seed=1, now=time.monotonic())
-        self.port = plug(self.emulator, **options)
-        self.transport = SerialTransport(str(self.port.path))
-        self.dialect = MarlinDialect(self.transport)
-        self.driver = ArmDriver(
-            self.transport, self.dialect, ScaraGeometry(), ArmSettings(home_joints=HOME)
-        )
-
-    def ready(self) -> ArmDriver:
-        self.driver.connect()
-        self.driver.home(HomingStrategy.FIRMWARE)
-        return self.driver
-
-    def wait_moving(self, moving: bool) -> None:
-        """Wait until the emulated arm moves, or no longer."""
-        deadline = time.monotonic() + 20.0
-        while True:
-            with self.port.lock:
-                if self.emulator.moving(time.monotonic()) is moving:
-                    return
-            assert time.monotonic() < deadline, f"moving={moving} never came"
-            time.sleep(0.005)
-
-    def truth(self) -> Joints:
-        with self.port.lock:
-            return Joints(*self.emulator.joints(time.monotonic()))
+def emulated(plug: Plug, parser: bool = True, **options: bool) -> EmulatedArm:
+    """One emulated Marlin arm and its driver."""
+    machine = MarlinMachine(start_joints=NEAR_HOME, home_joints=HOME, emergency_parser=parser)
+    emulator = MarlinEmulator(machine, seed=1, now=time.monotonic())
+    port = plug(emulator, **options)
+    transport = SerialTransport(str(port.path))
+    return EmulatedArm(emulator, port, transport, MarlinDialect(transport))
 
 
 def test_home_move_read_back(plug: Plug) -> None:
-    cell = Cell(plug)
+    cell = emulated(plug)
     driver = cell.ready()
     assert driver.firmware is not None and driver.firmware.version.startswith("2.1.2")
     goal = Joints(0.3, 1.2, -0.02, -0.5)
@@ -72,7 +45,7 @@ def test_home_move_read_back(plug: Plug) -> None:
 
 
 def test_homing_survives_a_pulled_cable_but_not_a_reset(plug: Plug) -> None:
-    cell = Cell(plug)
+    cell = emulated(plug)
     driver = cell.ready()
     for reset in (False, True):
         cell.port.hang_up()
@@ -89,7 +62,7 @@ def test_homing_survives_a_pulled_cable_but_not_a_reset(plug: Plug) -> None:
 
 @pytest.mark.parametrize("parser", [True, False])
 def test_stop_is_unnumbered_and_acts_at_once(plug: Plug, parser: bool) -> None:
-    cell = Cell(plug, parser, reset_on_open=True)
+    cell = emulated(plug, parser, reset_on_open=True)
     driver = cell.ready()
     assert cell.dialect.stop_bytes == (b"\nM410\n" if parser else b"\nM112\n")
     caught: list[HardwareFault] = []
@@ -119,7 +92,7 @@ def test_stop_is_unnumbered_and_acts_at_once(plug: Plug, parser: bool) -> None:
 
 
 def test_a_halted_board_that_no_dtr_resets_needs_a_person(plug: Plug) -> None:
-    cell = Cell(plug, parser=False)
+    cell = emulated(plug, parser=False)
     driver = cell.ready()
     driver.stop()
     with pytest.raises(HardwareFault, match="press the reset button") as caught:
@@ -132,7 +105,7 @@ def test_a_halted_board_that_no_dtr_resets_needs_a_person(plug: Plug) -> None:
 
 
 def test_a_restart_during_a_move_is_noticed(plug: Plug) -> None:
-    cell = Cell(plug)
+    cell = emulated(plug)
     driver = cell.ready()
 
     def restart() -> None:
