@@ -36,11 +36,14 @@ class Limits:
     minimum: float = -math.inf
     maximum: float = math.inf
     choices: tuple[str, ...] = ()
+    numeric: bool = True
 
     def range_text(self) -> str:
-        """The range in words, with the unit."""
+        """The range in words, with the unit; empty where there is none, as for a free text."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
+        if not self.numeric:
+            return ""
         unit = f" {self.unit}" if self.unit else ""
         if math.isinf(self.minimum) and math.isinf(self.maximum):
             return "any finite number" + unit
@@ -70,12 +73,12 @@ def choice(description: str, *choices: str, default: Any = MISSING) -> Any:
 
 def text(description: str, default: Any = MISSING) -> Any:
     """A text or a truth value without a range."""
-    return field(default=default, metadata={"limits": Limits(description)})
+    return field(default=default, metadata={"limits": Limits(description, numeric=False)})
 
 
 def section(description: str, default: Any = MISSING) -> Any:
     """A nested section, or a sequence of them."""
-    return field(default=default, metadata={"limits": Limits(description)})
+    return field(default=default, metadata={"limits": Limits(description, numeric=False)})
 
 
 class _StrictLoader(yaml.SafeLoader):
@@ -153,9 +156,9 @@ def build(kind: type[Section], document: Any, source: str, key: str = "") -> Sec
             values[name] = _value(hints[name], document[name], limits, source, _join(key, name))
         elif entry.default is MISSING and entry.default_factory is MISSING:
             limits = entry.metadata["limits"]
+            accepted = f" ({limits.range_text()})" if limits.range_text() else ""
             raise ConfigurationError(
-                f"{source}: key '{_join(key, name)}' is missing: {limits.description} "
-                f"({limits.range_text()})"
+                f"{source}: key '{_join(key, name)}' is missing: {limits.description}{accepted}"
             )
     try:
         return kind(**values)

@@ -52,7 +52,7 @@ def declare(node: Node, kind: type[Parameters], changeable: tuple[str, ...] = ()
             given = override.value if override is not None else entry.default
             limits: Limits = entry.metadata["limits"]
             wanted = _type_name(hints[entry.name])
-            if hints[entry.name] is not str or limits.choices:
+            if limits.range_text():
                 wanted = f"{limits.range_text()} ({wanted})"
             raise ConfigurationError(
                 f"{node.get_name()}: parameter '{entry.name}' is {given!r}, but must be {wanted}: "

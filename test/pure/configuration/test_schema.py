@@ -98,6 +98,16 @@ def test_a_refusal_names_file_key_value_and_range(
         assert word in str(caught.value)
 
 
+def test_a_missing_text_is_told_without_a_range() -> None:
+    @dataclass(frozen=True, slots=True)
+    class Named:
+        name: str = text("what it is called")
+
+    with pytest.raises(ConfigurationError) as raised:
+        build(Named, {}, "file")
+    assert str(raised.value) == "file: key 'name' is missing: what it is called"
+
+
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"nowhere\.yaml: cannot be read"):
         load(Outer, tmp_path / "nowhere.yaml")
