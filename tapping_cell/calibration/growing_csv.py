@@ -12,6 +12,8 @@ from tapping_cell.calibration.csv_table import RecordError
 class GrowingCsv:
     """Rows of numbers under one header; each is on the disk when ``append`` returns.
 
+    ``rows`` counts those that the file holds.
+
     Raises:
         RecordError: the file is there already and ``resume`` is not wanted, or it holds other
             columns.
@@ -20,6 +22,7 @@ class GrowingCsv:
     def __init__(self, path: Path, header: Sequence[str], resume: bool) -> None:
         self._path = path
         self._columns = len(header)
+        self.rows = 0
         line = ",".join(header)
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -31,12 +34,15 @@ class GrowingCsv:
                 " or another name"
             )
         text = path.read_text(encoding="utf-8-sig")
-        first = next((row for row in text.splitlines() if row and not row.startswith("#")), "")
-        if first.strip() != line:
+        first, *rows = [
+            row.strip() for row in text.splitlines() if row.strip() and not row.startswith("#")
+        ] or [""]
+        if first != line:
             raise RecordError(
-                f"{path}: has the columns {first.strip() or '(none)'}, where the recording has"
+                f"{path}: has the columns {first or '(none)'}, where the recording has"
                 f" {line}; give another name"
             )
+        self.rows = len(rows)
         if not text.endswith("\n"):
             self._write("\n", "a")
 
@@ -49,6 +55,7 @@ class GrowingCsv:
         if len(values) != self._columns:
             raise ValueError(f"{len(values)} values for {self._columns} columns")
         self._write(",".join(f"{value:.9g}" for value in values) + "\n", "a")
+        self.rows += 1
 
     def _write(self, text: str, mode: str) -> None:
         with self._path.open(mode, encoding="utf-8") as stream:

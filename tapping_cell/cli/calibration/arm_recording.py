@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -75,7 +76,7 @@ def _visit(
         geometry.forward(here).z,
         SPARE * arguments.poses,
     )
-    done = _recorded(arguments)
+    done = _recorded(growing, arguments.record)
     left = [joints for joints in places if not _among(joints, done)]
     number, blind = len(done), 0
     console.print(
@@ -123,12 +124,11 @@ def _check_same_arm(cell: Cell, client: ArmPoseClient, here: Joints) -> None:
         )
 
 
-def _recorded(arguments: argparse.Namespace) -> list[tuple[float, ...]]:
+def _recorded(growing: GrowingCsv, path: Path) -> list[tuple[float, ...]]:
     """Joints of the poses that are there already."""
-    text = arguments.record.read_text(encoding="utf-8-sig")
-    if sum(1 for line in text.splitlines() if line and not line.startswith("#")) < 2:
+    if not growing.rows:
         return []
-    table = read_csv(arguments.record, COLUMNS)
+    table = read_csv(path, COLUMNS)
     return [tuple(row) for row in table.columns("shoulder", "elbow", "tool").tolist()]
 
 

@@ -6,6 +6,7 @@ import argparse
 import math
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -47,7 +48,7 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
     session.end_on_signals()
     energies = energies_of(cell)
     growing = GrowingCsv(arguments.record, HEADER, arguments.resume)
-    done = _recorded(arguments)
+    done = _recorded(growing, arguments.record)
     left = list(order(energies, arguments.taps, done))
     console.print(
         f"{len(left)} taps of {1e3 * energies[0]:.3g} to {1e3 * energies[-1]:.3g} mJ about the"
@@ -163,9 +164,8 @@ def _row(energy: float, trial: Trial) -> tuple[float, ...]:
     return (energy, trial.displacement, trial.rotation, incidence, trial.displacement_std)
 
 
-def _recorded(arguments: argparse.Namespace) -> list[float]:
+def _recorded(growing: GrowingCsv, path: Path) -> list[float]:
     """Energies of the taps that are there already."""
-    text = arguments.record.read_text(encoding="utf-8-sig")
-    if sum(1 for line in text.splitlines() if line and not line.startswith("#")) < 2:
+    if not growing.rows:
         return []
-    return [float(energy) for energy in read_csv(arguments.record, COLUMNS).values["energy"]]
+    return [float(energy) for energy in read_csv(path, COLUMNS).values["energy"]]

@@ -16,8 +16,12 @@ COLUMNS = (Column("energy", "J"), Column("distance", "m"))
 
 def test_rows_are_read_back_as_they_were_and_gone_on_with(tmp_path: Path) -> None:
     path = tmp_path / "new" / "taps.csv"
-    GrowingCsv(path, HEADER, resume=False).append((0.001, 1 / 3))
+    growing = GrowingCsv(path, HEADER, resume=False)
+    assert growing.rows == 0
+    growing.append((0.001, 1 / 3))
+    assert growing.rows == 1
     GrowingCsv(path, HEADER, resume=True).append((0.002, 0.5))
+    assert GrowingCsv(path, HEADER, resume=True).rows == 2
     table = read_csv(path, COLUMNS)
     np.testing.assert_allclose(table.columns(*HEADER), [[0.001, 1 / 3], [0.002, 0.5]], rtol=1e-8)
 
