@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from tapping_cell.calibration.camera import CalibrationRefused
+from tapping_cell.calibration.csv_table import Column
 from tapping_cell.hardware.scara import ScaraGeometry
 from tapping_cell.se2 import wrap_angle
 
@@ -30,6 +31,15 @@ Complex = NDArray[np.complex128]
 LEAST_POSES = 6
 NAMES = ("base_x", "base_y", "base_yaw", "elbow_zero", "mount_x", "mount_y", "mount_angle")
 LINKS = ("upper_arm", "forearm")
+RECORD_COLUMNS = (
+    Column("shoulder", "rad", -7.0, 7.0, least_largest=0.1),
+    Column("elbow", "rad", -7.0, 7.0, least_largest=0.1),
+    Column("tool", "rad", -20.0, 20.0),
+    Column("x", "m", -3.0, 3.0, least_largest=0.01),
+    Column("y", "m", -3.0, 3.0, least_largest=0.01),
+    Column("theta", "rad", -20.0, 20.0, required=False),
+)
+"""Of the file, a row a pose."""
 _LOOSE = {"m": 0.005, "rad": np.radians(1.0)}
 """Standard deviations beyond which a value is not taken from the record."""
 _TIED = 0.97

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.calibration.camera import CalibrationRefused
+from tapping_cell.calibration.csv_table import Column
 from tapping_cell.mechanics import Impact, Tap
 
 Array = NDArray[np.float64]
@@ -31,6 +32,14 @@ SHARES = (8, 4, 3, 3, 4, 8)
 ends of the range."""
 POINTS = 8
 """Pairs of the curve that is written."""
+RECORD_COLUMNS = (
+    Column("energy", "J", 1e-7, 100.0, least_largest=1e-5),
+    Column("distance", "m", 0.0, 1.0, least_largest=0.002),
+    Column("rotation", "rad", -20.0, 20.0, required=False),
+    Column("incidence", "rad", -1.4, 1.4, required=False),
+    Column("distance_std", "m", 1e-6, 0.01, required=False),
+)
+"""Of the file, a row a tap."""
 USUAL_DEVIATION = 1e-4
 """Of a travel, in m, where nothing is said of it: two looks of a camera over the table."""
 _NO_MOTION = 0.0003

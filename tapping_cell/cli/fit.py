@@ -23,25 +23,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tapping_cell.cli.fit_words import shown, speed_lines
+
 if TYPE_CHECKING:
     from tapping_cell.calibration.experiment import Experiment
     from tapping_cell.calibration.object_fit import Estimate, ObjectFit
     from tapping_cell.configuration.objects import ObjectFile
-
-_WORDS = {
-    "friction": "friction with the table",
-    "torque_factor": "torque factor",
-    "restitution": "restitution",
-    "contact_friction": "friction with the striker",
-    "scale_b1": "scale of B1",
-    "scale_b2": "scale of B2",
-    "scale_b3": "scale of B3",
-    "scatter_speed": "scatter of launch speed (%)",
-    "scatter_spin": "scatter of launch spin (%)",
-    "scatter_direction": "scatter of direction (degrees)",
-    "scatter_distance": "scatter of distance (%)",
-    "scatter_rotation": "scatter of rotation (%)",
-}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -177,30 +164,6 @@ def lines(fit: ObjectFit) -> list[str]:
         text += ["", "  striker speed:", *(f"    {line}" for line in speed_lines(fit))]
     text += ["", *(f"  {sentence}" for sentence in fit.sentences)]
     return text
-
-
-def speed_lines(fit: ObjectFit) -> list[str]:
-    """The measured striker's speed at each setting."""
-    found = []
-    for point in fit.tapper:
-        setting = (
-            f"commanded {1e3 * point.commanded:.0f} mm/s"
-            if math.isnan(point.draw)
-            else f"draw {1e3 * point.draw:.2f} mm"
-        )
-        found.append(
-            f"{setting}: {1e3 * point.measured:.1f} mm/s, scatter {1e3 * point.scatter:.1f} mm/s "
-            f"in {point.trials} taps"
-        )
-    return found
-
-
-def shown(entry: Estimate) -> tuple[str, float]:
-    """Words for an estimate, and the factor to the unit in them."""
-    factor = 1.0
-    if entry.name.startswith("scatter"):
-        factor = 180 / math.pi if entry.unit == "rad" else 100.0
-    return _WORDS[entry.name], factor
 
 
 def _row(entry: Estimate) -> str:

@@ -21,12 +21,13 @@ from tapping_cell_msgs.msg import ArmState, ErrorCode, ObjectState
 from test_tap_series import Told
 from trajectory_msgs.msg import JointTrajectory
 
+from tapping_cell.calibration import arm, tapper
 from tapping_cell.calibration.arm import calibrate_arm
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.csv_table import RecordError, read_csv
 from tapping_cell.calibration.growing_csv import GrowingCsv
 from tapping_cell.calibration.tapper import SHARES
-from tapping_cell.cli.calibration import arm_recording, arm_verb, tapper_recording, tapper_verb
+from tapping_cell.cli.calibration import arm_recording, arm_verb, tapper_recording
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
@@ -130,7 +131,7 @@ def test_an_arms_record_is_made_gone_on_with_and_calibrates_the_arm(
     held.unseen = 1
     assert arm_recording.record(asked(path, resume=True), CELL, QUIET)
     assert held.visits == 9
-    record = arm_verb.record_of(read_csv(path, arm_verb.COLUMNS))
+    record = arm_verb.record_of(read_csv(path, arm.RECORD_COLUMNS))
     assert len(record.rows) == 8
     found = calibrate_arm(record, CELL.file.arm.geometry()).values
     assert (found["base_x"], found["base_y"]) == pytest.approx((BASE.x, BASE.y), abs=1e-6)
@@ -195,7 +196,7 @@ def recorded(answers: list[str | int], path: Path) -> np.ndarray:
     growing = GrowingCsv(path, tapper_recording.HEADER, resume=False)
     client = cast(SingleTapClient, ToldOfTaps(answers))
     tapper_recording._make(CELL, client, energies, growing, QUIET)
-    return read_csv(path, tapper_verb.COLUMNS).columns("energy", "distance")
+    return read_csv(path, tapper.RECORD_COLUMNS).columns("energy", "distance")
 
 
 def test_taps_are_recorded_with_their_travel_and_lost_ones_made_again(tmp_path: Path) -> None:
@@ -208,4 +209,4 @@ def test_taps_are_recorded_with_their_travel_and_lost_ones_made_again(tmp_path: 
 def test_an_object_that_is_lost_again_and_again_stops_it(tmp_path: Path) -> None:
     with pytest.raises(CalibrationRefused, match="4 taps in a row cannot be used"):
         recorded(["ok", *(["lost"] * 5)], tmp_path / "taps.csv")
-    assert len(read_csv(tmp_path / "taps.csv", tapper_verb.COLUMNS).rows) == 1
+    assert len(read_csv(tmp_path / "taps.csv", tapper.RECORD_COLUMNS).rows) == 1

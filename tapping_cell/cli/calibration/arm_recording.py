@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from tapping_cell.calibration.arm import RECORD_COLUMNS
 from tapping_cell.calibration.arm_places import arm_places
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.csv_table import read_csv
 from tapping_cell.calibration.growing_csv import GrowingCsv
 from tapping_cell.cli import session
-from tapping_cell.cli.calibration.arm_verb import COLUMNS
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.nodes.arm_pose_client import ArmPoseClient, ArmRefused
@@ -128,7 +128,7 @@ def _recorded(growing: GrowingCsv, path: Path) -> list[tuple[float, ...]]:
     """Joints of the poses that are there already."""
     if not growing.rows:
         return []
-    table = read_csv(path, COLUMNS)
+    table = read_csv(path, RECORD_COLUMNS)
     return [tuple(row) for row in table.columns("shoulder", "elbow", "tool").tolist()]
 
 

@@ -27,12 +27,13 @@ import numpy as np
 
 from tapping_cell.calibration.arm import (
     LEAST_POSES,
+    RECORD_COLUMNS,
     ArmCalibration,
     ArmRecord,
     calibrate_arm,
 )
 from tapping_cell.calibration.cell_file import calibrated_cell
-from tapping_cell.calibration.csv_table import Column, CsvTable, read_csv
+from tapping_cell.calibration.csv_table import CsvTable, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
 from tapping_cell.cli.calibration.recording_arguments import (
     add_recording_arguments,
@@ -43,15 +44,6 @@ from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.se2 import Pose
-
-COLUMNS = (
-    Column("shoulder", "rad", -7.0, 7.0, least_largest=0.1),
-    Column("elbow", "rad", -7.0, 7.0, least_largest=0.1),
-    Column("tool", "rad", -20.0, 20.0),
-    Column("x", "m", -3.0, 3.0, least_largest=0.01),
-    Column("y", "m", -3.0, 3.0, least_largest=0.01),
-    Column("theta", "rad", -20.0, 20.0, required=False),
-)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -88,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         if not make_record(arguments, cell, recording_console(arguments)):
             return 130
-    table = read_csv(arguments.record, COLUMNS)
+    table = read_csv(arguments.record, RECORD_COLUMNS)
     result = calibrate_arm(record_of(table), cell.file.arm.geometry(), arguments.links)
     values = file_values(result, cell, arguments.marker_on_tip)
     record = _provenance(result, table, arguments)

@@ -16,10 +16,9 @@ from tapping_cell.calibration.csv_table import read_csv
 from tapping_cell.calibration.design import judged
 from tapping_cell.calibration.experiment import ExperimentFile
 from tapping_cell.calibration.growing_csv import GrowingCsv
-from tapping_cell.calibration.tapper import SHARES, launch_ratio
+from tapping_cell.calibration.tapper import RECORD_COLUMNS, SHARES, launch_ratio
 from tapping_cell.calibration.trials import Trial, completed
 from tapping_cell.cli import session
-from tapping_cell.cli.calibration.tapper_verb import COLUMNS
 from tapping_cell.cli.tap_maker import SeriesStopped, TapMaker, trial_of
 from tapping_cell.cli.tap_room import TapRoom
 from tapping_cell.configuration import assembly
@@ -168,4 +167,4 @@ def _recorded(growing: GrowingCsv, path: Path) -> list[float]:
     """Energies of the taps that are there already."""
     if not growing.rows:
         return []
-    return [float(energy) for energy in read_csv(path, COLUMNS).values["energy"]]
+    return [float(energy) for energy in read_csv(path, RECORD_COLUMNS).values["energy"]]

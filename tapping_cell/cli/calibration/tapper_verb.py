@@ -28,10 +28,11 @@ from typing import Any
 import numpy as np
 
 from tapping_cell.calibration.cell_file import calibrated_cell
-from tapping_cell.calibration.csv_table import Column, CsvTable, read_csv
+from tapping_cell.calibration.csv_table import CsvTable, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
 from tapping_cell.calibration.tapper import (
     LEAST_TAPS,
+    RECORD_COLUMNS,
     USUAL_DEVIATION,
     TapperCalibration,
     TapRecord,
@@ -45,14 +46,6 @@ from tapping_cell.cli.calibration.recording_arguments import (
 from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.provenance import Provenance
-
-COLUMNS = (
-    Column("energy", "J", 1e-7, 100.0, least_largest=1e-5),
-    Column("distance", "m", 0.0, 1.0, least_largest=0.002),
-    Column("rotation", "rad", -20.0, 20.0, required=False),
-    Column("incidence", "rad", -1.4, 1.4, required=False),
-    Column("distance_std", "m", 1e-6, 0.01, required=False),
-)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -83,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         if not make_record(arguments, cell, recording_console(arguments)):
             return 130
-    table = read_csv(arguments.record, COLUMNS)
+    table = read_csv(arguments.record, RECORD_COLUMNS)
     tap = cell.object.tap(cell.file.tapper.striker())
     result = calibrate_tapper(record_of(table), tap)
     record = _provenance(result, table, cell.object_path)

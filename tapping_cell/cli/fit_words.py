@@ -1,0 +1,48 @@
+"""Words for what a fit found, alike on the terminal and in the report."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tapping_cell.calibration.object_fit import Estimate, ObjectFit
+
+_WORDS = {
+    "friction": "friction with the table",
+    "torque_factor": "torque factor",
+    "restitution": "restitution",
+    "contact_friction": "friction with the striker",
+    "scale_b1": "scale of B1",
+    "scale_b2": "scale of B2",
+    "scale_b3": "scale of B3",
+    "scatter_speed": "scatter of launch speed (%)",
+    "scatter_spin": "scatter of launch spin (%)",
+    "scatter_direction": "scatter of direction (degrees)",
+    "scatter_distance": "scatter of distance (%)",
+    "scatter_rotation": "scatter of rotation (%)",
+}
+
+
+def speed_lines(fit: ObjectFit) -> list[str]:
+    """The measured striker's speed at each setting."""
+    found = []
+    for point in fit.tapper:
+        setting = (
+            f"commanded {1e3 * point.commanded:.0f} mm/s"
+            if math.isnan(point.draw)
+            else f"draw {1e3 * point.draw:.2f} mm"
+        )
+        found.append(
+            f"{setting}: {1e3 * point.measured:.1f} mm/s, scatter {1e3 * point.scatter:.1f} mm/s "
+            f"in {point.trials} taps"
+        )
+    return found
+
+
+def shown(entry: Estimate) -> tuple[str, float]:
+    """Words for an estimate, and the factor to the unit in them."""
+    factor = 1.0
+    if entry.name.startswith("scatter"):
+        factor = 180 / math.pi if entry.unit == "rad" else 100.0
+    return _WORDS[entry.name], factor
