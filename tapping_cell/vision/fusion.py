@@ -23,14 +23,18 @@ def fuse(poses: ArrayLike, covariances: ArrayLike) -> tuple[Array, Array]:
     relative = p - p[0]
     relative[:, 2] = wrap_angle(relative[:, 2])
     mean = np.median(relative, axis=0)
-    total = information.sum(axis=0)
+    pulls = np.matmul(information, relative[..., None])[..., 0]
+    rows = information.reshape(-1, 9)
+    before: Array | None = None
     for _ in range(4):
         error = relative - mean
-        distance = np.sqrt(np.einsum("ni,nij,nj->n", error, information, error))
-        weight = np.minimum(1.0, _HUBER / np.maximum(distance, 1e-12))
-        total = np.einsum("n,nij->ij", weight, information)
-        vector = np.einsum("n,nij,nj->i", weight, information, relative)
-        mean = np.linalg.solve(total, vector)
+        square = (np.matmul(information, error[..., None])[..., 0] * error).sum(axis=1)
+        weight = np.minimum(1.0, _HUBER / np.sqrt(np.maximum(square, 1e-24)))
+        if before is not None and np.array_equal(weight, before):
+            break
+        total = (weight @ rows).reshape(3, 3)
+        mean = np.linalg.solve(total, weight @ pulls)
+        before = weight
     fused = p[0] + mean
     fused[2] = wrap_angle(fused[2])
     return fused, np.linalg.inv(total)

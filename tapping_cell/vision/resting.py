@@ -15,7 +15,14 @@ from tapping_cell.se2 import transform_points
 from tapping_cell.vision.camera import Array, Image, View
 from tapping_cell.vision.markers import UNIT_CORNERS, ObjectMarker
 from tapping_cell.vision.object import PoseFit, object_pose
-from tapping_cell.vision.photometric import Template, align, make_template
+from tapping_cell.vision.photometric import (
+    Alignment,
+    Look,
+    Template,
+    align,
+    align_again,
+    make_template,
+)
 
 _USUAL_BLUR = 0.65
 """Sigma in pixels of a well focused lens with the pixel's own area; the first alignment corrects
@@ -37,6 +44,7 @@ class RestingMarker:
     def __init__(self, marker: ObjectMarker) -> None:
         self._marker = marker
         self._template: Template | None = None
+        self._known: tuple[View, Look] | None = None
         self._window: tuple[slice, slice] | None = None
         self._last: NDArray[np.float32] | None = None
         self._pairs = 0
@@ -47,18 +55,32 @@ class RestingMarker:
     def measure(self, image: Image, view: View, fit: PoseFit) -> tuple[Array, Array]:
         """Pose (3,) and covariance (3, 3) of the object; from the edges where the pattern does not
         explain the image."""
-        pixel = float(view.pose.translation[2]) / view.camera.fx
-        if self._template is None:
-            self._template = make_template(self._marker, pixel, _USUAL_BLUR * pixel)
-        aligned = align(image, view, self._template, self._marker, fit.pose)
-        if aligned is not None and abs(aligned.blur / self._template.blur - 1.0) > _BLUR_STEP:
-            self._template = make_template(self._marker, pixel, aligned.blur)
-            aligned = align(image, view, self._template, self._marker, aligned.pose)
+        aligned = None
+        if self._known is not None and self._known[0] is view:
+            aligned = align_again(image, self._known[1], self._marker, fit.pose)
+        if aligned is None or not self._as_blurred(aligned):
+            aligned = self._align(image, view, fit)
+            self._known = None if aligned is None else (view, aligned.look)
         if aligned is None:
             self.fixed = _FIXED_EDGES
             return object_pose(fit.pose, fit.covariance, self._marker)
         self._compare(image, view, aligned.pose, aligned.unexplained)
         return object_pose(aligned.pose, aligned.covariance, self._marker)
+
+    def _align(self, image: Image, view: View, fit: PoseFit) -> Alignment | None:
+        """The alignment from the edges, with a template as blurred as the image."""
+        pixel = float(view.pose.translation[2]) / view.camera.fx
+        if self._template is None:
+            self._template = make_template(self._marker, pixel, _USUAL_BLUR * pixel)
+        aligned = align(image, view, self._template, self._marker, fit.pose)
+        if aligned is not None and not self._as_blurred(aligned):
+            self._template = make_template(self._marker, pixel, aligned.blur)
+            aligned = align(image, view, self._template, self._marker, aligned.pose)
+        return aligned
+
+    def _as_blurred(self, aligned: Alignment) -> bool:
+        assert self._template is not None
+        return abs(aligned.blur / self._template.blur - 1.0) <= _BLUR_STEP
 
     def _compare(self, image: Image, view: View, pose: Array, unexplained: float) -> None:
         """Learn what changes from the last frame to this one, if the marker stayed in its place."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,40 +62,46 @@ def patterns_agree(
     """For each marker: do the modules between its corners read as its pattern?"""
     agree = np.zeros(len(patterns), dtype=bool)
     height, width = image.shape
-    for row, pattern in enumerate(patterns):
-        corners = edges.corners[row]
-        if not edges.good[row]:
-            continue
-        inside = (corners >= 0).all() and (corners < [width - 1, height - 1]).all()
-        if not inside:
-            continue
-        modules = pattern.shape[0]
-        centres = (np.arange(modules) + 0.5) / modules
-        u, v = np.meshgrid(centres, centres)
-        # The four corners' perspective; row 0 of the pattern lies along corners 0 and 1.
-        pixels = _within(corners, u, v)
-        index = np.rint(pixels).astype(np.intp)
+    corners = edges.corners
+    with np.errstate(invalid="ignore"):
+        inside = (corners >= 0).all(axis=(1, 2))
+        inside &= (corners < [width - 1, height - 1]).all(axis=(1, 2))
+    whole = np.flatnonzero(edges.good & inside)
+    sizes = np.array([len(pattern) for pattern in patterns], dtype=np.intp)
+    for modules in np.unique(sizes[whole]):
+        rows = whole[sizes[whole] == modules]
+        index = np.rint(_within(corners[rows], *_centres(int(modules)))).astype(np.intp)
         grey = image[index[..., 1], index[..., 0]]
-        middle = 0.5 * (edges.black[row] + edges.white[row])
-        agree[row] = float(((grey > middle) != pattern).mean()) <= _BITS_WRONG
+        middle = 0.5 * (edges.black[rows] + edges.white[rows])
+        wrong = (grey > middle[:, None]) != np.stack([patterns[row].ravel() for row in rows])
+        agree[rows] = wrong.mean(axis=1) <= _BITS_WRONG
     return agree
 
 
+@lru_cache(maxsize=8)
+def _centres(modules: int) -> tuple[Array, Array]:
+    """Where the middles of modules lie in their marker, row after row: shares (N,) right and
+    down."""
+    centres = (np.arange(modules) + 0.5) / modules
+    u, v = np.meshgrid(centres, centres)
+    return u.ravel(), v.ravel()
+
+
 def _within(corners: Array, u: Array, v: Array) -> Array:
-    """Points at shares u (right) and v (down) of a square seen in perspective as ``corners`` (4,
-    2).
+    """Points (M, N, 2) at shares u (right) and v (down), (N,), of squares seen in perspective as
+    ``corners`` (M, 4, 2).
 
     Heckbert 1989, "Fundamentals of texture mapping", square to quadrilateral.
     """
-    p0, p1, p2, p3 = corners
+    # Row 0 of the pattern lies along corners 0 and 1.
+    p0, p1, p2, p3 = corners.transpose(1, 0, 2)
     total = p0 - p1 + p2 - p3
     d1, d2 = p1 - p2, p3 - p2
-    determinant = d1[0] * d2[1] - d1[1] * d2[0]
-    g = (total[0] * d2[1] - total[1] * d2[0]) / determinant
-    h = (d1[0] * total[1] - d1[1] * total[0]) / determinant
+    determinant = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+    g = ((total[:, 0] * d2[:, 1] - total[:, 1] * d2[:, 0]) / determinant)[:, None]
+    h = ((d1[:, 0] * total[:, 1] - d1[:, 1] * total[:, 0]) / determinant)[:, None]
     along = p1 - p0 + g * p1
     down = p3 - p0 + h * p3
     scale = g * u + h * v + 1.0
-    return np.asarray(
-        (along * u[..., None] + down * v[..., None] + p0) / scale[..., None], dtype=float
-    )
+    points = along[:, None] * u[:, None] + down[:, None] * v[:, None] + p0[:, None]
+    return np.asarray(points / scale[..., None], dtype=float)

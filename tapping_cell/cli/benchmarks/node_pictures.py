@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
 from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import CameraInfo, Image
 from tapping_cell_msgs.msg import ObjectState
@@ -56,7 +56,10 @@ class Case:
 CASES = (
     Case("at rest"),
     Case("at rest, annotated picture heard", annotated=True),
-    Case("at rest, bgr8", encoding="bgr8"),
+    *(
+        Case(f"at rest, {encoding}", encoding=encoding)
+        for encoding in ("bgr8", "bgra8", "mono16", "yuv422", "bayer_rggb8")
+    ),
     Case("moving", moving=True),
     Case("outline, at rest", PLAIN),
     Case("outline, moving", PLAIN, moving=True),
@@ -106,10 +109,18 @@ def _pictures(case: Case, path: Path) -> list[Image]:
         start, end = (
             Pose(0.1 * np.cos(angle), 0.1 * np.sin(angle), angle) for angle in 2 * np.pi * turns
         )
-        grey = renderer.render(start, end)
-        picture = grey if case.encoding == "mono8" else cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+        picture = _encoded(renderer.render(start, end), case.encoding)
         made.append(images.to_message(picture, case.encoding))
     return made
+
+
+def _encoded(grey: NDArray[np.uint8], encoding: str) -> NDArray[np.uint8]:
+    """A grey picture as a camera of that encoding sends it; grey, a Bayer pattern is the same."""
+    if encoding in ("bgr8", "bgra8"):
+        return np.repeat(grey[..., None], len(encoding) - 1, axis=2)
+    empty = {"mono16": 0, "yuv422": 128}.get(encoding)
+    # Of two bytes the upper one, which little-endian comes last, and with UYVY the grey one, too.
+    return grey if empty is None else np.stack([np.full_like(grey, empty), grey], axis=-1)
 
 
 class _Player:
