@@ -9,6 +9,8 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import select
+import signal
 import sys
 from collections.abc import Callable, Sequence
 
@@ -30,6 +32,9 @@ VERBS = {
     "completion": "shell code that completes verbs and options",
 }
 
+READER_HAS_GONE = 128 + signal.SIGPIPE
+"""Exit status of a verb whose reader has gone: the shell's for a program that SIGPIPE ended."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit status (2 for a wrong command line)."""
@@ -48,8 +53,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.parse_args(words[:1])
         return 2
     parser, execute = verb_parser(words[0])
-    status: int = execute(parser.parse_args(words[1:]))
+    try:
+        try:
+            status: int = execute(parser.parse_args(words[1:]))
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        if not _reader_has_gone():
+            raise
+        # Python flushes once more at its end; what is left is for nobody.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return READER_HAS_GONE
     return status
+
+
+def _reader_has_gone() -> bool:
+    """Whether the pipe that the output goes to was closed, as `head` does after its lines."""
+    output = select.poll()
+    output.register(sys.stdout.fileno(), select.POLLERR)
+    return bool(output.poll(0))
 
 
 def verb_parser(verb: str) -> tuple[argparse.ArgumentParser, Callable[[argparse.Namespace], int]]:

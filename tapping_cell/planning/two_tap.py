@@ -35,9 +35,10 @@ def two_tap_choice(
         retreat:    theta - k a (1 - s) = k (r + a)  ->  a = (theta - k r) / (k (2 - s))
         overshoot:  theta - k (r + b)(1 - s) = k b   ->  b = (theta - k r (1 - s)) / (k (2 - s))
 
-    Both at the full slope k of the cone; the second is at least
-    ``SECOND_TAP_MARGIN`` smallest taps. A tap cannot be larger than the largest: what is left is
-    for the next plan.
+    Both at the full slope k of the cone. The whole error line fits into what the second tap can
+    undo, theta (1 +- s) into k b, only from b = s theta / k on; a retreat is always that far. The
+    second is at least ``SECOND_TAP_MARGIN`` smallest taps. A tap cannot be larger than the largest:
+    what is left is for the next plan.
     """
     r, signed = np.broadcast_arrays(
         np.asarray(distance, dtype=float), np.asarray(rotation, dtype=float)
@@ -54,7 +55,8 @@ def two_tap_choice(
         first = -subgoal
         second = r + subgoal
     else:
-        subgoal = np.maximum((theta - k * r * shortfall) / (k * (1.0 + shortfall)), least_second)
+        nearest = (theta - k * r * shortfall) / (k * (1.0 + shortfall))
+        subgoal = np.maximum(nearest, np.maximum(theta * error_line / k, least_second))
         first = r + subgoal
         second = subgoal
     turn = _first_rotation(theta, k * np.abs(first), k * second, error_line)
@@ -71,4 +73,4 @@ def _first_rotation(theta: Array, most: Array, reach: Array, error_line: float) 
     """The first tap's rotation: the middle of what leaves the whole error line within ``reach``."""
     least = np.clip((theta - reach) / (1.0 - error_line), 0.0, most)
     largest = np.clip((theta + reach) / (1.0 + error_line), 0.0, most)
-    return np.asarray(np.where(least >= largest, most, np.clip(theta * 0.5, least, largest)))
+    return np.asarray(np.maximum(least, np.minimum(theta * 0.5, largest)))

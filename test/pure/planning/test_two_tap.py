@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tapping_cell.planning import PlannerSettings, PlanningError, make_planner
@@ -42,6 +42,8 @@ def test_inside_the_cone_one_tap_does_it(distance, share, variant, line):
 
 
 @given(st.floats(0.0, 0.03), st.floats(0.0, 0.35), variants, lines, st.floats(-1.0, 1.0))
+@example(0.0234375, 0.1875, "overshoot", 0.3, 1.0)  # just outside the cone: the nearest too narrow
+@example(0.02, 0.13, "overshoot", 0.6, -1.0)
 def test_after_the_first_tap_another_reaches_the_goal_wherever_on_the_error_line(
     distance, rotation, variant, line, error
 ):
