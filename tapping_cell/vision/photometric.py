@@ -5,6 +5,10 @@ the known height: three unknowns of the pose; light and ink enter linearly (a ga
 each with a gradient across the marker), and so does, to first order, what the blur differs from the
 assumed one. Gauss-Newton from the pose that the edges gave (Lucas and Kanade 1981; Baker and
 Matthews 2004 for the family). A symmetric blur moves no edge, so the answer has no bias from it.
+
+Noise that a camera has smoothed, sharpened or compressed is not independent from pixel to pixel:
+how neighbours go together in what the pattern leaves unexplained says how much less, or more, they
+tell together.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from tapping_cell.vision.camera import Array, CameraModel, Image, View
 from tapping_cell.vision.markers import ObjectMarker, marker_pattern
@@ -25,6 +30,10 @@ _LARGEST_STEP = 0.5
 """Pixels that the answer may lie from the start; the edges are never so wrong."""
 _SMALLEST_STEP = 0.002
 """Pixels; Gauss-Newton has converged (a tenth of what the noise of one frame allows)."""
+_LAGS = 4
+"""Pixels apart up to which noise is asked whether it goes together."""
+_LEAST_POWER = 0.1
+"""Of white noise, that the noise has at least at every spatial frequency."""
 _SAME_PLACE = 0.03
 """Pixels from where the pattern was linearised up to which it needs not be again: what the second
 order leaves there is a thousandth of a pixel at most, and for the noise of a frame, a fifth of
@@ -62,7 +71,8 @@ class Alignment:
 class Look:
     """An alignment linearised at ``pose`` (3,), for frames in which the marker is there again:
     which pixels see it (flat indices), the design matrix (N, 13), and its normal matrix (13, 13);
-    ``light`` (3,) the contrast, and its gradients.
+    ``light`` (3,) the contrast, and its gradients. ``together`` (3, 3): how much larger the
+    covariance is than that of independent pixels, :func:`_together`.
     """
 
     pixels: NDArray[np.intp]
@@ -72,6 +82,7 @@ class Look:
     light: Array
     template: Template
     pixel: float
+    together: Array
 
 
 def make_template(marker: ObjectMarker, pixel: float, blur: float) -> Template:
@@ -131,7 +142,10 @@ def align(
     if math.hypot(moved[0], moved[1]) > _LARGEST_STEP * pixel:
         return None
     normal = columns.T @ columns
-    look = Look(chosen, columns, normal, pose - step, answer[:3], template, pixel)
+    answers = np.linalg.inv(information)[10:]
+    influence = weighted @ np.linalg.solve(np.linalg.cholesky(answers[:, 10:]), answers).T
+    together = _together(chosen, image.shape[1], influence, weight * residual)
+    look = Look(chosen, columns, normal, pose - step, answer[:3], template, pixel, together)
     return _judged(look, answer, residual, weight, information, spread)
 
 
@@ -181,10 +195,38 @@ def _judged(
     noise = max(noise, unexplained)
     if contrast < 12.0 or noise > 0.12 * contrast:
         return None
-    covariance = np.asarray(np.linalg.inv(information)[10:, 10:] * noise**2, dtype=float)
+    root = np.linalg.cholesky(np.linalg.inv(information)[10:, 10:]) * noise
+    covariance = np.asarray(root @ look.together @ root.T, dtype=float)
     softening = template.blur**2 + 2.0 * float(answer[6])
     blur = math.sqrt(max(softening, (0.3 * pixel) ** 2))
     return Alignment(look.pose + answer[10:], covariance, unexplained, blur, look)
+
+
+def _together(
+    chosen: NDArray[np.intp], width: int, influence: Array, residual: Array
+) -> NDArray[np.float64]:
+    """Covariance (3, 3) of whitened answers: 1 for pixels with independent noise.
+
+    ``influence`` (N, 3) is how the pixels ``chosen`` (flat indices, rows of ``width``) move them,
+    and ``residual`` (N,) shows which noise goes together: its autocorrelation, filtered through the
+    influence (the sandwich of Huber 1967 and White 1980, for noise alike all over the marker).
+    """
+    rows, columns = np.divmod(chosen, width)
+    rows, columns = rows - rows.min(), columns - columns.min()
+    shape = int(rows.max()) + 1, int(columns.max()) + 1
+    maps = np.zeros((5, *shape))
+    maps[:, rows, columns] = np.vstack([influence.T, residual, np.ones(len(residual))])
+    size = [fft.next_fast_len(n + _LAGS, real=True) for n in shape]
+    waves = fft.rfft2(maps, size)
+    products, pairs = fft.irfft2(np.abs(waves[3:]) ** 2, size)
+    lags = np.arange(-_LAGS, _LAGS + 1)
+    near = np.ix_(lags, lags)
+    kernel = np.zeros(size)
+    kernel[near] = products[near] / pairs[near] * (pairs[0, 0] / max(products[0, 0], 1e-9))
+    power = np.maximum(fft.rfft2(kernel).real, _LEAST_POWER)
+    filtered = fft.irfft2(waves[:3] * power, size)[:, : shape[0], : shape[1]]
+    apart = maps[:3].reshape(3, -1) @ filtered.reshape(3, -1).T - influence.T @ influence
+    return np.asarray(np.eye(3) + 0.5 * (apart + apart.T), dtype=float)
 
 
 def _pixels(
