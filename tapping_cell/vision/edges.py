@@ -32,6 +32,8 @@ ones of small markers in that of the modules behind the black border."""
 _WIDE, _WIDEST = 0.75, 8
 """Half a window for edges that are soft at the ends of the usual one (smeared by motion, out of
 focus), in modules: beyond, the modules next to the black border begin; and in pixels at most."""
+_OBLIQUE = 0.8
+"""Distance of two sides, over the mean side, below which the windows follow the former."""
 _MOST_LOOKS = 8
 _MOST_PULL = 0.9
 _LEAST_SHARE = 0.7
@@ -66,10 +68,10 @@ def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> Marke
     ``modules`` (one for all, or (M,)) counts the black square's modules along a side: the search
     stays within one of them.
     """
-    side = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).mean(axis=1)
-    usual = np.clip(_USUAL * side / modules, 2, 4).astype(int)
+    side = narrowest(quads) / modules
+    usual = np.clip(_USUAL * side, 2, 4).astype(int)
     found = _at_widths(image, quads, usual)
-    wide = np.clip(_WIDE * side / modules, 2, _WIDEST).astype(int)
+    wide = np.clip(_WIDE * side, 2, _WIDEST).astype(int)
     softest = (2 * usual - 1) * _SOFT
     redo = np.flatnonzero(found.good & (found.pull > softest) & (wide > usual))
     if not redo.size:
@@ -79,6 +81,19 @@ def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> Marke
     order = np.arange(len(quads))
     order[redo[better]] = len(quads) + np.flatnonzero(better)
     return _believed(take(join(found, again), order))
+
+
+def narrowest(quads: Array) -> Array:
+    """The side (M,) of markers in pixels; of those seen obliquely, how far two sides are apart."""
+    along = np.roll(quads, -1, axis=1) - quads
+    side = np.linalg.norm(along, axis=2)
+    diagonal = quads[:, 2:] - quads[:, :2]
+    area = 0.5 * np.abs(
+        diagonal[:, 0, 0] * diagonal[:, 1, 1] - diagonal[:, 0, 1] * diagonal[:, 1, 0]
+    )
+    usual = side.mean(axis=1)
+    apart = area / np.maximum(side.max(axis=1), 1e-9)
+    return np.asarray(np.where(apart < _OBLIQUE * usual, apart, usual))
 
 
 def _believed(edges: MarkerEdges) -> MarkerEdges:

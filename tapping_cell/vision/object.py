@@ -15,27 +15,35 @@ from tapping_cell.vision.markers import UNIT_CORNERS, ObjectMarker
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseFit:
     """A pose (x, y, theta) of the *marker* in table, its covariance (3, 3) from pixel noise, and
-    the side that the marker seems to have (m).
+    the side that the marker seems to have with its standard deviation (m).
     """
 
     pose: Array
     covariance: Array
     size: float
+    size_deviation: float
 
 
 _CLEAN, _SMEARED = 0.03, 0.25
 """An edge smeared over its window (``MarkerEdges.pull`` p above the first, which is noise) is off
 by a standard deviation of the second, in pixels, times p / (1 - p): measured on rendered slides
 with smears of up to 14 pixels."""
+_FREE, _USUAL_FREE = 4.0, 8.0
+"""Degrees of freedom that four sides of a square leave, and how many more their usual noise counts
+for."""
 _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
 """Pixels, and share of the side, that a marker may be longer than wide: beyond, something lies
 along one of its sides and was taken for it."""
+_MORE_OBLONG, _MOST_OBLONG = 3.0, 0.03
+"""It may be so many times more so than the reference markers beside it are (a poor lens, bent
+paper, a sharpened picture), up to that share."""
 
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
     """Marker ``row`` of ``edges`` as a square of known side in the plane at the marker's height.
 
-    None if the edges are not good or make no square, as when something lies along a side.
+    The other rows are those of reference markers. None if the edges are not good or make no square,
+    as when something lies along a side.
     """
     if not edges.good[row]:
         return None
@@ -56,6 +64,10 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     rows[..., 2] = normal[..., 1] * arm[..., 0] - normal[..., 0] * arm[..., 1]
     rows[..., 3] = 0.5
     rows = rows.reshape(-1, 4)
+    # What a pixel across a side is on the plane: seen obliquely, not the same for all.
+    across = np.linalg.norm(normal[:, 0] @ _metres(view, pose, marker.height), axis=1)
+    pixel = float(across.max())
+    weights = weights * np.square(pixel / across)[:, None]
     weighted = rows * weights.reshape(-1, 1)
     inverse = np.linalg.inv(weighted.T @ rows)
     step = inverse @ (weighted.T @ distance.reshape(-1))
@@ -63,18 +75,55 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     size += step[3]
     if not np.all(np.isfinite(pose)):
         return None
-    pixel = view.pose.translation[2] / view.camera.fx
-    left = (weights * (distance - (rows @ step).reshape(distance.shape))).sum(axis=1)
-    sides = left / np.maximum(weights.sum(axis=1), 1.0)
+    left = distance - (rows @ step).reshape(distance.shape)
+    total = np.maximum(weights.sum(axis=1), 1e-9)
+    sides = (weights * left).sum(axis=1) / total
     oblong = abs(float(sides[0] - sides[1] + sides[2] - sides[3]))
-    if oblong > max(_OBLONG_PIXELS * pixel, _OBLONG * marker.size):
+    usual = max(_OBLONG, _usually_oblong(view, edges, row))
+    if oblong > max(_OBLONG_PIXELS * pixel, usual * marker.size):
         return None
     noise = max(float(edges.spread[row]), 0.01) * pixel
+    noise *= _misfit(left, weights, noise)
     pull = min(max(float(edges.pull[row]) - _CLEAN, 0.0), 0.99)
     smeared = _SMEARED * pixel * pull / (1.0 - pull)
     covariance = inverse[:3, :3] * noise**2
     covariance += np.diag(np.square([smeared, smeared, smeared / marker.size]))
-    return PoseFit(pose, covariance, float(size))
+    return PoseFit(pose, covariance, float(size), float(np.sqrt(inverse[3, 3])) * noise)
+
+
+def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
+    """By what share of the side the object's marker may be longer than wide for what the reference
+    markers, the other rows, are."""
+    references = np.delete(edges.corners, row, axis=0)
+    if len(references) < 3:
+        return 0.0
+    seen = view.on_plane(references)
+    sides = np.linalg.norm(np.roll(seen, -1, axis=1) - seen, axis=2)
+    longer = np.abs(sides @ [1.0, -1.0, 1.0, -1.0]) / (0.5 * sides.sum(axis=1))
+    return min(_MORE_OBLONG * float(np.median(longer)), _MOST_OBLONG)
+
+
+def _metres(view: View, pose: Array, height: float) -> Array:
+    """Matrix (2, 2): steps on the plane at ``height`` (m) of steps of a pixel right and down."""
+    middle = view.project(pose[:2], height)
+    seen = view.on_plane(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), height)
+    return np.asarray((seen[1:] - seen[0]).T)
+
+
+def _misfit(left: Array, weights: Array, noise: float) -> float:
+    """How much worse the four sides fit a square than their noise says, at least 1.
+
+    Of four sides' places and turns a square has four, four are left: glare, sharpening, compression
+    and bent paper show there. That is a scarce sample, so it counts beside what it usually is.
+    """
+    total = np.maximum(weights.sum(axis=1), 1e-9)
+    place = (weights * left).sum(axis=1) / total
+    along = np.linspace(-0.5, 0.5, left.shape[1]) * np.ones_like(left)
+    along = along - (weights * along).sum(axis=1, keepdims=True) / total[:, None]
+    spread = np.maximum((weights * along**2).sum(axis=1), 1e-9)
+    turn = (weights * left * along).sum(axis=1) / spread
+    chi = float((place**2 * total + turn**2 * spread).sum()) / noise**2
+    return float(np.sqrt(max(1.0, (chi + _USUAL_FREE) / (_FREE + _USUAL_FREE))))
 
 
 def pose_of_corners(view: View, corners: Array, marker: ObjectMarker) -> Array:

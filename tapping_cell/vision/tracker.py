@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from tapping_cell.se2 import Pose, transform_points, wrap_angle
 from tapping_cell.vision.camera import Array, CameraModel, Image, View
-from tapping_cell.vision.edges import MarkerEdges, join, no_edges, refine, take
+from tapping_cell.vision.edges import MarkerEdges, join, no_edges, take
 from tapping_cell.vision.gate import FrameGate
 from tapping_cell.vision.markers import UNIT_CORNERS, ObjectMarker, ReferenceMap, marker_pattern
+from tapping_cell.vision.measuring import measure
 from tapping_cell.vision.object import PoseFit, fit_marker, marker_pose, object_pose
 from tapping_cell.vision.observation import Observation, Problem
 from tapping_cell.vision.outline import ObjectOutline
@@ -20,7 +21,7 @@ from tapping_cell.vision.outline_finder import OutlineFinder
 from tapping_cell.vision.outline_fit import OutlineFit
 from tapping_cell.vision.rest import Motion, RestSettings, Track
 from tapping_cell.vision.resting import RestingMarker
-from tapping_cell.vision.search import Census, census, near, patterns_agree
+from tapping_cell.vision.search import Census, census, near
 from tapping_cell.vision.table import (
     CROSS,
     TableSettings,
@@ -141,7 +142,7 @@ class PoseTracker:
         if refusal is not None:
             return self._nothing(stamp, *refusal)
         seen, object_quad, trouble = self._look(image, stamp)
-        found = self._measure(image, seen, object_quad)
+        found = self._measure(image, seen, object_quad, stamp == self._last_search)
         self._count_unmet(seen, found)
         marked = self._finder is None
         if marked and found.object_row is None and trouble is None and self.view is not None:
@@ -260,7 +261,9 @@ class PoseTracker:
 
     # -- measuring
 
-    def _measure(self, image: Image, quads: dict[int, Array], object_quad: Array | None) -> _Found:
+    def _measure(
+        self, image: Image, quads: dict[int, Array], object_quad: Array | None, searched: bool
+    ) -> _Found:
         rows = list(quads)
         stack = [quads[r] for r in rows] + ([] if object_quad is None else [object_quad])
         if not stack:
@@ -268,9 +271,7 @@ class PoseTracker:
         patterns = [self._patterns[r] for r in rows]
         if object_quad is not None:
             patterns.append(self._pattern)
-        modules = np.array([pattern.shape[0] for pattern in patterns])
-        edges = refine(image, np.stack(stack), modules)
-        right = patterns_agree(image, edges, patterns)
+        edges, right = measure(image, np.stack(stack), patterns, searched)
         kept = np.flatnonzero(right[: len(rows)])
         chosen = np.array(rows, dtype=np.intp)[kept]
         if object_quad is None or not right[-1]:
@@ -294,7 +295,7 @@ class PoseTracker:
         if quad is None:
             self._search_next = True
             return found
-        fresh = self._measure(image, {}, quad)
+        fresh = self._measure(image, {}, quad, True)
         if fresh.object_row is None:
             self._search_next = True
             return found

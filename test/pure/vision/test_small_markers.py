@@ -1,0 +1,125 @@
+"""Markers as on photographs: small, seen obliquely, found with a corner some pixels off."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from tapping_cell.vision.markers import marker_pattern
+from tapping_cell.vision.measuring import measure
+from tapping_cell.vision.small import as_edges, fit_pattern
+from tapping_cell.vision.start import better_corners
+from tapping_cell.vision.table import side_noise
+
+FINE = 12
+"""Samples of the picture along a pixel."""
+
+
+def picture(
+    pattern: np.ndarray, corners: np.ndarray, noise: float = 2.0, seed: int = 0, blur: float = 0.6
+) -> np.ndarray:
+    """Area-sampled 160 x 120 picture of a printed pattern (one module of margin) on grey."""
+    sheet = np.kron(np.pad(pattern, 1, constant_values=True), np.ones((30, 30))) * 150.0 + 40.0
+    begin, end = 30.0 - 0.5, 30.0 * (pattern.shape[0] + 1) - 0.5
+    source = np.array([[begin, begin], [end, begin], [end, end], [begin, end]], dtype=np.float32)
+    target = ((corners + 0.5) * FINE - 0.5).astype(np.float32)
+    matrix = cv2.getPerspectiveTransform(source, target)
+    fine = np.full((120 * FINE, 160 * FINE), 110.0, dtype=np.float32)
+    size = fine.shape[::-1]
+    cv2.warpPerspective(
+        sheet.astype(np.float32), matrix, size, fine, cv2.INTER_LINEAR, cv2.BORDER_TRANSPARENT
+    )
+    soft = cv2.GaussianBlur(fine, (0, 0), blur * FINE)
+    grey = soft.reshape(120, FINE, 160, FINE).mean(axis=(1, 3))
+    grey = grey + np.random.default_rng(seed).normal(0.0, noise, grey.shape)
+    return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+
+
+def square(side: float, turn: float, middle: tuple[float, float] = (78.3, 61.7)) -> np.ndarray:
+    angle = turn + np.radians([225.0, 315.0, 45.0, 135.0])
+    return np.asarray(middle) + side / np.sqrt(2.0) * np.stack(
+        [np.cos(angle), np.sin(angle)], axis=-1
+    )
+
+
+@pytest.mark.parametrize("name", ["APRILTAG_36h11", "4X4_50", "ARUCO_ORIGINAL", "APRILTAG_16h5"])
+def test_markers_of_a_pixel_and_a_half_a_module_are_measured_as_well_as_they_say(name):
+    normalised, errors = [], []
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        pattern = marker_pattern(name, seed)
+        side = random.uniform(1.5, 2.2) * pattern.shape[0]
+        corners = square(side, random.uniform(0.0, 2.0 * np.pi))
+        image = picture(pattern, corners, seed=seed)
+        edges, right = measure(
+            image, (corners + random.normal(0, 0.3, (4, 2)))[None], [pattern], True
+        )
+        assert right.all()
+        shift = edges.corners[0].mean(axis=0) - corners.mean(axis=0)
+        errors.append(np.linalg.norm(shift))
+        # Four lines of this noise place the middle to half of its variance in x and y.
+        normalised.append(shift @ shift / (0.5 * side_noise(edges, 1.0)[0] ** 2))
+    assert np.max(errors) < 0.1
+    assert np.mean(normalised) < 3.5
+
+
+def test_another_pattern_or_half_of_it_is_not_believed():
+    pattern = marker_pattern("APRILTAG_36h11", 5)
+    corners = square(15.0, 0.3)
+    image = picture(pattern, corners)
+    assert fit_pattern(image, corners, pattern) is not None
+    for other in (6, 7, 8, 9):
+        assert fit_pattern(image, corners, marker_pattern("APRILTAG_36h11", other)) is None
+    # A quarter of a turn is another pattern, too.
+    assert fit_pattern(image, np.roll(corners, 1, axis=0), pattern) is None
+    covered = image.copy()
+    covered[:, 82:] = 110
+    assert fit_pattern(covered, corners, pattern) is None
+    # Something dark along one side, as wide as the margin.
+    covered = picture(pattern, corners, noise=0.0)
+    outside = [np.rint(corners[1] + t * (corners[1] - corners[0]) / 8) for t in (0.1, 1.2)]
+    along = corners[2] - corners[1]
+    band = np.array([outside[0], outside[1], outside[1] + along, outside[0] + along])
+    cv2.fillConvexPoly(covered, band.astype(np.int32), [45])
+    assert fit_pattern(covered, corners, pattern) is None
+    assert fit_pattern(np.full_like(image, 128), corners, pattern) is None
+
+
+def test_a_corner_that_the_search_saw_elsewhere():
+    """One corner off by four pixels, as where glare breaks the outline: found from a search, not
+    from a last place."""
+    pattern = marker_pattern("ARUCO_ORIGINAL", 11)
+    corners = square(34.0, 0.1)
+    image = picture(pattern, corners)
+    off = corners.copy()
+    off[2] += [-3.5, -2.5]
+    better = better_corners(image, off, pattern.shape[0])
+    assert np.abs(better - corners).max() < 0.6
+    edges, right = measure(image, off[None], [pattern], True)
+    assert right.all()
+    assert np.abs(edges.corners[0] - corners).max() < 0.1
+    nothing = np.full_like(image, 100)
+    assert np.abs(better_corners(nothing, off, 7) - off).max() < 34.0 * 0.3
+    assert not measure(nothing, off[None], [pattern], True)[1].any()
+
+
+def test_an_oblique_marker():
+    """Five modules of pixels along, one and a half across."""
+    pattern = marker_pattern("4X4_50", 3)
+    corners = np.array([[50.2, 50.4], [108.7, 48.1], [117.3, 64.2], [43.6, 66.9]])
+    image = picture(pattern, corners)
+    edges, right = measure(image, (corners + 0.4)[None], [pattern], True)
+    assert right.all()
+    assert np.abs(edges.corners[0] - corners).max() < 0.15
+
+
+def test_sides_of_a_fitted_pattern_claim_no_more_than_the_fit():
+    pattern = marker_pattern("APRILTAG_36h11", 5)
+    corners = square(14.0, 1.0)
+    fit = fit_pattern(picture(pattern, corners), corners, pattern)
+    assert fit is not None
+    edges = as_edges(fit)
+    noise = float(side_noise(edges, 1.0)[0])
+    place = fit.covariance.reshape(4, 2, 4, 2).mean(axis=(0, 2))
+    assert 0.5 * noise**2 >= 0.999 * float(np.linalg.eigvalsh(place).max())
