@@ -1,0 +1,51 @@
+"""Noise that a camera has smoothed, sharpened or compressed: what the covariance of an aligned
+marker makes of it, against many draws of such noise."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scenes import CAMERA, MARKER, POSE, area_sampled_marker
+
+from tapping_cell.se2 import wrap_angle
+from tapping_cell.vision import View
+from tapping_cell.vision.photometric import align, make_template
+
+VIEW = View(CAMERA, POSE)
+PIXEL = 0.7 / 1150.0
+PLACE = np.array([0.04, -0.03, 0.5])
+DRAWS = 40
+
+
+def smoothed(image: np.ndarray) -> np.ndarray:
+    return cv2.GaussianBlur(image, (0, 0), 0.8)
+
+
+def compressed(image: np.ndarray) -> np.ndarray:
+    _, data = cv2.imencode(
+        ".jpg", np.clip(np.rint(image), 0, 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 80]
+    )
+    return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE).astype(float)
+
+
+@pytest.mark.parametrize("camera", [smoothed, compressed])
+def test_the_normalised_error_is_right_whatever_the_camera_does_to_its_noise(camera):
+    """Of noise taken for independent, smoothed noise makes 14 of it; right is 3."""
+    clean = area_sampled_marker(VIEW, MARKER, PLACE, samples=20).astype(float)
+    clean = cv2.GaussianBlur(clean, (0, 0), 0.8)
+    x, y = VIEW.project(PLACE[:2], MARKER.height).astype(int)
+    window = slice(y - 80, y + 80), slice(x - 80, x + 80)
+    template = make_template(MARKER, PIXEL, 0.65 * PIXEL)
+    random, image, normalised = np.random.default_rng(8), clean.astype(np.uint8), []
+    for _ in range(DRAWS):
+        noisy = camera(clean[window] + random.normal(0.0, 4.0, (160, 160)))
+        image[window] = np.clip(np.rint(noisy), 0, 255)
+        aligned = align(image, VIEW, template, MARKER, PLACE)
+        assert aligned is not None
+        template = make_template(MARKER, PIXEL, aligned.blur)
+        error = aligned.pose - PLACE
+        error[2] = wrap_angle(error[2])
+        normalised.append(error @ np.linalg.solve(aligned.covariance, error))
+    # Chi-square of 120 degrees of freedom over 40: four standard deviations.
+    assert 1.5 < np.mean(normalised) < 4.5
