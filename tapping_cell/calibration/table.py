@@ -21,6 +21,7 @@ from tapping_cell.vision.camera import Array, CameraModel, CameraPose, Image
 from tapping_cell.vision.edges import MarkerEdges, refine, straight_corners
 from tapping_cell.vision.markers import (
     UNIT_CORNERS,
+    Effort,
     ReferenceMap,
     ReferenceMarker,
     find_markers,
@@ -83,7 +84,7 @@ def look(
     problem = camera.check_image(image)
     if problem:
         return problem
-    found = find_markers(image, dictionary, thorough=True)
+    found = find_markers(image, dictionary, effort=Effort.THOROUGH)
     ids = [d.id for d in found]
     twice = {i for i in ids if ids.count(i) > 1}
     kept = [d for d in found if d.id not in twice and (known is None or d.id in known)]

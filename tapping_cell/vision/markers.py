@@ -7,6 +7,7 @@ the side of its black square. Corners come clockwise in the image from the top l
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -19,6 +20,20 @@ from tapping_cell.vision.camera import Array, Image
 
 # The corners of a marker of side 1 in its own frame, in the order of detection.
 UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
+
+
+_ENLARGED = 2_200_000
+"""Pixels of an image above which it is not enlarged: markers are not that small in larger ones."""
+
+
+class Effort(enum.IntEnum):
+    """How long to search: thorough takes half as long again and finds smaller markers, enlarged
+    (twice as wide and high, in images of up to 2.2 million pixels) takes five times as long and
+    finds those whose modules are little more than a pixel."""
+
+    QUICK = 0
+    THOROUGH = 1
+    ENLARGED = 2
 
 
 class MarkerError(ValueError):
@@ -71,7 +86,7 @@ def marker_pattern(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
 
 
 @lru_cache(maxsize=32)
-def _detector(name: str, thorough: bool) -> cv2.aruco.ArucoDetector:
+def _detector(name: str, effort: Effort) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
     # Corners are refined afterwards by edges that use every pixel row (edges.py).
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
@@ -79,11 +94,18 @@ def _detector(name: str, thorough: bool) -> cv2.aruco.ArucoDetector:
     parameters.minMarkerDistanceRate = 0.05
     # Two windows find what OpenCV's three find (bench --section vision), in less time; three
     # narrower ones find more of the small and oblique markers of real photographs.
-    low, high, step, perimeter = (3, 19, 8, 0.02) if thorough else (5, 21, 16, 0.04)
+    low, high, step, perimeter = {
+        Effort.QUICK: (5, 21, 16, 0.04),
+        Effort.THOROUGH: (3, 19, 8, 0.02),
+        Effort.ENLARGED: (5, 21, 16, 0.02),
+    }[effort]
     parameters.adaptiveThreshWinSizeMin = low
     parameters.adaptiveThreshWinSizeMax = high
     parameters.adaptiveThreshWinSizeStep = step
     parameters.minMarkerPerimeterRate = perimeter
+    if effort is Effort.ENLARGED:
+        # Blurred modules are less black and white than others.
+        parameters.adaptiveThreshConstant = 5
     return cv2.aruco.ArucoDetector(_dictionary(name), parameters)
 
 
@@ -91,24 +113,28 @@ def find_markers(
     image: Image,
     dictionary: str,
     region: tuple[int, int, int, int] | None = None,
-    thorough: bool = False,
+    effort: Effort = Effort.QUICK,
 ) -> list[Detection]:
-    """All markers of a dictionary in the image or in a region (x0, y0, x1, y1) of it, in pixels.
-
-    A ``thorough`` search takes half as long again and finds smaller markers.
-    """
+    """All markers of a dictionary in the image or in a region (x0, y0, x1, y1) of it, in pixels."""
     x0, y0 = 0, 0
     if region is not None:
         x0, y0 = max(0, region[0]), max(0, region[1])
         image = image[y0 : max(0, region[3]), x0 : max(0, region[2])]
         if min(image.shape) < 16:
             return []
-    corners, ids, _ = _detector(dictionary, thorough).detectMarkers(np.ascontiguousarray(image))
+    if image.size > _ENLARGED:
+        effort = min(effort, Effort.THOROUGH)
+    scale = 2.0 if effort is Effort.ENLARGED else 1.0
+    if scale > 1.0:
+        larger = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+        image = np.asarray(larger, dtype=np.uint8)
+    corners, ids, _ = _detector(dictionary, effort).detectMarkers(np.ascontiguousarray(image))
     if ids is None:
         return []
-    offset = np.array([x0, y0], dtype=float)
+    # Pixels count from their centres: the first one's is at (scale - 1) / 2 of the enlarged image.
+    offset = np.array([x0, y0]) - 0.5 * (1.0 - 1.0 / scale)
     return [
-        Detection(int(i), np.asarray(c, dtype=float).reshape(4, 2) + offset)
+        Detection(int(i), np.asarray(c, dtype=float).reshape(4, 2) / scale + offset)
         for i, c in zip(np.ravel(ids), corners, strict=True)
     ]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tapping_cell.vision.camera import Array, Image
 from tapping_cell.vision.edges import MarkerEdges
-from tapping_cell.vision.markers import Detection, find_markers
+from tapping_cell.vision.markers import Detection, Effort, find_markers
 
 _BITS_WRONG = 0.04
 """Share of a pattern's modules that may read wrong (dirt, glare): 4 of an AprilTag 36h11's 100."""
@@ -24,10 +24,10 @@ class Census:
     repeated: tuple[int, ...]
 
 
-def census(image: Image, dictionary: str, thorough: bool = False) -> Census:
+def census(image: Image, dictionary: str, effort: Effort = Effort.QUICK) -> Census:
     """Every marker of a dictionary in the whole image; nested doubles of one square count once."""
     by_id: dict[int, list[Detection]] = {}
-    for found in find_markers(image, dictionary, thorough=thorough):
+    for found in find_markers(image, dictionary, effort=effort):
         others = by_id.setdefault(found.id, [])
         if all(_apart(found, other) for other in others):
             others.append(found)
@@ -35,6 +35,14 @@ def census(image: Image, dictionary: str, thorough: bool = False) -> Census:
         {i: found[0].corners for i, found in by_id.items() if len(found) == 1},
         tuple(sorted(i for i, found in by_id.items() if len(found) > 1)),
     )
+
+
+def efforts(first: bool, slow: bool) -> tuple[Effort, ...]:
+    """How hard to search a frame, one search after another until all is found: the first frame may
+    be the only one; of others one search must do, which may be ``slow``."""
+    if first:
+        return tuple(Effort)
+    return (Effort.THOROUGH,) if slow else (Effort.QUICK,)
 
 
 def _apart(first: Detection, second: Detection) -> bool:

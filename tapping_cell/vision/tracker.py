@@ -21,7 +21,7 @@ from tapping_cell.vision.outline_finder import OutlineFinder
 from tapping_cell.vision.outline_fit import OutlineFit
 from tapping_cell.vision.rest import Motion, RestSettings, Track
 from tapping_cell.vision.resting import RestingMarker
-from tapping_cell.vision.search import Census, census, near
+from tapping_cell.vision.search import Census, census, efforts, near
 from tapping_cell.vision.table import (
     CROSS,
     TableSettings,
@@ -203,11 +203,11 @@ class PoseTracker:
         # first frame, which may be the only one; later once in a while, and only if it is needed.
         lost = self._object is None or stamp - self._object[0] > 0.2
         slow = lost and stamp - self._last_thorough >= self.settings.audit_period
-        for thorough in (False, True) if first else (slow,):
-            if thorough:
+        for effort in efforts(first, slow):
+            if effort:
                 self._last_thorough = stamp
-            table = census(image, self._map.dictionary, thorough)
-            objects = table if same else census(image, self.marker.dictionary, thorough)
+            table = census(image, self._map.dictionary, effort)
+            objects = table if same else census(image, self.marker.dictionary, effort)
             enough = len(rows.keys() & table.single) >= self.settings.table.least_references
             if enough and (not marked or self.marker.id in {*objects.single, *objects.repeated}):
                 break

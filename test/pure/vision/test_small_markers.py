@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tapping_cell.vision.markers import marker_pattern
+from tapping_cell.vision.markers import Effort, find_markers, marker_pattern
 from tapping_cell.vision.measuring import measure
 from tapping_cell.vision.small import as_edges, fit_pattern
 from tapping_cell.vision.start import better_corners
@@ -62,6 +62,27 @@ def test_markers_of_a_pixel_and_a_half_a_module_are_measured_as_well_as_they_say
         normalised.append(shift @ shift / (0.5 * side_noise(edges, 1.0)[0] ** 2))
     assert np.max(errors) < 0.1
     assert np.mean(normalised) < 3.5
+
+
+def test_modules_of_less_than_two_pixels_are_found_in_the_enlarged_image():
+    found = {effort: 0 for effort in Effort}
+    for seed in range(8):
+        pattern = marker_pattern("APRILTAG_36h11", seed)
+        corners = square(1.9 * 8, 0.3 * seed)
+        for effort in Effort:
+            seen = find_markers(
+                picture(pattern, corners, seed=seed, blur=0.5),
+                "APRILTAG_36h11",
+                (20, 10, 150, 110),
+                effort,
+            )
+            right = [d for d in seen if d.id == seed]
+            found[effort] += len(right)
+            assert len(seen) == len(right) <= 1
+            if right:
+                assert np.abs(right[0].corners - corners).max() < 1.5
+    assert found[Effort.ENLARGED] >= 4
+    assert found[Effort.ENLARGED] > found[Effort.THOROUGH]
 
 
 def test_another_pattern_or_half_of_it_is_not_believed():
