@@ -12,7 +12,7 @@ from tapping_cell.vision.observation import Observation, Problem
 from tapping_cell.vision.others import OtherObjects, Sighting, marker_ids
 from tapping_cell.vision.outline import Dot, ObjectOutline, OutlineError
 from tapping_cell.vision.rest import RestSettings
-from tapping_cell.vision.table import TableSettings
+from tapping_cell.vision.table_fit import TableSettings
 from tapping_cell.vision.tracker import PoseTracker, TrackerSettings
 
 __all__ = [

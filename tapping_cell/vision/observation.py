@@ -31,6 +31,7 @@ class Problem(enum.Enum):
     MISSHAPEN_OBJECT = 16
     WRONG_OBJECT = 17
     DOT_HIDDEN = 18
+    TABLE_CONTRADICTED = 19
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,41 +10,30 @@ and printing, and says how wrong a pose measured on this table may be.
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.se2 import transform_points
 from tapping_cell.vision.camera import Array, CameraModel, CameraPose, View
-from tapping_cell.vision.edges import MarkerEdges, straight_corners
+from tapping_cell.vision.edges import MarkerEdges
 from tapping_cell.vision.field import ErrorField, condition, lens_shifts
 from tapping_cell.vision.markers import ReferenceMap
+from tapping_cell.vision.table_fit import (
+    TableFit,
+    TableSettings,
+    consensus,
+    fit_table,
+    initial_pose,
+    reference_rays,
+    side_noise,
+    whitening,
+)
 
 _SIDE_BIAS = 0.0007
 """Pixels that an averaged side may be off by where it lies between pixels (measured: 0.0005)."""
 _EDGE_BIAS = 0.0002
 """Pixels that all averaged edges may be off by together (measured: below 0.0002)."""
-
-
-@dataclass(frozen=True, slots=True)
-class TableSettings:
-    """``least_references`` markers must be seen; ``memory`` frames are averaged at most.
-
-    A marker that lies more than ``suspect_shift`` pixels from its average was disturbed; when half
-    of a frame's are, the frame is suspect, and after ``confirm_frames`` of them the camera counts
-    as moved. ``largest_move`` (m, seen at the references, all moves together) is how far it may be
-    before the table is refused. A marker that disagrees with the rest of the map by more than
-    ``displaced`` pixels is left out.
-    """
-
-    least_references: int = 2
-    memory: int = 150
-    suspect_shift: float = 0.25
-    confirm_frames: int = 3
-    largest_move: float = 0.05
-    displaced: float = 1.5
 
 
 class TableState(enum.Enum):
@@ -56,140 +45,7 @@ class TableState(enum.Enum):
     SUSPECT = "suspect"
     MOVED = "moved"
     TOO_FAR = "too far"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TableFit:
-    """A pose of the camera, its covariance (6, 6) for steps of ``CameraPose.moved``, which markers
-    agree (``used``, (M,)), what is left of the corners of these, as directions (U, 4, 2), how those
-    answer a step of the pose (8 U, 6) and the step that the fit makes of them (6, 8 U).
-    """
-
-    pose: CameraPose
-    covariance: Array
-    used: NDArray[np.bool_]
-    residuals: Array
-    jacobian: Array
-    gain: Array
-
-
-def initial_pose(camera: CameraModel, points: ArrayLike, corners: ArrayLike) -> CameraPose | None:
-    """Pose from table points (N, 2) in m and their pixels (N, 2); None if it cannot be.
-
-    Planar pose (Collins and Bartoli, IPPE, as OpenCV has it), then least squares.
-    """
-    p = np.asarray(points, dtype=float).reshape(-1, 2)
-    flat = np.column_stack([p, np.zeros(len(p))])
-    rays = camera.rays(np.asarray(corners, dtype=float).reshape(-1, 2))
-    eye = np.eye(3)
-    number, turns, shifts, _ = cv2.solvePnPGeneric(
-        flat, rays[:, None], eye, np.zeros(5), flags=cv2.SOLVEPNP_IPPE
-    )
-    best, least = None, np.inf
-    for turn, shift in zip(turns[:number], shifts[:number], strict=True):
-        rotation, _ = cv2.Rodrigues(turn)
-        candidate = CameraPose(np.asarray(rotation, dtype=float), np.asarray(shift, float).ravel())
-        for _ in range(4):
-            jacobian, residual = _linearised(candidate, flat, rays)
-            step = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
-            candidate = candidate.moved(step)
-        _, residual = _linearised(candidate, flat, rays)
-        error = float(residual @ residual)
-        if candidate.position[2] > 0.0 and error < least:
-            best, least = candidate, error
-    return best
-
-
-def reference_rays(camera: CameraModel, edges: MarkerEdges) -> Array:
-    """Corners of the markers as undistorted directions, shape (M, 4, 2)."""
-    return straight_corners(camera.rays(edges.points), edges.weights)
-
-
-def side_noise(edges: MarkerEdges, focal: float) -> Array:
-    """Standard deviation (M,) of the place of a side, across it, as a direction."""
-    number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
-    return np.asarray(np.maximum(edges.spread, 0.01) / np.sqrt(number) / focal)
-
-
-def whitening(rays: Array, noise: Array) -> Array:
-    """Matrices (M, 8, 8) that take errors of corners (M, 4, 2) to eight independent ones of
-    variance 1.
-
-    The corners are where four lines meet, each fitted to a side of its own: independent are the
-    places of the lines (``noise`` (M,)) and their turns, which at the ends of the side weigh root
-    three times as much.
-    """
-    side = np.roll(rays, -1, axis=1) - rays
-    side /= np.linalg.norm(side, axis=2, keepdims=True)
-    normal = np.stack([side[..., 1], -side[..., 0]], axis=-1) / noise[:, None, None]
-    matrices = np.zeros((len(rays), 8, 4, 2))
-    for k in range(4):
-        begin, end = k, (k + 1) % 4
-        matrices[:, 2 * k, [begin, end]] = 0.5 * normal[:, k, None]
-        matrices[:, 2 * k + 1, begin] = -0.5 / np.sqrt(3.0) * normal[:, k]
-        matrices[:, 2 * k + 1, end] = 0.5 / np.sqrt(3.0) * normal[:, k]
-    return matrices.reshape(-1, 8, 8)
-
-
-def fit_table(
-    pose: CameraPose,
-    points: Array,
-    rays: Array,
-    noise: Array,
-    settings: TableSettings,
-    focal: float,
-) -> TableFit | None:
-    """The pose near ``pose`` that brings table points (M, 4, 2) onto the directions (M, 4, 2).
-
-    ``noise`` (M,) is :func:`side_noise`, ``focal`` pixels a unit of direction. One marker after
-    another is left out while it disagrees with the rest by more than ``settings.displaced`` pixels.
-    None if fewer than ``settings.least_references`` remain.
-    """
-    count = points.shape[0]
-    flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1).reshape(-1, 3)
-    used = np.ones(count, dtype=bool)
-    covariance: Array = np.zeros((6, 6))
-    white = whitening(rays, noise)
-    while used.sum() >= settings.least_references:
-        for _ in range(2):
-            jacobian, residual = _linearised(pose, flat, rays.reshape(-1, 2))
-            weighted = (white[used] @ jacobian.reshape(count, 8, 6)[used]).reshape(-1, 6)
-            error = (white[used] @ residual.reshape(count, 8, 1)[used]).reshape(-1)
-            covariance = np.linalg.inv(weighted.T @ weighted)
-            step = covariance @ (weighted.T @ error)
-            pose = pose.moved(step)
-            if float(np.abs(step).max()) < 1e-7:
-                break
-        left = (residual - jacobian @ step).reshape(count, 4, 2)
-        error = np.sqrt((left**2).sum(axis=2).mean(axis=1)) * focal
-        # Only with three or more can it be said which one is wrong.
-        worst = int(np.argmax(np.where(used, error, -1.0)))
-        others = used.copy()
-        others[worst] = False
-        limit = max(settings.displaced, 3.0 * float(np.median(error[others])) if count > 1 else 0.0)
-        if used.sum() >= 3 and error[worst] > limit:
-            used = others
-            continue
-        kept = jacobian[np.repeat(used, 8)]
-        weights = white[used]
-        gain = (
-            covariance @ (weights.transpose(0, 2, 1) @ weighted.reshape(-1, 8, 6)).reshape(-1, 6).T
-        )
-        return TableFit(pose, np.asarray(covariance), used, left[used], kept, gain)
-    return None
-
-
-def _linearised(pose: CameraPose, points: Array, rays: Array) -> tuple[Array, Array]:
-    """Jacobian (2 N, 6) of the directions to a step of the pose, and measured minus predicted."""
-    p = pose.apply(points)
-    x, y, z = p[:, 0], p[:, 1], p[:, 2]
-    u, v = x / z, y / z
-    zero = np.zeros_like(z)
-    by_u = np.stack([-u * v, 1.0 + u * u, -v, 1.0 / z, zero, -u / z], axis=-1)
-    by_v = np.stack([-1.0 - v * v, u * v, u, zero, 1.0 / z, -v / z], axis=-1)
-    jacobian = np.stack([by_u, by_v], axis=1).reshape(-1, 6)
-    residual = (rays - np.stack([u, v], axis=-1)).reshape(-1)
-    return jacobian, residual
+    CONTRADICTED = "contradicted"
 
 
 class TableTracker:
@@ -206,6 +62,8 @@ class TableTracker:
         self.covariance: Array = np.zeros((6, 6))
         self.used: tuple[int, ...] = ()
         self.displaced: tuple[int, ...] = ()
+        self.error = 0.0
+        self.bloom = 0.0
         self.move = 0.0
         self.field_number = 0
         self._first: CameraPose | None = None
@@ -219,6 +77,7 @@ class TableTracker:
         self._rays = np.zeros((count, 4, 2))
         self._noise = np.zeros(count)
         self._strayed = np.zeros(count, dtype=int)
+        self._astray = np.zeros(count, dtype=bool)
         self._field: ErrorField | None = None
         self._field_frames = 0.0
 
@@ -230,8 +89,9 @@ class TableTracker:
             return TableState.UNKNOWN if self.pose is None else TableState.UNSEEN
         rays = reference_rays(self.camera, edges)
         disturbed = self._disturbed(rays, rows)
-        known = self._seen[rows] > 0
-        if self.pose is not None and known.any() and 2 * disturbed.sum() >= known.sum():
+        known = (self._seen[rows] > 0) & ~self._astray[rows]
+        moving = known.any() and 2 * (disturbed & known).sum() >= known.sum()
+        if self.pose is not None and (moving or self._too_many_stray(rows, disturbed)):
             self._suspects += 1
             if self._suspects < s.confirm_frames:
                 return TableState.SUSPECT
@@ -244,6 +104,8 @@ class TableTracker:
         if not self._fit(edges, rows):
             return TableState.UNKNOWN if self.pose is None else TableState.SUSPECT
         assert self.pose is not None
+        if self._contradicted(edges):
+            return TableState.CONTRADICTED
         if moved and before is not None:
             self.move = self._shift(before, self.pose)
         self._first = self._first or self.pose
@@ -251,45 +113,84 @@ class TableTracker:
             return TableState.TOO_FAR
         return TableState.MOVED if moved else TableState.STEADY
 
+    @property
+    def camera_height(self) -> float:
+        """Of the camera over the table, in m; 0 while not known."""
+        return 0.0 if self.pose is None else float(self.pose.position[2])
+
+    def add(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
+        """Take further references of a first frame, looked for where the others say they are."""
+        rays, noise = reference_rays(self.camera, edges), side_noise(edges, self.camera.fx)
+        self._average(rays, noise, rows, np.zeros(len(rows), dtype=bool))
+        if not self._fit(edges, rows) or self._contradicted(edges):
+            return TableState.CONTRADICTED
+        self._first = self.pose
+        return TableState.STEADY
+
     def _disturbed(self, rays: Array, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Which of these markers lie elsewhere than on average."""
         shift = np.linalg.norm((rays - self._rays[rows]).mean(axis=1), axis=1) * self.camera.fx
         return np.asarray((self._seen[rows] > 0) & (shift > self.settings.suspect_shift))
 
+    def _too_many_stray(self, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]) -> bool:
+        """Are more markers elsewhere than a hand moves, though each look saw only a few of them?"""
+        apart = self._astray.copy()
+        apart[rows] |= disturbed & (self._strayed[rows] >= self.settings.confirm_frames)
+        return int(apart.sum()) > max(1, len(apart) // 4)
+
     def _average(
         self, rays: Array, noise: Array, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]
     ) -> None:
         self._strayed[rows] = np.where(disturbed, self._strayed[rows] + 1, 0)
-        # One marker alone that stays elsewhere was itself moved: its average starts anew.
-        anew = self._strayed[rows] > self.settings.confirm_frames
-        self._seen[rows[anew]] = 0
-        take = ~disturbed | anew
-        kept = rows[take]
+        # One marker alone that stays elsewhere was itself moved: what it says of the table no
+        # longer holds, until it is back.
+        self._astray[rows] = disturbed & (self._strayed[rows] > self.settings.confirm_frames)
+        kept = rows[~disturbed]
         self._seen[kept] = np.minimum(self._seen[kept] + 1, self.settings.memory)
         share = 1.0 / self._seen[kept]
-        self._rays[kept] += share[:, None, None] * (rays[take] - self._rays[kept])
-        self._noise[kept] += share * (noise[take] - self._noise[kept])
+        self._rays[kept] += share[:, None, None] * (rays[~disturbed] - self._rays[kept])
+        self._noise[kept] += share * (noise[~disturbed] - self._noise[kept])
+
+    def _contradicted(self, edges: MarkerEdges) -> bool:
+        """Do the markers lie, or measure, so differently from the map that neither is believed?"""
+        s = self.settings
+        corners = edges.corners
+        side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())
+        limit = max(s.bloom, s.bloom_share * side)
+        few = len(self.used) <= 2 and self.error > s.displaced
+        return few or self.error > 3.0 * s.displaced or 2.0 * abs(self.bloom) > limit
 
     def _fit(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> bool:
         """Pose, covariances and the lists of markers from the averages; False if there is none."""
-        have = np.flatnonzero(self._seen)
+        have = np.flatnonzero((self._seen > 0) & ~self._astray)
         start = self.pose or initial_pose(self.camera, self.points[rows], edges.corners)
         if start is None or len(have) < self.settings.least_references:
             return False
         noise = np.hypot(self._noise[have] / np.sqrt(self._seen[have]), _SIDE_BIAS / self.camera.fx)
-        fit = fit_table(
-            start, self.points[have], self._rays[have], noise, self.settings, self.camera.fx
-        )
+        points, rays, focal = self.points[have], self._rays[have], self.camera.fx
+        fit = fit_table(start, points, rays, noise, self.settings, focal)
+        if fit is not None and fit.error > self.settings.displaced and len(have) >= 3:
+            # So far off that least squares do not tell which: they all look wrong then.
+            agreed = consensus(self.camera, points, rays, self.settings)
+            if agreed is not None:
+                pose, used = agreed
+                fit = fit_table(pose, points, rays, noise, self.settings, focal, used)
+        if fit is not None and fit.unsquare > 0.0:
+            noise = np.hypot(noise, fit.unsquare)
+            fit = fit_table(fit.pose, points, rays, noise, self.settings, focal, fit.used)
         if fit is None:
             return False
         before = self.used
         self.pose, self.covariance = fit.pose, fit.covariance
+        self.error, self.bloom = fit.error, fit.bloom * self.camera.fx
         self.used = tuple(int(i) for i in self.ids[have[fit.used]])
-        self.displaced = tuple(int(i) for i in self.ids[have[~fit.used]])
+        wrong = self._astray.copy()
+        wrong[have[~fit.used]] = True
+        self.displaced = tuple(int(i) for i in self.ids[wrong])
         frames = float(self._seen.sum())
         if self._field is None or frames >= 1.25 * self._field_frames or self.used != before:
             self._field_frames = frames
-            self._field = self._condition(fit, self.points[have], self._rays[have], noise)
+            self._field = self._condition(fit, points, rays, noise)
             self.field_number += 1
         return True
 
@@ -300,12 +201,16 @@ class TableTracker:
 
     def _condition(self, fit: TableFit, points: Array, rays: Array, noise: Array) -> ErrorField:
         """The error of the lens over the table, from what the markers still disagree about."""
-        scale = float(fit.pose.translation[2])
-        # Directions to lengths on the table, which lies nearly square to the optical axis.
-        to_table: Array = np.asarray(scale * fit.pose.rotation[:2, :2].T)
+        view = View(self.camera, fit.pose)
+        seen, shifts = lens_shifts(view, points[fit.used], 0.0)
         count = int(fit.used.sum())
-        block: Array = np.asarray(np.kron(np.eye(4 * count), to_table))
-        _, shifts = lens_shifts(View(self.camera, fit.pose), points[fit.used], 0.0)
+        # Directions to lengths on the table, corner by corner: it may be seen obliquely.
+        ahead = seen.reshape(-1, 1, 2) + 1e-6 * np.eye(2)
+        lengths = (view.rays_on_plane(ahead) - points[fit.used].reshape(-1, 1, 2)) / 1e-6
+        block: Array = np.zeros((4 * count, 2, 4 * count, 2))
+        each = np.arange(4 * count)
+        block[each, :, each, :] = lengths.transpose(0, 2, 1)
+        block = block.reshape(8 * count, 8 * count)
         still: Array = np.zeros((8 * count, 8 * count))
         white = whitening(rays[fit.used], noise[fit.used])
         for k in range(count):
@@ -313,7 +218,7 @@ class TableTracker:
             still[part, part] = np.linalg.inv(white[k].T @ white[k])
         return condition(
             points[fit.used],
-            fit.residuals @ to_table.T,
+            (block @ fit.residuals.reshape(-1)).reshape(-1, 4, 2),
             block @ still @ block.T,
             block @ shifts.reshape(8 * count, -1),
             block @ fit.jacobian,

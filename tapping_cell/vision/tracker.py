@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tapping_cell.se2 import Pose, transform_points, wrap_angle
 from tapping_cell.vision.camera import Array, CameraModel, Image, View
 from tapping_cell.vision.edges import MarkerEdges, join, no_edges, take
+from tapping_cell.vision.form import Form, Suspicion, judge_form
 from tapping_cell.vision.gate import FrameGate
 from tapping_cell.vision.markers import UNIT_CORNERS, ObjectMarker, ReferenceMap, marker_pattern
 from tapping_cell.vision.measuring import measure
@@ -19,16 +20,17 @@ from tapping_cell.vision.observation import Observation, Problem
 from tapping_cell.vision.outline import ObjectOutline
 from tapping_cell.vision.outline_finder import OutlineFinder
 from tapping_cell.vision.outline_fit import OutlineFit
+from tapping_cell.vision.refusals import table_refusal
 from tapping_cell.vision.rest import Motion, RestSettings, Track
 from tapping_cell.vision.resting import RestingMarker
 from tapping_cell.vision.search import Census, census, efforts, near
 from tapping_cell.vision.table import (
     CROSS,
-    TableSettings,
     TableState,
     TableTracker,
     pose_changes,
 )
+from tapping_cell.vision.table_fit import TableSettings
 
 _SLOW = 0.0001
 _SLOW_TURN = 0.002
@@ -107,6 +109,8 @@ class PoseTracker:
             self.marker = seen
             self._pattern = marker_pattern(seen.dictionary, seen.id)
             self._resting = RestingMarker(seen)
+            self._suspicion = Suspicion(seen)
+        self._form: Form | None = None
         self._track = Track(rest)
         self._gate = FrameGate(camera, self.settings.dark, self.settings.bright)
         self._group = 0
@@ -147,10 +151,13 @@ class PoseTracker:
         marked = self._finder is None
         if marked and found.object_row is None and trouble is None and self.view is not None:
             found = self._search_object(image, stamp, found)
-        state = self._update_table(found, stamp)
-        problem = self._table_problem(state, stamp)
-        if problem is not None:
-            return problem
+        state = self._update_table(image, found, stamp)
+        unseen = stamp - self._references_seen
+        refused = table_refusal(state, self.table, unseen, self.settings.references_timeout)
+        if refused is not None:
+            if state in (TableState.SUSPECT, TableState.TOO_FAR, TableState.CONTRADICTED):
+                self._track.clear()
+            return self._nothing(stamp, *refused)
         if trouble is not None:
             return self._nothing(stamp, *trouble)
         return self._observe(image, found, stamp)
@@ -303,9 +310,20 @@ class PoseTracker:
 
     # -- the table
 
-    def _update_table(self, found: _Found, stamp: float) -> TableState:
+    def _add_references(self, image: Image, known: NDArray[np.intp]) -> TableState:
+        """Those that the first search did not find, now that it is known where they must be."""
+        assert self.view is not None
+        quads = self.view.project(self.table.points)
+        missing = set(range(len(quads))) - set(known.tolist())
+        more = self._measure(image, {row: quads[row] for row in missing}, None, True)
+        return self.table.add(more.edges, more.rows) if len(more.rows) else TableState.STEADY
+
+    def _update_table(self, image: Image, found: _Found, stamp: float) -> TableState:
         references = take(found.edges, np.arange(len(found.rows)))
+        first = self.view is None
         state = self.table.update(references, found.rows)
+        if first and state is TableState.STEADY:
+            state = self._add_references(image, found.rows)
         if state in (TableState.STEADY, TableState.MOVED, TableState.TOO_FAR):
             self._references_seen = stamp
         if len(found.rows) < self.settings.table.least_references or state is TableState.SUSPECT:
@@ -314,7 +332,9 @@ class PoseTracker:
         view = self.view
         if view is not None and state in (TableState.STEADY, TableState.MOVED):
             self._reference_quads = view.project(self.table.points)
-        if self._working is None:
+        if state is TableState.CONTRADICTED:
+            self._working = None
+        elif self._working is None:
             self._working = view
         if state is TableState.MOVED:
             self._track.clear()
@@ -324,40 +344,6 @@ class PoseTracker:
                 f"the camera or the table moved by {self.table.move * 1e3:.1f} mm; corrected",
             )
         return state
-
-    def _table_problem(self, state: TableState, stamp: float) -> Observation | None:
-        limit = self.settings.table.largest_move * 1e3
-        if state is TableState.UNKNOWN:
-            return self._nothing(
-                stamp,
-                Problem.TABLE_UNKNOWN,
-                f"fewer than {self.settings.table.least_references} of the reference markers "
-                f"{self.table.ids.tolist()} are seen; uncover them or check the table file",
-            )
-        if state is TableState.SUSPECT:
-            self._track.clear()
-            return self._nothing(
-                stamp,
-                Problem.CAMERA_MOVED,
-                "the reference markers are not where they were: the camera or the table moves",
-            )
-        if state is TableState.TOO_FAR:
-            self._track.clear()
-            return self._nothing(
-                stamp,
-                Problem.CAMERA_MOVED_TOO_FAR,
-                f"the camera or the table has moved by more than {limit:.0f} mm since the start; "
-                "check the mounting and configure again",
-            )
-        unseen = stamp - self._references_seen
-        if unseen > self.settings.references_timeout:
-            return self._nothing(
-                stamp,
-                Problem.REFERENCES_HIDDEN,
-                f"the reference markers have been hidden for {unseen:.1f} s; uncover at least "
-                f"{self.settings.table.least_references} of them",
-            )
-        return None
 
     # -- the object
 
@@ -373,21 +359,21 @@ class PoseTracker:
             return self._nothing(
                 stamp,
                 Problem.OBJECT_HIDDEN,
-                f"the object's marker {self.marker.id} is not seen, or not the whole of it",
+                f"the object's marker {self.marker.id} is not seen, or not the whole of it, or "
+                "from too far aside (tilted?)",
             )
-        stretch = fit.size / self.marker.size - 1.0
-        if abs(stretch) > self.settings.size_tolerance:
+        row = found.object_row
+        assert row is not None
+        form = judge_form(view, found.edges, row, self.marker, fit, self.table.bloom)
+        limit = self.settings.size_tolerance
+        if max(abs(form.stretch), form.strain) > limit:
             where, _ = object_pose(fit.pose, fit.covariance, self.marker)
             self._object = (stamp, where, np.zeros(3))
             self._track.clear()
             return self._nothing(
-                stamp,
-                Problem.MISSHAPEN_MARKER,
-                f"the object's marker looks {stretch * 100:+.1f} % larger than its "
-                f"{self.marker.size * 1e3:.1f} mm "
-                f"(limit {self.settings.size_tolerance * 100:.0f} %): "
-                "lifted, tilted or not of the object file's size and height",
+                stamp, Problem.MISSHAPEN_MARKER, self._suspicion.refusal(form, limit)
             )
+        self._form = form
         return self._follow(stamp, *self._measured(image, view, fit))
 
     def _observe_outline(
@@ -444,7 +430,13 @@ class PoseTracker:
         spread = motion.covariance * (1.0 + fixed * (motion.frames - 1))
         instant = _INSTANT * motion.velocity
         since, sentence = self._warning
-        if self.table.displaced:
+        suspicious = ""
+        if self._form is not None:
+            shared = shared + self._form.covariance
+            suspicious = self._suspicion.sentence(self._form, self.table.camera_height)
+        if suspicious:
+            sentence = suspicious
+        elif self.table.displaced:
             names = ", ".join(map(str, self.table.displaced))
             sentence = f"reference marker {names} is not where the table file puts it; left out"
         elif stamp - since > 2.0:
