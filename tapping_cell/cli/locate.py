@@ -25,8 +25,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from tapping_cell.cli.calibration.camera_verb import read_grey
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import (
     MarkerSection,
@@ -73,7 +73,7 @@ class SeenObject:
         """What the tracker looks for."""
         return seen_as(self.shape, self.height, self.marker, self.outline)
 
-    def rim(self) -> np.ndarray:
+    def rim(self) -> NDArray[np.float64]:
         """Points (N, 2) of the outline in the object's frame, in m."""
         if self.shape.vertices is not None:
             return np.array(self.shape.vertices)
@@ -116,12 +116,11 @@ def run(arguments: argparse.Namespace) -> int:
         print(error, file=sys.stderr)
         return 2
     cv2.setNumThreads(1)
-    results = []
+    results: list[dict[str, Any]] = []
     for number, path in enumerate(arguments.images):
-        image = read_grey(path)
-        if image is None:
-            sentence = f"{path} cannot be read as an image; give a PNG, JPEG, TIFF or PGM file"
-            results.extend(unread(path, seen.name, sentence) for seen in objects)
+        image = read_photograph(path, (camera.width, camera.height))
+        if isinstance(image, str):
+            results.extend(unread(path, seen.name, image) for seen in objects)
             continue
         if not arguments.sequence:
             search.reset()
@@ -132,7 +131,8 @@ def run(arguments: argparse.Namespace) -> int:
             results.append(result(path, seen.name, observation, milliseconds))
             if arguments.annotate is None:
                 continue
-            picture = annotate(image, tracker.view, observation, seen.rim(), seen.height)
+            view, rim = tracker.view, seen.rim()
+            picture = annotate(image, view, observation, rim, seen.height, references=table)
             name = path.stem if len(objects) == 1 else f"{path.stem}_{seen.name}"
             try:
                 write_picture(arguments.annotate, name, picture)
@@ -165,6 +165,32 @@ class Search:
         self.trackers = [
             PoseTracker(self._camera, self._table, seen, self._settings) for seen in self._seen
         ]
+
+
+def read_photograph(path: Path, size: tuple[int, int]) -> NDArray[np.uint8] | str:
+    """A picture in grey, 8 bits, as a camera of this size (width, height) has it; or why not.
+
+    Pixels count as the sensor had them. Only where these are not of the camera's size and those
+    that a viewer shows are, because the file says that it is to be turned, the latter are taken.
+    """
+    if not path.exists():
+        return f"{path} does not exist; check the name"
+    if path.is_dir():
+        return f"{path} is a folder; name the pictures in it"
+    deep = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+    image = cv2.imread(str(path), deep | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None:
+        return f"{path} cannot be read as an image; give a PNG, JPEG, TIFF, BMP or PGM file"
+    if image.shape == size and image.shape != size[::-1]:
+        turned = cv2.imread(str(path), deep)
+        image = image if turned is None or turned.shape != size[::-1] else turned
+    if image.dtype == np.uint16:
+        # Cameras of 10, 12 or 14 bits leave the upper ones of the file's 16 empty.
+        bits = max(8, int(image.max()).bit_length())
+        return np.asarray(image // 2 ** (bits + bits % 2 - 8), dtype=np.uint8)
+    if image.dtype != np.uint8:
+        return f"{path} holds numbers of type {image.dtype}; give a file of 8 or 16 bits"
+    return np.asarray(image, dtype=np.uint8)
 
 
 def load_seen_object(path: Path) -> SeenObject:
@@ -230,7 +256,7 @@ def unread(path: Path, name: str, sentence: str) -> dict[str, Any]:
     }
 
 
-def write_picture(folder: Path, name: str, picture: np.ndarray) -> None:
+def write_picture(folder: Path, name: str, picture: NDArray[np.uint8]) -> None:
     """Write an annotated picture under a name, as PNG.
 
     Raises:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.se2 import Pose, transform_points
 from tapping_cell.vision.camera import Array, Image, View
+from tapping_cell.vision.markers import ReferenceMap
 from tapping_cell.vision.observation import Observation
 
 Colour = tuple[int, int, int]
@@ -30,25 +31,60 @@ def annotate(
     outline: ArrayLike,
     height: float,
     goal: Pose | None = None,
+    references: ReferenceMap | None = None,
 ) -> NDArray[np.uint8]:
     """A colour picture (BGR, uint8, height x width x 3) of one frame and its observation.
 
     ``outline`` (N, 2) is the object's in its own frame, in m, ``height`` (m) that of its top;
-    ``goal`` the pose in table where it should be. Text is in mm and degrees.
+    ``goal`` the pose in table where it should be; ``references`` are drawn where the table's file
+    has them, blue where they were used and red where not. Text is in mm and degrees.
     """
     picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     points = np.asarray(outline, dtype=float)
     if view is not None:
+        if references is not None:
+            _references(picture, view, references, observation.references_used)
         _axes(picture, view, Pose(0.0, 0.0, 0.0), 0.0, 0.06)
         if goal is not None:
             _outline(picture, view, points, goal, height, BLUE, 2)
             _axes(picture, view, goal, height, 0.03, BLUE)
         if observation.pose is not None:
-            colour = GREEN if observation.at_rest else AMBER
-            _outline(picture, view, points, observation.pose, height, colour, 2)
+            _outline(picture, view, points, observation.pose, height, _state(observation)[1], 2)
             _axes(picture, view, observation.pose, height, 0.03)
     _caption(picture, observation, goal)
     return picture
+
+
+def _state(observation: Observation) -> tuple[str, Colour]:
+    """In a word, and its colour; the first picture of an object does not say whether it moves."""
+    if observation.at_rest:
+        return f"AT REST   {observation.frames_fused} frames", GREEN
+    if observation.velocity is not None and not observation.velocity.any():
+        return "FOUND", GREEN
+    return "MOVING", AMBER
+
+
+def _references(
+    picture: NDArray[np.uint8], view: View, references: ReferenceMap, used: tuple[int, ...]
+) -> None:
+    scale = _scale(picture)
+    for marker, corners in zip(references.markers, references.corners(), strict=True):
+        colour = BLUE if marker.id in used else RED
+        seen = view.project(corners)
+        cv2.polylines(
+            picture, [_fixed(seen)], True, colour, max(1, round(2 * scale)), cv2.LINE_AA, _FINE
+        )
+        x, y = (int(c) for c in np.clip(seen.mean(axis=0), -4000, 8000))
+        place = (x - round(9 * scale * len(str(marker.id))), y + round(10 * scale))
+        # Readable on black and on white modules.
+        for ink, width in (((0, 0, 0), 6), (colour, 2)):
+            width, font = max(1, round(width * scale)), cv2.FONT_HERSHEY_SIMPLEX
+            cv2.putText(picture, str(marker.id), place, font, 0.8 * scale, ink, width, cv2.LINE_AA)
+
+
+def _scale(picture: NDArray[np.uint8]) -> float:
+    """Of lines and letters: 1 for a picture of 1280 pixels, not below what can be read."""
+    return max(picture.shape[1] / 1280.0, 0.6)
 
 
 def _outline(
@@ -61,6 +97,7 @@ def _outline(
     width: int,
 ) -> None:
     corners = _fixed(view.project(transform_points(pose, points), height))
+    width = max(1, round(width * _scale(picture)))
     cv2.polylines(picture, [corners], True, colour, width, cv2.LINE_AA, _FINE)
 
 
@@ -74,8 +111,9 @@ def _axes(
 ) -> None:
     ends = transform_points(pose, [[0.0, 0.0], [length, 0.0], [0.0, length]])
     origin, x, y = (tuple(int(c) for c in p) for p in _fixed(view.project(ends, height)))
-    cv2.arrowedLine(picture, origin, x, colour or RED, 2, cv2.LINE_AA, _FINE, 0.15)
-    cv2.arrowedLine(picture, origin, y, colour or GREEN, 2, cv2.LINE_AA, _FINE, 0.15)
+    width = max(1, round(2 * _scale(picture)))
+    cv2.arrowedLine(picture, origin, x, colour or RED, width, cv2.LINE_AA, _FINE, 0.15)
+    cv2.arrowedLine(picture, origin, y, colour or GREEN, width, cv2.LINE_AA, _FINE, 0.15)
 
 
 def _fixed(pixels: Array) -> NDArray[np.int32]:
@@ -83,15 +121,12 @@ def _fixed(pixels: Array) -> NDArray[np.int32]:
 
 
 def _caption(picture: NDArray[np.uint8], observation: Observation, goal: Pose | None) -> None:
-    lines: list[tuple[str, Colour]] = []
+    texts: list[tuple[str, Colour]] = []
     pose = observation.pose
     if pose is not None and observation.covariance is not None:
-        state = "AT REST" if observation.at_rest else "MOVING"
-        colour = GREEN if observation.at_rest else AMBER
-        frames = f"   {observation.frames_fused} frames" if observation.at_rest else ""
-        lines.append((f"{state}{frames}", colour))
+        texts.append(_state(observation))
         sigma = np.sqrt(np.diag(observation.covariance))
-        lines.append(
+        texts.append(
             (
                 f"x {pose.x * 1e3:+.2f}  y {pose.y * 1e3:+.2f} mm   "
                 f"theta {math.degrees(pose.theta):+.2f} deg   "
@@ -100,7 +135,7 @@ def _caption(picture: NDArray[np.uint8], observation: Observation, goal: Pose | 
             )
         )
         if goal is not None:
-            lines.append(
+            texts.append(
                 (
                     f"to the goal: {pose.distance_to(goal) * 1e3:.2f} mm, "
                     f"{math.degrees(pose.rotation_to(goal)):+.2f} deg",
@@ -108,23 +143,24 @@ def _caption(picture: NDArray[np.uint8], observation: Observation, goal: Pose | 
                 )
             )
     if observation.sentence:
-        colour = AMBER if observation.visible else RED
-        lines.extend((text, colour) for text in _wrapped(observation.sentence, 90))
-    scale = picture.shape[1] / 1280.0
+        texts.append((observation.sentence, AMBER if observation.visible else RED))
+    scale = _scale(picture)
+    letters = int(90 * picture.shape[1] / 1280.0 / scale)
+    lines = [(line, colour) for text, colour in texts for line in _wrapped(text, letters)]
     step = round(30 * scale)
     shade = picture[: step * len(lines) + round(12 * scale)]
     shade[:] = (shade * 0.35).astype(np.uint8)
     for row, (text, colour) in enumerate(lines):
         place = (round(14 * scale), step * (row + 1) - round(4 * scale))
-        cv2.putText(
-            picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.72 * scale, colour, 2, cv2.LINE_AA
-        )
+        width = max(1, round(2 * scale))
+        font = cv2.FONT_HERSHEY_SIMPLEX
+        cv2.putText(picture, text, place, font, 0.72 * scale, colour, width, cv2.LINE_AA)
 
 
 def _wrapped(text: str, width: int) -> list[str]:
     lines = [""]
-    for word in text.split():
+    for word in text.split(" "):
         if lines[-1] and len(lines[-1]) + len(word) >= width:
             lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
+        lines[-1] = f"{lines[-1]} {word}" if lines[-1] else word
     return lines

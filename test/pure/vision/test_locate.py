@@ -88,6 +88,31 @@ def test_a_viewers_rotation_of_a_photograph_is_not_applied(folder, capsys):
     assert result["x"] == pytest.approx(PLACES[0][0] * 1e3, abs=0.05)
 
 
+def test_files_as_strangers_have_them(folder, capsys):
+    """12 of 16 bits, a portrait that the file says to turn, colour, other formats: one answer."""
+    grey = cv2.imread(str(folder / "shot0.png"), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(folder / "deep.png"), grey.astype(np.uint16) * 16)
+    cv2.imwrite(str(folder / "grey.tiff"), grey)
+    cv2.imwrite(str(folder / "colour.bmp"), cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+    cv2.imwrite(str(folder / "float.tiff"), grey.astype(np.float32))
+    # A viewer turns it by a quarter clockwise (Exif orientation 6) into the camera's size.
+    turned = cv2.rotate(grey, cv2.ROTATE_90_COUNTERCLOCKWISE)
+    coded = cv2.imencode(".jpg", turned, [cv2.IMWRITE_JPEG_QUALITY, 98])[1].tobytes()
+    tag = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0"
+    head = b"\xff\xe1" + (len(tag) + 2).to_bytes(2, "big")
+    (folder / "portrait.jpg").write_bytes(coded[:2] + head + tag + coded[2:])
+    names = ["deep.png", "grey.tiff", "colour.bmp", "portrait.jpg", "float.tiff", "none.png", ""]
+    assert locate(folder, *(str(folder / name) for name in names), "--json") == 0
+    *right, unusual, missing, directory = json.loads(capsys.readouterr().out)
+    for entry in right:
+        assert entry["visible"], entry
+        assert entry["x"] == pytest.approx(PLACES[0][0] * 1e3, abs=0.05)
+        assert entry["theta"] == pytest.approx(math.degrees(PLACES[0][2]), abs=0.05)
+    assert "8 or 16 bits" in unusual["sentence"]
+    assert "does not exist" in missing["sentence"]
+    assert "is a folder" in directory["sentence"]
+
+
 def test_a_sequence_is_fused(folder, capsys):
     names = [f"film{k}.png" for k in range(6)]
     assert locate(folder, *names, "--sequence", "--json") == 0
