@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +18,8 @@ from tapping_cell.vision.camera import Array
 _SAME = 0.03
 """Outlines that differ by less than this share of their mean radius (rms) after a turn are taken
 for the same: a tenth of that is how exactly objects are made, the rest is for a hidden part."""
-_ANGLES = 720
+ANGLES = 720
+"""Angles at which radii of a rim are compared."""
 _LEAST_DOT = 0.002
 """Least radius (m) of a dot, and its least distance from rim and middle: three pixels each."""
 
@@ -54,6 +56,9 @@ class ObjectOutline:
             raise OutlineError("an outline is either a disk (radius) or a polygon (vertices)")
         if self.vertices is not None:
             _check_convex(np.array(self.vertices))
+            # A list would do as well, but has no hash.
+            corners = tuple((float(x), float(y)) for x, y in self.vertices)
+            object.__setattr__(self, "vertices", corners)
         turns = self.turns()
         if self.dot is None:
             if len(turns) != 1:
@@ -112,7 +117,7 @@ class ObjectOutline:
     @property
     def reach(self) -> float:
         """Greatest distance of the outline from its middle, in m."""
-        return float(np.linalg.norm(self.points() - self.middle, axis=1).max())
+        return _reach(self)
 
     def points(self, count: int = 72) -> Array:
         """Corners of the polygon, or ``count`` points of the disk's rim, (N, 2)."""
@@ -127,25 +132,32 @@ class ObjectOutline:
         (..., 2).
         """
         p = np.asarray(points, dtype=float)
+        distance, nx, ny = self.distance_at(p[..., 0], p[..., 1])
+        return distance, np.stack([nx, ny], axis=-1)
+
+    def distance_at(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
+        """The same with the coordinates apart: distance, its gradient along x, along y."""
         if self.vertices is None:
             assert self.radius is not None
-            length = np.sqrt((p * p).sum(axis=-1))
-            return length - self.radius, p / np.maximum(length, 1e-12)[..., None]
+            length = np.sqrt(x * x + y * y)
+            inverse = 1.0 / np.maximum(length, 1e-12)
+            return length - self.radius, x * inverse, y * inverse
         normals, offsets = self.sides()
-        outside = p @ normals.T - offsets
-        nearest = outside.argmax(axis=-1)
-        return np.take_along_axis(outside, nearest[..., None], -1)[..., 0], normals[nearest]
+        distance = np.full(x.shape, -np.inf)
+        nearest = np.zeros(x.shape, dtype=np.intp)
+        for side, ((nx, ny), offset) in enumerate(zip(normals.tolist(), offsets, strict=True)):
+            outside = nx * x + ny * y - offset
+            nearest[outside > distance] = side
+            np.maximum(distance, outside, out=distance)
+        return distance, normals[nearest, 0], normals[nearest, 1]
 
     def sides(self) -> tuple[Array, Array]:
         """Outward normals (K, 2) of the polygon's sides, and their distances (K,) from the
         origin."""
-        p = np.array(self.vertices)
-        along = np.roll(p, -1, axis=0) - p
-        normals = np.stack([along[:, 1], -along[:, 0]], axis=-1)
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        return normals, (normals * p).sum(axis=1)
+        assert self.vertices is not None
+        return _sides(self.vertices)
 
-    def radii(self, count: int = _ANGLES) -> Array:
+    def radii(self, count: int = ANGLES) -> Array:
         """Distance (count,) of the rim from the middle, at angles from 0 up to one turn, in m."""
         angle = np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
         direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -162,16 +174,34 @@ class ObjectOutline:
         """Turns (rad, from 0 up to one turn) after which the outline looks the same; none at all
         where every turn does that.
         """
-        differences = turn_differences(self.radii(), self.radii()) / float(self.radii().mean())
-        same = differences < _SAME
-        if same.all():
-            return ()
-        lowest = (differences <= np.roll(differences, 1)) & (
-            differences <= np.roll(differences, -1)
-        )
-        step = 2.0 * math.pi / len(differences)
-        chosen = [float(k) * step for k in np.flatnonzero(lowest & same)]
-        return tuple(turn for turn in chosen if turn == 0.0 or min(turn, 2 * math.pi - turn) > 0.05)
+        return _turns(self)
+
+
+@lru_cache(maxsize=64)
+def _sides(vertices: tuple[tuple[float, float], ...]) -> tuple[Array, Array]:
+    p = np.array(vertices)
+    along = np.roll(p, -1, axis=0) - p
+    normals = np.stack([along[:, 1], -along[:, 0]], axis=-1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals, (normals * p).sum(axis=1)
+
+
+@lru_cache(maxsize=64)
+def _reach(outline: ObjectOutline) -> float:
+    return float(np.linalg.norm(outline.points() - outline.middle, axis=1).max())
+
+
+@lru_cache(maxsize=64)
+def _turns(outline: ObjectOutline) -> tuple[float, ...]:
+    radii = outline.radii()
+    differences = turn_differences(radii, radii) / float(radii.mean())
+    same = differences < _SAME
+    if same.all():
+        return ()
+    lowest = (differences <= np.roll(differences, 1)) & (differences <= np.roll(differences, -1))
+    step = 2.0 * math.pi / len(differences)
+    chosen = [float(k) * step for k in np.flatnonzero(lowest & same)]
+    return tuple(turn for turn in chosen if turn == 0.0 or min(turn, 2 * math.pi - turn) > 0.05)
 
 
 def turn_differences(radii: Array, model: Array) -> Array:

@@ -10,20 +10,22 @@ from tapping_cell.vision.camera import Array, Image, View
 from tapping_cell.vision.markers import ReferenceMap
 from tapping_cell.vision.observation import Problem
 from tapping_cell.vision.outline import ObjectOutline
-from tapping_cell.vision.outline_fit import USUAL_BLUR, OutlineFit, fit_outline
+from tapping_cell.vision.outline_fit import USUAL_BLUR, Look, OutlineFit, fit_again
 from tapping_cell.vision.outline_search import (
     NO_DOT,
     OTHER_SIZE,
     TWO_DOTS,
+    Refused,
     accept,
     find_outlines,
+    fit_surely,
     look_closely,
     stands_out,
 )
 
 Trouble = tuple[Problem, str]
 
-RIM_BIAS = 1e-5
+RIM_BIAS = 7e-6
 """Standard deviation (m) of what all frames share: an edge in a pixel, light across the rim, a
 wall; measured on rendered scenes. Chamfers, dirt and a wrong file are not in it."""
 _PROBLEMS = {
@@ -43,6 +45,7 @@ class OutlineFinder:
         self._search = True
         self._followed = False
         self._refused: Trouble | None = None
+        self._last_look: tuple[View, Look] | None = None
 
     def search(self) -> None:
         """Look everywhere in the next frame."""
@@ -76,15 +79,29 @@ class OutlineFinder:
 
     def _follow(self, image: Image, view: View, expected: Array, step: Array) -> OutlineFit | None:
         """The outline where it is expected, or a few pixels beside."""
+        again = self._again(image, view, expected)
+        if again is not None:
+            return again
         if not stands_out(image, view, self.outline, expected):
             return None
-        fit = fit_outline(image, view, self.outline, expected, blur=self._blur, step=step)
+        fit = fit_surely(image, view, self.outline, expected, blur=self._blur, step=step)
         if fit is not None and isinstance(accept(fit, self.outline), OutlineFit):
+            self._last_look = view, fit.look
             return fit
         if not self._followed:
             return None
         near = look_closely(image, view, self.outline, expected, self._blur)
         return near if isinstance(near, OutlineFit) else None
+
+    def _again(self, image: Image, view: View, expected: Array) -> OutlineFit | None:
+        """The outline where it lay in the last frame; None where it does not seem to."""
+        if self._last_look is None or self._last_look[0] is not view:
+            return None
+        fit = fit_again(image, self._last_look[1], expected)
+        if fit is None or isinstance(accept(fit, self.outline), Refused):
+            self._last_look = None
+            return None
+        return fit
 
     def _everywhere(
         self, image: Image, view: View, followed: OutlineFit | None

@@ -1,27 +1,35 @@
 """Where an outline lies in an image: all pixels of a band along the rim, and those around the dot.
 
-A pixel near the rim sees the top, the side wall below it or what lies beside the object; which
-shares of each follows from its distances to the outline of the top and to the silhouette of the
-whole body, both known for a pose from the camera, the shape and the height, through a Gaussian
-blur. The grey levels of top, wall and surroundings are free in every sector of the rim (light,
-shadows and a shining wall differ around the object), so the rim is where it looks like an edge and
-not where it has a certain grey. A wall too narrow to be told from the edge widens the covariance.
-Sectors that something covers disagree and are left out. Gauss-Newton; the levels are eliminated
-sector by sector (Schur complement).
+What the pixels should see (``outline_model.py``) has the grey levels of top, wall and surroundings
+free in every sector of the rim (light, shadows and a shining wall differ around the object), so the
+rim is where it looks like an edge and not where it has a certain grey. A wall too narrow to be told
+from the edge widens the covariance. Sectors that something covers disagree and are left out.
+Gauss-Newton; the levels are eliminated sector by sector (Schur complement). An object that lies
+where it lay is measured by the last linearisation, its levels and weights.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
-from tapping_cell.se2 import inverse, transform_points
 from tapping_cell.vision.camera import Array, Image, View
-from tapping_cell.vision.outline import Dot, ObjectOutline
+from tapping_cell.vision.outline import ObjectOutline
+from tapping_cell.vision.outline_model import (
+    BLUR,
+    DOT_SIZE,
+    GLOBALS,
+    LEVELS,
+    SIZE,
+    SMEAR,
+    Band,
+    Shape,
+    dot_model,
+    rim_model,
+)
 from tapping_cell.vision.outline_pixels import (
     MOST_PIXELS,
     ROUGH_PIXELS,
@@ -40,9 +48,6 @@ USUAL_BLUR = 0.75
 LEAST_CONTRAST = 8.0
 """Grey levels between top and surroundings, and between dot and top, below which neither is
 seen."""
-_LEVELS = 4  # top, wall, surroundings, and a slope of the light across the rim
-_GLOBALS = 7  # x, y, theta, size, blur, blur by motion, size of the dot
-_SIZE, _BLUR, _SMEAR, _DOT_SIZE = 3, 4, 5, 6
 SIZE_SPREAD = 0.004
 """How much an object's size may differ from the file's without being another object (1 sigma)."""
 _EVEN = 0.02
@@ -51,6 +56,12 @@ _SLOPE_SPREAD = 0.5
 """Usual change of the light across the rim, grey levels a pixel."""
 _SMEARED = 2.0
 """Pixels from frame to frame beyond which an object's rim is smeared by its motion."""
+_SAME_PLACE = 0.06
+"""Pixels from where the rim was linearised up to which it needs not be again."""
+_SAME_LIGHT = 0.05
+"""Share by which the contrast may have changed since."""
+_ROUNDS_AGAIN, _STEADY = 4, 0.004
+"""Rounds at most, and the change (pixels) from which on another one is not worth its time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,12 +80,13 @@ class OutlineFit:
     dot_contrast: float
     noise: float
     blur: float
+    look: Look
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
     """What does not change while a pose is fitted. ``pixel`` in m at the top; ``step`` (2,) the
-    motion between frames in pixels, for the blur that it makes."""
+    motion between frames in pixels, for the blur that it makes; ``with_dot`` where that counts."""
 
     outline: ObjectOutline
     pixel: float
@@ -82,6 +94,27 @@ class _Scene:
     step: Array
     measures: bool
     size_spread: float
+    with_dot: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Design:
+    """The model where it was linearised; of the dot, if it counts (``dot_model``)."""
+
+    rim: Array
+    dot: Array | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """A fit as it was before its last step, to measure an object that lies where it lay."""
+
+    scene: _Scene
+    state: _State
+    band: Band
+    around: Pixels | None
+    design: _Design
+    contrast: float
 
 
 def fit_outline(
@@ -109,31 +142,70 @@ def fit_outline(
         image = softened(image, view, outline, start, width)
         blur = math.hypot(blur, SOFTENED)
     moving = np.zeros(2) if step is None else np.asarray(step, dtype=float) / pixel
-    scene = _Scene(outline, pixel, width, moving, not coarse, size_spread)
+    dot = outline.dot if with_dot else None
+    scene = _Scene(outline, pixel, width, moving, not coarse, size_spread, dot is not None)
     smeared = float(np.hypot(*moving)) > _SMEARED
     # A fit that leaves the dot out is only the way to one with it.
     rough = coarse or smeared or (outline.dot is not None and not with_dot)
     most = ROUGH_PIXELS if rough else MOST_PIXELS
-    dot = outline.dot if with_dot else None
     state = _State(start.copy(), blur, size)
     gathered: Array | None = None
-    tolerance, stays = (0.1, 3.0) if coarse else (0.02, 2.0) if rough else (0.004, 1.0)
+    tolerance, stays = (0.1, 3.0) if coarse else (0.02, 2.0) if rough else (_STEADY, 1.0)
     for _ in range(12 if coarse else 20):
         if gathered is None or np.hypot(*(state.pose - gathered)[:2]) > stays * pixel:
             gathered = state.pose.copy()
-            found = rim_pixels(image, view, outline, gathered, width, most)
-            around = None if dot is None else dot_pixels(image, view, outline, dot, gathered)
-            if found is None or (dot is not None and around is None):
+            rim = rim_pixels(view, outline, gathered, width, most)
+            around = None if dot is None else dot_pixels(view, outline, dot, gathered)
+            if rim is None or (dot is not None and around is None):
                 return None
-            rim = found
-            sectors = sectors_of(outline, rim, gathered)
-            state.forget()
-        moved = state.improve(scene, rim, sectors, around, dot)
-        if moved is None or np.hypot(*(state.pose - start)[:2]) > width * pixel:
+            band = Band.of(rim, sectors_of(outline, rim, gathered))
+            state.start_anew(len(band.counts))
+            greys = band.grey(image), None if around is None else around.grey(image)
+        before = replace(state)
+        design = state.design(scene, band, around)
+        step = state.solve(scene, design, *greys, band)
+        if step is None:
+            return None
+        moved = state.take(step, scene)
+        if np.hypot(*(state.pose - start)[:2]) > width * pixel:
             return None
         if moved < tolerance and state.settled:
-            return state.answer(scene, dot)
+            look = Look(scene, before, band, around, design, 0.0)
+            return state.answer(look)
     return None
+
+
+def fit_again(image: Image, look: Look, expected: Array) -> OutlineFit | None:
+    """The same in a frame in which the object lies where it lay, as ``expected`` (3,) says; a fifth
+    of the time.
+
+    None if it or the light is not as it was, which says nothing about where it is.
+    """
+    if _way(expected - look.state.pose, look.scene) > 2.0 * _SAME_PLACE:
+        return None
+    state = replace(look.state)
+    greys = look.band.grey(image), None if look.around is None else look.around.grey(image)
+    step: Array = np.full(GLOBALS, np.inf)
+    for _ in range(_ROUNDS_AGAIN):
+        last, found = step, state.solve(look.scene, look.design, *greys, look.band)
+        if found is None:
+            return None
+        step = found
+        if _way(step - last, look.scene) < _STEADY:
+            break
+    if _way(step, look.scene) > _SAME_PLACE:
+        return None
+    state.take(step, look.scene)
+    fit = state.answer(look)
+    if look.contrast and abs(fit.contrast / look.contrast - 1.0) > _SAME_LIGHT:
+        return None
+    return fit
+
+
+def _way(step: Array, scene: _Scene) -> float:
+    """How far a step moves the object's rim, in pixels."""
+    turned = abs(float(step[2])) * scene.outline.reach
+    return (math.hypot(step[0], step[1]) + turned) / scene.pixel
 
 
 @dataclass(slots=True, eq=False)
@@ -161,87 +233,88 @@ class _State:
         """Weights and levels are those of a few rounds."""
         return self.rounds >= 4
 
-    def forget(self) -> None:
-        """The pixels are others: levels and weights begin anew."""
-        self.levels = self.dot_levels = self.weight = self.dot_weight = self.good = self.taken = (
-            None
-        )
-        self.rounds = 0
+    def start_anew(self, sectors: int) -> None:
+        """The pixels are others: their weights begin anew; the levels serve on."""
+        if self.levels is None or len(self.levels) != sectors:
+            self.levels = self.dot_levels = None
+        self.weight = self.dot_weight = self.good = self.taken = None
+        self.rounds = 0 if self.levels is None else 1
 
-    def improve(
-        self,
-        scene: _Scene,
-        rim: Pixels,
-        sectors: NDArray[np.intp],
-        around: Pixels | None,
-        dot: Dot | None,
-    ) -> float | None:
-        """One round; how far the pose moved in pixels, None if it cannot be."""
-        free, columns = self._rim_columns(scene, rim, sectors)
+    def shape(self, scene: _Scene) -> Shape:
+        """The unknowns as the model takes them."""
+        return Shape(
+            self.pose, self.blur, self.size, self.smear, self.dot_size, scene.step, scene.pixel
+        )
+
+    def design(self, scene: _Scene, band: Band, around: Pixels | None) -> _Design:
+        """The model around what is known now."""
+        shape, dot = self.shape(scene), scene.outline.dot
+        return _Design(
+            rim_model(scene.outline, shape, band, self.levels, scene.width),
+            None
+            if around is None or dot is None
+            else dot_model(dot, shape, around, self.dot_levels),
+        )
+
+    def solve(
+        self, scene: _Scene, design: _Design, grey: Array, dot_grey: Array | None, band: Band
+    ) -> Array | None:
+        """The step (GLOBALS,) that explains the grey values best, the levels with it; None if it
+        cannot be told. Levels, weights and noise are taken in, the step is not."""
+        if self.weight is None:
+            self.weight = band.real.astype(float)
+        sectors = len(band.counts)
         variance = self.noise**2
-        total = np.diag(self._prior(scene)) * variance
-        pull = self._prior(scene) * variance * self._distance_to_usual(scene)
-        # Sector after sector: index of its pixels, padded; padding has no weight.
-        order = np.argsort(sectors, kind="stable")
-        counts = np.bincount(sectors, minlength=int(sectors.max()) + 1)
-        begin = np.cumsum(counts) - counts
-        index = begin[:, None] + np.arange(counts.max())
-        padded = np.arange(counts.max()) >= counts[:, None]
-        index = order[np.minimum(index, len(order) - 1)]
-        weight = np.ones(len(sectors)) if self.weight is None else self.weight
-        weights = np.where(padded, 0.0, weight[index])
-        both = np.concatenate([free, columns, rim.grey[:, None]], axis=1)[index]
-        normal = np.matmul((both * weights[..., None]).transpose(0, 2, 1), both)
-        own = normal[:, :_LEVELS, :_LEVELS] + self._level_prior(len(counts)) * variance
-        mixed = normal[:, :_LEVELS, _LEVELS:].copy()
-        mixed[..., -1] += self._level_pull(len(counts)) * variance
+        prior = self._prior(scene) * variance
+        total = np.diag(prior)
+        pull = prior * self._distance_to_usual()
+        both = np.concatenate([design.rim, grey[None]])
+        normal = np.matmul((both * self.weight).transpose(1, 0, 2), both.transpose(1, 2, 0))
+        own = normal[:, :LEVELS, :LEVELS] + self._level_prior(sectors) * variance
+        mixed = normal[:, :LEVELS, LEVELS:].copy()
+        mixed[..., -1] += self._level_pull(sectors) * variance
         answer = np.linalg.solve(own, mixed)
         # What the levels cannot explain, sector by sector: globals, shift of the rim, grey values.
-        left = normal[:, _LEVELS:, _LEVELS:] - np.matmul(mixed.transpose(0, 2, 1), answer)
+        left = normal[:, LEVELS:, LEVELS:] - np.matmul(mixed.transpose(0, 2, 1), answer)
         # A sector that is left out keeps its levels, so that it can come back.
-        gate: Array = np.ones(len(counts))
+        gate: Array = np.ones(sectors)
         if self.good is not None and self.taken is not None:
             gate = (self.good & self.taken).astype(float)
-        summed = np.einsum("s,sij->ij", gate, left)
-        total = total + summed[:_GLOBALS, :_GLOBALS]
-        pull = pull + summed[:_GLOBALS, -1]
-        if around is not None and dot is not None:
-            dot_free, dot_columns = self._dot_columns(scene, around, dot)
-            dot_weight = np.ones(len(around.grey)) if self.dot_weight is None else self.dot_weight
-            free_weighted = dot_free * dot_weight[:, None]
-            inner = np.linalg.inv(free_weighted.T @ dot_free + 1e-6 * np.eye(dot_free.shape[1]))
-            cross = free_weighted.T @ dot_columns
-            total += (dot_columns * dot_weight[:, None]).T @ dot_columns - cross.T @ inner @ cross
-            free_pull = free_weighted.T @ around.grey
-            pull += (dot_columns * dot_weight[:, None]).T @ around.grey
-            pull -= cross.T @ inner @ free_pull
+        summed = (gate @ left.reshape(sectors, -1)).reshape(left.shape[1:])
+        total = total + summed[:GLOBALS, :GLOBALS]
+        pull = pull + summed[:GLOBALS, -1]
+        if design.dot is not None and dot_grey is not None:
+            weighted = design.dot if self.dot_weight is None else design.dot * self.dot_weight
+            dot_normal = weighted @ design.dot.T
+            dot_pull = weighted @ dot_grey
+            inner = np.linalg.inv(dot_normal[:4, :4] + 1e-6 * np.eye(4))
+            cross = dot_normal[:4, 4:]
+            total += dot_normal[4:, 4:] - cross.T @ inner @ cross
+            pull += dot_pull[4:] - cross.T @ inner @ dot_pull[:4]
         try:
             step = np.linalg.solve(total, pull)
         except np.linalg.LinAlgError:
             return None
         if self.levels is None:
-            step = np.zeros(_GLOBALS)
+            step = np.zeros(GLOBALS)
         if not np.all(np.isfinite(step)):
             return None
-        self.levels = answer[..., -1] - answer[..., :_GLOBALS] @ step
-        residual = rim.grey - (free * self.levels[sectors]).sum(axis=1)
-        residual -= columns[:, :_GLOBALS] @ step
-        dot_residual = None
-        if around is not None and dot is not None:
-            self.dot_levels = inner @ (free_pull - cross @ step)
-            dot_residual = around.grey - dot_free @ self.dot_levels - dot_columns @ step
-        self._judge(scene, residual, sectors, counts, dot_residual)
+        self.levels = answer[..., -1] - answer[..., :GLOBALS] @ step
+        residual = grey - (self.levels.T[:, :, None] * design.rim[:LEVELS]).sum(axis=0)
+        residual -= np.tensordot(step, design.rim[LEVELS:-1], 1)
+        self._judge(scene, residual, band)
+        if design.dot is not None and dot_grey is not None:
+            self.dot_levels = inner @ (dot_pull[:4] - cross @ step)
+            off = np.abs(dot_grey - self.dot_levels @ design.dot[:4] - step @ design.dot[4:])
+            self.dot_weight = np.minimum(1.0, 3.0 * self.noise / np.maximum(off, 1e-6))
         self._compare(scene, left, step)
-        self._take(step, scene)
         self.information = total
         self.rounds += 1
-        if self.rounds == 1:
-            return math.inf
-        turned = abs(float(step[2])) * scene.outline.reach
-        return (math.hypot(step[0], step[1]) + turned) / scene.pixel
+        return step
 
-    def answer(self, scene: _Scene, dot: Dot | None) -> OutlineFit | None:
+    def answer(self, look: Look) -> OutlineFit:
         """What was found, once it no longer moves."""
+        scene, dot = look.scene, look.scene.outline.dot
         assert self.information is not None and self.levels is not None and self.good is not None
         sign = 1.0 if scene.outline.brighter else -1.0
         contrast = sign * (self.levels[:, 0] - self.levels[:, 2])
@@ -251,7 +324,7 @@ class _State:
             self.good & self.taken & (contrast > 0.35 * usual) & (contrast > 0.5 * LEAST_CONTRAST)
         )
         dot_contrast = 0.0
-        if dot is not None and self.dot_levels is not None:
+        if dot is not None and scene.with_dot and self.dot_levels is not None:
             difference = float(self.dot_levels[0] - self.dot_levels[1])
             dot_contrast = difference if dot.brighter else -difference
         covariance = np.linalg.inv(self.information)[:3, :3] * self.noise**2 * self.scatter
@@ -264,24 +337,28 @@ class _State:
             dot_contrast,
             self.noise,
             self.blur,
+            look if look.contrast else replace(look, contrast=usual),
         )
 
-    def _take(self, step: Array, scene: _Scene) -> None:
+    def take(self, step: Array, scene: _Scene) -> float:
+        """Go the step, or as far of it as is wise; how far it moves the rim, in pixels."""
+        way = math.inf if self.rounds <= 1 else _way(step, scene)
         limit = 0.5 * scene.width * scene.pixel
         far = max(1.0, math.hypot(step[0], step[1]) / limit)
         step = step / far
         self.pose = self.pose + step[:3]
-        self.size = float(np.clip(self.size + step[_SIZE], 0.75, 1.35))
-        self.dot_size = float(np.clip(self.dot_size + step[_DOT_SIZE], 0.5, 2.0))
+        self.size = float(np.clip(self.size + step[SIZE], 0.75, 1.35))
+        self.dot_size = float(np.clip(self.dot_size + step[DOT_SIZE], 0.5, 2.0))
         if scene.measures:
-            self.blur = math.sqrt(float(np.clip(self.blur**2 + step[_BLUR], 0.15, 9.0)))
-            self.smear = float(np.clip(self.smear + step[_SMEAR], 0.0, 0.1))
+            self.blur = math.sqrt(float(np.clip(self.blur**2 + step[BLUR], 0.15, 9.0)))
+            self.smear = float(np.clip(self.smear + step[SMEAR], 0.0, 0.1))
+        return way
 
     def _compare(self, scene: _Scene, left: Array, step: Array) -> None:
         """Do the sectors agree where the rim is? Those that do not are left out, and how much the
         others differ is what the covariance must tell."""
-        power = np.maximum(left[:, _GLOBALS, _GLOBALS], 1e-9)
-        shift = (left[:, _GLOBALS, -1] - left[:, _GLOBALS, :_GLOBALS] @ step) / power
+        power = np.maximum(left[:, GLOBALS, GLOBALS], 1e-9)
+        shift = (left[:, GLOBALS, -1] - left[:, GLOBALS, :GLOBALS] @ step) / power
         sigma = self.noise / np.sqrt(power)
         assert self.good is not None
         self.taken = np.ones(len(power), dtype=bool)
@@ -294,108 +371,24 @@ class _State:
         kept = clear & self.taken
         self.scatter = max(1.0, float((np.square(shift / sigma)[kept]).mean()))
 
-    def _judge(
-        self,
-        scene: _Scene,
-        residual: Array,
-        sectors: NDArray[np.intp],
-        counts: NDArray[np.intp],
-        dot_residual: Array | None,
-    ) -> None:
+    def _judge(self, scene: _Scene, residual: Array, band: Band) -> None:
         """Weights of pixels and sectors from what is left of them."""
-        spread = np.sqrt(
-            np.bincount(sectors, np.minimum(np.abs(residual), 60.0) ** 2, len(counts))
-            / np.maximum(counts, 1)
-        )
+        off = np.abs(residual)
+        counts = band.counts
+        squares = np.square(np.minimum(off, 60.0)) * band.real
+        spread = np.sqrt(squares.sum(axis=1) / np.maximum(counts, 1))
         # Around a rough place all of the rim fits badly at first.
         share, factor, margin = (0.3, 1.3, 0.3) if scene.measures else (0.5, 2.5, 1.0)
-        usual = float(np.quantile(spread[counts > 0], share))
+        ordered = np.sort(spread[counts > 0])
+        usual = float(ordered[round(share * (len(ordered) - 1))])
         self.good = (spread < factor * usual + margin) & (counts >= 12)
-        kept = self.good[sectors]
-        inner = 1.4826 * float(np.median(np.abs(residual[kept]))) if kept.any() else usual
+        kept = band.real & self.good[:, None]
+        inner = 1.4826 * float(np.median(off[kept])) if kept.any() else usual
         scale = max(inner, 0.3)
-        self.weight = np.minimum(1.0, 3.0 * scale / np.maximum(np.abs(residual), 1e-6))
-        counted = self.weight * kept
-        squares = float((counted * residual**2).sum() / max(counted.sum(), 1.0))
-        self.noise = max(math.sqrt(squares), 0.3)
-        if dot_residual is not None:
-            self.dot_weight = np.minimum(
-                1.0, 3.0 * self.noise / np.maximum(np.abs(dot_residual), 1e-6)
-            )
-
-    # -- the model
-
-    def _spread(self, scene: _Scene, normal: Array) -> Array:
-        """Sigma (N,) of the blur across the rim, in pixels; ``normal`` (N, 2) in table."""
-        return np.sqrt(self.blur**2 + self.smear * (normal @ scene.step) ** 2)
-
-    def _rim_columns(
-        self, scene: _Scene, rim: Pixels, sectors: NDArray[np.intp]
-    ) -> tuple[Array, Array]:
-        """How grey values answer the levels of their sector (N, 4), and the globals (N, 7)."""
-        outline, pixel = scene.outline, scene.pixel
-        back = inverse(self.pose)
-        at_top, at_floor = transform_points(back, rim.top), transform_points(back, rim.floor)
-        distance, normal = outline.distance(at_top)
-        share, whole, whole_normal, whole_at = distance, distance, normal, at_top
-        for part in (0.5, 1.0):
-            place = at_top + part * (at_floor - at_top)
-            share, direction = outline.distance(place)
-            nearer = share < whole
-            whole = np.where(nearer, share, whole)
-            whole_normal = np.where(nearer[:, None], direction, whole_normal)
-            whole_at = np.where(nearer[:, None], place, whole_at)
-        rims = [
-            self._edge(scene, place, d, n, self.size)
-            for place, d, n in ((at_top, distance, normal), (whole_at, whole, whole_normal))
-        ]
-        (top, by_top), (body, by_body) = rims
-        slope = np.clip(distance / pixel, -scene.width, scene.width)
-        free = np.stack([top, body - top, 1.0 - body, slope], axis=-1)
-        if self.levels is None:
-            return free, np.zeros((len(distance), _GLOBALS + 1))
-        of = self.levels[sectors]
-        columns = (of[:, 0] - of[:, 1])[:, None] * by_top + (of[:, 1] - of[:, 2])[:, None] * by_body
-        return free, columns
-
-    def _edge(
-        self, scene: _Scene, place: Array, distance: Array, normal: Array, size: float = 1.0
-    ) -> tuple[Array, Array]:
-        """Coverage (N,) inside an edge of a body ``size`` times as large, and how it answers the
-        globals (N, 7)."""
-        pixel = scene.pixel
-        in_table = transform_points([0.0, 0.0, self.pose[2]], normal)
-        support = ((place - distance[:, None] * normal) * normal).sum(axis=1)
-        sigma = self._spread(scene, in_table)
-        away = (distance - (size - 1.0) * support) / pixel
-        scaled = away / sigma
-        density = np.exp(-0.5 * scaled**2) / (math.sqrt(2.0 * math.pi) * sigma)
-        columns = np.zeros((len(distance), _GLOBALS + 1))
-        columns[:, -1] = density
-        columns[:, :2] = in_table * (density / pixel)[:, None]
-        turning = normal[:, 0] * place[:, 1] - normal[:, 1] * place[:, 0]
-        columns[:, 2] = -turning * density / pixel
-        columns[:, _SIZE] = support * density / pixel
-        columns[:, _BLUR] = 0.5 * density * away / sigma**2
-        columns[:, _SMEAR] = columns[:, _BLUR] * (in_table @ scene.step) ** 2
-        return ndtr(-scaled), columns
-
-    def _dot_columns(self, scene: _Scene, around: Pixels, dot: Dot) -> tuple[Array, Array]:
-        """The same for the dot: levels of dot and top, two slopes; and the globals."""
-        place = transform_points(inverse(self.pose), around.top)
-        arm = place - np.array(dot.offset)
-        length = np.sqrt((arm * arm).sum(axis=1))
-        normal = arm / np.maximum(length, 1e-9)[:, None]
-        distance = length - self.dot_size * dot.radius
-        inside, columns = self._edge(scene, place, distance, normal)
-        columns[:, _SIZE] = 0.0
-        # Moving outward along the normal by the radius is what a dot twice as large does.
-        outward = transform_points([0.0, 0.0, self.pose[2]], normal)
-        columns[:, _DOT_SIZE] = dot.radius * (columns[:, :2] * outward).sum(axis=1)
-        free = np.concatenate([np.stack([inside, 1.0 - inside], -1), arm / dot.radius], axis=1)
-        if self.dot_levels is None:
-            return free, np.zeros((len(length), _GLOBALS))
-        return free, columns[:, :_GLOBALS] * (self.dot_levels[0] - self.dot_levels[1])
+        self.weight = np.minimum(1.0, 3.0 * scale / np.maximum(off, 1e-6)) * band.real
+        counted = self.weight[self.good]
+        left = float((counted * residual[self.good] ** 2).sum() / max(counted.sum(), 1.0))
+        self.noise = max(math.sqrt(left), 0.3)
 
     # -- what is usual
 
@@ -408,13 +401,13 @@ class _State:
             [place, place, 1.0, scene.size_spread**-2, blur, 1e4 if moving else 1e12, 100.0]
         )
 
-    def _distance_to_usual(self, scene: _Scene) -> Array:
+    def _distance_to_usual(self) -> Array:
         return np.array([0.0, 0.0, 0.0, 1.0 - self.size, 0.0, -self.smear, 1.0 - self.dot_size])
 
     def _level_prior(self, sectors: int) -> Array:
         """Precisions (S, 4, 4) of the levels: of the wall's, and of the slope."""
         top = np.full(sectors, 60.0) if self.levels is None else np.abs(self.levels[:, 0])
-        prior = np.zeros((sectors, _LEVELS, _LEVELS))
+        prior = np.zeros((sectors, LEVELS, LEVELS))
         prior[:, 0, 0] = prior[:, 2, 2] = 1e-6
         prior[:, 1, 1] = 1.0 / (0.5 * top + 10.0) ** 2
         prior[:, 3, 3] = _SLOPE_SPREAD**-2
@@ -423,6 +416,6 @@ class _State:
     def _level_pull(self, sectors: int) -> Array:
         """The wall is usually half as bright as the top."""
         top = np.full(sectors, 60.0) if self.levels is None else np.abs(self.levels[:, 0])
-        pull = np.zeros((sectors, _LEVELS))
+        pull = np.zeros((sectors, LEVELS))
         pull[:, 1] = 0.5 * top / (0.5 * top + 10.0) ** 2
         return pull

@@ -24,11 +24,16 @@ _SECTORS = 24
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pixels:
-    """Pixels with the places that they see at the top's height and on the table (N, 2), in m."""
+    """Pixels with the places that they see at the top's height and on the table (N, 2), in m, and
+    their flat indices (N,) in the image."""
 
     top: Array
     floor: Array
-    grey: Array
+    pixels: NDArray[np.intp]
+
+    def grey(self, image: Image) -> Array:
+        """What an image shows there, (N,)."""
+        return image.reshape(-1)[self.pixels].astype(float)
 
 
 def softened(image: Image, view: View, outline: ObjectOutline, pose: Array, width: float) -> Image:
@@ -45,7 +50,6 @@ def softened(image: Image, view: View, outline: ObjectOutline, pose: Array, widt
 
 
 def rim_pixels(
-    image: Image,
     view: View,
     outline: ObjectOutline,
     pose: Array,
@@ -70,12 +74,10 @@ def rim_pixels(
         # Blurred corners are round: the sides say where the outline is.
         for x, y in face:
             cv2.circle(mask, (int(x), int(y)), round(16.0 * width), (0,), -1, shift=4)
-    return _seen_through(image, view, outline.height, mask, (int(x0), int(y0)), most)
+    return _seen_through(view, outline.height, mask, (int(x0), int(y0)), most)
 
 
-def dot_pixels(
-    image: Image, view: View, outline: ObjectOutline, dot: Dot, pose: Array
-) -> Pixels | None:
+def dot_pixels(view: View, outline: ObjectOutline, dot: Dot, pose: Array) -> Pixels | None:
     """The pixels of the dot and around it, as far as there is nothing but the plain top."""
     room = -float(outline.distance(np.array([dot.offset]))[0][0])
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
@@ -89,11 +91,10 @@ def dot_pixels(
         return None
     mask = np.zeros((y1 - y0, x1 - x0), dtype=np.uint8)
     cv2.fillPoly(mask, [np.round((seen - [x0, y0]) * 16.0).astype(np.int32)], (1,), shift=4)
-    return _seen_through(image, view, outline.height, mask, (int(x0), int(y0)))
+    return _seen_through(view, outline.height, mask, (int(x0), int(y0)))
 
 
 def _seen_through(
-    image: Image,
     view: View,
     height: float,
     mask: NDArray[np.uint8],
@@ -108,8 +109,9 @@ def _seen_through(
         return None
     chosen = chosen[:: math.ceil(len(chosen) / most)]
     rays = window_rays(view.camera, x0, y0, x0 + columns, y0 + rows).reshape(-1, 2)[chosen]
-    grey = image[y0 : y0 + rows, x0 : x0 + columns].reshape(-1)[chosen].astype(float)
-    return Pixels(view.rays_on_plane(rays, height), view.rays_on_plane(rays, 0.0), grey)
+    row, column = np.divmod(chosen, columns)
+    pixels = (row + y0) * view.camera.width + column + x0
+    return Pixels(view.rays_on_plane(rays, height), view.rays_on_plane(rays, 0.0), pixels)
 
 
 def sectors_of(outline: ObjectOutline, rim: Pixels, pose: Array) -> NDArray[np.intp]:

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from tapping_cell.se2 import Pose, transform_points
+from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.vision.camera import Array, Image, View
-from tapping_cell.vision.outline import Dot, ObjectOutline, turn_differences
+from tapping_cell.vision.outline import ANGLES, Dot, ObjectOutline, turn_differences
 from tapping_cell.vision.outline_fit import (
     COARSE,
     LEAST_CONTRAST,
@@ -45,6 +45,10 @@ _FORM = 0.12
 """Greatest difference of a blob's form (rms, share of its size): walls and covered parts are in
 it."""
 _CANDIDATES = 6
+_NEAR = 30
+"""Steps of :func:`turn_differences` that a wall may have turned the likest angle by: 15 deg."""
+_DOUBTFUL = 0.006
+"""Share by which an object seems larger or smaller, from which on that is put to the test."""
 _INSIDE, _BESIDE, _THICK = 8.0, 14.0, np.array([-1.0, 0.0, 1.0])
 """Pixels from the rim to where the top and its surroundings (beyond the wall) are compared, and
 those that are taken there."""
@@ -126,7 +130,7 @@ def look_closely(
             continue
         if abs(rough.size - 1.0) > LARGEST_STRETCH:
             continue
-        rim = fit_outline(image, view, outline, rough.pose, blur=blur, with_dot=False)
+        rim = fit_surely(image, view, outline, rough.pose, blur=blur, with_dot=False)
         if rim is not None and rim.seen >= least_seen(outline):
             break
     else:
@@ -136,10 +140,46 @@ def look_closely(
     turned = turn_by_dot(image, view, outline, outline.dot, rim.pose)
     if isinstance(turned, Refused):
         return turned
-    whole = fit_outline(image, view, outline, turned, blur=blur)
+    whole = fit_surely(image, view, outline, turned, blur=blur)
     if whole is None:
         return Refused(NO_DOT, "its dot is not seen where it should be")
     return accept(whole, outline)
+
+
+def fit_surely(
+    image: Image,
+    view: View,
+    outline: ObjectOutline,
+    start: Array,
+    *,
+    blur: float,
+    step: Array | None = None,
+    with_dot: bool = True,
+) -> OutlineFit | None:
+    """:func:`fit_outline`, and where the size seems wrong, once more with the size of the file.
+
+    One side of a tall polygon may be taken for a wall as bright as the top, the outline shifted and
+    shrunk: an explanation nearly as good as the true one, to which the true size leads.
+    """
+    fit = fit_outline(image, view, outline, start, blur=blur, step=step, with_dot=with_dot)
+    if fit is None or outline.vertices is None or abs(fit.size - 1.0) < _DOUBTFUL:
+        return fit
+    fixed = fit_outline(
+        image,
+        view,
+        outline,
+        fit.pose,
+        blur=blur,
+        step=step,
+        with_dot=with_dot,
+        size_spread=_CERTAIN,
+    )
+    if fixed is None:
+        return fit
+    again = fit_outline(image, view, outline, fixed.pose, blur=blur, step=step, with_dot=with_dot)
+    if again is None or abs(again.size - 1.0) > abs(fit.size - 1.0):
+        return fit
+    return again if again.seen > fit.seen - 0.1 else fit
 
 
 def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | None) -> Refused:
@@ -193,22 +233,30 @@ def rough_places(
     shrunk = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     small: Image = np.array(shrunk, dtype=np.uint8)
     _paint_over(small, view, scale, known)
+    if shrink < 3:
+        small = np.asarray(cv2.blur(small, (3, 3)), dtype=np.uint8)
     if outline.dot is not None:
-        across_dot = 2.0 * outline.dot.radius / pixel / shrink
-        kernel_side = int(np.clip(2 * math.ceil(across_dot) + 1, 3, 15))
-        small = np.asarray(cv2.medianBlur(small, kernel_side), dtype=np.uint8)
+        # A dot near the rim would break it open.
+        across_dot = (math.ceil(2.0 * outline.dot.radius / pixel / shrink) + 1) | 1
+        fill = cv2.MORPH_OPEN if outline.dot.brighter else cv2.MORPH_CLOSE
+        cover = np.ones((across_dot, across_dot), dtype=np.uint8)
+        small = np.asarray(cv2.morphologyEx(small, fill, cover), dtype=np.uint8)
     kernel = np.ones((int(2.6 * outline.reach / pixel / shrink) | 1,) * 2, dtype=np.uint8)
     operation = cv2.MORPH_OPEN if outline.brighter else cv2.MORPH_CLOSE
     around = np.asarray(cv2.morphologyEx(small, operation, kernel), dtype=np.float32)
     shade = np.abs(small.astype(np.float32) - around) / np.maximum(around, 8.0)
     places: list[_Place] = []
+    # In pixels of the small image; a blob's rim has at least so many as a disk's has diagonals.
+    area = outline.area / (float(scale.prod()) * pixel**2)
+    shortest = math.sqrt(2.0 * math.pi * _AREAS[0] * area)
     for threshold in _SHADES:
         mask = (shade > threshold).astype(np.uint8)
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         for contour in contours:
+            if len(contour) < shortest:
+                continue
             # Contours run through the middles of the outermost pixels: half a pixel is missing.
-            area = cv2.contourArea(contour) + 0.5 * len(contour)
-            share = area * float(scale.prod()) * pixel**2 / outline.area
+            share = (cv2.contourArea(contour) + 0.5 * len(contour)) / area
             if not _AREAS[0] < share < _AREAS[1]:
                 continue
             hull = cv2.convexHull(contour)
@@ -216,10 +264,7 @@ def rough_places(
                 continue
             seen = (hull.reshape(-1, 2) + 0.5) * scale - 0.5
             rim = view.on_plane(_walked(seen), outline.height)
-            middle = _middle(rim)
-            place = _matched(outline, middle, rim)
-            if place.difference < _FORM:
-                places.append(place)
+            places.extend(p for p in _matched(view, outline, rim) if p.difference < _FORM)
     places.sort(key=lambda place: place.difference)
     taken: list[Array] = []
     for place in places:
@@ -246,22 +291,48 @@ def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:
             cv2.fillPoly(small, [np.round(inner).astype(np.int32)], (level,))
 
 
-def _matched(outline: ObjectOutline, middle: Array, rim: Array) -> _Place:
-    """A rim (N, 2) around its middle in relation to the outline."""
+def _matched(view: View, outline: ObjectOutline, rim: Array) -> Iterator[_Place]:
+    """A rim (N, 2), seen in the plane of the top, in relation to the outline: as that of the top
+    alone, and as that of top and wall together."""
+    middle, radii = _middle(rim), _radii(rim)
     model = outline.radii()
-    arm = rim - middle
-    angle = np.arctan2(arm[:, 1], arm[:, 0])
-    order = np.argsort(angle)
-    grid = np.linspace(0.0, 2.0 * math.pi, len(model), endpoint=False)
-    radii = np.interp(grid, angle[order], np.hypot(*arm.T)[order], period=2.0 * math.pi)
     size = float(radii.mean() / model.mean())
     # Walls and thresholds make it larger all round: only the form counts.
     differences = turn_differences(radii / size, model)
     best = int(differences.argmin())
-    turn = 0.0 if outline.vertices is None else float(grid[best])
+    turn = 0.0 if outline.vertices is None else 2.0 * math.pi * best / len(model)
     at = middle - transform_points([0.0, 0.0, turn], outline.middle)
-    difference = float(differences[best] / model.mean())
-    return _Place(difference, middle, np.array([*at, turn]), size)
+    pose = np.array([*at, turn])
+    yield _Place(float(differences[best] / model.mean()), middle, pose, size)
+    for _ in range(2):
+        whole = _silhouette(view, outline, pose)
+        model = _radii(whole)
+        size = float(radii.mean() / model.mean())
+        differences = turn_differences(radii / size, model)
+        if outline.vertices is not None:
+            near = np.arange(-_NEAR, _NEAR + 1)
+            step = float(near[differences[near].argmin()])
+            pose = _turned(outline, pose, np.array([2.0 * math.pi * step / len(model)]))[0]
+        pose[:2] += middle - _middle(whole)
+    yield _Place(float(differences.min() / model.mean()), middle, pose, size)
+
+
+def _radii(rim: Array) -> Array:
+    """Distances of a rim (N, 2) from its middle, at the angles of :meth:`ObjectOutline.radii`."""
+    arm = rim - _middle(rim)
+    angle = np.arctan2(arm[:, 1], arm[:, 0])
+    order = np.argsort(angle)
+    length = np.hypot(*arm.T)[order]
+    grid = np.linspace(0.0, 2.0 * math.pi, ANGLES, endpoint=False)
+    return np.asarray(np.interp(grid, angle[order], length, period=2.0 * math.pi))
+
+
+def _silhouette(view: View, outline: ObjectOutline, pose: Array) -> Array:
+    """Top and wall together, as a rim (N, 2) in the plane of the top."""
+    points = transform_points(pose, outline.points(36))
+    both = np.concatenate([view.project(points, outline.height), view.project(points, 0.0)])
+    hull = cv2.convexHull(both.astype(np.float32)).reshape(-1, 2).astype(float)
+    return _walked(view.on_plane(hull, outline.height))
 
 
 def stands_out(image: Image, view: View, outline: ObjectOutline, pose: Array) -> bool:
@@ -294,7 +365,7 @@ def turn_by_dot(
     turns = np.array(outline.turns() or np.linspace(0.0, 2.0 * math.pi, 360, endpoint=False))
     angle = np.linspace(0.0, 2.0 * math.pi, 12, endpoint=False)
     circle = dot.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    poses = np.stack([_turned(outline, pose, float(turn)) for turn in turns])
+    poses = _turned(outline, pose, turns)
     places = transform_points(poses[:, None, :], np.array([dot.offset]))
     inner = _greys(image, view, outline, places + np.concatenate([0.0 * circle[:1], 0.55 * circle]))
     outer = _greys(image, view, outline, places + 1.6 * circle)
@@ -313,12 +384,12 @@ def turn_by_dot(
     return np.asarray(poses[best])
 
 
-def _turned(outline: ObjectOutline, pose: Array, turn: float) -> Array:
-    """The pose after a turn about the outline's middle."""
-    middle = transform_points(pose, outline.middle)
-    angle = float(pose[2]) + turn
-    at = middle - transform_points([0.0, 0.0, angle], outline.middle)
-    return np.array(Pose(float(at[0]), float(at[1]), math.remainder(angle, 2.0 * math.pi)))
+def _turned(outline: ObjectOutline, pose: Array, turns: Array) -> Array:
+    """The pose after turns (N,) about the outline's middle, (N, 3)."""
+    angles = wrap_angle(pose[2] + turns)
+    aside = np.column_stack([np.zeros((len(turns), 2)), angles])
+    at = transform_points(pose, outline.middle) - transform_points(aside, outline.middle)
+    return np.column_stack([at, angles])
 
 
 def _greys(image: Image, view: View, outline: ObjectOutline, points: Array) -> Array:

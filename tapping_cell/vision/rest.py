@@ -122,8 +122,11 @@ class Track:
     def _resting_window(self) -> int:
         """Length of the shortest window that proves rest, 0 if none does."""
         s = self.settings
+        if len(self._recent) < s.shortest:
+            return 0
+        track = self._stacked(len(self._recent))
         for window in range(s.shortest, len(self._recent) + 1):
-            velocity, spread = self._velocity(window)
+            velocity, spread = _slope(*(column[-window:] for column in track))
             bound = np.abs(velocity) + s.confidence * spread
             if np.hypot(bound[0], bound[1]) < s.speed and bound[2] < s.turn:
                 return window
@@ -133,15 +136,18 @@ class Track:
         """Velocity (3,) of the last frames by least squares, and its standard deviations."""
         if window < 2:
             return np.zeros(3), np.full(3, np.inf)
+        return _slope(*self._stacked(window))
+
+    def _stacked(self, window: int) -> tuple[Array, Array, Array]:
+        """Stamps (N,) of the last frames, their poses (N, 3) from the newest on, and variances
+        (N, 3)."""
         chosen = list(self._recent)[-window:]
-        t = np.array([stamp for stamp, _, _ in chosen])
-        t -= t.mean()
-        poses = np.stack([pose for _, pose, _ in chosen])
+        stamps = np.array([stamp for stamp, _, _ in chosen])
+        poses = np.array([pose for _, pose, _ in chosen])
         relative = poses - poses[-1]
         relative[:, 2] = wrap_angle(relative[:, 2])
-        weight = t / (t @ t)
-        variance = np.stack([np.diag(covariance) for _, _, covariance in chosen])
-        return weight @ relative, np.sqrt((weight**2) @ variance)
+        variance = np.array([covariance.diagonal() for _, _, covariance in chosen])
+        return stamps - stamps[-1], relative, variance
 
     def _step_velocity(self, stamp: float, pose: Array) -> Array:
         last_stamp, last_pose, _ = self._recent[-1]
@@ -156,6 +162,13 @@ class Track:
         way = float(np.hypot(step[0], step[1]))
         step *= _BEGINNING * min(1.0, _LARGEST_BEGINNING / max(way, 1e-9))
         return np.asarray(np.outer(step, step), dtype=float)
+
+
+def _slope(stamps: Array, poses: Array, variances: Array) -> tuple[Array, Array]:
+    """Slope (3,) of the line through poses (N, 3) by least squares, and its standard deviations."""
+    t = stamps - stamps.sum() / len(stamps)
+    weight = t / (t @ t)
+    return weight @ poses, np.sqrt((weight * weight) @ variances)
 
 
 def _distance(first: Array, first_cov: Array, second: Array, second_cov: Array) -> float:
