@@ -24,6 +24,7 @@ from tapping_cell.configuration.cell import Cell, load_cell, load_other_objects
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.nodes import images
+from tapping_cell.nodes.backlog import Backlog
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import (
     camera_to_message,
@@ -125,6 +126,7 @@ class CameraPose(CellNode[Parameters]):
         self._missed = 0
         self._annotated_at = 0.0
         self._camera_told_at = 0.0
+        self._backlog = Backlog()
         self._frames = 0
         self._busy_seconds = 0.0
         self._last = ObjectState()
@@ -139,7 +141,9 @@ class CameraPose(CellNode[Parameters]):
         self.create_subscription(
             CameraInfo, "camera/camera_info", self._on_camera_info, images.PICTURES
         )
-        self.create_subscription(Image, "camera/image_raw", self._on_image, images.PICTURES)
+        self._pictures = self.create_subscription(
+            Image, "camera/image_raw", self._on_image, images.PICTURES
+        )
         self.create_subscription(PlanState, "plan_state", self._on_plan_state, LATCHED)
         self.create_timer(WATCH_PERIOD_S, self._watch)
 
@@ -157,10 +161,12 @@ class CameraPose(CellNode[Parameters]):
         """Pictures seen and what is wrong with them."""
         values: dict[str, object] = {
             "pictures": self._frames,
+            "pictures passed over": self._backlog.passed_over,
             "milliseconds a picture": f"{1000 * self._busy_seconds / max(1, self._frames):.2f}",
         }
-        if self._last.error_code or self._notice:
-            return DiagnosticStatus.WARN, self._last.error_msg or self._notice, values
+        trouble = self._last.error_msg or self._notice or self._backlog.sentence
+        if self._last.error_code or trouble:
+            return DiagnosticStatus.WARN, trouble, values
         return DiagnosticStatus.OK, "ok", values
 
     def _on_plan_state(self, message: PlanState) -> None:
@@ -193,10 +199,27 @@ class CameraPose(CellNode[Parameters]):
         self._tracker = PoseTracker(camera, cell.references, seen, settings)
         self._others = OtherObjects(camera, cell.references, others, marker_ids([seen]))
 
-    def _on_image(self, message: Image) -> None:
+    def _on_image(self, message: Image, info: dict[str, int]) -> None:
         self._heard = time.monotonic()
         if not self.active:
             return
+        self._answer(self._newest(message, info))
+        self._backlog.answered(time.time())
+
+    def _newest(self, message: Image, info: dict[str, int]) -> Image:
+        """This picture, or one that waits behind it where this is stale (``Backlog``)."""
+        self._backlog.arrived(_arrival(info))
+        while self._backlog.stale(time.time()):
+            with self._pictures.handle:
+                taken = self._pictures.handle.take_message(Image, False)
+            if taken is None:
+                break
+            self._backlog.passed_over += 1
+            message, info = taken
+            self._backlog.arrived(_arrival(info))
+        return message
+
+    def _answer(self, message: Image) -> None:
         began = time.perf_counter()
         if self._tracker is None:
             self._say_no_camera(message)
@@ -328,6 +351,11 @@ class CameraPose(CellNode[Parameters]):
                 f"no picture for {silent:.1f} s (limit {self.settings.silence_limit:.1f} s); check "
                 "the camera, its cable and the topic camera/image_raw",
             )
+
+
+def _arrival(info: dict[str, int]) -> float:
+    """When a message came to this process (s, system's clock), as far as the middleware says so."""
+    return 1e-9 * info["received_timestamp"] or time.time()
 
 
 def _empty_state(picture: Image, name: str, code: int, sentence: str) -> ObjectState:
