@@ -37,26 +37,27 @@ m. Coarser steps make the covariance too small where the truth lies between two.
 _TURNS = (0.1, 0.3, 1.0)
 """Misplacement of a marker's corners by its turn, per shift: printed on one sheet, or glued one by
 one."""
-_PRIOR = (0.5, 4e-5, 1.3)
-"""What the two amplitudes usually are, and the logarithmic standard deviation of that: it decides
+_PRIOR = (0.7, 1.0), (4e-5, 1.3)
+"""What the two amplitudes usually are, and the logarithmic standard deviations of that: it decides
 where two or three references cannot."""
-_EXACT = (0.5, 0.02, 0.05)
+_EXACT = (0.3, 0.1, 0.25)
 """Probabilities beforehand that lens and print are as good as exact (then the smallest amplitude):
 both; the lens alone; the print alone."""
 _STATED = 1.0, 0.5
 """Usual amplitude of the lens errors in deviations that the calibration states, and logarithmic
 standard deviation of that; such a lens is never taken for exact."""
-_LEAST_WEIGHT = 0.02
-"""Of the likeliest pair of amplitudes, below which a pair is not carried on."""
+_LEFT_OUT = 1e-3
+"""Probability of all the unlikely pairs of amplitudes together that are not carried on. Each alone
+may be a fiftieth as likely as an exact lens and print, and together they are not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Member:
-    """One pair of amplitudes: its weight, the field's power, and products that every place
+class _Members:
+    """K pairs of amplitudes: weights (K,), the field's powers (K,), and products that every place
     needs."""
 
-    weight: float
-    power: float
+    weight: Array
+    power: Array
     inverse: Array
     dragged: Array
     steps: Array
@@ -70,7 +71,7 @@ class ErrorField:
     gain: Array
     basis: Array
     data: Array
-    members: tuple[_Member, ...]
+    members: _Members
 
     def at(self, response: Array, lens: Array) -> tuple[Array, Array]:
         """Likely error (3,) of a pose measured somewhere, and covariance (3, 3) of what remains of
@@ -80,17 +81,18 @@ class ErrorField:
         how it answers the lens (:func:`lens_shifts`). The covariance includes the noise of the
         reference markers, not that of the object's own.
         """
+        m = self.members
         own, cross = lens @ lens.T, lens @ self.lens.T
-        projected, pulled = cross @ self.basis, cross @ self.gain.T @ response.T
-        mean, second = np.zeros(3), np.zeros((3, 3))
-        for m in self.members:
-            to_data = m.power * projected - response @ m.dragged
-            prior = m.power * (own - pulled - pulled.T) + response @ m.steps @ response.T
-            answer = to_data @ m.inverse
-            error = answer @ self.data
-            mean += m.weight * error
-            second += m.weight * (prior - answer @ to_data.T + np.outer(error, error))
-        return mean, second - np.outer(mean, mean)
+        pulled = cross @ self.gain.T @ response.T
+        power = m.power[:, None, None]
+        to_data = power * (cross @ self.basis) - response @ m.dragged
+        prior = power * (own - pulled - pulled.T) + response @ m.steps @ response.T
+        answer = to_data @ m.inverse
+        error = answer @ self.data
+        left = prior - answer @ to_data.transpose(0, 2, 1)
+        mean = m.weight @ error
+        apart = error - mean
+        return mean, np.tensordot(m.weight, left, 1) + (m.weight * apart.T) @ apart
 
 
 def condition(
@@ -127,28 +129,25 @@ def condition(
     likelihood -= np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
     likelihood += np.log(_prior(s, p, stated))
     weight = np.exp(likelihood - likelihood.max())
-    weight[weight < _LEAST_WEIGHT] = 0.0
-    weight /= weight.sum()
-    members = []
-    for k in np.flatnonzero(weight):
-        moved = gain @ np.tensordot(amounts[k], parts, 1)
-        members.append(
-            _Member(
-                float(weight[k]),
-                float(s[k]),
-                np.linalg.inv(total[k]),
-                moved @ basis,
-                moved @ gain.T,
-            )
-        )
-    return ErrorField(lens, gain, basis, data, tuple(members))
+    order = np.argsort(weight)[::-1]
+    total_weight = np.cumsum(weight[order]) / weight.sum()
+    kept = order[: int(np.searchsorted(total_weight, 1.0 - _LEFT_OUT)) + 1]
+    moved = gain @ np.tensordot(amounts[kept], parts, 1)
+    members = _Members(
+        weight[kept] / weight[kept].sum(),
+        s[kept],
+        np.linalg.inv(total[kept]),
+        moved @ basis,
+        moved @ gain.T,
+    )
+    return ErrorField(lens, gain, basis, data, members)
 
 
 def _prior(field: Array, print_: Array, stated: bool) -> Array:
     """Probability beforehand of pairs of amplitudes, given their squares."""
     usually, exactly = [], []
-    of_lens = _STATED if stated else (_PRIOR[0], _PRIOR[2])
-    for power, (usual, spread) in ((field, of_lens), (print_, (_PRIOR[1], _PRIOR[2]))):
+    of_lens = _STATED if stated else _PRIOR[0]
+    for power, (usual, spread) in ((field, of_lens), (print_, _PRIOR[1])):
         density = np.exp(-0.5 * (np.log(power / usual**2) / (2.0 * spread)) ** 2)
         usually.append(density / density.sum())
         least = power == power.min()
