@@ -23,13 +23,24 @@ class Census:
     single: dict[int, Array]
     repeated: tuple[int, ...]
 
+    def and_more(self, other: Census) -> Census:
+        """This and what another search of the same image found."""
+        repeated = {*self.repeated, *other.repeated}
+        repeated |= {
+            i
+            for i in self.single.keys() & other.single.keys()
+            if _apart(self.single[i], other.single[i])
+        }
+        both = other.single | self.single
+        return Census({i: both[i] for i in both.keys() - repeated}, tuple(sorted(repeated)))
+
 
 def census(image: Image, dictionary: str, effort: Effort = Effort.QUICK) -> Census:
     """Every marker of a dictionary in the whole image; nested doubles of one square count once."""
     by_id: dict[int, list[Detection]] = {}
     for found in find_markers(image, dictionary, effort=effort):
         others = by_id.setdefault(found.id, [])
-        if all(_apart(found, other) for other in others):
+        if all(_apart(found.corners, other.corners) for other in others):
             others.append(found)
     return Census(
         {i: found[0].corners for i, found in by_id.items() if len(found) == 1},
@@ -45,9 +56,9 @@ def efforts(first: bool, slow: bool) -> tuple[Effort, ...]:
     return (Effort.THOROUGH,) if slow else (Effort.QUICK,)
 
 
-def _apart(first: Detection, second: Detection) -> bool:
-    side = float(np.linalg.norm(first.corners[1] - first.corners[0]))
-    gap = np.linalg.norm(first.corners.mean(axis=0) - second.corners.mean(axis=0))
+def _apart(first: Array, second: Array) -> bool:
+    side = float(np.linalg.norm(first[1] - first[0]))
+    gap = np.linalg.norm(first.mean(axis=0) - second.mean(axis=0))
     return float(gap) > 0.5 * side
 
 
@@ -59,7 +70,7 @@ def near(image: Image, dictionary: str, marker_id: int, quad: Array) -> Array | 
     high = np.ceil(quad.max(axis=0) + reach).astype(int)
     region = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
     found = [d for d in find_markers(image, dictionary, region) if d.id == marker_id]
-    if not found or any(_apart(found[0], other) for other in found[1:]):
+    if not found or any(_apart(found[0].corners, other.corners) for other in found[1:]):
         return None
     return found[0].corners
 

@@ -210,11 +210,15 @@ class PoseTracker:
         # first frame, which may be the only one; later once in a while, and only if it is needed.
         lost = self._object is None or stamp - self._object[0] > 0.2
         slow = lost and stamp - self._last_thorough >= self.settings.audit_period
+        table = objects = Census({}, ())
         for effort in efforts(first, slow):
             if effort:
                 self._last_thorough = stamp
-            table = census(image, self._map.dictionary, effort)
-            objects = table if same else census(image, self.marker.dictionary, effort)
+            table = table.and_more(census(image, self._map.dictionary, effort))
+            if same:
+                objects = table
+            else:
+                objects = objects.and_more(census(image, self.marker.dictionary, effort))
             enough = len(rows.keys() & table.single) >= self.settings.table.least_references
             if enough and (not marked or self.marker.id in {*objects.single, *objects.repeated}):
                 break

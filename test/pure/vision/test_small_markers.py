@@ -8,6 +8,7 @@ import pytest
 
 from tapping_cell.vision.markers import Effort, find_markers, marker_pattern
 from tapping_cell.vision.measuring import measure
+from tapping_cell.vision.search import Census
 from tapping_cell.vision.small import as_edges, fit_pattern
 from tapping_cell.vision.start import better_corners
 from tapping_cell.vision.table import side_noise
@@ -144,3 +145,14 @@ def test_sides_of_a_fitted_pattern_claim_no_more_than_the_fit():
     noise = float(side_noise(edges, 1.0)[0])
     place = fit.covariance.reshape(4, 2, 4, 2).mean(axis=(0, 2))
     assert 0.5 * noise**2 >= 0.999 * float(np.linalg.eigvalsh(place).max())
+
+
+def test_searches_of_one_image_add_up():
+    """What one search finds is not lost in the next; two places of one id are two markers."""
+    here, beside = square(20.0, 0.0), square(20.0, 0.0) + 0.4
+    elsewhere = square(20.0, 0.0, (40.0, 40.0))
+    first = Census({1: here, 2: here, 3: here}, (7,))
+    both = first.and_more(Census({1: beside, 2: elsewhere, 4: elsewhere, 7: here}, (3,)))
+    assert both.repeated == (2, 3, 7)
+    assert both.single.keys() == {1, 4}
+    assert both.single[1] is here
