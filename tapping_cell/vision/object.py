@@ -34,9 +34,9 @@ for."""
 _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
 """Pixels, and share of the side, that a marker may be longer than wide: beyond, something lies
 along one of its sides and was taken for it."""
-_MORE_OBLONG, _MOST_OBLONG = 3.0, 0.03
-"""It may be so many times more so than the reference markers beside it are (a poor lens, bent
-paper, a sharpened picture), up to that share."""
+_MORE_OBLONG, _MOST_OBLONG = 4.0, 0.03
+"""It may be so many times more so than the reference markers beside it are (root mean square; a
+poor lens, bent paper, a sharpened picture), up to that share."""
 
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
@@ -100,7 +100,7 @@ def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
     seen = view.on_plane(references)
     sides = np.linalg.norm(np.roll(seen, -1, axis=1) - seen, axis=2)
     longer = np.abs(sides @ [1.0, -1.0, 1.0, -1.0]) / (0.5 * sides.sum(axis=1))
-    return min(_MORE_OBLONG * float(np.median(longer)), _MOST_OBLONG)
+    return min(_MORE_OBLONG * float(np.sqrt((longer**2).mean())), _MOST_OBLONG)
 
 
 def _metres(view: View, pose: Array, height: float) -> Array:
