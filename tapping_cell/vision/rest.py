@@ -23,6 +23,11 @@ another moment than the middle of the exposure: at most the whole way, and none 
 longer than an eighth of the way of a whole exposure."""
 
 
+_STEADY = 0.3
+"""Share of its velocity by which that of a sliding object may change from frame to frame; struck
+or stopped, it changes by more."""
+
+
 @dataclass(frozen=True, slots=True)
 class RestSettings:
     """``speed`` (m/s) or ``turn`` (rad/s) count as moving.
@@ -65,6 +70,10 @@ class Track:
 
     def clear(self) -> None:
         """Forget everything: the next pose begins a new track."""
+        self._passed: tuple[float, Array, Array] | None = None
+        self._begin()
+
+    def _begin(self) -> None:
         self._recent: deque[tuple[float, Array, Array]] = deque(maxlen=self.settings.longest)
         self._resting: deque[tuple[Array, Array]] = deque(maxlen=self.settings.memory)
         self._rest_since: float | None = None
@@ -88,7 +97,7 @@ class Track:
             if self._strayed == 1:
                 velocity = self._step_velocity(stamp, pose)
                 return Motion(pose, covariance + self._beginning(pose), 1, velocity, None)
-            self.clear()
+            self._begin()
         self._recent.append((stamp, pose, covariance))
         window = self._resting_window()
         if window:
@@ -99,6 +108,23 @@ class Track:
             return Motion(fused, spread, window, np.zeros(3), self._rest_since)
         velocity, _ = self._velocity(min(3, len(self._recent)))
         return Motion(pose, covariance, 1, velocity, None)
+
+    def heading(self, stamp: float, pose: Array, motion: Motion) -> Array:
+        """Velocity (3,) that leads from the pose just added to where the object should be a frame
+        later: that of the last step, and, where it changes steadily, as much more as it changed.
+
+        ``motion.velocity``, the slope of several frames, is surer but lags by one of them.
+        """
+        before, self._passed = self._passed, (stamp, pose, np.zeros(3))
+        if before is None or motion.rest_since is not None:
+            return motion.velocity
+        step = pose - before[1]
+        step[2] = wrap_angle(step[2])
+        pace = step / (stamp - before[0])
+        self._passed = (stamp, pose, pace)
+        change = pace - before[2]
+        steady = np.hypot(*change[:2]) < _STEADY * np.hypot(*pace[:2])
+        return pace + change if steady else pace
 
     def _fuse(self) -> tuple[Array, Array]:
         poses, covariances = zip(*self._resting, strict=True)

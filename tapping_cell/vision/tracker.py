@@ -413,7 +413,7 @@ class PoseTracker:
                 "it may be the camera that did",
             )
         motion = self._track.add(stamp, pose, covariance)
-        self._object = (stamp, pose, motion.velocity)
+        self._object = (stamp, pose, self._track.heading(stamp, pose, motion))
         return self._good(motion, stamp)
 
     def _measured(self, image: Image, view: View, fit: PoseFit) -> tuple[Array, Array]:
