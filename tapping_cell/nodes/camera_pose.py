@@ -225,6 +225,14 @@ class CameraPose(CellNode[Parameters]):
             self._say_no_camera(message)
             return
         stamp = seconds(message.header.stamp)
+        if stamp <= 0.0:
+            self._refuse(
+                message,
+                ErrorCode.STAMP_INVALID,
+                f"the picture's stamp is {stamp:.0f}: its header holds no time; let the camera's "
+                "node set it",
+            )
+            return
         ahead = stamp - 1e-9 * self.get_clock().now().nanoseconds
         if ahead > STAMP_AHEAD_S:
             # Taken for good, it would make every true stamp after it a late one.

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import math
+import zlib
+from collections import deque
 
 import numpy as np
 
 from tapping_cell.vision.camera import CameraModel, Image
 from tapping_cell.vision.observation import Problem
+
+_REPEATED = 4
+"""Frames in which an image does not come back: as many as buffers that a camera usually has."""
+_GLOW = 12.0
+"""Grey levels over ``dark`` that noise and lamps on the camera may reach in a dark image."""
 
 
 class FrameGate:
@@ -20,7 +27,7 @@ class FrameGate:
         self._camera = camera
         self._dark, self._bright = dark, bright
         self._stamp = -math.inf
-        self._signature: Image | None = None
+        self._seen: deque[int] = deque(maxlen=_REPEATED)
 
     def refuse(self, image: Image, stamp: float) -> tuple[Problem, str] | None:
         """Why the frame taken at ``stamp`` (s) cannot be used, with a sentence; None if it can."""
@@ -31,24 +38,28 @@ class FrameGate:
             return Problem.LATE_FRAME, "the frame has no time stamp; it is left out"
         if stamp <= self._stamp:
             late = (self._stamp - stamp) * 1e3
+            when = f"is {late:.0f} ms older than" if late >= 1.0 else "has the stamp of"
             return (
                 Problem.LATE_FRAME,
-                f"the frame is {late:.0f} ms older than one already used; it is left out",
+                f"the frame {when} one already used; it is left out",
             )
         self._stamp = stamp
-        signature = image[:: max(1, self._camera.height // 64)]
-        if self._signature is not None and np.array_equal(signature, self._signature):
+        signature = zlib.crc32(image[:: max(1, self._camera.height // 64)].tobytes())
+        if signature in self._seen:
             return (
                 Problem.FROZEN_FRAME,
-                "the frame equals the one before, down to the noise: the camera repeats itself",
+                "the frame equals one just before, down to the noise: the camera repeats itself",
             )
-        self._signature = signature.copy()
+        self._seen.append(signature)
         sample = image[::16, ::16]
-        if np.count_nonzero(sample < self._dark) > 0.98 * sample.size:
+        shade = np.count_nonzero(sample < self._dark)
+        if shade > 0.5 * sample.size and (
+            np.count_nonzero(sample < self._dark + _GLOW) > 0.98 * sample.size
+        ):
             return (
                 Problem.DARK,
-                f"the image is dark (98 % of it below grey level {self._dark:.0f}); "
-                "turn on the light or lengthen the exposure",
+                f"the image is dark (half of it below grey level {self._dark:.0f}, all of it below "
+                f"{self._dark + _GLOW:.0f}); turn on the light or lengthen the exposure",
             )
         if np.count_nonzero(sample > self._bright) > 0.70 * sample.size:
             return (

@@ -1,4 +1,4 @@
-"""What is said where the table is not known well enough for a pose."""
+"""What is said of the table: where it is not known well enough for a pose, and where it is."""
 
 from __future__ import annotations
 
@@ -40,6 +40,21 @@ def table_refusal(
             f"{s.least_references} of them",
         )
     return None
+
+
+def table_notice(table: TableTracker, doubled: list[int], unmet: list[int]) -> str:
+    """What of the reference markers does not spoil the pose but should be known; empty for nothing.
+
+    ``doubled`` are ids that are seen more than once, ``unmet`` rows of the map that are not seen.
+    """
+    if table.displaced:
+        names = ", ".join(map(str, table.displaced))
+        return f"reference marker {names} is not where the table file puts it; left out"
+    if doubled:
+        names = ", ".join(map(str, doubled))
+        return f"reference marker {names} is seen more than once; cover the others"
+    names = ", ".join(map(str, sorted(int(table.ids[row]) for row in unmet)))
+    return f"reference marker {names} is not seen; uncover it" if unmet else ""
 
 
 def _contradiction(table: TableTracker) -> str:

@@ -90,7 +90,9 @@ class TableTracker:
         rays = reference_rays(self.camera, edges)
         disturbed = self._disturbed(rays, rows)
         known = (self._seen[rows] > 0) & ~self._astray[rows]
-        moving = known.any() and 2 * (disturbed & known).sum() >= known.sum()
+        apart = int((disturbed & known).sum())
+        # One alone was moved by hand, or is half covered: where there are others to tell.
+        moving = apart >= min(2, len(self.ids) - 1) and 2 * apart >= known.sum() > 0
         if self.pose is not None and (moving or self._too_many_stray(rows, disturbed)):
             self._suspects += 1
             if self._suspects < s.confirm_frames:

@@ -20,7 +20,7 @@ from tapping_cell.vision.observation import Observation, Problem
 from tapping_cell.vision.outline import ObjectOutline
 from tapping_cell.vision.outline_finder import OutlineFinder
 from tapping_cell.vision.outline_fit import OutlineFit
-from tapping_cell.vision.refusals import table_refusal
+from tapping_cell.vision.refusals import table_notice, table_refusal
 from tapping_cell.vision.rest import Motion, RestSettings, Track
 from tapping_cell.vision.resting import RestingMarker
 from tapping_cell.vision.search import Census, census, efforts, near
@@ -127,6 +127,7 @@ class PoseTracker:
         self._reference_quads: Array | None = None
         self._warning: tuple[float, str] = (-math.inf, "")
         self._unmet: dict[int, int] = {}
+        self._doubled: list[int] = []
 
     @property
     def view(self) -> View | None:
@@ -154,6 +155,8 @@ class PoseTracker:
         state = self._update_table(image, found, stamp)
         unseen = stamp - self._references_seen
         refused = table_refusal(state, self.table, unseen, self.settings.references_timeout)
+        if state is TableState.UNKNOWN and trouble and trouble[0] is Problem.MIRRORED_MARKER:
+            refused = trouble
         if refused is not None:
             if state in (TableState.SUSPECT, TableState.TOO_FAR, TableState.CONTRADICTED):
                 self._track.clear()
@@ -223,6 +226,7 @@ class PoseTracker:
             if enough and (not marked or self.marker.id in {*objects.single, *objects.repeated}):
                 break
         quads = {rows[i]: quad for i, quad in table.single.items() if i in rows}
+        self._doubled = [i for i in table.repeated if i in rows]
         if self._reference_quads is not None:
             # Whatever the table's pose was: the next frames look where the markers are now.
             for row, quad in quads.items():
@@ -232,14 +236,11 @@ class PoseTracker:
             return quads, None, None
         if self.marker.id in objects.repeated:
             self._object = None
-            return (
-                quads,
-                None,
-                (
-                    Problem.DUPLICATE_MARKER,
-                    f"marker {self.marker.id} of the object is seen more than once; cover others",
-                ),
+            self._trouble = (
+                Problem.DUPLICATE_MARKER,
+                f"marker {self.marker.id} of the object is seen more than once; cover others",
             )
+            return quads, None, self._trouble
         found = objects.single.get(self.marker.id)
         if found is not None:
             self._trouble = None
@@ -360,12 +361,13 @@ class PoseTracker:
             fit = fit_marker(view, found.edges, found.object_row, self.marker)
         if fit is None or view is None:
             self._stand_still(stamp)
-            return self._nothing(
-                stamp,
+            hidden = (
                 Problem.OBJECT_HIDDEN,
                 f"the object's marker {self.marker.id} is not seen, or not the whole of it, or "
                 "from too far aside (tilted?)",
             )
+            # What the last search found in its place holds until the next.
+            return self._nothing(stamp, *(self._trouble or hidden))
         row = found.object_row
         assert row is not None
         form = judge_form(view, found.edges, row, self.marker, fit, self.table.bloom)
@@ -377,7 +379,7 @@ class PoseTracker:
             return self._nothing(
                 stamp, Problem.MISSHAPEN_MARKER, self._suspicion.refusal(form, limit)
             )
-        self._form = form
+        self._form, self._trouble = form, None
         return self._follow(stamp, *self._measured(image, view, fit))
 
     def _observe_outline(
@@ -434,19 +436,15 @@ class PoseTracker:
         spread = motion.covariance * (1.0 + fixed * (motion.frames - 1))
         instant = _INSTANT * motion.velocity
         since, sentence = self._warning
-        suspicious = ""
+        if stamp - since > 2.0:
+            unmet = [row for row, looks in self._unmet.items() if looks >= _UNMET]
+            sentence = table_notice(self.table, self._doubled, unmet)
+        elif self.table.displaced:
+            sentence = table_notice(self.table, [], [])
         if self._form is not None:
             shared = shared + self._form.covariance
-            suspicious = self._suspicion.sentence(self._form, self.table.camera_height)
-        if suspicious:
-            sentence = suspicious
-        elif self.table.displaced:
-            names = ", ".join(map(str, self.table.displaced))
-            sentence = f"reference marker {names} is not where the table file puts it; left out"
-        elif stamp - since > 2.0:
-            hidden = [int(self.table.ids[r]) for r, n in self._unmet.items() if n >= _UNMET]
-            names = ", ".join(map(str, sorted(hidden)))
-            sentence = f"reference marker {names} is not seen; uncover it" if hidden else ""
+            height = self.table.camera_height
+            sentence = self._suspicion.sentence(self._form, height) or sentence
         return Observation(
             stamp=stamp,
             visible=True,
