@@ -15,11 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tapping_cell.vision.camera import Array, View
+from tapping_cell.vision.camera import Array, CameraModel, View
 
+_FOCAL, _ASPECT = 0.85, 0.35
 _LENS: tuple[tuple[str | int, float], ...] = (
-    ("fx", 0.5),
-    ("fy", 0.5),
     ("cx", 0.7),
     ("cy", 0.7),
     (0, 0.0015),
@@ -28,8 +27,12 @@ _LENS: tuple[tuple[str | int, float], ...] = (
     (3, 0.00012),
 )
 """Parameters of the lens (pixels, or which coefficient) and their usual standard deviations in
-relation to each other: what OpenCV's calibration reports for some twenty pictures of a board. Those
-that a calibration states (``CameraModel.deviations``) take their place."""
+relation to each other: what OpenCV's calibration reports for some twenty pictures of a board, and
+is off by. Both focal lengths (pixels) are nearly always off by the same, and much less against each
+other. Deviations that a calibration states (``CameraModel.deviations``) take their place."""
+_STATED_ASPECT = 0.25
+"""Deviation of the focal lengths against each other over that of both, where the latter is stated:
+measured 0.05 for calibrations from pictures of a board."""
 _FIELD = np.geomspace(0.002, 12.0, 12)
 _PRINT = np.geomspace(2e-7, 6e-4, 20)
 """Amplitudes that are weighed: of the lens errors, in these deviations; of a marker's misplacement,
@@ -198,16 +201,30 @@ def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]
     (..., 2, 8).
     """
     camera = view.camera
-    coefficients = camera.coefficients.tolist()
     rays = camera.rays(view.project(points, height))
-    columns = []
-    for k, (parameter, usual) in enumerate(_LENS):
-        deviation = camera.deviations[k] if camera.deviations else usual
+    shifts = [
+        camera.rays(View(true, view.pose).project(points, height)) - rays
+        for true in _other_lenses(camera)
+    ]
+    return rays, np.stack(shifts, axis=-1)
+
+
+def _other_lenses(camera: CameraModel) -> list[CameraModel]:
+    """The camera with one parameter after another off by its deviation, stated or usual."""
+    focal, aspect, rest = _FOCAL, _ASPECT, [usual for _, usual in _LENS]
+    if camera.deviations:
+        focal = float(np.sqrt(np.mean(np.square(camera.deviations[:2]))))
+        aspect, rest = _STATED_ASPECT * focal, list(camera.deviations[2:])
+    others = [
+        replace(camera, fx=camera.fx + focal, fy=camera.fy + focal),
+        replace(camera, fx=camera.fx + aspect, fy=camera.fy - aspect),
+    ]
+    for (parameter, _), deviation in zip(_LENS, rest, strict=True):
         if isinstance(parameter, str):
-            true = replace(camera, **{parameter: getattr(camera, parameter) + deviation})
+            changed = getattr(camera, parameter) + deviation
+            others.append(replace(camera, **{parameter: changed}))
         else:
-            changed = list(coefficients)
-            changed[parameter] += deviation
-            true = replace(camera, distortion=tuple(changed))
-        columns.append(camera.rays(View(true, view.pose).project(points, height)) - rays)
-    return rays, np.stack(columns, axis=-1)
+            coefficients = camera.coefficients.tolist()
+            coefficients[parameter] += deviation
+            others.append(replace(camera, distortion=tuple(coefficients)))
+    return others
