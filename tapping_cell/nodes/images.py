@@ -92,7 +92,8 @@ def to_grey(message: Image) -> NDArray[np.uint8]:
         return pixels
     if conversion is None:
         # The upper byte of 16 bits is all that 8 can hold.
-        return np.ascontiguousarray(pixels[..., 0 if message.is_bigendian else 1])
+        upper = cv2.extractChannel(pixels, 0 if message.is_bigendian else 1)
+        return np.asarray(upper, dtype=np.uint8)
     try:
         return np.asarray(cv2.cvtColor(pixels, conversion), dtype=np.uint8)
     except cv2.error as error:

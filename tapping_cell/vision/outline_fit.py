@@ -56,8 +56,9 @@ _SLOPE_SPREAD = 0.5
 """Usual change of the light across the rim, grey levels a pixel."""
 _SMEARED = 2.0
 """Pixels from frame to frame beyond which an object's rim is smeared by its motion."""
-_SAME_PLACE = 0.06
-"""Pixels from where the rim was linearised up to which it needs not be again."""
+_SAME_PLACE = 0.15
+"""Pixels from where the rim was linearised up to which it needs not be again: an edge is the same
+to both sides, so what a step misses is of third order, 0.005 pixel there."""
 _SAME_LIGHT = 0.05
 """Share by which the contrast may have changed since."""
 _ROUNDS_AGAIN, _STEADY = 4, 0.004

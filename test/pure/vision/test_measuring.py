@@ -12,7 +12,7 @@ from tapping_cell.vision import CameraModel, CameraPose, MarkerError, ObjectMark
 from tapping_cell.vision.edges import refine
 from tapping_cell.vision.markers import UNIT_CORNERS, dictionary_name, find_markers, marker_pattern
 from tapping_cell.vision.object import fit_marker, object_pose
-from tapping_cell.vision.photometric import align, make_template, window_rays
+from tapping_cell.vision.photometric import align, align_again, make_template, window_rays
 
 VIEW = View(CAMERA, POSE)
 PIXEL = 0.7 / 1150.0
@@ -57,6 +57,27 @@ def test_one_frame_by_edges_and_by_all_pixels():
     assert np.all(np.quantile(by_pixels, 0.9, axis=0) < [0.005, 0.01])
     # 24 scenes of 3 degrees of freedom: chi-square of 72, 99.8 % between 40 and 115, over 24.
     assert 40 / 24 < np.mean(normalised) < 115 / 24
+
+
+def test_a_marker_that_stays_is_aligned_in_one_step_as_by_a_whole_alignment():
+    template = make_template(MARKER, PIXEL, 0.65 * PIXEL)
+    for seed in range(6):
+        first, pose, quad = scene(seed)
+        noise = np.random.default_rng(seed).normal(0.0, 2.0, first.shape)
+        image = np.clip(np.rint(first + noise), 0, 255).astype(np.uint8)
+        start = fit_marker(VIEW, refine(image, quad[None], 8), 0, MARKER).pose
+        known = align(first, VIEW, template, MARKER, pose)
+        whole = align(image, VIEW, template, MARKER, start)
+        again = align_again(image, known.look, MARKER, start)
+        deviation = np.sqrt(np.diag(whole.covariance))
+        assert np.all(np.abs(again.pose - whole.pose) < 0.3 * deviation)
+        assert np.sqrt(np.diag(again.covariance)) == pytest.approx(deviation, rel=0.15)
+        # Elsewhere, or in other light, it must be aligned anew.
+        elsewhere = start + np.array([PIXEL, 0.0, 0.0])
+        assert align_again(image, known.look, MARKER, elsewhere) is None
+        assert align_again((image * 0.8).astype(np.uint8), known.look, MARKER, start) is None
+        beside = np.roll(image, 1, axis=1)
+        assert align_again(beside, known.look, MARKER, start) is None
 
 
 def test_alignment_refuses_what_the_pattern_does_not_explain():

@@ -23,8 +23,8 @@ from tapping_cell.vision import (
     Problem,
     View,
 )
-from tapping_cell.vision.outline_fit import fit_outline
-from tapping_cell.vision.outline_search import stands_out
+from tapping_cell.vision.outline_fit import fit_again, fit_outline
+from tapping_cell.vision.outline_search import find_outlines, stands_out
 
 DISK = ObjectOutline(0.012, False, radius=0.048, dot=Dot(0.006, (0.03, 0.0), True))
 FOUR = ObjectOutline(
@@ -149,6 +149,37 @@ def test_sharp_images_made_by_brute_force_are_measured_without_bias(outline, pos
     assert np.all(np.abs(d) < [2e-5, 2e-5, 6e-4])
     # Without noise a pixel's square shape already counts as a difference.
     assert abs(fit.size - 1.0) < 5e-4 and fit.seen > 0.7
+
+
+@pytest.mark.parametrize("outline", [DISK, FOUR, SQUARE])
+def test_an_object_that_stays_is_measured_as_by_a_whole_fit(outline):
+    shown = scene(outline, noise=3.0, light_falloff=0.4)
+    known = fit_outline(shown.render(HOME), shown.view, outline, HOME)
+    for _ in range(3):
+        image = shown.render(HOME)
+        whole = fit_outline(image, shown.view, outline, HOME)
+        again = fit_again(image, known.look, HOME)
+        deviation = np.sqrt(np.diag(whole.covariance))
+        # Pixels at the band's rim differ, and which sectors agree.
+        assert np.all(np.abs(again.pose - whole.pose) < 0.7 * deviation)
+        assert np.sqrt(np.diag(again.covariance)) == pytest.approx(deviation, rel=0.3)
+    moved = HOME + np.array([3e-4, 0.0, 0.0])
+    assert fit_again(shown.render(moved), known.look, HOME) is None
+    assert fit_again(image, known.look, moved) is None
+    assert fit_again((image * 0.8).astype(np.uint8), known.look, HOME) is None
+
+
+def test_a_tall_triangle_is_not_explained_by_a_wall_that_is_not_there():
+    """Sides of its wall as bright as its top would shift and shrink it by a pixel."""
+    random = np.random.default_rng(21)
+    corners = 0.042 * np.array([[1.0, 0.0], [-0.5, 0.8], [-0.55, -0.8]])
+    outline = ObjectOutline(0.022, True, vertices=tuple(map(tuple, corners)))
+    for seed in range(6):
+        place = random.uniform([-0.2, -0.13, -3.1], [0.2, 0.13, 3.1])
+        shown = scene(outline, seed=seed, noise=3.0, light_falloff=0.5, light_direction=seed)
+        found, _ = find_outlines(shown.render(place), shown.view, outline, REFERENCES.corners())
+        assert len(found) == 1
+        assert np.hypot(*(found[0].pose - place)[:2]) < 1e-4
 
 
 @pytest.mark.parametrize("outline", [DISK, FOUR, SQUARE])
