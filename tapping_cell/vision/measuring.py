@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.vision.camera import Array, Image
-from tapping_cell.vision.edges import MarkerEdges, join, narrowest, refine, take
+from tapping_cell.vision.edges import MarkerEdges, join, narrowest, no_edges, refine, take
 from tapping_cell.vision.search import patterns_agree
 from tapping_cell.vision.small import as_edges, fit_pattern
 from tapping_cell.vision.start import better_corners
@@ -30,36 +30,51 @@ def measure(
     for again; others from a marker's last place.
     """
     modules = np.array([pattern.shape[0] for pattern in patterns])
+    small = narrowest(quads) < _SMALL * modules
+    order, right = np.arange(len(quads)), np.zeros(len(quads), dtype=bool)
+    whole = no_edges()
+    # Those whose edges are asked, together: all large ones, and small ones whose pattern fails.
+    rest = list(np.flatnonzero(~small))
+    for row in np.flatnonzero(small):
+        fitted = _by_pattern(image, quads[row], patterns[row], searched)
+        if fitted is None:
+            rest.append(row)
+            continue
+        order[row], right[row] = len(whole.good), True
+        whole = fitted if not len(whole.good) else join(whole, fitted)
+    if not rest:
+        return take(whole, order), right
+    some = np.array(rest, dtype=np.intp)
+    edges, agree = _by_edges(image, quads[some], [patterns[row] for row in rest], searched)
+    edges = replace(edges, spread=np.where(small[some], _SMALL_EDGES, 1.0) * edges.spread)
+    order[some], right[some] = len(whole.good) + np.arange(len(some)), agree
+    whole = edges if not len(whole.good) else join(whole, edges)
+    return take(whole, order), right
+
+
+def _by_pattern(
+    image: Image, quad: Array, pattern: NDArray[np.bool_], searched: bool
+) -> MarkerEdges | None:
+    starts = (better_corners(image, quad, pattern.shape[0]), quad) if searched else (quad,)
+    for start in starts:
+        fit = fit_pattern(image, start, pattern)
+        if fit is not None:
+            return as_edges(fit)
+    return None
+
+
+def _by_edges(
+    image: Image, quads: Array, patterns: list[NDArray[np.bool_]], searched: bool
+) -> tuple[MarkerEdges, NDArray[np.bool_]]:
+    modules = np.array([pattern.shape[0] for pattern in patterns])
     edges = refine(image, quads, modules)
     right = patterns_agree(image, edges, patterns)
-    small = narrowest(quads) < _SMALL * modules
-    if right.all() and not small.any():
+    if not searched or right.all():
         return edges, right
-    order = np.arange(len(quads))
-    edges = replace(edges, spread=np.where(small, _SMALL_EDGES, 1.0) * edges.spread)
-    for row in np.flatnonzero(small | ~right):
-        again = _again(image, quads[row], patterns[row], bool(small[row]), searched)
-        if again is not None:
-            order[row] = len(edges.good)
-            edges = join(edges, again)
-            right[row] = True
-    return take(edges, order), right
-
-
-def _again(
-    image: Image, quad: Array, pattern: NDArray[np.bool_], small: bool, searched: bool
-) -> MarkerEdges | None:
-    """What a closer look at one marker says."""
-    modules = pattern.shape[0]
-    better = better_corners(image, quad, modules) if searched else quad
-    if small:
-        for start in (better, quad) if searched else (quad,):
-            fit = fit_pattern(image, start, pattern)
-            if fit is not None:
-                return as_edges(fit)
-    if not searched:
-        return None
-    edges = refine(image, better[None], modules)
-    if not patterns_agree(image, edges, [pattern])[0]:
-        return None
-    return replace(edges, spread=_SMALL_EDGES * edges.spread) if small else edges
+    order, again = np.arange(len(quads)), np.flatnonzero(~right)
+    better = np.stack([better_corners(image, quads[row], int(modules[row])) for row in again])
+    second = refine(image, better, modules[again])
+    agree = patterns_agree(image, second, [patterns[row] for row in again])
+    order[again[agree]] = len(quads) + np.flatnonzero(agree)
+    right[again] = agree
+    return take(join(edges, second), order), right

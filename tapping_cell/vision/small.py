@@ -26,7 +26,7 @@ _BLUR, _LEAST_BLUR, _MOST_BLUR = 0.7, 0.35, 2.5
 _ROUNDS = 15
 _LARGEST_STEP = 0.6
 """Pixels that a corner may move in one round."""
-_CONVERGED = 0.01
+_CONVERGED = 0.03
 _STRAYED = 0.9
 """Modules that a corner may lie from where the search saw it."""
 _LEAST_CONTRAST = 12.0
