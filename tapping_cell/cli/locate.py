@@ -54,6 +54,7 @@ from tapping_cell.vision import (
     annotate,
     marker_ids,
 )
+from tapping_cell.vision.markers import dictionary_name
 
 FRAME_PERIOD = 1.0 / 30.0
 """Seconds between the images of a --sequence, as far as speeds are concerned."""
@@ -111,6 +112,8 @@ def run(arguments: argparse.Namespace) -> int:
         table = load_reference_map(arguments.table or shared_folder() / "table.yaml")
         paths = arguments.object or [shared_folder() / "objects" / "aluminium_disk.yaml"]
         objects = [load_seen_object(path) for path in paths]
+        for path, seen in zip(paths, objects, strict=True):
+            refuse_reference(path, seen, table)
         search = Search(camera, table, [seen.seen() for seen in objects])
     except ValueError as error:
         print(error, file=sys.stderr)
@@ -211,6 +214,18 @@ def load_seen_object(path: Path) -> SeenObject:
     except ValueError as error:
         raise ConfigurationError(f"{path}: {error}") from error
     return content
+
+
+def refuse_reference(path: Path, seen: SeenObject, table: ReferenceMap) -> None:
+    """Raises ConfigurationError where the object's marker is one of the table's."""
+    marker = seen.marker
+    if marker is None or dictionary_name(marker.dictionary) != dictionary_name(table.dictionary):
+        return
+    if marker.id in {reference.id for reference in table.markers}:
+        raise ConfigurationError(
+            f"{path}: key 'marker.id' is {marker.id}, which is a reference marker of the table "
+            "too; give the object another one"
+        )
 
 
 def result(path: Path, name: str, observation: Observation, milliseconds: float) -> dict[str, Any]:

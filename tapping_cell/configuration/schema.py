@@ -88,6 +88,10 @@ class _StrictLoader(yaml.SafeLoader):
         seen: set[Any] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=deep)
+            if isinstance(key, (list, dict, set)):
+                raise yaml.constructor.ConstructorError(
+                    problem="a key must be a word or a number", problem_mark=key_node.start_mark
+                )
             if key in seen:
                 raise yaml.constructor.ConstructorError(
                     problem=f"the key '{key}' stands here twice", problem_mark=key_node.start_mark
@@ -103,6 +107,10 @@ _StrictLoader.add_implicit_resolver(
 )
 
 
+LARGEST_FILE = 1_000_000
+"""Bytes of the largest file that is read: more is no configuration, and takes minutes to parse."""
+
+
 def read_yaml(path: Path) -> Any:
     """The document of a YAML file.
 
@@ -110,7 +118,13 @@ def read_yaml(path: Path) -> Any:
         ConfigurationError: the file is missing, unreadable or not YAML; with its line and column.
     """
     try:
-        return yaml.load(path.read_text(encoding="utf-8"), _StrictLoader)
+        size = path.stat().st_size
+        if size > LARGEST_FILE:
+            raise ConfigurationError(
+                f"{path}: has {size / 1e6:.1f} MB; a file of this kind has "
+                f"{LARGEST_FILE / 1e6:.0f} MB at most: give the right one"
+            )
+        return yaml.load(path.read_text(encoding="utf-8-sig"), _StrictLoader)
     except OSError as error:
         raise ConfigurationError(
             f"{path}: cannot be read ({error.strerror}); give the path of an existing YAML file"
@@ -122,6 +136,13 @@ def read_yaml(path: Path) -> Any:
         where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "it cannot be parsed"
         raise ConfigurationError(f"{path}: malformed YAML{where}: {problem}") from error
+    except RecursionError as error:
+        raise ConfigurationError(f"{path}: malformed YAML: nested too deeply") from error
+    except (ValueError, OverflowError) as error:
+        # A date that is none, a number of thousands of digits.
+        if isinstance(error, ConfigurationError):
+            raise
+        raise ConfigurationError(f"{path}: malformed YAML: {error}") from error
 
 
 def load(kind: type[Section], path: Path | str) -> Section:
@@ -250,7 +271,10 @@ def _mapping(kind: Any, value: Any, limits: Limits, source: str, key: str) -> di
 def _number(value: Any, limits: Limits, source: str, key: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise _wrong(source, key, value, "a number", limits)
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
     if not math.isfinite(number) or not limits.minimum <= number <= limits.maximum:
         raise _wrong(source, key, value, limits.range_text(), limits)
     return number

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -50,9 +51,30 @@ def load_reference_map(path: Path | str) -> ReferenceMap:
         for entry in content.markers
     )
     try:
-        return ReferenceMap(content.dictionary, markers)
+        references = ReferenceMap(content.dictionary, markers)
     except ValueError as error:
         raise ConfigurationError(f"{path}: key 'markers': {error}") from error
+    _refuse_unplaced(content, path)
+    return references
+
+
+def _refuse_unplaced(content: TableFile, path: Path | str) -> None:
+    """Refuse markers that cannot define a table: fewer than two, or one over another."""
+    if len(content.markers) < 2:
+        raise ConfigurationError(
+            f"{path}: key 'markers' lists {len(content.markers)}; list two at least, better six or "
+            "more around the working area"
+        )
+    for number, first in enumerate(content.markers):
+        for second in content.markers[number + 1 :]:
+            apart = math.hypot(first.x - second.x, first.y - second.y)
+            least = 0.5 * (first.size + second.size)
+            if apart < least:
+                raise ConfigurationError(
+                    f"{path}: key 'markers': {first.id} and {second.id} lie {apart * 1e3:.1f} mm "
+                    f"apart, but their squares need {least * 1e3:.1f} mm: one would cover the "
+                    "other; correct x and y"
+                )
 
 
 def load_camera_model(path: Path | str) -> CameraModel:
@@ -65,19 +87,48 @@ def load_camera_model(path: Path | str) -> CameraModel:
         ConfigurationError: names file, key and what is wrong with it.
     """
     document = read_yaml(Path(path))
+    if not isinstance(document, dict):
+        raise ConfigurationError(
+            f"{path}: must be a mapping of keys to values, as ROS's camera_calibration writes it"
+        )
     try:
         camera = CameraModel.from_camera_info(
-            width=int(document["image_width"]),
-            height=int(document["image_height"]),
-            distortion_model=str(document["distortion_model"]),
-            d=_numbers(document["distortion_coefficients"]),
-            k=_numbers(document["camera_matrix"]),
+            width=_pixels(document, "image_width"),
+            height=_pixels(document, "image_height"),
+            distortion_model=str(_entry(document, "distortion_model")),
+            d=_numbers(document, "distortion_coefficients"),
+            k=_numbers(document, "camera_matrix"),
         )
         return replace(camera, deviations=_deviations(document))
-    except KeyError as error:
-        raise ConfigurationError(f"{path}: key {error} of a camera_info file is missing") from error
     except (TypeError, ValueError) as error:
-        raise ConfigurationError(f"{path}: is not a camera_info file: {error}") from error
+        raise ConfigurationError(f"{path}: {error}") from error
+
+
+def _entry(mapping: dict[str, Any], key: str, within: str = "") -> Any:
+    if key not in mapping:
+        raise ValueError(f"key '{within}{key}' of a camera_info file is missing")
+    return mapping[key]
+
+
+def _pixels(document: dict[str, Any], key: str) -> int:
+    value = _entry(document, key)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value):
+        raise ValueError(f"key '{key}' is {value!r}, but must be a whole number of pixels")
+    return int(value)
+
+
+def _numbers(document: dict[str, Any], key: str) -> list[float]:
+    """The list ``data`` of a matrix."""
+    matrix = _entry(document, key)
+    if not isinstance(matrix, dict):
+        raise ValueError(f"key '{key}' must be a mapping with rows, cols and data")
+    data = _entry(matrix, "data", f"{key}.")
+    if not isinstance(data, list):
+        raise ValueError(f"key '{key}.data' is {data!r}, but must be a list of numbers")
+    for index, value in enumerate(data):
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise ValueError(f"key '{key}.data[{index}]' is {value!r}, but must be a number")
+    return [float(value) for value in data]
 
 
 def _deviations(document: dict[str, Any]) -> tuple[float, ...]:
@@ -89,7 +140,3 @@ def _deviations(document: dict[str, Any]) -> tuple[float, ...]:
         return ()
     names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
     return tuple(float(stated.get(name, 0.0)) for name in names) if "fx" in stated else ()
-
-
-def _numbers(matrix: dict[str, Any]) -> list[float]:
-    return [float(value) for value in matrix["data"]]

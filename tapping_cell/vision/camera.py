@@ -26,6 +26,8 @@ _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-1
 _FOUND = 1e-6
 """Pixels by which a ray may miss the pixel that it was found for."""
 _NEWTON_STEPS = 40
+_LARGEST = 30_000
+"""Pixels along an image, more than any camera has."""
 
 
 class CameraError(ValueError):
@@ -81,6 +83,20 @@ class CameraModel:
                 f"focal lengths are {self.fx} and {self.fy} pixels; they must be above 0 "
                 "(a camera_info full of zeros means an uncalibrated camera)"
             )
+        if max(self.width, self.height) > _LARGEST:
+            raise CameraError(
+                f"an image of {self.width} x {self.height} pixels is too large (limit {_LARGEST})"
+            )
+        if max(self.fx, self.fy) > 100.0 * _LARGEST:
+            raise CameraError(
+                f"focal lengths are {self.fx:g} and {self.fy:g} pixels (limit {100 * _LARGEST})"
+            )
+        for name, place, size in (("cx", self.cx, self.width), ("cy", self.cy, self.height)):
+            if not -size <= place <= 2 * size:
+                raise CameraError(
+                    f"the principal point's {name} is {place:g} pixels, but must lie in or near "
+                    f"the image ({-size} to {2 * size})"
+                )
         if any(self.distortion):
             self._check_fold()
 
@@ -99,6 +115,12 @@ class CameraModel:
         """
         if len(k) != 9:
             raise CameraError(f"the camera matrix has {len(k)} numbers instead of 9")
+        for index, value in zip((1, 3, 6, 7, 8), (0.0, 0.0, 0.0, 0.0, 1.0), strict=True):
+            if k[index] != value and any(k):
+                raise CameraError(
+                    f"number {index} (from 0) of the camera matrix is {k[index]:g}, but must be "
+                    f"{value:g}: a matrix with skew or another scale is not known"
+                )
         return cls(
             int(width),
             int(height),
