@@ -30,6 +30,8 @@ _LARGEST_STEP = 0.5
 """Pixels that the answer may lie from the start; the edges are never so wrong."""
 _SMALLEST_STEP = 0.002
 """Pixels; Gauss-Newton has converged (a tenth of what the noise of one frame allows)."""
+_POSE = slice(11, 14)
+"""Columns of the design matrix that move the marker."""
 _LAGS = 4
 """Pixels apart up to which noise is asked whether it goes together."""
 _LEAST_POWER = 0.1
@@ -70,7 +72,7 @@ class Alignment:
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
     """An alignment linearised at ``pose`` (3,), for frames in which the marker is there again:
-    which pixels see it (flat indices), the design matrix (N, 13), and its normal matrix (13, 13);
+    which pixels see it (flat indices), the design matrix (N, 14), and its normal matrix (14, 14);
     ``light`` (3,) the contrast, and its gradients. ``together`` (3, 3): how much larger the
     covariance is than that of independent pixels, :func:`_together`.
     """
@@ -124,7 +126,7 @@ def align(
             answer = np.linalg.solve(information, weighted.T @ grey)
         except np.linalg.LinAlgError:
             return None
-        step = answer[10:]
+        step = answer[_POSE]
         pose = pose + step
         gain = fixed @ answer[:3]
         size = max(math.hypot(step[0], step[1]), abs(step[2]) * 0.5 * marker.size) / pixel
@@ -142,8 +144,8 @@ def align(
     if math.hypot(moved[0], moved[1]) > _LARGEST_STEP * pixel:
         return None
     normal = columns.T @ columns
-    answers = np.linalg.inv(information)[10:]
-    influence = weighted @ np.linalg.solve(np.linalg.cholesky(answers[:, 10:]), answers).T
+    answers = np.linalg.inv(information)[_POSE]
+    influence = weighted @ np.linalg.solve(np.linalg.cholesky(answers[:, _POSE]), answers).T
     together = _together(chosen, image.shape[1], influence, weight * residual)
     look = Look(chosen, columns, normal, pose - step, answer[:3], template, pixel, together)
     return _judged(look, answer, residual, weight, information, spread)
@@ -173,7 +175,7 @@ def align_again(image: Image, look: Look, marker: ObjectMarker, start: Array) ->
         answer = np.linalg.solve(information, product - lost @ grey[less])
     except np.linalg.LinAlgError:
         return None
-    step = answer[10:]
+    step = answer[_POSE]
     size = max(math.hypot(step[0], step[1]), abs(step[2]) * 0.5 * marker.size) / look.pixel
     change = float(np.abs(answer[:3] - look.light).max()) / abs(float(look.light[0]))
     if not size < _SAME_PLACE or not change < _SAME_LIGHT:
@@ -190,16 +192,16 @@ def _judged(
     contrast = float(answer[0])
     noise = max(math.sqrt(float((weight * residual**2).sum() / weight.sum())), spread, 0.3)
     # What the edges leave is what moves the answer: a pattern not quite as modelled shows there.
-    slope = weight * (columns[:, 10] ** 2 + columns[:, 11] ** 2)
+    slope = weight * (columns[:, _POSE][:, :2] ** 2).sum(axis=1)
     unexplained = math.sqrt(float((slope * residual**2).sum() / slope.sum()))
     noise = max(noise, unexplained)
     if contrast < 12.0 or noise > 0.12 * contrast:
         return None
-    root = np.linalg.cholesky(np.linalg.inv(information)[10:, 10:]) * noise
+    root = np.linalg.cholesky(np.linalg.inv(information)[_POSE, _POSE]) * noise
     covariance = np.asarray(root @ look.together @ root.T, dtype=float)
     softening = template.blur**2 + 2.0 * float(answer[6])
     blur = math.sqrt(max(softening, (0.3 * pixel) ** 2))
-    return Alignment(look.pose + answer[10:], covariance, unexplained, blur, look)
+    return Alignment(look.pose + answer[_POSE], covariance, unexplained, blur, look)
 
 
 def _together(
@@ -261,7 +263,8 @@ def _pixels(
 def _columns(
     template: Template, marker: ObjectMarker, x: Array, y: Array, pose: Array, gain: Array
 ) -> tuple[Array, Array]:
-    """Design matrix (N, 13): gain and gradients, offset and gradients, blur, two stretches and a
+    """Design matrix (N, 14): gain and gradients, offset and gradients, blur, grey levels of the
+    blurred edges that are no measure of the light (gamma, ink that runs), two stretches and a
     shear, x, y, theta; and the columns (N, 3) that a gain's values multiply.
     """
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
@@ -278,16 +281,17 @@ def _columns(
     by_u, by_v = gain * found[:, 1], gain * found[:, 2]
     across, up = u / marker.size, v / marker.size
     fixed = np.stack([np.ones_like(u), across, up], axis=-1)
-    columns = np.empty((len(u), 13))
+    columns = np.empty((len(u), 14))
     columns[:, :3] = fixed * value[:, None]
     columns[:, 3:6] = fixed
     columns[:, 6] = gain * found[:, 3]
-    columns[:, 7] = u * by_u
-    columns[:, 8] = v * by_v
-    columns[:, 9] = v * by_u + u * by_v
-    columns[:, 10] = -cos * by_u + sin * by_v
-    columns[:, 11] = -sin * by_u - cos * by_v
-    columns[:, 12] = v * by_u - u * by_v
+    columns[:, 7] = gain * value * (1.0 - value)
+    columns[:, 8] = u * by_u
+    columns[:, 9] = v * by_v
+    columns[:, 10] = v * by_u + u * by_v
+    columns[:, 11] = -cos * by_u + sin * by_v
+    columns[:, 12] = -sin * by_u - cos * by_v
+    columns[:, 13] = v * by_u - u * by_v
     return columns, fixed
 
 
