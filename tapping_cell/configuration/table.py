@@ -51,11 +51,18 @@ def load_reference_map(path: Path | str) -> ReferenceMap:
         for entry in content.markers
     )
     try:
-        references = ReferenceMap(content.dictionary, markers)
+        references = ReferenceMap(content.dictionary, markers, _measured(content))
     except ValueError as error:
         raise ConfigurationError(f"{path}: key 'markers': {error}") from error
     _refuse_unplaced(content, path)
     return references
+
+
+def _measured(content: TableFile) -> float:
+    """Root mean square of the stated deviations (m) of the markers' places, 0 if none is stated."""
+    stated = content.calibration.deviations if content.calibration else {}
+    places = [value for name, value in stated.items() if name[:1] in ("x", "y")]
+    return math.sqrt(math.fsum(v * v for v in places) / len(places)) if places else 0.0
 
 
 def _refuse_unplaced(content: TableFile, path: Path | str) -> None:

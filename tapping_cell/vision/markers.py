@@ -8,7 +8,7 @@ the side of its black square. Corners come clockwise in the image from the top l
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import cv2
@@ -173,10 +173,15 @@ class ReferenceMarker:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceMap:
-    """The reference markers of a table, all of one dictionary."""
+    """The reference markers of a table, all of one dictionary.
+
+    ``deviation`` (m) is how well their places against each other were measured, root mean square;
+    0 where the map itself is what counts.
+    """
 
     dictionary: str
     markers: tuple[ReferenceMarker, ...]
+    deviation: float = field(default=0.0, compare=False)
 
     def __post_init__(self) -> None:
         """Refuse a map that says no place or says it twice."""

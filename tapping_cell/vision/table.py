@@ -57,6 +57,7 @@ class TableTracker:
         self.camera = camera
         self.settings = settings or TableSettings()
         self.points = references.corners()
+        self._deviation = references.deviation
         self.ids = np.array([marker.id for marker in references.markers])
         self.pose: CameraPose | None = None
         self.covariance: Array = np.zeros((6, 6))
@@ -244,7 +245,24 @@ class TableTracker:
         error, covariance = self._field.at(response, lens)
         pixel = float(self.pose.translation[2]) / self.camera.fx
         floor = (_EDGE_BIAS * pixel) ** 2
-        return error, covariance + np.diag([floor, floor, 0.0])
+        covariance = covariance + np.diag([floor, floor, 0.0])
+        return error, covariance + self._stretched(place)
+
+    def _stretched(self, place: Array) -> Array:
+        """Covariance (3, 3) of a pose because the map was measured.
+
+        What the lens, or the markers' printed size, did to a measured map the same camera sees
+        again: its markers agree. Taken is a common stretch, shear and turn about their middle.
+        """
+        middles = self.points.mean(axis=1)
+        arm = place[:2] - middles.mean(axis=0)
+        square = float(((middles - middles.mean(axis=0)) ** 2).sum(axis=1).mean())
+        reach = float(arm @ arm)
+        turned = 0.5 * np.array([-arm[1], arm[0]])
+        spread = np.array(
+            [[reach, 0.0, turned[0]], [0.0, reach, turned[1]], [turned[0], turned[1], 0.5]]
+        )
+        return np.asarray(spread * self._deviation**2 / square)
 
 
 CROSS = 0.02 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])

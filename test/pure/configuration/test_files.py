@@ -14,7 +14,9 @@ from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import load_object
+from tapping_cell.configuration.provenance import Provenance, provenance_yaml
 from tapping_cell.configuration.schema import ConfigurationError, load
+from tapping_cell.configuration.table import load_reference_map
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 
@@ -121,3 +123,24 @@ def test_the_workspace_carries_the_keep_outs() -> None:
     workspace = assembly.make_workspace(cell)
     assert workspace.keep_out_distance([0.1, 0.0]) == pytest.approx(-0.02)
     assert workspace.keep_out_distance([-0.11, 0.02]) < 0
+
+
+def test_how_well_a_map_was_measured_comes_from_its_record(tmp_path: Path) -> None:
+    """Of a printed sheet nothing is stated: the sheet is what counts."""
+    record = Provenance(
+        by="calibrate table",
+        made="2026-01-01T00:00:00+00:00",
+        inputs=(),
+        observations=9,
+        left_out=0,
+        residual=0.03,
+        residual_of="corners, pixels",
+        uncertainty=4e-5,
+        uncertainty_of="least known marker, m",
+        deviations={"x101": 3e-5, "y101": 4e-5, "theta101": 0.1},
+    )
+    text = (shared_folder() / "table.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "table.yaml"
+    path.write_text(text + provenance_yaml(record), encoding="utf-8")
+    assert load_reference_map(path).deviation == pytest.approx(np.sqrt(12.5e-10))
+    assert load_reference_map(shared_folder() / "table.yaml").deviation == 0.0

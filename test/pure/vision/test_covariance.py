@@ -93,3 +93,28 @@ def test_the_normalised_error_follows_chi_square(lens, misprint):
     # Mean of 150 chi-squares of 3 degrees of freedom: standard deviation 0.2.
     assert 2.4 < np.mean(normalised) < 3.7
     assert np.mean(np.array(normalised) < 7.815) > 0.90
+
+
+def test_a_measured_map_may_be_stretched_and_turned_as_a_whole():
+    """What its markers agree about is in the covariance, as it is over many maps so deformed."""
+    deviation, place = 3e-5, np.array([0.2, -0.1, 0.7])
+    judged = []
+    for references in (REFERENCES, dataclasses.replace(REFERENCES, deviation=deviation)):
+        random = np.random.default_rng(4)
+        view = View(CAMERA, CameraPose.above((0.01, 0.02, 0.7)))
+        tracker = TableTracker(CAMERA, references)
+        tracker.update(noisy_edges(view, random), np.arange(len(REFERENCES.markers)))
+        judged.append(tracker.judge(place, HEIGHT)[1])
+    middles = REFERENCES.corners().mean(axis=1)
+    middle = middles.mean(axis=0)
+    random = np.random.default_rng(5)
+    deformed = random.standard_normal((20000, 2, 2))
+    # So that the markers move by the deviation in x and in y, root mean square.
+    moved = np.einsum("kij,mj->kmi", deformed, middles - middle)
+    deformed *= deviation / np.sqrt((moved**2).mean())
+    turn = 0.5 * (deformed[:, 1, 0] - deformed[:, 0, 1])
+    errors = np.column_stack([deformed @ (place[:2] - middle), turn])
+    expected = errors.T @ errors / len(errors)
+    scale = np.sqrt(np.diag(expected))
+    gap = (judged[1] - judged[0] - expected) / np.outer(scale, scale)
+    assert np.abs(gap).max() < 0.05
