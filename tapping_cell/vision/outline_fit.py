@@ -61,6 +61,8 @@ _SAME_PLACE = 0.15
 to both sides, so what a step misses is of third order, 0.005 pixel there."""
 _SAME_LIGHT = 0.05
 """Share by which the contrast may have changed since."""
+_BRIGHTEST = 2.5
+"""How much brighter than its darkest parts a rim may be for the noise to be brighter, too."""
 _ROUNDS_AGAIN, _STEADY = 4, 0.004
 """Rounds at most, and the change (pixels) from which on another one is not worth its time."""
 
@@ -382,7 +384,12 @@ class _State:
         share, factor, margin = (0.3, 1.3, 0.3) if scene.measures else (0.5, 2.5, 1.0)
         ordered = np.sort(spread[counts > 0])
         usual = float(ordered[round(share * (len(ordered) - 1))])
-        self.good = (spread < factor * usual + margin) & (counts >= 12)
+        assert self.levels is not None
+        # More light has more noise: half of the rim may lie in a shadow.
+        light = np.maximum(self.levels[:, 0], self.levels[:, 2])
+        level = float(np.median(light[spread <= usual])) if (spread <= usual).any() else 1.0
+        brighter = np.sqrt(np.clip(light / max(level, 1.0), 1.0, _BRIGHTEST))
+        self.good = (spread < factor * usual * brighter + margin) & (counts >= 12)
         kept = band.real & self.good[:, None]
         inner = 1.4826 * float(np.median(off[kept])) if kept.any() else usual
         scale = max(inner, 0.3)

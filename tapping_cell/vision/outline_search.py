@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.vision.camera import Array, Image, View
@@ -26,6 +27,7 @@ from tapping_cell.vision.outline_fit import (
     OutlineFit,
     fit_outline,
 )
+from tapping_cell.vision.outline_patches import patches
 
 _LEAST_SEEN = {"disk": 0.55, "polygon": 0.7}
 """Share of the rim that must be seen. An arc of a circle has one place only; a polygon that is one
@@ -262,9 +264,13 @@ def rough_places(
             hull = cv2.convexHull(contour)
             if cv2.contourArea(hull) > _BULGE * max(cv2.contourArea(contour), 1.0):
                 continue
-            seen = (hull.reshape(-1, 2) + 0.5) * scale - 0.5
-            rim = view.on_plane(_walked(seen), outline.height)
-            places.extend(p for p in _matched(view, outline, rim) if p.difference < _FORM)
+            places.extend(_places(view, outline, np.asarray(hull, dtype=np.int32), scale))
+    if not places:
+        reach = outline.reach / pixel / shrink
+        for hull in patches(small, area, reach):
+            share = (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True)) / area
+            if _AREAS[0] < share < _AREAS[1]:
+                places.extend(_places(view, outline, hull, scale))
     places.sort(key=lambda place: place.difference)
     taken: list[Array] = []
     for place in places:
@@ -273,6 +279,15 @@ def rough_places(
         if all(np.hypot(*(place.middle - other)) > 0.4 * outline.reach for other in taken):
             taken.append(place.middle)
             yield place.pose, place.size
+
+
+def _places(
+    view: View, outline: ObjectOutline, hull: NDArray[np.int32], scale: Array
+) -> Iterator[_Place]:
+    """Where the outline may be, if a convex hull (N, 1, 2) in the small image is it."""
+    seen = (hull.reshape(-1, 2) + 0.5) * scale - 0.5
+    rim = view.on_plane(_walked(seen), outline.height)
+    return (place for place in _matched(view, outline, rim) if place.difference < _FORM)
 
 
 def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:

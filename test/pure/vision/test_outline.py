@@ -174,7 +174,7 @@ def test_a_tall_triangle_is_not_explained_by_a_wall_that_is_not_there():
     random = np.random.default_rng(21)
     corners = 0.042 * np.array([[1.0, 0.0], [-0.5, 0.8], [-0.55, -0.8]])
     outline = ObjectOutline(0.022, True, vertices=tuple(map(tuple, corners)))
-    for seed in range(6):
+    for seed in range(4):
         place = random.uniform([-0.2, -0.13, -3.1], [0.2, 0.13, 3.1])
         shown = scene(outline, seed=seed, noise=3.0, light_falloff=0.5, light_direction=seed)
         found, _ = find_outlines(shown.render(place), shown.view, outline, REFERENCES.corners())
@@ -294,3 +294,19 @@ def test_two_of_a_kind_are_not_chosen_from():
     seen = Film(DISK).show(image)
     assert seen.problem is Problem.DUPLICATE_OBJECT and not seen.visible
     assert "-150" in seen.sentence and "100" in seen.sentence
+
+
+@pytest.mark.parametrize("outline", [DISK, FOUR, SQUARE])
+def test_an_object_under_the_edge_of_a_hard_shadow_is_found(outline):
+    """A shadow takes half of the light, and in proportion of the noise, from a part of it."""
+    y, x = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
+    for number in range(2):
+        place = HOME * [1, 1, 0] + [0.0, 0.0, 1.5 * number]
+        shown = scene(outline, seed=number, noise=2.5, light_falloff=0.3)
+        at = shown.view.project(place[:2], outline.height) + np.array([8.0 * number - 4.0, 0.0])
+        across = (x - at[0]) * np.cos(number) + (y - at[1]) * np.sin(number)
+        light = 1.0 - 0.5 / (1.0 + np.exp(np.clip(across, -30.0, 30.0)))
+        image = np.rint(shown.render(place) * light).astype(np.uint8)
+        found, _ = find_outlines(image, shown.view, outline, REFERENCES.corners())
+        assert len(found) == 1
+        assert np.hypot(*(found[0].pose - place)[:2]) < 2e-4

@@ -1,0 +1,59 @@
+"""Things that a shadow's edge cuts in two: evenly lit patches, alone and two by two.
+
+Where a hard shadow falls across an object, no level tells it from the table. Its parts are still
+patches without edges inside, and two of them make up its form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.vision.camera import Image
+
+Points = NDArray[np.int32]
+
+_EDGE = 0.05
+"""Change of the grey level from pixel to pixel, as a share of it, at which a patch ends."""
+_LEAST, _MOST = 0.08, 1.3
+"""Areas of patches, relative to the object's."""
+_MOST_PATCHES = 60
+
+
+def patches(small: Image, area: float, reach: float) -> Iterator[Points]:
+    """Convex hulls (N, 1, 2) of patches and of neighbouring pairs of them, in pixels of the image;
+    ``area`` (pixels) and ``reach`` (from the middle, pixels) are the object's."""
+    soft = cv2.GaussianBlur(small, (3, 3), 0).astype(np.float32)
+    slope = np.hypot(
+        cv2.Sobel(soft, cv2.CV_32F, 1, 0, scale=0.125),
+        cv2.Sobel(soft, cv2.CV_32F, 0, 1, scale=0.125),
+    )
+    even = (slope < _EDGE * np.maximum(soft, 8.0)).astype(np.uint8)
+    count, found, boxes, middles = cv2.connectedComponentsWithStats(even, connectivity=4)
+    labels, stats = np.asarray(found, dtype=np.int32), np.asarray(boxes, dtype=np.int32)
+    sizes = stats[:, cv2.CC_STAT_AREA]
+    kept = [k for k in range(1, count) if _LEAST * area < sizes[k] < _MOST * area][:_MOST_PATCHES]
+    rims = {k: _rim(labels, stats[k], k) for k in kept}
+    for number, first in enumerate(kept):
+        yield _hull(rims[first])
+        for second in kept[:number]:
+            if np.hypot(*(middles[first] - middles[second])) < 1.5 * reach:
+                yield _hull(np.concatenate([rims[first], rims[second]]))
+
+
+def _hull(points: Points) -> Points:
+    return np.asarray(cv2.convexHull(points), dtype=np.int32)
+
+
+def _rim(labels: Points, box: Points, label: int) -> Points:
+    """Points (N, 1, 2) of a patch's rim, with the pixel that its edge takes away on all sides."""
+    x, y = int(box[cv2.CC_STAT_LEFT]), int(box[cv2.CC_STAT_TOP])
+    width, height = int(box[cv2.CC_STAT_WIDTH]), int(box[cv2.CC_STAT_HEIGHT])
+    mask = np.pad((labels[y : y + height, x : x + width] == label).astype(np.uint8), 2)
+    mask = np.asarray(cv2.dilate(mask, np.ones((3, 3), dtype=np.uint8)), dtype=np.uint8)
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    points = np.concatenate([np.asarray(contour, dtype=np.int32) for contour in contours])
+    return points + np.array([x - 2, y - 2], dtype=np.int32)
