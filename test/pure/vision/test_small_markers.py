@@ -108,6 +108,16 @@ def test_another_pattern_or_half_of_it_is_not_believed():
     assert fit_pattern(np.full_like(image, 128), corners, pattern) is None
 
 
+def test_no_pattern_is_blurred_until_it_fits_another():
+    """A wide blur and a doubtful place explain much: such a fit is no measurement."""
+    corners = square(24.0, 0.2)
+    image = picture(marker_pattern("ARUCO_ORIGINAL", 6), corners, blur=0.9)
+    assert fit_pattern(image, corners, marker_pattern("ARUCO_ORIGINAL", 6)) is not None
+    for name, number in (("ARUCO_MIP_36h12", 25), ("4X4_50", 25)):
+        for marker in range(number):
+            assert fit_pattern(image, corners, marker_pattern(name, marker)) is None
+
+
 def test_a_corner_that_the_search_saw_elsewhere():
     """One corner off by four pixels, as where glare breaks the outline: found from a search, not
     from a last place."""
