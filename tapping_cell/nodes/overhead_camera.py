@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.duration import Duration
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -29,6 +30,8 @@ from tapping_cell.nodes import images
 from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.worker import Worker
 
+LISTENER_WAIT_S = 5.0
+"""How long a file or folder waits for somebody to listen before its first picture."""
 REOPEN_PERIOD_S = 1.0
 """Between two tries to open a source that went away."""
 
@@ -65,6 +68,7 @@ class OverheadCamera(CellNode[Parameters]):
         self._problem = ""
         self._warning = ""
         self._ended = False
+        self._away = False
         self._image_publisher = self.create_publisher(Image, "camera/image_raw", images.PICTURES)
         self._info_publisher = self.create_publisher(
             CameraInfo, "camera/camera_info", images.PICTURES
@@ -99,9 +103,9 @@ class OverheadCamera(CellNode[Parameters]):
 
     def deactivate(self) -> None:
         """Cease to send pictures."""
-        if self._worker is not None:
-            self._worker.close()
-        self._worker = None
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.close()
 
     def cleanup(self) -> None:
         """Give the source back."""
@@ -124,6 +128,11 @@ class OverheadCamera(CellNode[Parameters]):
 
     def _open(self) -> Device | Playback:
         assert self._settings is not None
+        if not self.settings.source.strip():
+            raise CameraSourceError(
+                "the parameter source is empty; give a device such as /dev/video0, a file or a "
+                "folder"
+            )
         return open_source(str(Path(self.settings.source).expanduser()), self._settings)
 
     def _take(self) -> None:
@@ -134,7 +143,8 @@ class OverheadCamera(CellNode[Parameters]):
         try:
             if self._source is None:
                 self._source = self._open()
-                self.get_logger().info(f"{self.settings.source} is opened again")
+            if self._frames == 0 and isinstance(self._source, Playback):
+                self._pause(LISTENER_WAIT_S, self._image_publisher.get_subscription_count)
             frame = self._source.read()
         except SourceEnded as error:
             self._ended = True
@@ -144,9 +154,12 @@ class OverheadCamera(CellNode[Parameters]):
             self._say(str(error))
             if self._source is not None:
                 self._source.close()
-            self._source = None
-            self._pause()
+            self._source, self._away = None, True
+            self._pause(REOPEN_PERIOD_S)
             return
+        if self._away:
+            self.get_logger().info(f"{self.settings.source} delivers pictures again")
+            self._away = False
         self._send(frame)
 
     def _send(self, frame: Frame) -> None:
@@ -168,8 +181,13 @@ class OverheadCamera(CellNode[Parameters]):
         message = images.to_message(picture, "mono8")
         message.header.frame_id = "camera_optical"
         message.header.stamp = self._info.header.stamp = stamp.to_msg()
-        self._info_publisher.publish(self._info)
-        self._image_publisher.publish(message)
+        try:
+            self._info_publisher.publish(self._info)
+            self._image_publisher.publish(message)
+        except RCLError:
+            if self.context.ok():
+                raise
+            return  # the process is being ended
         self._frames += 1
 
     def _say(self, sentence: str) -> None:
@@ -178,10 +196,10 @@ class OverheadCamera(CellNode[Parameters]):
             self.get_logger().error(sentence)
         self._problem = sentence
 
-    def _pause(self) -> None:
-        """Wait before the next try, but not longer than the node lives."""
-        end = time.monotonic() + REOPEN_PERIOD_S
-        while time.monotonic() < end and self._worker is not None:
+    def _pause(self, period: float, done: Callable[[], int] = lambda: 0) -> None:
+        """Wait for a period (s), but not longer than the node lives or than until ``done``."""
+        end = time.monotonic() + period
+        while time.monotonic() < end and self._worker is not None and not done():
             time.sleep(0.05)
 
 

@@ -87,6 +87,13 @@ def test_a_source_that_goes_away_comes_back(tmp_path):
         b.wait(lambda: len(pictures) > count + 3, "pictures again")
 
 
+def test_no_source_is_said():
+    given: dict[str, dict[str, object]] = {"overhead_camera": {"source": '""', "frame_rate": 30.0}}
+    with bench(lambda: [OverheadCamera()], given) as b:
+        _, _, diagnostics = listen(b)
+        b.wait(lambda: says(diagnostics, "the parameter source is empty"), "it is said")
+
+
 def test_a_node_waits_for_a_source_that_is_not_there_yet(tmp_path):
     with bench(lambda: [OverheadCamera()], parameters(tmp_path / "shots", loop=True)) as b:
         pictures, _, diagnostics = listen(b)
