@@ -37,6 +37,7 @@ from tapping_cell.vision.outline_pixels import (
     Pixels,
     dot_pixels,
     rim_pixels,
+    sectors_a_side,
     sectors_of,
     softened,
 )
@@ -61,6 +62,8 @@ _SAME_PLACE = 0.15
 to both sides, so what a step misses is of third order, 0.005 pixel there."""
 _SAME_LIGHT = 0.05
 """Share by which the contrast may have changed since."""
+_LONG = 0.15
+"""Share of a polygon's rim from which on a side is a long one."""
 _BRIGHTEST = 2.5
 """How much brighter than its darkest parts a rim may be for the noise to be brighter, too."""
 _ROUNDS_AGAIN, _STEADY = 4, 0.004
@@ -70,7 +73,8 @@ _ROUNDS_AGAIN, _STEADY = 4, 0.004
 @dataclass(frozen=True, slots=True, eq=False)
 class OutlineFit:
     """Pose (3,) of the object in table (m, m, rad), its covariance (3, 3) from pixel noise, its
-    apparent ``size`` (1: as configured), the share of the rim that agrees (``seen``), the contrasts
+    apparent ``size`` (1: as configured), the share of the rim that agrees (``seen``), that of the
+    long side of a polygon that agrees least (``least_side``), the contrasts
     of rim and dot and the ``noise`` in grey levels (with the configured sign above 0), the
     ``blur`` (sigma, pixels).
     """
@@ -79,6 +83,7 @@ class OutlineFit:
     covariance: Array
     size: float
     seen: float
+    least_side: float
     contrast: float
     dot_contrast: float
     noise: float
@@ -211,6 +216,17 @@ def _way(step: Array, scene: _Scene) -> float:
     return (math.hypot(step[0], step[1]) + turned) / scene.pixel
 
 
+def _least_side(outline: ObjectOutline, agrees: NDArray[np.bool_]) -> float:
+    """Of the long sides of a polygon, the least share of sectors (S,) that agree; else 1."""
+    if outline.vertices is None:
+        return 1.0
+    parts = sectors_a_side(outline)
+    padded = np.pad(agrees, (0, max(0, int(parts.sum()) - len(agrees))))
+    shares = [side.mean() for side in np.split(padded, np.cumsum(parts)[:-1])]
+    long = parts >= _LONG * parts.sum()
+    return float(min((s for s, counts in zip(shares, long, strict=True) if counts), default=1.0))
+
+
 @dataclass(slots=True, eq=False)
 class _State:
     """Gauss-Newton under way."""
@@ -336,6 +352,7 @@ class _State:
             np.asarray(covariance, dtype=float),
             self.size,
             float(agrees.mean()),
+            _least_side(scene.outline, agrees),
             usual,
             dot_contrast,
             self.noise,

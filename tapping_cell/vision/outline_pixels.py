@@ -123,10 +123,17 @@ def sectors_of(outline: ObjectOutline, rim: Pixels, pose: Array) -> NDArray[np.i
     corners = np.array(outline.vertices)
     along = np.roll(corners, -1, axis=0) - corners
     length = np.linalg.norm(along, axis=1)
-    parts = np.maximum(1, np.round(_SECTORS * length / length.sum())).astype(np.intp)
+    parts = sectors_a_side(outline)
     first = np.cumsum(parts) - parts
     normals, offsets = outline.sides()
     side = (place @ normals.T - offsets).argmax(axis=1)
     share = ((place - corners[side]) * along[side]).sum(axis=1) / length[side] ** 2
     part = np.clip((share * parts[side]).astype(np.intp), 0, parts[side] - 1)
     return np.asarray(first[side] + part)
+
+
+def sectors_a_side(outline: ObjectOutline) -> NDArray[np.intp]:
+    """How many sectors the sides of a polygon have, in the order of :func:`sectors_of`."""
+    corners = np.array(outline.vertices)
+    length = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    return np.asarray(np.maximum(1, np.round(_SECTORS * length / length.sum())), dtype=np.intp)

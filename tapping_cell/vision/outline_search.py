@@ -32,6 +32,9 @@ from tapping_cell.vision.outline_patches import patches
 _LEAST_SEEN = {"disk": 0.55, "polygon": 0.7}
 """Share of the rim that must be seen. An arc of a circle has one place only; a polygon that is one
 side's width off still has all sides along that direction right."""
+_LEAST_SIDE = 0.25
+"""Share of each long side of a polygon that must be seen: of a triangle, two sides and a wall taken
+for a part of the top make a good picture some millimetres away."""
 LARGEST_STRETCH = 0.03
 """Share that an object may seem larger or smaller than its file says."""
 _CERTAIN = 1e-5
@@ -207,6 +210,12 @@ def accept(fit: OutlineFit, outline: ObjectOutline) -> OutlineFit | Refused:
             OTHER_SHAPE,
             f"{fit.seen * 100:.0f} % of its rim are seen with a contrast of {fit.contrast:.0f} "
             f"grey levels (at least {least * 100:.0f} % and {LEAST_CONTRAST:.0f} are needed)",
+        )
+    if fit.least_side < _LEAST_SIDE:
+        return Refused(
+            OTHER_SHAPE,
+            f"of one of its sides {fit.least_side * 100:.0f} % are seen (at least "
+            f"{_LEAST_SIDE * 100:.0f} % of each are needed)",
         )
     if outline.dot is not None and fit.dot_contrast < LEAST_CONTRAST:
         return Refused(NO_DOT, "its dot is not seen where it should be")
