@@ -72,7 +72,13 @@ def fit_pattern(image: Image, quad: Array, pattern: NDArray[np.bool_]) -> Patter
     chosen = _pixels(image, quad, pattern.shape[0])
     if chosen is None:
         return None
-    pixels, grey = chosen
+    try:
+        return _fit(*chosen, quad, pattern)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _fit(pixels: Array, grey: Array, quad: Array, pattern: NDArray[np.bool_]) -> PatternFit | None:
     black = (~pattern).astype(float)
     corners, blur = quad.astype(float), _BLUR
     middle = quad.mean(axis=0)
@@ -89,10 +95,7 @@ def fit_pattern(image: Image, quad: Array, pattern: NDArray[np.bool_]) -> Patter
         weighted = columns * weight[:, None]
         information = weighted.T @ columns
         information[np.diag_indices(9)] += 1e-6 * np.trace(information[:8, :8]) / 8.0
-        try:
-            answer = np.linalg.solve(information, weighted.T @ grey)
-        except np.linalg.LinAlgError:
-            return None
+        answer = np.linalg.solve(information, weighted.T @ grey)
         if not np.isfinite(answer).all():
             return None
         matrix, step = _stepped(matrix, answer[:8], corners - middle)
@@ -136,6 +139,8 @@ def fit_pattern(image: Image, quad: Array, pattern: NDArray[np.bool_]) -> Patter
 
 def _pixels(image: Image, quad: Array, modules: int) -> tuple[Array, Array] | None:
     """Places (N, 2) and grey values (N,) of the pixels on the marker and a part of its margin."""
+    if not np.isfinite(quad).all():
+        return None
     middle = quad.mean(axis=0)
     wider = middle + (quad - middle) * (1.0 + 2.0 * _QUIET / modules)
     low = np.floor(wider.min(axis=0)).astype(int)

@@ -106,6 +106,9 @@ def test_another_pattern_or_half_of_it_is_not_believed():
     cv2.fillConvexPoly(covered, band.astype(np.int32), [45])
     assert fit_pattern(covered, corners, pattern) is None
     assert fit_pattern(np.full_like(image, 128), corners, pattern) is None
+    # Quads that are none: what a search or a wild prediction may say.
+    for quad in (np.full((4, 2), np.nan), corners[[0, 1, 1, 0]], corners + 70.0, corners[::-1]):
+        assert fit_pattern(image, quad, pattern) is None
 
 
 def test_no_pattern_is_blurred_until_it_fits_another():
