@@ -1,5 +1,5 @@
-"""Noise that a camera has smoothed, sharpened or compressed: what the covariance of an aligned
-marker makes of it, against many draws of such noise."""
+"""Noise that a camera has smoothed or compressed: what the covariances by edges and by all pixels
+make of it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scenes import CAMERA, MARKER, POSE, area_sampled_marker
 
-from tapping_cell.se2 import wrap_angle
+from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.vision import View
+from tapping_cell.vision.edges import refine
+from tapping_cell.vision.markers import UNIT_CORNERS
 from tapping_cell.vision.photometric import align, make_template
 
 VIEW = View(CAMERA, POSE)
@@ -49,3 +51,22 @@ def test_the_normalised_error_is_right_whatever_the_camera_does_to_its_noise(cam
         normalised.append(error @ np.linalg.solve(aligned.covariance, error))
     # Chi-square of 120 degrees of freedom over 40: four standard deviations.
     assert 1.5 < np.mean(normalised) < 4.5
+
+
+@pytest.mark.parametrize(("block", "least", "most"), [(1, 0.8, 1.2), (4, 2.0, 4.0)])
+def test_rows_that_err_alike_tell_less(block, least, most):
+    """``spread`` against how the place of a marker's sides really varies: noise in whole blocks."""
+    clean = area_sampled_marker(VIEW, MARKER, PLACE, samples=20).astype(float)
+    x, y = VIEW.project(PLACE[:2], MARKER.height).astype(int)
+    window = slice(y - 80, y + 80), slice(x - 80, x + 80)
+    quad = VIEW.project(transform_points(PLACE, UNIT_CORNERS * MARKER.size), MARKER.height)
+    random, image, spreads = np.random.default_rng(9), clean.astype(np.uint8), []
+    for size in (1, block):
+        found = []
+        for _ in range(DRAWS):
+            noise = random.normal(0.0, 4.0, (160 // size, 160 // size))
+            noisy = clean[window] + np.kron(noise, np.ones((size, size)))
+            image[window] = np.clip(np.rint(noisy), 0, 255)
+            found.append(float(refine(image, quad[None], 8).spread[0]))
+        spreads.append(np.median(found))
+    assert least < spreads[1] / spreads[0] < most
