@@ -59,6 +59,11 @@ def table_notice(table: TableTracker, doubled: list[int], unmet: list[int]) -> s
 
 def _contradiction(table: TableTracker) -> str:
     names = ", ".join(map(str, table.used))
+    if table.apart:
+        return (
+            f"the reference markers {names} no longer lie to each other as they did: one of them "
+            "was moved; put it back, or measure the table again and configure again"
+        )
     if table.error > table.settings.displaced:
         return (
             f"the reference markers {names} do not lie as the table file says: after the best fit "

@@ -32,6 +32,9 @@ from tapping_cell.vision.table_fit import (
 
 _SIDE_BIAS = 0.0007
 """Pixels that an averaged side may be off by where it lies between pixels (measured: 0.0005)."""
+_STEP = 0.08
+"""Pixels that the bloom of two references, and half of what they miss their places by, may grow
+where it is the camera that moved."""
 _EDGE_BIAS = 0.0002
 """Pixels that all averaged edges may be off by together (measured: below 0.0002)."""
 
@@ -65,6 +68,8 @@ class TableTracker:
         self.displaced: tuple[int, ...] = ()
         self.error = 0.0
         self.bloom = 0.0
+        self.apart = False
+        self._before: tuple[float, float] | None = None
         self.move = 0.0
         self.field_number = 0
         self._first: CameraPose | None = None
@@ -98,6 +103,8 @@ class TableTracker:
             self._suspects += 1
             if self._suspects < s.confirm_frames:
                 return TableState.SUSPECT
+            if not self.apart:
+                self._before = self.bloom, self.error
             self._restart()
             disturbed = np.zeros(len(rows), dtype=bool)
         moved = self._suspects >= s.confirm_frames
@@ -160,7 +167,14 @@ class TableTracker:
         corners = edges.corners
         side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())
         limit = max(s.bloom, s.bloom_share * side)
-        few = len(self.used) <= 2 and self.error > s.displaced
+        two = len(self.used) <= 2
+        # Two that lie otherwise to each other look larger, smaller or turned: no camera's move
+        # does that.
+        self.apart = False
+        if two and self._before is not None:
+            bloom, error = self._before
+            self.apart = abs(self.bloom - bloom) > _STEP or self.error - error > 2.0 * _STEP
+        few = self.apart or (two and self.error > s.displaced)
         return few or self.error > 3.0 * s.displaced or 2.0 * abs(self.bloom) > limit
 
     def _fit(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> bool:

@@ -189,3 +189,19 @@ def test_many_markers_that_went_astray_one_by_one_are_a_camera_that_moved():
     for frame in range(20, 40):
         states.add(tracker.update(reference_edges(table, frame, moved), np.arange(8)))
     assert TableState.MOVED in states
+
+
+@pytest.mark.parametrize("shift", [(0.002, 0.0), (-0.005, 0.0), (0.0, 0.005), (0.003, -0.004)])
+def test_one_of_two_markers_that_was_moved_is_no_camera_that_moved(shift):
+    table = references([(-0.3, 0.0), (0.3, 0.0)])
+    tracker = TableTracker(CAMERA, table)
+    for frame in range(20):
+        tracker.update(reference_edges(table, frame), np.arange(2))
+    for frame in range(20, 30):
+        moved = reference_edges(table, frame, [(0, shift)])
+        state = tracker.update(moved, np.arange(2))
+        assert frame < 22 or state is TableState.CONTRADICTED
+    assert tracker.apart
+    for frame in range(30, 40):
+        state = tracker.update(reference_edges(table, frame), np.arange(2))
+    assert state is TableState.STEADY and off(tracker) < 1e-3
