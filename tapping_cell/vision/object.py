@@ -79,8 +79,9 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     total = np.maximum(weights.sum(axis=1), 1e-9)
     sides = (weights * left).sum(axis=1) / total
     oblong = abs(float(sides[0] - sides[1] + sides[2] - sides[3]))
-    usual = max(_OBLONG, _usually_oblong(view, edges, row))
-    if oblong > max(_OBLONG_PIXELS * pixel, usual * marker.size):
+    if oblong > max(_OBLONG_PIXELS * pixel, _OBLONG * marker.size) and (
+        oblong > _usually_oblong(view, edges, row) * marker.size
+    ):
         return None
     noise = max(float(edges.spread[row]), 0.01) * pixel
     noise *= _misfit(left, weights, noise)
