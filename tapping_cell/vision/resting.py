@@ -32,6 +32,9 @@ _BLUR_STEP = 0.15
 _FIXED_EDGES = 0.25
 """Share of the variance of edges that stays: 0.0025 pixel of 0.005 (measured)."""
 _LEAST_FIXED = 0.01
+_DOWNWARDS = 0.95
+"""Cosine of the camera's angle to the table's normal below which the edges are taken: a template is
+blurred alike in all directions of the plane, an oblique view is not (measured on photographs)."""
 _MEMORY = 30
 """Frames over which the noise is averaged."""
 
@@ -69,6 +72,8 @@ class RestingMarker:
 
     def _align(self, image: Image, view: View, fit: PoseFit) -> Alignment | None:
         """The alignment from the edges, with a template as blurred as the image."""
+        if abs(float(view.pose.rotation[2, 2])) < _DOWNWARDS:
+            return None
         pixel = float(view.pose.translation[2]) / view.camera.fx
         if self._template is None:
             self._template = make_template(self._marker, pixel, _USUAL_BLUR * pixel)
