@@ -87,14 +87,11 @@ def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> Marke
 
 def narrowest(quads: Array) -> Array:
     """The side (M,) of markers in pixels; of those seen obliquely, how far two sides are apart."""
-    along = np.roll(quads, -1, axis=1) - quads
-    side = np.linalg.norm(along, axis=2)
-    diagonal = quads[:, 2:] - quads[:, :2]
-    area = 0.5 * np.abs(
-        diagonal[:, 0, 0] * diagonal[:, 1, 1] - diagonal[:, 0, 1] * diagonal[:, 1, 0]
-    )
+    along = quads[:, [1, 2, 3, 0]] - quads
+    side = np.sqrt((along**2).sum(axis=2))
+    (ax, ay), (bx, by) = (quads[:, 2] - quads[:, 0]).T, (quads[:, 3] - quads[:, 1]).T
     usual = side.mean(axis=1)
-    apart = area / np.maximum(side.max(axis=1), 1e-9)
+    apart = 0.5 * np.abs(ax * by - ay * bx) / np.maximum(side.max(axis=1), 1e-9)
     return np.asarray(np.where(apart < _OBLIQUE * usual, apart, usual))
 
 

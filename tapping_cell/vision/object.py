@@ -15,13 +15,12 @@ from tapping_cell.vision.markers import UNIT_CORNERS, ObjectMarker
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseFit:
     """A pose (x, y, theta) of the *marker* in table, its covariance (3, 3) from pixel noise, and
-    the side that the marker seems to have with its standard deviation (m).
+    the side that the marker seems to have (m).
     """
 
     pose: Array
     covariance: Array
     size: float
-    size_deviation: float
 
 
 _CLEAN, _SMEARED = 0.03, 0.25
@@ -65,7 +64,7 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     rows[..., 3] = 0.5
     rows = rows.reshape(-1, 4)
     # What a pixel across a side is on the plane: seen obliquely, not the same for all.
-    across = np.linalg.norm(normal[:, 0] @ _metres(view, pose, marker.height), axis=1)
+    across = np.linalg.norm(normal[:, 0] @ _metres(edges.corners[row], seen[-4:]), axis=1)
     pixel = float(across.max())
     weights = weights * np.square(pixel / across)[:, None]
     weighted = rows * weights.reshape(-1, 1)
@@ -89,7 +88,7 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     smeared = _SMEARED * pixel * pull / (1.0 - pull)
     covariance = inverse[:3, :3] * noise**2
     covariance += np.diag(np.square([smeared, smeared, smeared / marker.size]))
-    return PoseFit(pose, covariance, float(size), float(np.sqrt(inverse[3, 3])) * noise)
+    return PoseFit(pose, covariance, float(size))
 
 
 def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
@@ -104,11 +103,10 @@ def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
     return min(_MORE_OBLONG * float(np.sqrt((longer**2).mean())), _MOST_OBLONG)
 
 
-def _metres(view: View, pose: Array, height: float) -> Array:
-    """Matrix (2, 2): steps on the plane at ``height`` (m) of steps of a pixel right and down."""
-    middle = view.project(pose[:2], height)
-    seen = view.on_plane(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), height)
-    return np.asarray((seen[1:] - seen[0]).T)
+def _metres(pixels: Array, seen: Array) -> Array:
+    """Matrix (2, 2): steps on the plane (m) of steps of a pixel right and down, from four corners
+    (4, 2) in the image and on the plane."""
+    return np.asarray((seen[2:] - seen[:2]).T @ np.linalg.inv((pixels[2:] - pixels[:2]).T))
 
 
 def _misfit(left: Array, weights: Array, noise: float) -> float:
