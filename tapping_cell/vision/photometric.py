@@ -216,14 +216,15 @@ def _together(
     rows, columns = np.divmod(chosen, width)
     rows, columns = rows - rows.min(), columns - columns.min()
     shape = int(rows.max()) + 1, int(columns.max()) + 1
-    maps = np.zeros((5, *shape))
+    # Single precision: of a factor that is known to a hundredth at best.
+    maps = np.zeros((5, *shape), dtype=np.float32)
     maps[:, rows, columns] = np.vstack([influence.T, residual, np.ones(len(residual))])
     size = [fft.next_fast_len(n + _LAGS, real=True) for n in shape]
     waves = fft.rfft2(maps, size)
     products, pairs = fft.irfft2(np.abs(waves[3:]) ** 2, size)
     lags = np.arange(-_LAGS, _LAGS + 1)
     near = np.ix_(lags, lags)
-    kernel = np.zeros(size)
+    kernel = np.zeros(size, dtype=np.float32)
     kernel[near] = products[near] / pairs[near] * (pairs[0, 0] / max(products[0, 0], 1e-9))
     power = np.maximum(fft.rfft2(kernel).real, _LEAST_POWER)
     filtered = fft.irfft2(waves[:3] * power, size)[:, : shape[0], : shape[1]]
