@@ -27,7 +27,8 @@ class TableSettings:
     of a frame's are, the frame is suspect, and after ``confirm_frames`` of them the camera counts
     as moved. ``largest_move`` (m, seen at the references, all moves together) is how far it may be
     before the table is refused. A marker that disagrees with the rest of the map by more than
-    ``displaced`` pixels is left out.
+    ``displaced`` pixels is left out. All sides together may look longer than the map has them by
+    ``bloom`` pixels or ``bloom_share`` of a side; beyond, the map is contradicted.
     """
 
     least_references: int = 2
