@@ -34,6 +34,11 @@ class ActionDoor:
             for name, (kind, on_goal) in actions.items()
         ]
 
+    def close(self) -> None:
+        """Withdraw the actions; to be called before the node is destroyed, which leaves them."""
+        for server in self._servers:
+            server.destroy()
+
     def answer(self, handle: ServerGoalHandle, result: Any) -> None:
         """End a goal with its result."""
         # The goal is executed only now, when its result is known: an execute callback that waits

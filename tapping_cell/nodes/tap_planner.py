@@ -123,6 +123,12 @@ class TapPlanner(CellNode[Parameters]):
         if self._desk is not None:
             self._desk.use(str(value))
 
+    def destroy_node(self) -> None:
+        """End the actions, too: rclpy leaves them where they are, and clients would see half of a
+        planner until they are collected as garbage."""
+        self._door.close()
+        super().destroy_node()
+
     def deactivate(self) -> None:
         """Give up the goal."""
         if self._task is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import os
@@ -15,8 +16,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 from geometry_msgs.msg import PoseStamped
 from harness import Bench, bench
+from rclpy.context import Context
+from rclpy.node import Node
 from tapping_cell_msgs.msg import (
     ArmState,
     ErrorCode,
@@ -161,6 +165,24 @@ def acted(**parameters: object) -> Iterator[Actors]:
 def actors() -> Iterator[Actors]:
     with acted() as made:
         yield made
+
+
+def test_a_planner_that_has_ended_serves_nothing() -> None:
+    # Else clients that come next would wait for one of which a half is still there.
+    context = Context()
+    rclpy.init(context=context)
+    watcher = Node("watcher", context=context)
+    service = "/position_object/_action/send_goal"
+    gc.disable()  # what is only garbage would go at some time
+    try:
+        with acted() as actors:
+            actors.bench.wait(lambda: watcher.count_services(service) == 1, "the planner")
+            ended = actors.bench
+        ended.wait(lambda: watcher.count_services(service) == 0, "the planner's end")
+    finally:
+        gc.enable()
+        watcher.destroy_node()
+        context.try_shutdown()
 
 
 def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
