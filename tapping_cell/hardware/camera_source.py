@@ -133,7 +133,8 @@ class Playback:
         if picture is None and self._settings.loop:
             self._pictures = self._all()
             picture = self._next(left_out)
-        if picture is None and self._delivered == 0:
+        # A source that is to begin again does not end: it went away, or its pictures did.
+        if picture is None and (self._delivered == 0 or self._settings.loop):
             raise CameraSourceError(
                 f"{self._name} holds no picture that can be decoded; replace it"
             )

@@ -84,6 +84,16 @@ def test_a_folder_that_vanishes_between_two_looks_at_it(folder, monkeypatch):
         open_source(str(folder / "gone"), FAST)
 
 
+def test_a_folder_whose_pictures_vanish_while_it_begins_again_has_not_ended(folder):
+    source = open_source(str(folder), CameraSettings(64, 48, 240.0, loop=True))
+    for _ in range(3):
+        source.read()
+    for file in folder.iterdir():
+        file.write_bytes(b"")  # still listed, but not to be read
+    with pytest.raises(CameraSourceError, match="no picture that can be decoded"):
+        source.read()
+
+
 def test_a_folder_without_pictures_and_one_with_broken_ones_only(tmp_path):
     with pytest.raises(CameraSourceError, match="holds no pictures"):
         open_source(str(tmp_path), FAST)
