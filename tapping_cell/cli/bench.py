@@ -15,24 +15,24 @@ import sys
 # A section is a module with ``measure() -> dict`` (what --json prints) and
 # ``lines(report) -> list[str]`` (the same for people).
 SECTIONS = {
-    "calibrate": "tapping_cell.cli.benchmarks.calibrate",
-    "drivers": "tapping_cell.cli.benchmarks.drivers",
-    "emergency_stop": "tapping_cell.cli.benchmarks.emergency_stop",
-    "mechanics": "tapping_cell.cli.benchmarks.mechanics",
-    "vision": "tapping_cell.cli.benchmarks.vision",
+    "calibrate": "benchmarks.calibrate",
+    "drivers": "benchmarks.drivers",
+    "emergency_stop": "benchmarks.emergency_stop",
+    "mechanics": "benchmarks.mechanics",
+    "vision": "benchmarks.vision",
 }
 
 # Many experiments, scenes, frames or seconds: only when named. A module with a
 # ``DEFAULT_COUNT`` takes how many as ``measure(count)``.
 LONG_SECTIONS = {
-    "calibration": "tapping_cell.cli.benchmarks.calibration",
-    "demos": "tapping_cell.cli.benchmarks.demos",
-    "disarm": "tapping_cell.cli.benchmarks.disarm",
-    "node": "tapping_cell.cli.benchmarks.node",
-    "outline": "tapping_cell.cli.benchmarks.outline",
-    "vision-calibrated": "tapping_cell.cli.benchmarks.vision_calibrated",
-    "vision-covariance": "tapping_cell.cli.benchmarks.vision_covariance",
-    "vision-robustness": "tapping_cell.cli.benchmarks.vision_robustness",
+    "calibration": "benchmarks.calibration",
+    "demos": "benchmarks.demos",
+    "disarm": "benchmarks.disarm",
+    "node": "benchmarks.node",
+    "outline": "benchmarks.outline",
+    "vision-calibrated": "benchmarks.vision_calibrated",
+    "vision-covariance": "benchmarks.vision_covariance",
+    "vision-robustness": "benchmarks.vision_robustness",
 }
 
 

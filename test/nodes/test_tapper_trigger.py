@@ -24,7 +24,7 @@ from tapping_cell_msgs.msg import (
 )
 
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
-from tapping_cell.nodes.tapper_trigger import TapperTrigger
+from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tapping_cell.cli import main
-from tapping_cell.cli.benchmarks import mechanics as benchmark
+from benchmarks import mechanics as benchmark
 
 
 def sensitivity(capsys, *words):
