@@ -10,6 +10,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+import calibration_truths as truths
 import cv2
 import numpy as np
 
@@ -19,7 +20,6 @@ from tapping_cell.calibration.table import calibrate_table, look
 from tapping_cell.calibration.table_frame import frame_of_map, in_frame
 from tapping_cell.calibration.tapper import SHARES, calibrate_tapper
 from tapping_cell.calibration.target import Target, TargetView, find_target
-import calibration_truths as truths
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.scara import ScaraGeometry

@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from single_taps import Design, simulated_trials
 
+from benchmarks.closed_loop import measure_loop
 from tapping_cell.calibration.experiment import Experiment, ExperimentFile, StrikerSection
 from tapping_cell.calibration.object_fit import fit_object, predict
-from benchmarks.closed_loop import measure_loop
-from single_taps import Design, simulated_trials
 from tapping_cell.configuration.objects import MarkerSection, ObjectFile, ShapeSection
 from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTruth, TruthFile
 

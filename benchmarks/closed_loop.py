@@ -13,10 +13,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from single_taps import Design, simulated_trials
+
 from tapping_cell.calibration.experiment import Experiment, ExperimentFile, StrikerSection
 from tapping_cell.calibration.object_file import fit_record, fitted_object
 from tapping_cell.calibration.object_fit import fit_object
-from single_taps import Design, simulated_trials
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import ObjectFile, load_object
 from tapping_cell.planning import PlannerSettings, Scatter

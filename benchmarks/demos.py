@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from single_taps import Design, simulated_trials
 
+from benchmarks.closed_loop import TRUTHS
 from tapping_cell.calibration.experiment import Experiment, ExperimentFile, StrikerSection
 from tapping_cell.calibration.object_file import fit_record, fitted_object
 from tapping_cell.calibration.object_fit import fit_object
-from benchmarks.closed_loop import TRUTHS
-from single_taps import Design, simulated_trials
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.files import shared_folder

@@ -26,10 +26,11 @@ from tapping_cell_msgs.msg import PlanState
 from tapping_cell_msgs.srv import ResetWorld
 
 from tapping_cell.cli.graph import Graph, own_domain
-from tapping_cell.nodes.cell_node import COMMAND, LATCHED
-from tapping_cell.nodes.conversions import to_message
-from tapping_cell.nodes.clients.goal_client import GoalClient
+from tapping_cell.nodes import MODULES
 from tapping_cell.nodes.camera.images import PICTURES
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.clients.goal_client import GoalClient
+from tapping_cell.nodes.conversions import to_message
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
@@ -93,7 +94,7 @@ class DrawnCell:
         self.terminal.close()
 
     def _start_camera(self) -> None:
-        command = [sys.executable, "-m", f"tapping_cell.nodes.{CAMERA}", "--ros-args"]
+        command = [sys.executable, "-m", MODULES[CAMERA], "--ros-args"]
         command += ["-r", "camera/image_raw:=relayed/image_raw"]
         self._camera = subprocess.Popen(command, stdout=self._log, stderr=subprocess.STDOUT)
 

@@ -25,8 +25,8 @@ from tapping_cell.nodes.memory import keep_memory
 from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
 from tapping_cell.vision import CameraPose, ObjectMarker, PoseTracker, View
-from tapping_cell.vision.markers.edges import refine
 from tapping_cell.vision.markers.detection import UNIT_CORNERS, find_markers, marker_pattern
+from tapping_cell.vision.markers.edges import refine
 from tapping_cell.vision.markers.object_pose import fit_marker, pose_of_corners
 from tapping_cell.vision.markers.photometric import align, make_template
 

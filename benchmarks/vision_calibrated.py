@@ -14,8 +14,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tapping_cell.calibration.camera import CameraCalibration, calibrate_camera
-from tapping_cell.calibration.target import Target, TargetView, find_target
 from benchmarks.vision_scenes import (
     Cell,
     Score,
@@ -23,6 +21,8 @@ from benchmarks.vision_scenes import (
     random_scene,
     score_lines,
 )
+from tapping_cell.calibration.camera import CameraCalibration, calibrate_camera
+from tapping_cell.calibration.target import Target, TargetView, find_target
 from tapping_cell.vision import CameraModel, CameraPose, PoseTracker, View
 from tapping_cell.vision.markers.detection import dictionary_name
 

@@ -31,8 +31,8 @@ from tapping_cell.cli.calibration import arm_recording, arm_verb, tapper_recordi
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
-from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.clients.single_tap_client import SingleTapClient
+from tapping_cell.nodes.conversions import to_message
 from tapping_cell.se2 import Pose
 
 CELL = load_cell()

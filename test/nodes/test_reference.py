@@ -11,13 +11,14 @@ import pytest
 from harness import bench
 from tapping_cell_msgs.msg import ErrorCode
 
-from tapping_cell.nodes.error_codes import NAMES
+from tapping_cell.nodes import MODULES
 from tapping_cell.nodes.camera.overhead_camera import OverheadCamera
-from tapping_cell.nodes.recorder.run_recorder import RunRecorder
 from tapping_cell.nodes.drivers.scara_arm import ScaraArm
-from tapping_cell.nodes.simulation.sim_world import SimWorld
-from tapping_cell.nodes.planner.tap_planner import TapPlanner
 from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
+from tapping_cell.nodes.error_codes import NAMES
+from tapping_cell.nodes.planner.tap_planner import TapPlanner
+from tapping_cell.nodes.recorder.run_recorder import RunRecorder
+from tapping_cell.nodes.simulation.sim_world import SimWorld
 from tapping_cell.report.hints import HINTS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -45,7 +46,7 @@ def section(title: str) -> str:
 @pytest.mark.parametrize("node", NODES)
 def test_every_parameter_stands_in_the_page_with_its_text_and_range(node: str) -> None:
     rows = section(f"`{node}`")
-    parameters = importlib.import_module(f"tapping_cell.nodes.{node}").Parameters
+    parameters = importlib.import_module(MODULES[node]).Parameters
     fields = dataclasses.fields(parameters)
     for entry in fields:
         limits = entry.metadata["limits"]

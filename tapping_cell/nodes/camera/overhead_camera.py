@@ -28,7 +28,7 @@ from tapping_cell.hardware.camera_source import (
 )
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import CellNode, NotReady, run
-from tapping_cell.nodes.drivers.worker import Worker
+from tapping_cell.nodes.worker import Worker
 
 LISTENER_WAIT_S = 5.0
 """How long a file or folder waits for somebody to listen before its first picture."""

@@ -19,8 +19,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.nodes.cell_node import COMMAND
-from tapping_cell.nodes.conversions import from_message
 from tapping_cell.nodes.clients.goal_client import GoalClient
+from tapping_cell.nodes.conversions import from_message
 from tapping_cell.se2 import Pose
 
 ARRIVED = 0.01

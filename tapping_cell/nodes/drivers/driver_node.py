@@ -14,7 +14,7 @@ from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.nodes.cell_node import CellNode, NotReady, run
-from tapping_cell.nodes.drivers.worker import Worker
+from tapping_cell.nodes.worker import Worker
 
 CONNECT_PATIENCE_S = 1.0
 """First wait for a port, and for whoever is there to answer."""

@@ -27,11 +27,11 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
 from tapping_cell.hardware.tapper_protocol import Reply, State
-from tapping_cell.nodes.drivers import tap_commands
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.drivers import tap_commands
 from tapping_cell.nodes.drivers.driver_node import DriverNode, run_driver
-from tapping_cell.nodes.error_codes import of_tapper
 from tapping_cell.nodes.drivers.peer_watch import PeerWatch
+from tapping_cell.nodes.error_codes import of_tapper
 
 READ_PERIOD_S = 0.1
 OUTCOMES = {

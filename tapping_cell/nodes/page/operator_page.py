@@ -40,7 +40,6 @@ from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, NotReady, run
 from tapping_cell.nodes.conversions import camera_from_message, is_finite, seconds, to_message
-from tapping_cell.nodes.planner.goal_validation import REFUSALS
 from tapping_cell.nodes.page import guard, server
 from tapping_cell.nodes.page.archive import make_archive
 from tapping_cell.nodes.page.cell_view import CellView, with_code
@@ -56,6 +55,7 @@ from tapping_cell.nodes.page.requests import (
     SendGoal,
     Turn,
 )
+from tapping_cell.nodes.planner.goal_validation import REFUSALS
 from tapping_cell.planning import FreeSpace, check_goal
 from tapping_cell.report.hints import hint
 from tapping_cell.se2 import Pose

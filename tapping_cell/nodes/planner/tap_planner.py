@@ -12,6 +12,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
@@ -30,18 +31,17 @@ from tapping_cell_msgs.msg import (
 )
 
 from tapping_cell.configuration.cell import load_cell, load_other_objects
-from tapping_cell.configuration.schema import ConfigurationError
-from tapping_cell.nodes.planner.deferred_action_server import ActionDoor
-from tapping_cell.nodes.planner.cell_monitor import CellMonitor
+from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import from_message
+from tapping_cell.nodes.drivers.peer_watch import TAPPING
+from tapping_cell.nodes.planner.cell_monitor import CellMonitor
+from tapping_cell.nodes.planner.deferred_action_server import ActionDoor
 from tapping_cell.nodes.planner.goal_handling import GoalDesk, Request
 from tapping_cell.nodes.planner.goal_persistence import GoalMemory
 from tapping_cell.nodes.planner.goal_validation import REFUSALS, Refused
 from tapping_cell.nodes.planner.other_objects import Neighbours
-from tapping_cell.nodes.drivers.peer_watch import TAPPING
 from tapping_cell.nodes.planner.plan_reporter import PlanReporter
-from tapping_cell.nodes.planner_parameters import Parameters
 from tapping_cell.nodes.planner.tap_task import LEAST_EFFECT, Shot, Task
 from tapping_cell.planning import Done, PlanningError, Refusal, RefusalReason, Strike
 from tapping_cell.se2 import Pose
@@ -50,6 +50,66 @@ TICK_S = 0.02
 REPORT_PERIOD_S = 0.5
 BEAT_PERIOD_S = 0.1
 """While a tap is under way: the tapper lets the striker down when these signs of life end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Parameters of tap_planner."""
+
+    autostart: bool = text("configure and activate without being asked", default=True)
+    cell_file: str = text("path of the cell file; empty for the package's own", default="")
+    object_file: str = text("path of the object file; empty for the cell file's", default="")
+    other_object_files: str = text(
+        "paths of the files of further objects on the table, separated by commas: kept clear of; "
+        "the same as camera_pose's",
+        default="",
+    )
+    others_memory: float = quantity(
+        "time after which a further object that is no longer seen counts as taken away",
+        "s",
+        0.2,
+        3600.0,
+        default=5.0,
+    )
+    planner: str = text("planning method; empty for the cell file's", default="")
+    adapt: bool = text("learn from every tap how the object answers", default=True)
+    keep_gains: bool = text("remember what was learnt of an object between runs", default=False)
+    frames_needed: int = quantity(
+        "pictures at rest that a look must be fused of", "", 1, 1000, default=10
+    )
+    ready_deadline: float = quantity(
+        "longest wait for arm, tapper and camera", "s", 1.0, 3600.0, default=30.0
+    )
+    look_deadline: float = quantity(
+        "longest wait for the object at rest and seen", "s", 0.5, 600.0, default=10.0
+    )
+    place_deadline: float = quantity(
+        "longest time to bring the striker to its place", "s", 1.0, 600.0, default=20.0
+    )
+    fire_deadline: float = quantity("longest time to draw and fire", "s", 0.5, 60.0, default=8.0)
+    withdraw_deadline: float = quantity(
+        "longest time to withdraw the arm", "s", 1.0, 600.0, default=20.0
+    )
+    silence_limit: float = quantity(
+        "greatest age of what arm, tapper and camera say", "s", 0.1, 60.0, default=1.0
+    )
+    moved_limit: float = quantity(
+        "distance by which the object may differ from where the tap was planned",
+        "m",
+        0.0001,
+        0.1,
+        default=0.002,
+    )
+    resume_within: float = quantity(
+        "a planner that crashed goes on with its goal when it is back so soon; 0 never does",
+        "s",
+        0.0,
+        600.0,
+        default=15.0,
+    )
+    attempts: int = quantity(
+        "taps in a row that may end without a release or without an effect", "", 1, 100, default=3
+    )
 
 
 class TapPlanner(CellNode[Parameters]):

@@ -14,6 +14,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +40,11 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import seconds
 from tapping_cell.nodes.planner.plan_reporter import FINAL
-from tapping_cell.nodes.recorder_parameters import Parameters
 from tapping_cell.nodes.recorder.recording import (
     MEGABYTE,
     CannotRecord,
@@ -57,7 +58,7 @@ from tapping_cell.nodes.recorder.recording import (
     run_name,
     same_goal,
 )
-from tapping_cell.nodes.drivers.worker import Worker
+from tapping_cell.nodes.worker import Worker
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.report.bag import BagError, Quality
 from tapping_cell.report.message_types import MessageTypes
@@ -107,6 +108,39 @@ FRAMES: dict[str, type] = {
     "object_pose": PoseWithCovarianceStamped,
 }
 """What comes with every picture: heard only while a goal is under way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Parameters of run_recorder."""
+
+    autostart: bool = text("configure and activate without being asked", default=True)
+    cell_file: str = text("path of the cell file; empty for the package's own", default="")
+    object_file: str = text("path of the object file; empty for the cell file's", default="")
+    folder: str = text("folder in which every run gets one of its own", default="runs")
+    name: str = text("name of the run's folder; empty for time and goal", default="")
+    picture_rate: float = quantity(
+        "pictures kept of camera/image_annotated; 0 for none", "Hz", 0.0, 10.0, default=1.0
+    )
+    picture_width: int = quantity("width of a kept picture", "pixels", 160, 4096, default=960)
+    pictures: bool = text("draw cell.png and report.html at the end of a run", default=True)
+    least_free: float = quantity(
+        "room on the disk below which nothing is recorded", "MB", 0.0, 1e7, default=500.0
+    )
+    most_runs: int = quantity(
+        "folders beside each other after which nothing is recorded; nothing is ever deleted",
+        "",
+        1,
+        1_000_000,
+        default=10_000,
+    )
+    seed: int = quantity(
+        "seed of the simulated world, to be written down; negative for none",
+        "",
+        -1,
+        2**31 - 1,
+        default=-1,
+    )
 
 
 class RunRecorder(CellNode[Parameters]):

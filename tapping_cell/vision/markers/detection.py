@@ -92,8 +92,8 @@ def _detector(name: str, effort: Effort) -> cv2.aruco.ArucoDetector:
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     # Two copies of a marker must both come out, so that a duplicate is named and not dropped.
     parameters.minMarkerDistanceRate = 0.05
-    # Two windows find what OpenCV's three find (bench --section vision), in less time; three
-    # narrower ones find more of the small and oblique markers of real photographs.
+    # Two windows find what OpenCV's three find (benchmarks/vision.py), in less time; three narrower
+    # ones find more of the small and oblique markers of real photographs.
     low, high, step, perimeter = {
         Effort.QUICK: (5, 21, 16, 0.04),
         Effort.THOROUGH: (3, 19, 8, 0.02),

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from tapping_cell.vision.camera import Array, Image
 from tapping_cell.vision.markers.edges import MarkerEdges, join, narrowest, no_edges, refine, take
+from tapping_cell.vision.markers.initial_corners import better_corners
 from tapping_cell.vision.markers.search import patterns_agree
 from tapping_cell.vision.markers.small_markers import as_edges, fit_pattern
-from tapping_cell.vision.markers.initial_corners import better_corners
 
 _SMALL = 4.5
 """Pixels a module below which the whole pattern is fitted: there it is four times as accurate as

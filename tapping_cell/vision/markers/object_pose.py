@@ -8,8 +8,8 @@ import numpy as np
 
 from tapping_cell import se2
 from tapping_cell.vision.camera import Array, View
-from tapping_cell.vision.markers.edges import MarkerEdges
 from tapping_cell.vision.markers.detection import UNIT_CORNERS, ObjectMarker
+from tapping_cell.vision.markers.edges import MarkerEdges
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.vision.camera import Array, Image
-from tapping_cell.vision.markers.edges import MarkerEdges
 from tapping_cell.vision.markers.detection import Detection, Effort, find_markers
+from tapping_cell.vision.markers.edges import MarkerEdges
 
 _BITS_WRONG = 0.04
 """Share of a pattern's modules that may read wrong (dirt, glare): 4 of an AprilTag 36h11's 100."""

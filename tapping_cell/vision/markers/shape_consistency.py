@@ -17,8 +17,8 @@ import numpy as np
 
 from tapping_cell import se2
 from tapping_cell.vision.camera import Array, View
-from tapping_cell.vision.markers.edges import MarkerEdges
 from tapping_cell.vision.markers.detection import ObjectMarker
+from tapping_cell.vision.markers.edges import MarkerEdges
 from tapping_cell.vision.markers.object_pose import PoseFit
 
 _NORMALS = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])

@@ -9,7 +9,6 @@ import numpy as np
 from tapping_cell.vision.camera import Array, Image, View
 from tapping_cell.vision.markers.detection import ReferenceMap
 from tapping_cell.vision.observation import Problem
-from tapping_cell.vision.outline.shape import ObjectOutline
 from tapping_cell.vision.outline.fit import USUAL_BLUR, Look, OutlineFit, fit_again
 from tapping_cell.vision.outline.search import (
     NO_DOT,
@@ -22,6 +21,7 @@ from tapping_cell.vision.outline.search import (
     look_closely,
     stands_out,
 )
+from tapping_cell.vision.outline.shape import ObjectOutline
 
 Trouble = tuple[Problem, str]
 

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.vision.camera import Array, Image, View
-from tapping_cell.vision.outline.shape import ObjectOutline
 from tapping_cell.vision.outline.model import (
     BLUR,
     DOT_SIZE,
@@ -41,6 +40,7 @@ from tapping_cell.vision.outline.pixels import (
     sectors_of,
     softened,
 )
+from tapping_cell.vision.outline.shape import ObjectOutline
 
 FINE = 4.5
 COARSE = 10.0

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from tapping_cell.vision.camera import Array, Image
-from tapping_cell.vision.outline.shape import Dot, ObjectOutline
 from tapping_cell.vision.outline.pixels import Pixels
+from tapping_cell.vision.outline.shape import Dot, ObjectOutline
 
 LEVELS = 4  # top, wall, surroundings, and a slope of the light across the rim
 GLOBALS = 7  # x, y, theta, size, blur, blur by motion, size of the dot

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from tapping_cell.se2 import inverse, transform_points
 from tapping_cell.vision.camera import Array, Image, View
-from tapping_cell.vision.outline.shape import Dot, ObjectOutline
 from tapping_cell.vision.markers.photometric import window_rays
+from tapping_cell.vision.outline.shape import Dot, ObjectOutline
 
 SOFTENED = 2.5
 """Sigma in pixels by which the image is softened around a rough place: it catches from as far."""

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.vision.camera import Array, Image, View
-from tapping_cell.vision.outline.shape import ANGLES, Dot, ObjectOutline, turn_differences
 from tapping_cell.vision.outline.fit import (
     COARSE,
     LEAST_CONTRAST,
@@ -28,6 +27,7 @@ from tapping_cell.vision.outline.fit import (
     fit_outline,
 )
 from tapping_cell.vision.outline.patches import patches
+from tapping_cell.vision.outline.shape import ANGLES, Dot, ObjectOutline, turn_differences
 
 _LEAST_SEEN = {"disk": 0.55, "polygon": 0.7}
 """Share of the rim that must be seen. An arc of a circle has one place only; a polygon that is one

@@ -233,7 +233,8 @@ def _unsquare(white: Array, left: Array, rays: Array, noise: Array, usual: float
     their ``noise`` (M,) and what is ``usual``.
 
     Where each marker lies and how it is turned is the business of print and lens
-    (:mod:`tapping_cell.vision.table.systematic_error`); the other five degrees of freedom of its corners ``left``
+    (:mod:`tapping_cell.vision.table.systematic_error`); the other five degrees of freedom of its
+    corners ``left``
     (M, 8) are noise, the little that a lens bends a square, or sides that are not where they seem:
     smeared, too near to each other, beside a shadow. 0 where that cannot be told from noise (three
     standard deviations of chi square).

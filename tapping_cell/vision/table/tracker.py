@@ -16,9 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.se2 import transform_points
 from tapping_cell.vision.camera import Array, CameraModel, CameraPose, View
-from tapping_cell.vision.markers.edges import MarkerEdges
-from tapping_cell.vision.table.systematic_error import ErrorField, condition, lens_shifts
 from tapping_cell.vision.markers.detection import ReferenceMap
+from tapping_cell.vision.markers.edges import MarkerEdges
 from tapping_cell.vision.table.fit import (
     TableFit,
     TableSettings,
@@ -29,6 +28,7 @@ from tapping_cell.vision.table.fit import (
     side_noise,
     whitening,
 )
+from tapping_cell.vision.table.systematic_error import ErrorField, condition, lens_shifts
 
 _SIDE_BIAS = 0.0007
 """Pixels that an averaged side may be off by where it lies between pixels (measured: 0.0005)."""

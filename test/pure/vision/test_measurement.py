@@ -9,8 +9,13 @@ from scenes import CAMERA, MARKER, POSE, area_sampled_marker
 
 from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.vision import CameraModel, CameraPose, MarkerError, ObjectMarker, View
+from tapping_cell.vision.markers.detection import (
+    UNIT_CORNERS,
+    dictionary_name,
+    find_markers,
+    marker_pattern,
+)
 from tapping_cell.vision.markers.edges import refine
-from tapping_cell.vision.markers.detection import UNIT_CORNERS, dictionary_name, find_markers, marker_pattern
 from tapping_cell.vision.markers.object_pose import fit_marker, object_pose
 from tapping_cell.vision.markers.photometric import align, align_again, make_template, window_rays
 

@@ -10,8 +10,8 @@ from scenes import CAMERA, MARKER, POSE, area_sampled_marker
 
 from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.vision import View
-from tapping_cell.vision.markers.edges import refine
 from tapping_cell.vision.markers.detection import UNIT_CORNERS
+from tapping_cell.vision.markers.edges import refine
 from tapping_cell.vision.markers.photometric import align, make_template
 
 VIEW = View(CAMERA, POSE)

@@ -9,8 +9,8 @@ from scenes import MARKER, renderer
 
 from tapping_cell.se2 import transform_points
 from tapping_cell.simulation.rendered_camera import Occluder
-from tapping_cell.vision.markers.edges import refine
 from tapping_cell.vision.markers.detection import UNIT_CORNERS, marker_pattern
+from tapping_cell.vision.markers.edges import refine
 from tapping_cell.vision.markers.object_pose import fit_marker
 from tapping_cell.vision.markers.search import patterns_agree
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tapping_cell.vision import CameraModel, CameraPose, ObjectMarker, ReferenceMap, View
-from tapping_cell.vision.markers.edges import BINS, MarkerEdges
-from tapping_cell.vision.markers.shape_consistency import Suspicion, judge_form
 from tapping_cell.vision.markers.detection import UNIT_CORNERS, ReferenceMarker
+from tapping_cell.vision.markers.edges import BINS, MarkerEdges
 from tapping_cell.vision.markers.object_pose import fit_marker, object_pose
+from tapping_cell.vision.markers.shape_consistency import Suspicion, judge_form
 from tapping_cell.vision.table.tracker import TableState, TableTracker
 
 CAMERA = CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5, (-0.12, 0.08, 0.0004, -0.0003))
