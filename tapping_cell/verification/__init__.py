@@ -1,0 +1,1 @@
+"""The cell's own logic, drivers and boards in virtual time, under every fault, from one seed."""

@@ -1,0 +1,148 @@
+"""A camera and its node in virtual time: what ``object_state`` says, frame by frame.
+
+The pose of each frame is the world's truth with noise; rest, fusion and covariance are judged by
+the tracker that ships (``vision.rest``). Images themselves are not drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tapping_cell.messages import ObjectState, PoseWithCovariance, Time
+from tapping_cell.se2 import Pose
+from tapping_cell.verification.message_values import pose_message, time_message
+from tapping_cell.verification.scheduler import Scheduler
+from tapping_cell.vision.rest import RestSettings, Track
+
+PERIOD_S = 1 / 15
+"""Between frames: half the rate of the shipped camera, to halve the time that a run takes."""
+LATENCY_S = 0.02
+"""From the exposure to the publication of the pose."""
+SILENCE_LIMIT_S = 0.4
+"""Without a frame for so long, the node publishes that the camera is silent."""
+CAMERA_SILENT = 301
+
+
+@dataclass(slots=True)
+class CameraFaults:
+    """What goes wrong with the camera at present; times in s of the run."""
+
+    lost_until: float = -math.inf
+    late_until: float = -math.inf
+    late_by: float = 0.0
+    repeated_until: float = -math.inf
+    hidden_until: float = -math.inf
+    wrong_until: float = -math.inf
+    wrong_by: Pose = field(default_factory=lambda: Pose(0.0, 0.0, 0.0))
+
+
+class Camera:
+    """Publishes ``object_state`` through ``publish`` as long as its process is there.
+
+    ``look``: the object's true pose at a time, or None while something covers it. ``ros_now``: ROS
+    time (ns) of the camera's computer. ``sigma``: standard deviation of one frame: m, m, rad.
+    """
+
+    def __init__(
+        self,
+        scheduler: Scheduler,
+        rng: np.random.Generator,
+        look: Callable[[float], Pose | None],
+        ros_now: Callable[[], int],
+        publish: Callable[[ObjectState], None],
+        object_id: str,
+        sigma: tuple[float, float, float],
+    ) -> None:
+        self.faults = CameraFaults()
+        self.frozen_until = -math.inf
+        self.alive = True
+        self._scheduler = scheduler
+        self._rng = rng
+        self._look = look
+        self._ros_now = ros_now
+        self._publish = publish
+        self._object_id = object_id
+        self._sigma = np.array(sigma)
+        self._covariance = np.diag(self._sigma**2)
+        self._track = Track(RestSettings())
+        self._last: ObjectState | None = None
+        self._sent_at = 0.0
+        self._told_silent_at = -math.inf
+        scheduler.after(float(rng.uniform(0, PERIOD_S)), self._expose)
+
+    def restart(self) -> None:
+        """The process is there again and knows nothing."""
+        self.alive = True
+        self._track = Track(RestSettings())
+        self._last = None
+
+    def _expose(self) -> None:
+        now = self._scheduler.now
+        self._scheduler.after(PERIOD_S, self._expose)
+        if not self.alive:
+            return
+        faults = self.faults
+        if now < faults.lost_until:
+            if now - self._sent_at > SILENCE_LIMIT_S and now - self._told_silent_at > 0.4:
+                self._told_silent_at = now
+                self._send(self._state(self._ros_now(), CAMERA_SILENT))
+            return
+        self._sent_at = now
+        delay = LATENCY_S + (faults.late_by if now < faults.late_until else 0.0)
+        due = max(now + delay, self.frozen_until)
+        if now < faults.repeated_until and self._last is not None:
+            repeated = self._last
+            self._scheduler.at(due, lambda: self._send(repeated))
+            return
+        true = None if now < faults.hidden_until else self._look(now)
+        self._last = state = self._observe(true, now)
+        self._scheduler.at(due, lambda: self._send(state))
+
+    def _send(self, state: ObjectState) -> None:
+        if self.alive:
+            self._publish(state)
+
+    def _state(self, stamp: int, code: int = 0) -> ObjectState:
+        state = ObjectState(object_id=self._object_id, error_code=code)
+        state.header.stamp = time_message(stamp)
+        state.header.frame_id = "table"
+        if code:
+            state.error_msg = f"no image for {SILENCE_LIMIT_S:.1f} s; check the camera"
+        return state
+
+    def _observe(self, true: Pose | None, now: float) -> ObjectState:
+        stamp = self._ros_now()
+        state = self._state(stamp)
+        if true is None:
+            return state
+        measured = np.array(true) + self._sigma * self._rng.standard_normal(3)
+        if now < self.faults.wrong_until:
+            measured += np.array(self.faults.wrong_by)
+        motion = self._track.add(now, measured, self._covariance)
+        state.visible = True
+        state.at_rest = motion.rest_since is not None
+        state.frames_fused = motion.frames
+        if motion.rest_since is not None:
+            state.at_rest_since = time_message(stamp - round(1e9 * (now - motion.rest_since)))
+        state.pose = PoseWithCovariance(
+            pose=pose_message(Pose(*map(float, motion.pose))),
+            covariance=_planar_covariance(motion.covariance),
+        )
+        vx, vy, omega = map(float, motion.velocity)
+        state.velocity.linear.x, state.velocity.linear.y = vx, vy
+        state.velocity.angular.z = omega
+        return state
+
+
+def _planar_covariance(planar: np.ndarray) -> list[float]:
+    """A covariance (3, 3) of x, y, theta as the 36 numbers of PoseWithCovariance."""
+    whole = np.zeros((6, 6))
+    whole[np.ix_((0, 1, 5), (0, 1, 5))] = planar
+    return [float(value) for value in whole.ravel()]
+
+
+__all__ = ["Camera", "CameraFaults", "Time"]

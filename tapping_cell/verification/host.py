@@ -1,0 +1,449 @@
+"""A process of the cell in virtual time: runs one machine of ``logic`` as its ROS node does.
+
+It can be frozen (and acts afterwards on what had arrived before), killed at any event, and started
+again with the files that it left behind.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from tapping_cell.hardware.faults import HardwareFault
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.effects import (
+    AbandonJob,
+    Answer,
+    AskStops,
+    Call,
+    Content,
+    Effect,
+    Feedback,
+    Job,
+    JobEnded,
+    JobProgress,
+    KeepGoal,
+    KeepStop,
+    Log,
+    Publish,
+    RunJob,
+    StopLevels,
+    StopWire,
+    TouchGoal,
+)
+from tapping_cell.logic.host import (
+    Activated,
+    Configured,
+    Deactivated,
+    LifecycleEvent,
+    Logic,
+    ShutDown,
+)
+from tapping_cell.messages import Bool
+from tapping_cell.verification.network import Network
+from tapping_cell.verification.scheduler import Fiber, Scheduler, Timer
+from tapping_cell.verification.serial_line import SerialLine
+
+START_S = (0.4, 2.5)
+"""From the start of a process to its first try to configure."""
+RETRY_S = 1.0
+"""Between two tries to configure."""
+QUEUE = 10
+"""Messages of one topic that wait for a frozen process; the oldest are lost."""
+
+
+@dataclass(slots=True)
+class HostClock:
+    """The clocks of one computer. ``offset``, ``drift``: of its ROS time against the run's."""
+
+    scheduler: Scheduler
+    offset: float = 0.0
+    drift: float = 0.0
+    steady_offset: float = 0.0
+    epoch: float = 1_800_000_000.0
+
+    def now(self) -> Now:
+        """Both clocks."""
+        passed = self.scheduler.now
+        ros = self.epoch + passed * (1.0 + self.drift) + self.offset
+        return Now(passed + self.steady_offset, round(ros * 1e9))
+
+
+@dataclass(slots=True)
+class Disk:
+    """What a process leaves behind when it ends."""
+
+    goal: Content | None = None
+    goal_touched: float = -math.inf
+    stop: Content | None = None
+    full: bool = False
+
+
+@dataclass(slots=True)
+class Program:
+    """What runs in a process: a machine, with a driver on a serial line or none.
+
+    ``connect(driver)`` is what the node does to configure. ``topics`` are those that it hears,
+    ``services`` those that it offers.
+    """
+
+    make: Callable[[], tuple[Logic, Any]]
+    connect: Callable[[Any], Any]
+    topics: Sequence[str]
+    services: Sequence[str]
+    line: SerialLine | None = None
+
+
+class Process:
+    """One program on one computer. Times in s of the run."""
+
+    def __init__(
+        self,
+        name: str,
+        program: Program,
+        scheduler: Scheduler,
+        network: Network,
+        clock: HostClock,
+        draw: Callable[[float, float], float],
+    ) -> None:
+        self.name = name
+        self.disk = Disk()
+        self.alive = False
+        self.active = False
+        self.frozen_until = 0.0
+        self.freeze_before_write: tuple[int, float] | None = None
+        """After so many more writes of the driver, freeze before the next one for so long."""
+        self.freeze_after_check: float = 0.0
+        """Freeze for so long after the next question that a job asks its machine."""
+        self.on_handled: Callable[[str, str, Any], None] = lambda process, topic, message: None
+        """Told of every message once the machine has handled it."""
+        self.on_log: Callable[[str, str], None] = lambda process, sentence: None
+        self.defects: list[str] = []
+        self.logic: Any = None
+        self._program = program
+        self._scheduler = scheduler
+        self._network = network
+        self._clock = clock
+        self._draw = draw
+        self._driver: Any = None
+        self._worker: Fiber | None = None
+        self._jobs: deque[Job] = deque()
+        self._running: Job | None = None
+        self._abandoned: set[int] = set()
+        self._inbox: deque[Callable[[], None]] = deque()
+        self._waiting: dict[str, int] = {}
+        self._tick: Timer | None = None
+        self._life = 0
+        self._stop_publishers: set[str] = set()
+        if program.line is not None:
+            program.line.before_write = self._before_write
+
+    # Life of the process
+
+    def start(self) -> None:
+        """Begin to run."""
+        self._life += 1
+        life = self._life
+        self.alive, self.active, self.frozen_until = True, False, 0.0
+        self.logic, self._driver = self._program.make()
+        self._jobs.clear()
+        self._abandoned.clear()
+        self._inbox.clear()
+        self._running = None
+        self._stop_publishers.clear()
+        for topic in self._program.topics:
+            self._network.subscribe(self.name, topic, self._deliver)
+        for service in self._program.services:
+            self._network.serve(self.name, service, self._serve(service))
+        delay = self._draw(*START_S)
+        if self._program.line is None:
+            self._scheduler.after(
+                delay, lambda: self._come_up(None) if life == self._life else None
+            )
+            return
+        worker = Fiber(self._scheduler, self.name, lambda: self._work(delay))
+        self._worker = self._program.line.fiber = worker
+        worker.start()
+
+    def kill(self) -> None:
+        """As by SIGKILL: nothing is told to anybody, the port closes."""
+        if not self.alive:
+            return
+        self._life += 1
+        self.alive = self.active = False
+        self._network.leave(self.name)
+        if self._tick is not None:
+            self._tick.cancel()
+        if self._worker is not None:
+            self._worker.kill()
+            self._worker = None
+        if self._program.line is not None:
+            self._program.line.close()
+            self._program.line.release()
+            self._program.line.fiber = None
+
+    def freeze(self, duration: float) -> None:
+        """As by SIGSTOP and, after ``duration`` s, SIGCONT."""
+        if not self.alive:
+            return
+        self.frozen_until = max(self.frozen_until, self._scheduler.now + duration)
+        if self._worker is not None:
+            self._worker.freeze(self.frozen_until)
+        self._scheduler.at(self.frozen_until, self._thaw)
+
+    def lifecycle(self, event: LifecycleEvent) -> None:
+        """Activate or deactivate from outside."""
+        if not self.alive or isinstance(event, Activated) == self.active:
+            return
+
+        def handle() -> None:
+            self.active = isinstance(event, Activated)
+            self._carry_out(self.logic.on_lifecycle(event, self._clock.now()))
+
+        self._when_awake(handle)
+
+    def shut_down(self) -> None:
+        """End in order, as by SIGTERM."""
+        if self.alive:
+            self._handle(lambda now: self.logic.on_lifecycle(Deactivated(), now))
+            self._handle(lambda now: self.logic.on_lifecycle(ShutDown(), now))
+        self.kill()
+
+    def request(
+        self, service: str, request: Any, token: Any, answer: Callable[[Any], None]
+    ) -> None:
+        """An action goal, or a cancellation of one; ``answer`` gets its result."""
+        self._answers[token] = answer
+        self._when_awake(
+            lambda: self._handle(lambda now: self.logic.on_request(service, request, token, now))
+        )
+
+    # What arrives
+
+    def _deliver(self, topic: str, message: Any) -> None:
+        if not self.alive:
+            return
+        if self._scheduler.now < self.frozen_until:
+            self._waiting[topic] = self._waiting.get(topic, 0) + 1
+            if self._waiting[topic] > QUEUE:
+                return
+        self._when_awake(lambda: self._take(topic, message))
+
+    def _take(self, topic: str, message: Any) -> None:
+        if topic == "emergency_stop" and isinstance(message, Bool) and message.data:
+            self._stop_publishers |= {
+                name for name, said in self._network.latched("emergency_stop").items() if said.data
+            }
+        self._handle(lambda now: self.logic.on_message(topic, message, now))
+        self.on_handled(self.name, topic, message)
+
+    def _serve(self, service: str) -> Callable[[Any, Callable[[Any], None]], None]:
+        def handle(request: Any, answer: Callable[[Any], None]) -> None:
+            if self.alive:
+                self.request(service, request, object(), answer)
+
+        return handle
+
+    def _when_awake(self, action: Callable[[], None]) -> None:
+        if self._scheduler.now < self.frozen_until:
+            self._inbox.append(action)
+        else:
+            action()
+
+    def _thaw(self) -> None:
+        if not self.alive or self._scheduler.now < self.frozen_until:
+            return
+        self._waiting.clear()
+        waiting, self._inbox = self._inbox, deque()
+        for action in waiting:
+            self._when_awake(action)
+
+    # The machine and its effects
+
+    @property
+    def _answers(self) -> dict[Any, Callable[[Any], None]]:
+        return self.__dict__.setdefault("_answer_table", {})
+
+    def _handle(self, call: Callable[[Now], Sequence[Effect]]) -> None:
+        if not self.alive:
+            return
+        try:
+            effects = call(self._clock.now())
+        except Exception as error:  # a defect, told as the ROS host tells it
+            self.defects.append(f"{self.name}: {error!r}")
+            effects = self.logic.on_defect(error, self._clock.now())
+        self._carry_out(effects)
+
+    def _carry_out(self, effects: Sequence[Effect]) -> None:
+        for effect in effects:
+            if isinstance(effect, Publish):
+                self._network.publish(self.name, effect.topic, copy.deepcopy(effect.message))
+            elif isinstance(effect, RunJob):
+                self._jobs.append(effect.job)
+                if self._worker is not None and self._running is None:
+                    self._worker.wake()
+            elif isinstance(effect, AbandonJob):
+                self._abandoned.add(effect.job)
+            elif isinstance(effect, StopWire):
+                if self._driver is not None:
+                    self._driver.stop()
+            elif isinstance(effect, Log):
+                self.on_log(self.name, effect.sentence)
+            elif isinstance(effect, Answer):
+                answer = self._answers.pop(effect.token, None)
+                if answer is not None:
+                    answer(effect.response)
+            else:
+                self._carry_out_other(effect)
+
+    def _carry_out_other(self, effect: Effect) -> None:
+        life = self._life
+        if isinstance(effect, Call):
+            token = effect.token
+
+            def answered(response: Any | None) -> None:
+                if life == self._life:
+                    self._when_awake(
+                        lambda: self._handle(lambda now: self.logic.on_answer(token, response, now))
+                    )
+
+            self._network.call(effect.service, effect.request, answered, effect.timeout)
+        elif isinstance(effect, AskStops):
+            self._scheduler.after(0.3, lambda: self._tell_stops(effect.token, life))
+        elif isinstance(effect, KeepGoal):
+            if not self.disk.full or effect.content is None:
+                self.disk.goal = effect.content
+                self.disk.goal_touched = self._scheduler.now
+        elif isinstance(effect, TouchGoal):
+            self.disk.goal_touched = self._scheduler.now
+        elif isinstance(effect, KeepStop):
+            self.disk.stop = effect.content
+        elif isinstance(effect, Feedback):
+            pass
+
+    def _tell_stops(self, token: Any, life: int) -> None:
+        if life != self._life:
+            return
+        levels = self._network.latched("emergency_stop")
+        gone = tuple(sorted(self._stop_publishers - set(levels)))
+        answer = StopLevels(any(said.data for said in levels.values()), tuple(sorted(levels)), gone)
+        if not answer.asserted:
+            self._stop_publishers.clear()
+        self._when_awake(lambda: self._handle(lambda now: self.logic.on_answer(token, answer, now)))
+
+    # Coming up, and ticks
+
+    def _come_up(self, connected: Any) -> None:
+        age = self._scheduler.now - self.disk.goal_touched
+        self._when_awake(
+            lambda: self._handle(
+                lambda now: self.logic.on_lifecycle(
+                    Configured(connected, self.disk.stop, self.disk.goal, age), now
+                )
+            )
+        )
+        self.lifecycle(Activated())
+        life = self._life
+        self._tick = self._scheduler.after(0.0, lambda: self._on_tick(life))
+
+    def _on_tick(self, life: int) -> None:
+        if life != self._life:
+            return
+        if self._scheduler.now < self.frozen_until:
+            self._tick = self._scheduler.at(self.frozen_until, lambda: self._on_tick(life))
+            return
+        self._handle(lambda now: self.logic.on_tick(now))
+        period = self.logic.tick_period
+        self._tick = self._scheduler.after(period, lambda: self._on_tick(life))
+
+    # The worker
+
+    def _work(self, delay: float) -> None:
+        worker = self._worker
+        assert worker is not None
+        worker.wait_until(self._scheduler.now + delay)
+        while True:
+            try:
+                connected = self._program.connect(self._driver)
+                break
+            except HardwareFault:
+                worker.wait_until(self._scheduler.now + RETRY_S)
+        self._come_up(connected)
+        while True:
+            if not self._jobs:
+                worker.wait_until(math.inf)
+                continue
+            job = self._running = self._jobs.popleft()
+            ended = JobEnded(job.number)
+            try:
+                ended = JobEnded(job.number, result=job.run(_Context(self, job, worker)))
+            except HardwareFault as fault:
+                ended = JobEnded(job.number, fault=fault)
+            except Exception as defect:
+                self.defects.append(f"{self.name}, job {job.name}: {defect!r}")
+                ended = JobEnded(job.number, fault=defect)
+            self._running = None
+            self._abandoned.discard(job.number)
+            self._pause(worker)
+            self._handle(lambda now, event=ended: self.logic.on_job(event, now))
+
+    def _pause(self, worker: Fiber) -> None:
+        """In the worker: wait while the process is frozen."""
+        while self._scheduler.now < self.frozen_until:
+            worker.wait_until(self.frozen_until)
+
+    def _before_write(self) -> None:
+        plan, worker = self.freeze_before_write, self._worker
+        if plan is None or worker is None:
+            return
+        left, duration = plan
+        self.freeze_before_write = (left - 1, duration) if left > 0 else None
+        if left <= 0:
+            self.freeze(duration)
+            self._pause(worker)
+
+
+@dataclass(slots=True)
+class _Context:
+    """What a job may use of its process."""
+
+    process: Process
+    job: Job
+    worker: Fiber
+    driver: Any = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.driver = self.process._driver
+
+    def now(self) -> Now:
+        """The present moment."""
+        return self.process._clock.now()
+
+    def sleep(self, duration: float) -> None:
+        """Let ``duration`` s pass."""
+        until = self.process._scheduler.now + duration
+        while self.process._scheduler.now < until:
+            self.worker.wait_until(until)
+
+    def abandoned(self) -> bool:
+        """Whether the job was abandoned."""
+        return self.job.number in self.process._abandoned
+
+    def post(self, content: object) -> None:
+        """Tell the machine of progress."""
+        event = JobProgress(self.job.number, content)
+        self.process._handle(lambda now: self.process.logic.on_job(event, now))
+
+    def ask(self, query: Callable[[Now], Any]) -> Any:
+        """Ask the machine."""
+        answer = query(self.process._clock.now())
+        duration = self.process.freeze_after_check
+        if duration > 0:
+            self.process.freeze_after_check = 0.0
+            self.process.freeze(duration)
+            self.process._pause(self.worker)
+        return answer

@@ -1,0 +1,230 @@
+"""What must never happen, checked against the truth after every event of a run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from tapping_cell.messages import ObjectState, PlanState, TapCommand, TapperState
+from tapping_cell.se2 import Pose
+from tapping_cell.verification.message_values import pose_of, time_of
+from tapping_cell.verification.physical_cell import PhysicalCell, Release
+from tapping_cell.verification.scheduler import Scheduler
+
+WINDOW_S = 0.1
+"""A release may follow a FIRE that was on its way by so much: the board's longest window."""
+STRIKE_POSITION_M = 0.0025
+STRIKE_ANGLE_RAD = 0.01
+"""How far the true tip may be from the commanded one at a release: errors of the arm included."""
+STRIKE_HEIGHT_M = 0.0005
+UNSEEN_LIMIT_S = 1.2
+"""A release may follow a change of the scene by so much: the cell's limits of freshness."""
+BUMP_M = 0.004
+BUMP_RAD = math.radians(6.0)
+"""From how much on an object that was moved by hand must not be struck as planned."""
+CHARGED_LIMIT_S = 12.0
+"""Longest time that a striker may stay charged, whatever happened to the computers."""
+STOP_MOTION_S = 1.5
+"""An arm that was told to stop is at rest after so long, braking and delivery included."""
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """An invariant that was broken; ``time`` in s of the run."""
+
+    name: str
+    time: float
+    sentence: str
+
+
+@dataclass(slots=True)
+class Witness:
+    """Hears everything, knows the truth, and checks. Times in s of the run.
+
+    ``stopped_at``: since when a stop that nobody has reset is held, by process; ``ended_taps``: when
+    the end of a tap (withdrawal, stop, cancel) was delivered to the tapper's process.
+    """
+
+    scheduler: Scheduler
+    physical: PhysicalCell
+    tolerance: tuple[float, float]
+    violations: list[Violation] = field(default_factory=list)
+    commands: dict[int, TapCommand] = field(default_factory=dict)
+    ended_taps: dict[int, float] = field(default_factory=dict)
+    outcomes: dict[int, int] = field(default_factory=dict)
+    stopped_at: dict[str, float] = field(default_factory=dict)
+    word_given: bool = True
+    """Whether a person has allowed motion since the last crash, stop or loss of power."""
+    hidden_since: float = math.inf
+    moved_by_hand: tuple[float, Pose] | None = None
+    """When the object was last moved by hand, and where it lay before."""
+    tapper_ros_now: int = 0
+    _released: int = 0
+    _charged_since: float | None = None
+    _safe_reported: float | None = None
+    _moving_since: float | None = None
+
+    def violate(self, name: str, sentence: str) -> None:
+        """Note a broken invariant."""
+        self.violations.append(Violation(name, self.scheduler.now, sentence))
+
+    def on_publish(self, node: str, topic: str, message: object) -> None:
+        """Hear what a node publishes."""
+        if topic == "tap_command" and isinstance(message, TapCommand) and node == "tap_planner":
+            if message.request == TapCommand.TAP:
+                self.commands[message.tap_id] = message
+        elif topic == "tapper_state" and isinstance(message, TapperState):
+            self._on_tapper_state(message)
+        elif topic == "plan_state" and isinstance(message, PlanState):
+            self._on_plan_state(message)
+
+    def after_event(self) -> None:
+        """Check what can be seen at any moment."""
+        releases = self.physical.releases
+        while self._released < len(releases):
+            self._check_release(releases[self._released], releases[: self._released])
+            self._released += 1
+        self._check_charge()
+        self._check_motion()
+
+    # Releases
+
+    def _check_release(self, release: Release, earlier: list[Release]) -> None:
+        shot = release.shot
+        if any(before.shot == shot for before in earlier):
+            self.violate("fired twice", f"shot {shot} was released twice")
+        if release.moving:
+            self.violate("arm moving", f"shot {shot} was released while the arm moved")
+        command = self.commands.get(shot)
+        if command is None:
+            self.violate("no such tap", f"shot {shot} was released, but never commanded")
+            return
+        self._check_place(release, command)
+        self._check_time(release, command)
+        self._check_scene(release, command)
+
+    def _check_place(self, release: Release, command: TapCommand) -> None:
+        wanted = pose_of(command.strike_pose)
+        distance = wanted.distance_to(release.tip)
+        turn = abs(wanted.rotation_to(release.tip))
+        lift = abs(release.height - command.strike_pose.position.z)
+        if distance > STRIKE_POSITION_M or turn > STRIKE_ANGLE_RAD or lift > STRIKE_HEIGHT_M:
+            self.violate(
+                "arm elsewhere",
+                f"shot {release.shot} was released {1e3 * distance:.2f} mm,"
+                f" {math.degrees(turn):.2f} deg and {1e3 * lift:.2f} mm in height away from its"
+                " strike pose",
+            )
+
+    def _check_time(self, release: Release, command: TapCommand) -> None:
+        ended = self.ended_taps.get(release.shot)
+        if ended is not None and release.time > ended + WINDOW_S:
+            self.violate(
+                "after its end",
+                f"shot {release.shot} was released {release.time - ended:.3f} s after its end was"
+                " delivered to the tapper",
+            )
+        stopped = self.stopped_at.get("tapper_trigger")
+        if stopped is not None and release.time > stopped + WINDOW_S:
+            self.violate(
+                "after a stop",
+                f"shot {release.shot} was released {release.time - stopped:.3f} s after a stop",
+            )
+        late = 1e-9 * (self.tapper_ros_now - time_of(command.expiry)) - WINDOW_S
+        if late > 0:
+            self.violate("expired", f"shot {release.shot} was released {late:.3f} s too late")
+
+    def _check_scene(self, release: Release, command: TapCommand) -> None:
+        if release.time > self.hidden_since + UNSEEN_LIMIT_S:
+            self.violate(
+                "unseen",
+                f"shot {release.shot} was released {release.time - self.hidden_since:.2f} s after"
+                " the camera last saw the object",
+            )
+        planned = pose_of(command.object_pose)
+        off, turned = (
+            planned.distance_to(release.object_pose),
+            abs(planned.rotation_to(release.object_pose)),
+        )
+        moved = self.moved_by_hand
+        if (off > BUMP_M or turned > BUMP_RAD) and (
+            moved is None or release.time > moved[0] + UNSEEN_LIMIT_S
+        ):
+            self.violate(
+                "object elsewhere",
+                f"shot {release.shot} was released with the object {1e3 * off:.1f} mm and"
+                f" {math.degrees(turned):.1f} deg from where the tap was planned",
+            )
+
+    # What goes on
+
+    def _check_charge(self) -> None:
+        now = self.scheduler.now
+        charged = self.physical.tapper_board.state in ("DRAWING", "DRAWN")
+        if not charged:
+            self._charged_since = None
+            return
+        if self._charged_since is None:
+            self._charged_since = now
+        elif now - self._charged_since > CHARGED_LIMIT_S:
+            self.violate("left charged", f"the striker has been charged for {now:.1f} s")
+            self._charged_since = now
+
+    def _check_motion(self) -> None:
+        now = self.scheduler.now
+        if not self.physical.moving(now):
+            self._moving_since = None
+            return
+        if self._moving_since is None:
+            self._moving_since = now
+            if not self.word_given:
+                self.violate(
+                    "moved by itself",
+                    "the arm began to move without a person's word after a crash or a stop",
+                )
+        stopped = self.stopped_at.get("scara_arm")
+        if stopped is not None and now > stopped + STOP_MOTION_S:
+            self.violate("moves while stopped", f"the arm moves {now - stopped:.2f} s after a stop")
+            self.stopped_at["scara_arm"] = math.inf
+
+    # Reports
+
+    def _on_tapper_state(self, message: TapperState) -> None:
+        fired = any(release.shot == message.tap_id for release in self.physical.releases)
+        if message.tap_id and message.outcome != TapperState.NONE:
+            self.outcomes[message.tap_id] = message.outcome
+            if message.outcome == TapperState.FIRED and not fired:
+                self.violate("false report", f"tap {message.tap_id} is told FIRED, it was not")
+        if message.state == TapperState.SAFE and self._charged_since is not None:
+            since = self.scheduler.now - self._charged_since
+            if since > 0.6 and message.tap_id == self.physical.tapper_board.shot:
+                self.violate(
+                    "said safe while charged",
+                    f"the tapper is told SAFE, it has been charged for {since:.2f} s",
+                )
+
+    def _on_plan_state(self, message: PlanState) -> None:
+        if message.state != PlanState.REACHED or message.header.frame_id != "table":
+            return
+        true = self.physical.object_pose(self.scheduler.now)
+        goal = pose_of(message.goal.pose)
+        off, turned = goal.distance_to(true), abs(goal.rotation_to(true))
+        position, angle = message.position_tolerance, message.angle_tolerance
+        moved = self.moved_by_hand
+        recently = moved is not None and self.scheduler.now - moved[0] < UNSEEN_LIMIT_S
+        if (off > position or turned > angle) and not recently:
+            self.violate(
+                "false claim",
+                f"told reached, truly {1e3 * off:.3f} mm and {math.degrees(turned):.3f} deg off"
+                f" (tolerance {1e3 * position:.3f} mm, {math.degrees(angle):.3f} deg)",
+            )
+
+    def at_the_end(self) -> None:
+        """Hold every report of an outcome against what truly happened, also later."""
+        fired = {release.shot for release in self.physical.releases}
+        for shot, outcome in self.outcomes.items():
+            if outcome == TapperState.NOT_FIRED and shot in fired:
+                self.violate("false report", f"tap {shot} was told NOT_FIRED, it was fired")
+
+
+__all__ = ["ObjectState", "Violation", "Witness"]

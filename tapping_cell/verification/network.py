@@ -1,0 +1,150 @@
+"""Topics and services between nodes, with the delays, losses and repeats that DDS may have."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.verification.scheduler import Scheduler
+
+SERVICE_TIMEOUT_S = 1.0
+"""After which a person's request without an answer counts as failed."""
+
+Deliver = Callable[[str, Any], None]
+"""Takes the topic and the message."""
+Handle = Callable[[Any, Callable[[Any], None]], None]
+"""Takes the request and what to call with the answer."""
+
+
+@dataclass(slots=True)
+class Quality:
+    """How a topic is sent: ``latched`` (late joiners get the last message), ``reliable``."""
+
+    latched: bool = False
+    reliable: bool = True
+
+
+@dataclass(slots=True)
+class LinkFaults:
+    """What goes wrong between nodes at present; times in s."""
+
+    usual_delay: tuple[float, float] = (0.0003, 0.002)
+    loss: float = 0.0
+    """Share of messages lost where the topic is not reliable."""
+    duplicates: float = 0.0
+    """Share of messages that arrive twice."""
+    slow_topics: dict[str, float] = field(default_factory=dict)
+    """Extra delay of some topics."""
+
+
+@dataclass(slots=True, eq=False)
+class _Link:
+    """From one publisher to one subscriber of a topic: in order."""
+
+    subscriber: str
+    deliver: Deliver
+    free_at: float = 0.0
+
+
+class Network:
+    """Everything that nodes say to each other. Names of nodes tell publishers apart."""
+
+    def __init__(
+        self, scheduler: Scheduler, rng: np.random.Generator, qualities: dict[str, Quality]
+    ) -> None:
+        self.faults = LinkFaults()
+        self.history: dict[str, deque[Any]] = {}
+        """The last messages of each topic, for replays."""
+        self.on_publish: Callable[[str, str, Any], None] = lambda node, topic, message: None
+        """Told of every message that a node publishes."""
+        self._scheduler = scheduler
+        self._rng = rng
+        self._qualities = qualities
+        self._links: dict[str, list[_Link]] = {}
+        self._last: dict[str, dict[str, Any]] = {}
+        self._servers: dict[str, tuple[str, Handle]] = {}
+
+    def subscribe(self, node: str, topic: str, deliver: Deliver) -> None:
+        """Begin to hear a topic; what is latched arrives at once."""
+        link = _Link(node, deliver)
+        self._links.setdefault(topic, []).append(link)
+        if self._quality(topic).latched:
+            for message in self._last.get(topic, {}).values():
+                self._send(link, topic, message)
+
+    def publish(self, node: str, topic: str, message: Any) -> None:
+        """Send a message to everybody who hears the topic."""
+        self.on_publish(node, topic, message)
+        self.history.setdefault(topic, deque(maxlen=20)).append(message)
+        if self._quality(topic).latched:
+            self._last.setdefault(topic, {})[node] = message
+        for link in self._links.get(topic, ()):
+            self._send(link, topic, message)
+
+    def latched(self, topic: str) -> dict[str, Any]:
+        """The last message of each publisher that is there."""
+        return dict(self._last.get(topic, {}))
+
+    def serve(self, node: str, service: str, handle: Handle) -> None:
+        """Offer a service: ``handle(request, answer)``."""
+        self._servers[service] = (node, handle)
+
+    def call(
+        self,
+        service: str,
+        request: Any,
+        on_answer: Callable[[Any | None], None],
+        timeout: float = SERVICE_TIMEOUT_S,
+    ) -> None:
+        """Call a service; None where nobody answers within ``timeout`` s."""
+        answered = False
+
+        def finish(response: Any | None) -> None:
+            nonlocal answered
+            if not answered:
+                answered = True
+                on_answer(response)
+
+        def answer(response: Any) -> None:
+            self._scheduler.after(self._delay(service), lambda: finish(response))
+
+        def arrive() -> None:
+            server = self._servers.get(service)
+            if server is not None:
+                server[1](request, answer)
+
+        self._scheduler.after(self._delay(service), arrive)
+        self._scheduler.after(timeout, lambda: finish(None))
+
+    def leave(self, node: str) -> None:
+        """A node is gone: it hears nothing more, and what it latched is forgotten."""
+        for topic, links in self._links.items():
+            self._links[topic] = [link for link in links if link.subscriber != node]
+        for kept in self._last.values():
+            kept.pop(node, None)
+        for service in [name for name, (owner, _) in self._servers.items() if owner == node]:
+            del self._servers[service]
+
+    def _quality(self, topic: str) -> Quality:
+        return self._qualities.get(topic, Quality())
+
+    def _delay(self, topic: str) -> float:
+        low, high = self.faults.usual_delay
+        return float(self._rng.uniform(low, high)) + self.faults.slow_topics.get(topic, 0.0)
+
+    def _send(self, link: _Link, topic: str, message: Any) -> None:
+        if not self._quality(topic).reliable and self._rng.random() < self.faults.loss:
+            return
+        times = 2 if self._rng.random() < self.faults.duplicates else 1
+        for _ in range(times):
+            due = max(self._scheduler.now + self._delay(topic), link.free_at)
+            link.free_at = due
+            self._scheduler.at(due, lambda: self._arrive(link, topic, message))
+
+    def _arrive(self, link: _Link, topic: str, message: Any) -> None:
+        if link in self._links.get(topic, ()):
+            link.deliver(topic, message)

@@ -1,0 +1,141 @@
+"""The physical side of a simulated cell: boards behind their lines, arm, striker, object, camera view."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.hardware.scara import Joints
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.devices import arm_emulator
+from tapping_cell.simulation.fault_layer import FaultLayer
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
+from tapping_cell.simulation.truth import TruthFile
+from tapping_cell.simulation.world import World
+from tapping_cell.verification.scheduler import Scheduler
+from tapping_cell.verification.serial_line import SerialLine
+
+LINK_RADIUS_M = 0.045
+"""Half the width of the arm's links as the camera sees them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """The striker was released, in truth. ``height`` of the tip in m, ``speed`` in m/s."""
+
+    shot: int
+    energy: float
+    time: float
+    joints: Joints
+    moving: bool
+    tip: Pose
+    height: float
+    object_pose: Pose
+
+
+class PhysicalCell:
+    """What exists whether or not a program runs. Times in s of the run."""
+
+    def __init__(self, scheduler: Scheduler, cell: Cell, truth: TruthFile, seed: int) -> None:
+        self.cell = cell
+        self.truth = truth
+        self.releases: list[Release] = []
+        self._scheduler = scheduler
+        self.geometry = cell.file.arm.geometry()
+        self._base = cell.arm_base @ Pose(*truth.arm.base_offset)
+        self._curve = cell.file.tapper.curve()
+        self.world = World(
+            cell.object, cell.file.tapper.striker(), cell.file.tapper.stroke, truth, seed
+        )
+        self.arm_board = arm_emulator(cell.file.arm, truth.arm, seed, scheduler.now)
+        self.tapper_board = TapperEmulator(on_fire=self._release, boot=1, now=scheduler.now)
+        self.arm_line = SerialLine(scheduler, FaultLayer(self.arm_board), "arm")
+        self.tapper_line = SerialLine(scheduler, FaultLayer(self.tapper_board), "tapper")
+
+    def joints(self, time: float) -> Joints:
+        """Where the arm truly is."""
+        return Joints(*self.arm_board.joints(time))
+
+    def moving(self, time: float) -> bool:
+        """Whether the arm truly moves."""
+        return self.arm_board.moving(time)
+
+    def tip(self, time: float) -> tuple[Pose, float]:
+        """The striker's tip: its true pose in ``table`` and its height in m."""
+        tip = self.geometry.forward(self.joints(time))
+        return self._base @ Pose(tip.x, tip.y, tip.yaw), tip.z
+
+    def object_pose(self, time: float) -> Pose:
+        """Where the object truly is."""
+        self.world.advance(time)
+        return self.world.pose
+
+    def view(self, time: float) -> Pose | None:
+        """The object's true pose, or None while the arm stands between it and the camera."""
+        pose = self.object_pose(time)
+        radius = self.cell.object.body().bounding_radius + LINK_RADIUS_M
+        return None if self._arm_distance(pose, time) < radius else pose
+
+    def press_clear_button(self) -> None:
+        """A person presses the button at the tapper's board."""
+        self.tapper_board.press_clear_button(self._scheduler.now)
+        self.tapper_line.schedule()
+
+    def set_interlock(self, closed: bool) -> None:
+        """The guard is opened or closed."""
+        self.tapper_board.set_interlock(closed, self._scheduler.now)
+        self.tapper_line.schedule()
+
+    def _arm_distance(self, pose: Pose, time: float) -> float:
+        """From the object's centre to the middle line of the arm, seen from above, m."""
+        joints = self.joints(time)
+        tip = self.geometry.forward(joints)
+        elbow = self._base @ Pose(
+            self.geometry.upper_arm * math.cos(joints.shoulder),
+            self.geometry.upper_arm * math.sin(joints.shoulder),
+            0.0,
+        )
+        wrist = self._base @ Pose(
+            self.geometry.upper_arm * math.cos(joints.shoulder)
+            + self.geometry.forearm * math.cos(joints.shoulder + joints.elbow),
+            self.geometry.upper_arm * math.sin(joints.shoulder)
+            + self.geometry.forearm * math.sin(joints.shoulder + joints.elbow),
+            0.0,
+        )
+        end = self._base @ Pose(tip.x, tip.y, tip.yaw)
+        points = [self._base, elbow, wrist, end]
+        return min(
+            _distance(pose, first, second)
+            for first, second in zip(points[:-1], points[1:], strict=True)
+        )
+
+    def _release(self, shot: int, energy: float, now: float) -> float | None:
+        """The board released the striker."""
+        tip, height = self.tip(now)
+        self.releases.append(
+            Release(
+                shot,
+                energy,
+                now,
+                self.joints(now),
+                self.moving(now),
+                tip,
+                height,
+                self.object_pose(now),
+            )
+        )
+        speed = self._curve.speed_for(energy)
+        self.world.strike(tip, height, speed, now)
+        return self.world.gate_speed(speed)
+
+
+def _distance(point: Pose, start: Pose, end: Pose) -> float:
+    """From a point to a segment, m."""
+    way = np.array([end.x - start.x, end.y - start.y])
+    offset = np.array([point.x - start.x, point.y - start.y])
+    length = float(way @ way)
+    share = 0.0 if length == 0.0 else min(max(float(offset @ way) / length, 0.0), 1.0)
+    return float(np.hypot(*(offset - share * way)))

@@ -1,0 +1,178 @@
+"""Virtual time: events in order of their time, and threads of which only one ever runs.
+
+Drivers block. Each blocking sequence therefore runs in a thread of its own, a *fiber*, but a fiber
+runs only while the scheduler waits for it, and gives control back wherever it waits. Nothing runs
+at the same time as anything else, so the order of events follows from the seed alone.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+import threading
+from collections.abc import Callable
+from itertools import count
+
+Action = Callable[[], None]
+
+MOST_EVENTS_AT_ONCE = 100_000
+"""Events without any time passing after which the run counts as hanging."""
+
+
+class HangError(Exception):
+    """Virtual time no longer passes."""
+
+
+class Killed(BaseException):
+    """Raised inside a fiber at the place where it waits when its process is killed.
+
+    Not an ``Exception``, so that no driver takes it for a failure of a device.
+    """
+
+
+class Timer:
+    """An event that is due at ``time`` (s) and can be cancelled."""
+
+    __slots__ = ("action", "time")
+
+    def __init__(self, time: float, action: Action) -> None:
+        self.time = time
+        self.action: Action | None = action
+
+    def cancel(self) -> None:
+        """Do not let it happen."""
+        self.action = None
+
+
+class Scheduler:
+    """The events of one run. Times are in s from the start of the run."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.after_event: Action = lambda: None
+        """Called after every event: where invariants are checked."""
+        self._queue: list[tuple[float, int, Timer]] = []
+        self._numbers = count()
+        self._at_once = 0
+        self._baton = threading.Lock()
+        self._baton.acquire()
+        self._failure: BaseException | None = None
+
+    def at(self, time: float, action: Action) -> Timer:
+        """Let ``action`` happen at ``time``, at once where that has passed."""
+        timer = Timer(max(time, self.now), action)
+        heapq.heappush(self._queue, (timer.time, next(self._numbers), timer))
+        return timer
+
+    def after(self, delay: float, action: Action) -> Timer:
+        """Let ``action`` happen ``delay`` s from now."""
+        return self.at(self.now + delay, action)
+
+    def run(self, until: float, done: Callable[[], bool] = lambda: False) -> None:
+        """Let events happen up to the time ``until``, or until ``done()`` is true after one.
+
+        Raises:
+            HangError: too many events without any time passing.
+        """
+        while self._queue and self._queue[0][0] <= until and not done():
+            time, _, timer = heapq.heappop(self._queue)
+            action = timer.action
+            if action is None:
+                continue
+            self._at_once = self._at_once + 1 if time <= self.now else 0
+            if self._at_once > MOST_EVENTS_AT_ONCE:
+                raise HangError(f"{self._at_once} events at {self.now:.3f} s")
+            self.now = time
+            action()
+            self.after_event()
+        if not done() and math.isfinite(until):
+            self.now = max(self.now, until)
+
+    # Fibers
+
+    def switch_to(self, fiber: Fiber) -> None:
+        """Let a fiber run until it waits or ends; what it raises is raised here."""
+        fiber.baton.release()
+        self._baton.acquire()
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+    def switch_back(self, failure: BaseException | None = None) -> None:
+        """In a fiber: hand control back to the event that let it run."""
+        self._failure = failure
+        self._baton.release()
+
+
+class Fiber:
+    """A thread that runs only while the scheduler waits for it; ``body`` is its whole life."""
+
+    def __init__(self, scheduler: Scheduler, name: str, body: Action) -> None:
+        self.baton = threading.Lock()
+        self.baton.acquire()
+        self.ended = False
+        self.frozen_until = 0.0
+        """Before this time it does not go on, whatever it waits for."""
+        self._scheduler = scheduler
+        self._body = body
+        self._killed = False
+        self._wake: Timer | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def start(self) -> None:
+        """Let it begin, as an event of its own."""
+        self.wake()
+
+    def wait_until(self, time: float) -> None:
+        """In the fiber: let virtual time pass up to ``time``, or until :meth:`wake`.
+
+        Raises:
+            Killed: the process was killed meanwhile.
+        """
+        self._wake = None
+        if math.isfinite(time):
+            self._wake = self._scheduler.at(max(time, self.frozen_until), self._resume)
+        self._scheduler.switch_back()
+        self.baton.acquire()
+        if self._killed:
+            raise Killed
+
+    def wake(self) -> None:
+        """Let the fiber go on now, whatever it waits for."""
+        if self._wake is not None:
+            self._wake.cancel()
+        self._wake = self._scheduler.at(self.frozen_until, self._resume)
+
+    def freeze(self, until: float) -> None:
+        """Let the fiber not go on before ``until``: its process is frozen."""
+        self.frozen_until = max(self.frozen_until, until)
+        if self._wake is not None and self._wake.time < self.frozen_until:
+            self.wake()
+
+    def kill(self) -> None:
+        """End the fiber where it waits."""
+        if self.ended or self._killed:
+            return
+        self._killed = True
+        if self._wake is not None:
+            self._wake.cancel()
+        self._scheduler.switch_to(self)
+
+    def _resume(self) -> None:
+        self._wake = None
+        if not self.ended:
+            self._scheduler.switch_to(self)
+
+    def _run(self) -> None:
+        self.baton.acquire()
+        failure: BaseException | None = None
+        try:
+            if not self._killed:
+                self._body()
+        except Killed:
+            pass
+        except BaseException as error:
+            failure = error
+        self.ended = True
+        self._scheduler.switch_back(failure)
