@@ -1,7 +1,7 @@
 """A camera and its node in virtual time: what ``object_state`` says, frame by frame.
 
 The pose of each frame is the world's truth with noise; rest, fusion and covariance are judged by
-the tracker that ships (``vision.rest``). Images themselves are not drawn.
+the tracker that ships (``vision.rest_detection``). Images themselves are not drawn.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tapping_cell.messages import ObjectState, PoseWithCovariance, Time
 from tapping_cell.se2 import Pose
 from tapping_cell.verification.message_values import pose_message, time_message
 from tapping_cell.verification.scheduler import Scheduler
-from tapping_cell.vision.rest import RestSettings, Track
+from tapping_cell.vision.rest_detection import RestSettings, Track
 
 PERIOD_S = 1 / 15
 """Between frames: half the rate of the shipped camera, to halve the time that a run takes."""

@@ -161,9 +161,7 @@ class Process:
             self._network.serve(self.name, service, self._serve(service))
         delay = self._draw(*START_S)
         if self._program.line is None:
-            self._scheduler.after(
-                delay, lambda: self._come_up(None) if life == self._life else None
-            )
+            self._scheduler.after(delay, lambda: self._come_up(None, life))
             return
         worker = Fiber(self._scheduler, self.name, lambda: self._work(delay))
         self._worker = self._program.line.fiber = worker
@@ -337,7 +335,9 @@ class Process:
 
     # Coming up, and ticks
 
-    def _come_up(self, connected: Any) -> None:
+    def _come_up(self, connected: Any, life: int) -> None:
+        if life != self._life:
+            return
         age = self._scheduler.now - self.disk.goal_touched
         self._when_awake(
             lambda: self._handle(
@@ -347,7 +347,6 @@ class Process:
             )
         )
         self.lifecycle(Activated())
-        life = self._life
         self._tick = self._scheduler.after(0.0, lambda: self._on_tick(life))
 
     def _on_tick(self, life: int) -> None:
@@ -372,7 +371,7 @@ class Process:
                 break
             except HardwareFault:
                 worker.wait_until(self._scheduler.now + RETRY_S)
-        self._come_up(connected)
+        self._come_up(connected, self._life)
         while True:
             if not self._jobs:
                 worker.wait_until(math.inf)

@@ -41,8 +41,8 @@ class Violation:
 class Witness:
     """Hears everything, knows the truth, and checks. Times in s of the run.
 
-    ``stopped_at``: since when a stop that nobody has reset is held, by process; ``ended_taps``: when
-    the end of a tap (withdrawal, stop, cancel) was delivered to the tapper's process.
+    ``stopped_at``: since when a stop that nobody has reset is held, by process; ``ended_taps``:
+    when the end of a tap (withdrawal, stop, cancel) was delivered to the tapper's process.
     """
 
     scheduler: Scheduler

@@ -1,9 +1,10 @@
-"""The physical side of a simulated cell: boards behind their lines, arm, striker, object, camera view."""
+"""The physical side of a simulated cell: boards and their lines, arm, striker, object, view."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -107,10 +108,7 @@ class PhysicalCell:
         )
         end = self._base @ Pose(tip.x, tip.y, tip.yaw)
         points = [self._base, elbow, wrist, end]
-        return min(
-            _distance(pose, first, second)
-            for first, second in zip(points[:-1], points[1:], strict=True)
-        )
+        return min(_distance(pose, first, second) for first, second in pairwise(points))
 
     def _release(self, shot: int, energy: float, now: float) -> float | None:
         """The board released the striker."""
