@@ -40,7 +40,7 @@ def arm_terminals() -> dict[int, str]:
     for entry in Path("/proc").iterdir():
         try:
             words = (entry / "cmdline").read_bytes().decode().split("\0")
-            if "tapping_cell.nodes.scara_arm" not in words or not entry.name.isdigit():
+            if "tapping_cell.nodes.drivers.scara_arm" not in words or not entry.name.isdigit():
                 continue
             links = [os.readlink(link) for link in (entry / "fd").iterdir()]
         except OSError:
