@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 
 from tapping_cell.cli.graph import own_domain
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.nodes import MODULES
 
 CELL = (sys.executable, "-m", "tapping_cell")
 
@@ -40,7 +42,7 @@ def arm_terminals() -> dict[int, str]:
     for entry in Path("/proc").iterdir():
         try:
             words = (entry / "cmdline").read_bytes().decode().split("\0")
-            if "tapping_cell.nodes.drivers.scara_arm" not in words or not entry.name.isdigit():
+            if MODULES["scara_arm"] not in words or not entry.name.isdigit():
                 continue
             links = [os.readlink(link) for link in (entry / "fd").iterdir()]
         except OSError:
@@ -115,8 +117,6 @@ def test_a_second_cell_in_one_domain_and_namespace_is_refused(tmp_path: Path) ->
 def test_hardware_on_the_packaged_example_file_is_refused(
     given: tuple[str, ...], tmp_path: Path
 ) -> None:
-    from tapping_cell.configuration.files import shared_folder
-
     folder = tmp_path / "config"
     folder.symlink_to(shared_folder())
     ended = subprocess.run(
