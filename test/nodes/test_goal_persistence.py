@@ -13,9 +13,9 @@ GOAL = {"goal": [0.01, 0.02, 0.3], "tolerance": [0.001, 0.02], "max_taps": 20}
 
 
 @pytest.fixture
-def memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> goal_persistence.GoalPersistence:
+def memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> goal_persistence.GoalMemory:
     monkeypatch.setattr(goal_persistence, "FOLDER", tmp_path)
-    return goal_persistence.GoalPersistence("/cell", 60.0)
+    return goal_persistence.GoalMemory("/cell", 60.0)
 
 
 def leave(folder: Path, text: str) -> Path:
@@ -24,7 +24,7 @@ def leave(folder: Path, text: str) -> Path:
     return file
 
 
-def test_a_goal_is_recalled_once(memory: goal_persistence.GoalPersistence, tmp_path: Path) -> None:
+def test_a_goal_is_recalled_once(memory: goal_persistence.GoalMemory, tmp_path: Path) -> None:
     leave(tmp_path, json.dumps(GOAL))
     recalled = memory.recall()
     assert recalled is not None and recalled.message.pose.position.x == 0.01
@@ -53,7 +53,7 @@ def test_a_goal_is_recalled_once(memory: goal_persistence.GoalPersistence, tmp_p
     ids=range(15),
 )
 def test_a_file_without_a_goal_is_forgotten(
-    memory: goal_persistence.GoalPersistence, tmp_path: Path, text: str
+    memory: goal_persistence.GoalMemory, tmp_path: Path, text: str
 ) -> None:
     file = leave(tmp_path, text)
     assert memory.recall() is None
