@@ -35,8 +35,8 @@ from tapping_cell.cli.graph import (
 from tapping_cell.cli.up import add_truth_arguments, node_parameters
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.nodes.conversions import from_message
-from tapping_cell.nodes.goal_client import GoalClient
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_folder import (
     SUMMARY,

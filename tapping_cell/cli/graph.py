@@ -18,6 +18,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
+from tapping_cell.nodes import MODULES
+
 SIMULATED = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 HARDWARE = ("overhead_camera", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 
@@ -94,7 +96,7 @@ class Graph:
         self.stop()
 
     def _start(self, name: str) -> Child:
-        command = [sys.executable, "-m", f"tapping_cell.nodes.{name}", "--ros-args"]
+        command = [sys.executable, "-m", MODULES[name], "--ros-args"]
         if self._namespace:
             command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
         if self._parameter_file is not None:

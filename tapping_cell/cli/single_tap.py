@@ -62,7 +62,7 @@ from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError, load
-from tapping_cell.nodes.single_tap_client import NoAnswer, SingleTapClient
+from tapping_cell.nodes.clients.single_tap_client import NoAnswer, SingleTapClient
 from tapping_cell.planning import PlanningError
 from tapping_cell.report.bag import BagError, BagWriter
 from tapping_cell.simulation.truth import TruthFile

@@ -33,7 +33,7 @@ from tapping_cell_msgs.msg import (
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import covariance_to_message, from_message, to_message
-from tapping_cell.nodes.tap_planner import TapPlanner
+from tapping_cell.nodes.planner.tap_planner import TapPlanner
 from tapping_cell.se2 import Pose
 
 START = Pose(-0.05, 0.02, 0.2)
