@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from pathlib import Path
@@ -59,11 +60,21 @@ class GoalMemory:
             self.forget()
             if not 0 <= age <= self._patience:
                 return None
-            message = PoseStamped(pose=to_message(Pose(*content["goal"])))
+            x, y, theta = map(_finite, content["goal"])
+            message = PoseStamped(pose=to_message(Pose(x, y, theta)))
             message.header.frame_id = "table"
-            position, angle = content["tolerance"]
-            return Request(message, position, angle, content["max_taps"])
-        except (OSError, ValueError, TypeError, KeyError):
-            # A file that cannot be read is no goal.
+            position, angle = map(_finite, content["tolerance"])
+            return Request(message, position, angle, int(_finite(content["max_taps"])))
+        except (OSError, ValueError, TypeError, KeyError, OverflowError, RecursionError):
+            # A file that holds no goal is no goal, whatever else it holds.
             self.forget()
             return None
+
+
+def _finite(value: object) -> float:
+    """A number as a float. Raises TypeError, ValueError or OverflowError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError(f"{type(value).__name__} is not a number")
+    if not math.isfinite(value):
+        raise ValueError("not finite")
+    return float(value)
