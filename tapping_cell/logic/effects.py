@@ -18,7 +18,11 @@ Content = Mapping[str, Any]
 
 
 class JobContext(Protocol):
-    """What a running job may use of its host; its driver is bound when the job is made."""
+    """What a running job may use of its host."""
+
+    @property
+    def driver(self) -> Any:
+        """The driver of the host's device; its clock is that of ``Now.steady``."""
 
     def now(self) -> Now:
         """The present moment."""
@@ -114,7 +118,8 @@ class StopLevels:
     publishers: tuple[str, ...]
     """Names of the nodes that publish ``emergency_stop`` now."""
     gone: tuple[str, ...]
-    """Nodes whose publisher existed when a stop was heard since the last reset, and is gone."""
+    """Nodes whose publisher existed when a stop was heard since the last
+    ``KeepStop(None)``, and is gone."""
 
 
 @dataclass(frozen=True, slots=True)

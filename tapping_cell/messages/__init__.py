@@ -243,6 +243,7 @@ class ErrorCode:
     CAMERA_NOT_CALIBRATED: ClassVar[int] = 308
     CAMERA_SILENT: ClassVar[int] = 303
     CAMERA_UNAVAILABLE: ClassVar[int] = 310
+    CLOCKS_DIFFER: ClassVar[int] = 909
     CLOCK_JUMPED: ClassVar[int] = 905
     COMMAND_INVALID: ClassVar[int] = 122
     COMMAND_REPEATED: ClassVar[int] = 123
@@ -253,6 +254,7 @@ class ErrorCode:
     CONFIGURATION_UNREADABLE: ClassVar[int] = 204
     DEADLINE_EXCEEDED: ClassVar[int] = 408
     EMERGENCY_STOP: ClassVar[int] = 901
+    ENABLING_RELEASED: ClassVar[int] = 910
     GOAL_BAD_ORIENTATION: ClassVar[int] = 109
     GOAL_BAD_TAP_LIMIT: ClassVar[int] = 112
     GOAL_BAD_TOLERANCE: ClassVar[int] = 107
@@ -305,6 +307,7 @@ class ErrorCode:
     TAP_LIMIT_REACHED: ClassVar[int] = 402
     TAP_UNEXPECTED: ClassVar[int] = 406
     TAP_WITHOUT_EFFECT: ClassVar[int] = 403
+    TOO_FEW_FRAMES: ClassVar[int] = 314
     TRAJECTORY_INVALID: ClassVar[int] = 121
     WORLD_UNAVAILABLE: ClassVar[int] = 907
 
@@ -524,6 +527,7 @@ class PositionObject:
         position_tolerance: float = 0.0
         angle_tolerance: float = 0.0
         max_taps: int = 0
+        time_limit: float = 0.0
 
     @dataclass(slots=True, kw_only=True)
     class Result:
