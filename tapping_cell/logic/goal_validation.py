@@ -5,15 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from geometry_msgs.msg import PoseStamped
-from tapping_cell_msgs.msg import ErrorCode
-
-from tapping_cell.nodes.conversions import (
-    from_message,
-    is_finite,
-    quaternion_norm,
-    tilt,
-)
+from tapping_cell.logic.clock import to_seconds
+from tapping_cell.logic.poses import from_message, is_finite, quaternion_norm, tilt
+from tapping_cell.messages import ErrorCode, PoseStamped
 from tapping_cell.planning import RefusalReason
 from tapping_cell.se2 import Pose
 
@@ -78,7 +72,7 @@ def read_goal(message: PoseStamped, now: float) -> Pose | Refused:
             f"{1000 * height:.2f} mm; taps keep the object flat on the table: at most "
             f"{math.degrees(LARGEST_TILT):.1f} deg and {1000 * LARGEST_HEIGHT:.0f} mm",
         )
-    stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+    stamp = to_seconds(message.header.stamp)
     age = now - stamp
     if stamp > 0 and not -FARTHEST_AHEAD_S <= age <= OLDEST_S:
         return Refused(

@@ -3,57 +3,53 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rclpy.time import Time
-from tapping_cell_msgs.msg import ObjectState
-
 from tapping_cell.configuration.objects import ObjectFile
-from tapping_cell.nodes.conversions import from_message
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.peer_clock import PeerClock
+from tapping_cell.logic.poses import from_message
+from tapping_cell.messages import ObjectState
 from tapping_cell.planning import CircleArea, KeepOut, PolygonArea
 from tapping_cell.se2 import Pose, transform_points
 
 
 @dataclass(slots=True)
 class _Known:
-    """What is known of one of them; ``seen_at`` on the steady clock, in s."""
+    """What is known of one of them; times on the steady clock, in s."""
 
-    looked: Time
+    observed_at: float = -math.inf
     pose: Pose | None = None
     seen_at: float = -math.inf
 
 
-class Neighbours:
-    """Hears ``other_objects``; says what stands on the table besides the object of the cell.
+class OtherObjects:
+    """Where the objects are that stand on the table besides the object of the cell.
 
     One that is not seen any more stays where it was for a while, since a hand may hide it; then it
     counts as taken away.
     """
 
-    def __init__(self) -> None:
-        self.expect((), 0.0, 0.0)
-
-    def expect(self, files: Sequence[ObjectFile], memory: float, moved: float) -> None:
-        """Watch these from now on. ``memory`` (s): for how long one that is not seen stays;
-        ``moved`` (m): one seen nearer than this to where it was has not moved."""
+    def __init__(self, files: Sequence[ObjectFile], memory: float, moved: float) -> None:
+        """``memory`` (s): for how long one that is not seen stays; ``moved`` (m): one seen nearer
+        than this to where it was has not moved."""
         self._files = tuple(files)
         self._memory = memory
         self._moved = moved
         self._known: dict[str, _Known] = {}
 
-    def on_object(self, message: ObjectState) -> None:
-        """Hear one look at one of the objects."""
+    def on_object(self, message: ObjectState, clock: PeerClock, now: Now) -> None:
+        """Take in one observation of one of the objects; ``clock``: of the camera's computer."""
         shape = next((file.shape for file in self._files if file.name == message.object_id), None)
         if shape is None:
             return
-        known = self._known.setdefault(message.object_id, _Known(Time(nanoseconds=0)))
-        known.looked = Time.from_msg(message.header.stamp)
+        known = self._known.setdefault(message.object_id, _Known())
+        known.observed_at = clock.to_steady(message.header.stamp, now)
         if not message.visible:
             return
         pose, radius = from_message(message.pose.pose), shape.reach()
-        before, known.seen_at = known.pose, time.monotonic()
+        before, known.seen_at = known.pose, now.steady
         shift = math.inf
         if before is not None:
             shift = before.distance_to(pose)
@@ -62,27 +58,25 @@ class Neighbours:
         if shift > self._moved:
             known.pose = pose
 
-    def areas(self) -> tuple[KeepOut | None, ...]:
+    def areas(self, now: Now) -> tuple[KeepOut | None, ...]:
         """The ground that each of them covers, in the files' order; None for one not there."""
-        now = time.monotonic()
         return tuple(self._area(file, now) for file in self._files)
 
-    def moved_since(self, areas: Sequence[KeepOut | None]) -> bool:
+    def moved_since(self, areas: Sequence[KeepOut | None], now: Now) -> bool:
         """True where one lies elsewhere than in :meth:`areas` of before, or came besides."""
-        return any(area is not None and area not in areas for area in self.areas())
+        return any(area is not None and area not in areas for area in self.areas(now))
 
-    def unlooked(self, since: Time) -> str:
-        """Names of those that the camera has not looked for since a moment; empty for none."""
-        names = (file.name for file in self._files)
+    def unobserved(self, since: float) -> str:
+        """Names of those that the camera has not looked for since a steady time; "" for none."""
         return ", ".join(
-            f"'{name}'"
-            for name in names
-            if name not in self._known or self._known[name].looked <= since
+            f"'{file.name}'"
+            for file in self._files
+            if file.name not in self._known or self._known[file.name].observed_at <= since
         )
 
-    def _area(self, file: ObjectFile, now: float) -> KeepOut | None:
+    def _area(self, file: ObjectFile, now: Now) -> KeepOut | None:
         known = self._known.get(file.name)
-        if known is None or known.pose is None or now - known.seen_at > self._memory:
+        if known is None or known.pose is None or now.steady - known.seen_at > self._memory:
             return None
         if file.shape.vertices is None:
             return CircleArea(known.pose.x, known.pose.y, file.shape.reach(), file.name)

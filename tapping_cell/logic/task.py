@@ -1,4 +1,4 @@
-"""One goal and one tap of it, as the planning node keeps and reports them."""
+"""One goal and one tap of it, as the planner keeps and reports them."""
 
 from __future__ import annotations
 
@@ -7,13 +7,20 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
-from rclpy.action.server import ServerGoalHandle
-from rclpy.time import Time
-from tapping_cell_msgs.action import PositionObject, SingleTap
-from tapping_cell_msgs.msg import ObjectState, PlanState, TapCommand, TapperState, TapRecord
 
-from tapping_cell.nodes.conversions import covariance_from_message, from_message, to_message
+from tapping_cell.logic.clock import to_stamp
+from tapping_cell.logic.effects import Token
+from tapping_cell.logic.poses import covariance_from_message, from_message, to_message
+from tapping_cell.messages import (
+    ObjectState,
+    PlanState,
+    PoseStamped,
+    PositionObject,
+    SingleTap,
+    TapCommand,
+    TapperState,
+    TapRecord,
+)
 from tapping_cell.planning import (
     Done,
     FreeSpace,
@@ -36,23 +43,24 @@ class Shot:
     tap_id: int
     strike: Strike
     before: Pose
-    fired_at: Time | None = None
+    fired_at: int | None = None
+    """When the tapper's report arrived, ROS time in ns."""
     outcome: int = TapperState.NONE
     measured_speed: float = math.nan
 
-    def command(self, now: Time, expiry: Time, height: float) -> TapCommand:
-        """The command of this tap; ``height`` is that of the tip over the table, in m."""
+    def command(self, now: int, expiry: int, height: float) -> TapCommand:
+        """The command of this tap; times in ns, ``height`` of the tip over the table in m."""
         plan = self.strike.plan
         command = TapCommand(
             request=TapCommand.TAP,
             tap_id=self.tap_id,
             striker_speed=plan.striker_speed,
-            expiry=expiry.to_msg(),
+            expiry=to_stamp(expiry),
             strike_pose=to_message(plan.strike_pose, height),
             object_pose=to_message(self.before),
             predicted_pose=to_message(self.strike.predicted),
         )
-        command.header.stamp = now.to_msg()
+        command.header.stamp = to_stamp(now)
         command.header.frame_id = "table"
         return command
 
@@ -80,7 +88,7 @@ class Shot:
             at_rest_at=seen.at_rest_since,
         )
         if self.fired_at is not None:
-            record.fired_at = self.fired_at.to_msg()
+            record.fired_at = to_stamp(self.fired_at)
         return record
 
 
@@ -88,25 +96,25 @@ class Shot:
 class Task:
     """One goal from its acceptance to its end. ``tolerance`` in m and rad."""
 
-    action: ClassVar[type] = PositionObject
     resumable: ClassVar[bool] = True
     """Whether a planner that crashed goes on with it."""
-    done_phase: ClassVar[int] = PlanState.REACHED
 
     message: PoseStamped
     goal: Pose
     tolerance: tuple[float, float]
     max_taps: int
     session: PositioningSession | PrescribedSession
-    handle: ServerGoalHandle | None
+    token: Token | None
+    """Of the action goal that waits for the result; None for a goal of the topic."""
+    expires: float
+    """Steady time in s after which the goal is given up."""
     records: list[TapRecord] = field(default_factory=list)
     not_fired: int = 0
     without_effect: int = 0
-    canceled: bool = False
-    room: FreeSpace | None = None
+    free_space: FreeSpace | None = None
     """The map that the session was last told to work in."""
 
-    def words(self) -> str:
+    def description(self) -> str:
         """The goal for people."""
         return (
             f"goal x {1000 * self.goal.x:.1f} mm, y {1000 * self.goal.y:.1f} mm, "
@@ -131,6 +139,27 @@ class Task:
     def lose(self, shot: Shot) -> None:
         """The goal ends with a tap under way."""
 
+    def feedback(self, state: PlanState) -> PositionObject.Feedback | SingleTap.Feedback:
+        """The action's feedback."""
+        return PositionObject.Feedback(plan_state=state)
+
+    def result(
+        self, code: int, sentence: str, last: PlanState, seen: ObjectState | None
+    ) -> PositionObject.Result | SingleTap.Result:
+        """The action's result; ``last``: the last report of this goal."""
+        result = PositionObject.Result(
+            error_code=code,
+            error_msg=sentence,
+            residual_distance=last.residual_distance,
+            residual_rotation=last.residual_rotation,
+            taps=len(self.records),
+            records=self.records,
+        )
+        if seen is not None and seen.visible:
+            result.final_pose.header = seen.header
+            result.final_pose.pose = seen.pose
+        return result
+
     def fill(self, state: PlanState, pose: Pose | None) -> None:
         """Write this goal and its residual into a report; ``pose`` is None while not seen."""
         state.planner = self.session.method
@@ -152,14 +181,12 @@ class SingleTapTask(Task):
     A planner that crashed in it leaves it: whether the tap was fired is for the camera to see.
     """
 
-    action: ClassVar[type] = SingleTap
     resumable: ClassVar[bool] = False
-    done_phase: ClassVar[int] = PlanState.IDLE
 
     session: PrescribedSession
     references: ReferenceMap
 
-    def words(self) -> str:
+    def description(self) -> str:
         """The tap for people."""
         asked = self.session.prescription
         return (
@@ -180,6 +207,17 @@ class SingleTapTask(Task):
             self.goal = decision.predicted
             self.message.pose = to_message(decision.predicted)
         return decision
+
+    def feedback(self, state: PlanState) -> PositionObject.Feedback | SingleTap.Feedback:
+        """The action's feedback."""
+        return SingleTap.Feedback(plan_state=state)
+
+    def result(
+        self, code: int, sentence: str, last: PlanState, seen: ObjectState | None
+    ) -> PositionObject.Result | SingleTap.Result:
+        """The action's result: the record of the tap."""
+        record = self.records[-1] if self.records else TapRecord()
+        return SingleTap.Result(error_code=code, error_msg=sentence, record=record)
 
     def lose(self, shot: Shot) -> None:
         """Keep a record of the tap, if it was or may have been fired."""

@@ -1,31 +1,27 @@
-"""Where goals are accepted: the cell's mechanics, its map of the table and its planning methods."""
+"""Goal handling: requests are checked and become tasks, with the cell's map and methods."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from geometry_msgs.msg import PoseStamped
-from rclpy.action.server import ServerGoalHandle
-from rclpy.time import Time
-from tapping_cell_msgs.msg import ErrorCode
-
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
-from tapping_cell.nodes.conversions import to_message
-from tapping_cell.nodes.planner.goal_validation import REFUSALS, Refused, read_goal, read_tolerance
-from tapping_cell.nodes.planner.markers import region_marker
-from tapping_cell.nodes.planner.other_objects import Neighbours
-from tapping_cell.nodes.planner.tap_task import SingleTapTask, Task
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.effects import Token
+from tapping_cell.logic.goal_validation import REFUSALS, Refused, read_goal, read_tolerance
+from tapping_cell.logic.other_objects import OtherObjects
+from tapping_cell.logic.poses import to_message
+from tapping_cell.logic.table_maps import TableMap, TableMaps
+from tapping_cell.logic.task import SingleTapTask, Task
+from tapping_cell.messages import ErrorCode, PoseStamped, SingleTap
 from tapping_cell.planning import (
-    FreeSpace,
     Gains,
     Planner,
     PlanningError,
     PositioningSession,
     PrescribedSession,
     Prescription,
-    cautious,
     check_goal,
     keep_gains,
     load_gains,
@@ -36,16 +32,17 @@ from tapping_cell.se2 import Pose
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A goal as it arrives. Tolerances in m and rad, 0 for the cell's own; max_taps 0 likewise."""
+    """A goal as it arrives. Tolerances in m and rad, time limit in s; 0 for the cell's own."""
 
     message: PoseStamped
     position_tolerance: float = 0.0
     angle_tolerance: float = 0.0
     max_taps: int = 0
-    handle: ServerGoalHandle | None = None
+    time_limit: float = 0.0
+    token: Token | None = None
 
 
-class GoalDesk:
+class GoalHandling:
     """Turns requests into tasks.
 
     Raises:
@@ -54,62 +51,69 @@ class GoalDesk:
     """
 
     def __init__(
-        self, cell: Cell, planner: str, neighbours: Neighbours, *, adapt: bool, keep_for: str
+        self,
+        cell: Cell,
+        planner: str,
+        other_objects: OtherObjects,
+        now: Now,
+        *,
+        adapt: bool,
+        keep_for: str,
+        time_limit: float,
+        maps: TableMaps | None = None,
+        solve_in_background: bool = True,
     ) -> None:
-        """``neighbours``: the further objects, to be kept clear of; ``adapt``: learn from taps;
-        ``keep_for``: the cell for which what was learnt is remembered between runs; empty for none.
-        """
+        """``other_objects``: to be avoided; ``adapt``: learn from taps; ``keep_for``: the cell for
+        which what was learnt is remembered between runs, empty for none; ``time_limit``: of a goal
+        that states none, s; ``maps``: made before for the same cell."""
         self.cell = cell
-        self._neighbours = neighbours
+        self._other_objects = other_objects
         self._adapt = adapt
         self._keep_for = keep_for
+        self._time_limit = time_limit
+        self._in_background = solve_in_background
         self._gains = load_gains(cell.object.name, keep_for) if keep_for else Gains.start()
         self._planner = planner or cell.file.goal.planner
-        self._alone = assembly.make_strike_space(cell)
-        self._experiments_alone = assembly.make_strike_space(cell, cautious(self._alone))
-        self.others = neighbours.areas()
-        """Where the further objects lie; None for one that is not on the table."""
+        self._maps = maps or TableMaps(cell)
+        self.others = other_objects.areas(now)
+        """Where the other objects lie; None for one that is not on the table."""
         self._planned_among = self.others
-        self._place()
+        self.map = self._map()
         self._planners: dict[str, Planner] = {}
         # Made now, so that a method that must be solved first begins before the first goal.
         self._planner_for(cell.tolerance)
 
-    def room_for(self, task: Task, since: Time) -> tuple[int, str] | None:
-        """Have a task work in the room that the further objects leave; or why that is not known:
-        the camera has not looked for one of them since a moment."""
-        names = self._neighbours.unlooked(since)
+    def update_free_space(self, task: Task, since: float, now: Now) -> tuple[int, str] | None:
+        """Let a task work in the space that the other objects leave; or why that is not known: the
+        camera has not looked for one of them since the steady time ``since``."""
+        names = self._other_objects.unobserved(since)
         if names:
             return (
                 ErrorCode.NOT_READY,
                 f"nothing is heard of the object {names} on other_objects; give camera_pose the "
                 "same other_object_files as tap_planner",
             )
-        self._keep_clear()
+        self._locate_others(now)
         self._planned_among = self.others
-        if task.room is not self._free:
+        if task.free_space is not self.map.free:
             single = isinstance(task, SingleTapTask)
-            task.session.use_room(self._experiments if single else self._space, self._free)
-            task.room = self._free
+            space = self.map.experiments if single else self.map.space
+            task.session.use_room(space, self.map.free)
+            task.free_space = self.map.free
         return None
 
-    def others_moved(self) -> bool:
-        """True where a further object lies elsewhere than when a task was last given its room."""
-        return self._neighbours.moved_since(self._planned_among)
+    def others_moved(self, now: Now) -> bool:
+        """True where another object lies elsewhere than when the present tap was planned."""
+        return self._other_objects.moved_since(self._planned_among, now)
 
-    def _keep_clear(self) -> None:
-        """Take in where the further objects lie now."""
-        before, self.others = self.others, self._neighbours.areas()
+    def _locate_others(self, now: Now) -> None:
+        """Take in where the other objects lie now."""
+        before, self.others = self.others, self._other_objects.areas(now)
         if before != self.others:
-            self._place()
+            self.map = self._map()
 
-    def _place(self) -> None:
-        """Make the map of the table with the further objects on it (about 0.1 s)."""
-        others = [area for area in self.others if area is not None]
-        self._space = self._alone.among(others)
-        self._experiments = self._experiments_alone.among(others)
-        self._free = FreeSpace(self._space)
-        self.region = region_marker(self._free.outline())
+    def _map(self) -> TableMap:
+        return self._maps.among([area for area in self.others if area is not None])
 
     def use(self, planner: str) -> None:
         """Take another planning method, from the next goal on.
@@ -130,9 +134,9 @@ class GoalDesk:
         if self._keep_for and task.records:
             keep_gains(self.cell.object.name, self._keep_for, self._gains)
 
-    def accept(self, request: Request, now: float) -> Task | Refused:
-        """A task for a request, or why there is none. ``now`` is ROS time in s."""
-        goal = read_goal(request.message, now)
+    def accept(self, request: Request, now: Now) -> Task | Refused:
+        """A task for a request, or why there is none."""
+        goal = read_goal(request.message, 1e-9 * now.ros)
         if isinstance(goal, Refused):
             return goal
         tolerance = read_tolerance(
@@ -147,25 +151,32 @@ class GoalDesk:
                 f"max_taps is {request.max_taps}, the cell allows {limit}; ask for at most that "
                 "many",
             )
-        self._keep_clear()
-        unreachable = check_goal(goal, self._space, self._free)
+        if not math.isfinite(request.time_limit) or request.time_limit < 0:
+            return Refused(
+                ErrorCode.COMMAND_INVALID,
+                f"the time limit is {request.time_limit:g} s; it must be 0 (the cell's own) or more",
+            )
+        self._locate_others(now)
+        unreachable = check_goal(goal, self.map.space, self.map.free)
         if unreachable is not None:
             return Refused(REFUSALS[unreachable.reason], unreachable.sentence)
         max_taps = request.max_taps or limit
         session = PositioningSession(
             goal,
             self._planner_for(tolerance),
-            self._space,
-            self._free,
+            self.map.space,
+            self.map.free,
             self._gains,
             adapt=self._adapt,
             most_taps=max_taps,
         )
-        return Task(request.message, goal, tolerance, max_taps, session, request.handle)
+        expires = now.steady + (request.time_limit or self._time_limit)
+        return Task(request.message, goal, tolerance, max_taps, session, request.token, expires)
 
-    def accept_tap(self, handle: ServerGoalHandle, pose: Pose | None) -> SingleTapTask | Refused:
+    def accept_tap(
+        self, asked: SingleTap.Goal, token: Token, pose: Pose | None, now: Now
+    ) -> SingleTapTask | Refused:
         """A task for a single tap, or why there is none. ``pose``: where the object is, if seen."""
-        asked = handle.request
         curve = self.cell.file.tapper.curve()
         if not curve.slowest <= asked.striker_speed <= curve.fastest:
             return Refused(
@@ -180,7 +191,7 @@ class GoalDesk:
         except PlanningError as error:
             return Refused(ErrorCode.COMMAND_INVALID, str(error))
         session = PrescribedSession(
-            tap, self._experiments, self._free, self._gains, adapt=self._adapt
+            tap, self.map.experiments, self.map.free, self._gains, adapt=self._adapt
         )
         # Until the tap is decided on, its goal is where the object lies.
         goal = pose or Pose(0.0, 0.0, 0.0)
@@ -192,7 +203,8 @@ class GoalDesk:
             tolerance=self.cell.tolerance,
             max_taps=1,
             session=session,
-            handle=handle,
+            token=token,
+            expires=now.steady + self._time_limit,
             references=self.cell.references,
         )
 
@@ -201,5 +213,7 @@ class GoalDesk:
         settings = assembly.make_planner_settings(self.cell, tolerance)
         key = f"{self._planner};{settings.key()}"
         if key not in self._planners:
-            self._planners[key] = make_planner(self._planner, settings, background=True)
+            self._planners[key] = make_planner(
+                self._planner, settings, background=self._in_background
+            )
         return self._planners[key]

@@ -1,0 +1,215 @@
+"""What camera, arm and tapper last published, and what that means for the planner."""
+
+from __future__ import annotations
+
+import math
+
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock
+from tapping_cell.logic.poses import from_message
+from tapping_cell.messages import ArmState, ErrorCode, ObjectState, TapperState
+from tapping_cell.se2 import Pose
+
+Trouble = tuple[int, str]
+"""An error code and a sentence."""
+
+NAMES = {"object": "camera_pose", "arm": "scara_arm", "tapper": "tapper_trigger"}
+
+
+class CellMonitor:
+    """The last message of each of the three, and when it arrived.
+
+    Whether an observation was made before or after something is judged on this computer's steady
+    clock, with the estimated difference of the camera's clock.
+    """
+
+    def __init__(self, silence_limit: float) -> None:
+        self._silence_limit = silence_limit
+        self.object: ObjectState | None = None
+        self.arm: ArmState | None = None
+        self.tapper: TapperState | None = None
+        self.camera_clock = PeerClock()
+        self._heard = {name: -math.inf for name in NAMES}
+        self._seen_at = -math.inf
+
+    def on_object(self, message: ObjectState, now: Now) -> None:
+        """Take in ``object_state``."""
+        self.object = message
+        self._heard["object"] = now.steady
+        self.camera_clock.hear(message.header.stamp, now)
+        if message.visible and not message.error_code:
+            self._seen_at = max(self._seen_at, self.observed_at(now))
+
+    def on_arm(self, message: ArmState, now: Now) -> None:
+        """Take in ``arm_state``."""
+        self.arm = message
+        self._heard["arm"] = now.steady
+
+    def on_tapper(self, message: TapperState, now: Now) -> None:
+        """Take in ``tapper_state``."""
+        self.tapper = message
+        self._heard["tapper"] = now.steady
+
+    def silent(self, name: str, now: Now) -> bool:
+        """Whether ``object``, ``arm`` or ``tapper`` was not heard for longer than the limit."""
+        return now.steady - self._heard[name] > self._silence_limit
+
+    def observed_at(self, now: Now) -> float:
+        """When the last image was taken, on the own steady clock, s."""
+        if self.object is None:
+            return -math.inf
+        return self.camera_clock.to_steady(self.object.header.stamp, now)
+
+    def unseen_for(self, now: Now) -> float:
+        """How long ago the object was last seen, s."""
+        return now.steady - self._seen_at
+
+    @property
+    def pose(self) -> Pose | None:
+        """Where the object is seen now; None while it is not seen."""
+        seen = self.object
+        return from_message(seen.pose.pose) if seen is not None and seen.visible else None
+
+    def usable(self, after: float, frames: int, now: Now) -> bool:
+        """True for an observation of the object at rest that was made after a steady time."""
+        seen = self.object
+        return bool(
+            seen is not None
+            and not self.silent("object", now)
+            and now.steady - self.observed_at(now) <= self._silence_limit
+            and self.observed_at(now) > after
+            and seen.visible
+            and seen.at_rest
+            and seen.error_code == ErrorCode.NONE
+            and seen.frames_fused >= frames
+        )
+
+    def missing(self, now: Now) -> Trouble | None:
+        """What keeps the cell from tapping; None when nothing does."""
+        arm, tapper = self.arm, self.tapper
+        if arm is None or self.silent("arm", now):
+            return ErrorCode.ARM_SILENT, self._silence("arm", now)
+        if arm.state != ArmState.IDLE:
+            return arm.error_code or ErrorCode.ARM_BUSY, arm.error_msg or "the arm is busy"
+        if tapper is None or self.silent("tapper", now):
+            return ErrorCode.TAPPER_SILENT, self._silence("tapper", now)
+        if tapper.state != TapperState.SAFE:
+            code = tapper.error_code or ErrorCode.TAPPER_BUSY
+            return code, tapper.error_msg or "the tapper is busy"
+        if not tapper.interlock_closed:
+            return ErrorCode.TAPPER_INTERLOCK_OPEN, "the tapper's interlock is open; close it"
+        if self.object is None or self.silent("object", now):
+            return ErrorCode.CAMERA_SILENT, self._silence("object", now)
+        skew = self.camera_clock.skew(now)
+        if abs(skew) > SKEW_LIMIT_S:
+            return (
+                ErrorCode.CLOCKS_DIFFER,
+                f"the clock of the camera's computer differs by {skew:+.2f} s from this one's"
+                f" (limit {SKEW_LIMIT_S:.2f} s); synchronise the computers' clocks",
+            )
+        return None
+
+    def fault(self) -> Trouble | None:
+        """A fault of arm or tapper that needs a person; None where there is none."""
+        for state, faults in (
+            (self.arm, (ArmState.FAULT, ArmState.STOPPED)),
+            (self.tapper, (TapperState.FAULT, TapperState.STOPPED)),
+        ):
+            if state is not None and state.state in faults:
+                return state.error_code or ErrorCode.NOT_READY, state.error_msg
+        return None
+
+    def lost(self, now: Now) -> bool:
+        """True when arm or tapper went away: their drivers come back by themselves."""
+        arm, tapper = self.arm, self.tapper
+        return (
+            self.silent("arm", now)
+            or self.silent("tapper", now)
+            or (arm is not None and arm.state == ArmState.DISCONNECTED)
+            or (tapper is not None and tapper.state == TapperState.DISCONNECTED)
+        )
+
+    def withdrawn(self, now: Now) -> bool:
+        """True when the arm gives the camera a free view and nothing is charged."""
+        arm, tapper = self.arm, self.tapper
+        return (
+            arm is not None
+            and tapper is not None
+            and arm.state == ArmState.IDLE
+            and arm.clear_of_camera
+            and tapper.state == TapperState.SAFE
+            and not self.lost(now)
+        )
+
+    def in_position(self, tap_id: int) -> bool:
+        """True when the arm publishes that it is in position for that tap."""
+        arm = self.arm
+        return arm is not None and arm.tap_id == tap_id and arm.state == ArmState.IN_POSITION
+
+    def left_behind(self) -> int:
+        """Id of a tap that the arm still serves for a planner that is gone; 0 for none."""
+        arm = self.arm
+        serving = arm is not None and arm.state in (ArmState.IN_POSITION, ArmState.MOVING)
+        return int(arm.tap_id) if arm is not None and serving else 0
+
+    def last_tap_id(self) -> int:
+        """The greatest tap id that arm and tapper have published."""
+        return max(
+            self.arm.tap_id if self.arm is not None else 0,
+            self.tapper.tap_id if self.tapper is not None else 0,
+        )
+
+    def outcome(self, tap_id: int) -> int:
+        """The outcome that the tapper publishes for a tap; NONE while it publishes none."""
+        tapper = self.tapper
+        if tapper is None or tapper.tap_id != tap_id:
+            return int(TapperState.NONE)
+        return int(tapper.outcome)
+
+    def seen_away_from(self, pose: Pose, distance: float, angle: float) -> bool:
+        """True when the object is seen farther than ``distance`` m or turned by more than
+        ``angle`` rad from a pose."""
+        seen = self.object
+        if seen is None or not seen.visible or seen.error_code:
+            return False
+        found = from_message(seen.pose.pose)
+        return pose.distance_to(found) > distance or abs(pose.rotation_to(found)) > angle
+
+    def blind(self, waited: float, frames: int, now: Now) -> Trouble:
+        """Why no usable observation was made within ``waited`` s."""
+        seen = self.object
+        if seen is None or self.silent("object", now):
+            return ErrorCode.CAMERA_SILENT, self._silence("object", now)
+        if seen.error_code:
+            return int(seen.error_code), str(seen.error_msg)
+        if not seen.visible:
+            return ErrorCode.OBJECT_NOT_SEEN, "the object is not seen; uncover its marker"
+        age = now.steady - self.observed_at(now)
+        if age > self._silence_limit:
+            return (
+                ErrorCode.CAMERA_SILENT,
+                f"the last image is {age:.2f} s old (limit {self._silence_limit:.2f} s); check the"
+                " camera's rate and the connection to its computer",
+            )
+        if seen.at_rest and seen.frames_fused < frames:
+            return (
+                ErrorCode.TOO_FEW_FRAMES,
+                f"only {seen.frames_fused} images of the object at rest were fused within"
+                f" {waited:.0f} s, {frames} are needed (parameter frames_needed); check the"
+                " camera's rate",
+            )
+        return (
+            ErrorCode.OBJECT_NOT_AT_REST,
+            f"the object was not at rest within {waited:.0f} s; see that nothing moves it and send"
+            " the goal again",
+        )
+
+    def _silence(self, name: str, now: Now) -> str:
+        heard = now.steady - self._heard[name]
+        node = NAMES[name]
+        if math.isinf(heard):
+            return f"{node} has not been heard; start it"
+        return (
+            f"{node} was last heard {heard:.1f} s ago (limit {self._silence_limit:.1f} s); check"
+            " that it is running"
+        )

@@ -1,0 +1,323 @@
+"""What can go wrong in a cell, drawn at random and brought about at its time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tapping_cell.logic.host import Activated, Deactivated
+from tapping_cell.messages import JointTrajectory, JointTrajectoryPoint, TapCommand
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.fault_layer import Direction, FaultKind, random_fault
+from tapping_cell.verification.message_values import time_message
+
+if TYPE_CHECKING:
+    from tapping_cell.verification.trial import Trial
+
+SPAN_S = 16.0
+"""Faults are spread over so long from the moment at which a goal is sent."""
+MEAN_FAULTS = 2.0
+"""Faults of a goal, on average."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault of a run. ``time`` in s from the moment at which the goal is sent."""
+
+    kind: str
+    time: float
+    strike: Callable[[Trial], None]
+    words: str = ""
+
+
+def draw_faults(rng: np.random.Generator, trial: Trial) -> list[Fault]:
+    """The faults of one goal, in the order of their times."""
+    number = int(rng.poisson(MEAN_FAULTS))
+    faults = []
+    for _ in range(number):
+        kind = KINDS[int(rng.integers(len(KINDS)))]
+        strike, words = MAKERS[kind](rng, trial)
+        faults.append(Fault(kind, float(rng.uniform(0.0, SPAN_S)), strike, words))
+    return sorted(faults, key=lambda fault: fault.time)
+
+
+Made = tuple[Callable[["Trial"], None], str]
+
+
+def _duration(rng: np.random.Generator, shortest: float, longest: float) -> float:
+    """Log-uniform between the two, s."""
+    return float(math.exp(rng.uniform(math.log(shortest), math.log(longest))))
+
+
+def _pick(rng: np.random.Generator, names: tuple[str, ...]) -> str:
+    return names[int(rng.integers(len(names)))]
+
+
+NODES = ("tap_planner", "scara_arm", "tapper_trigger")
+
+
+def _freeze(rng: np.random.Generator, trial: Trial) -> Made:
+    node, duration = _pick(rng, (*NODES, "camera_pose")), _duration(rng, 0.001, 5.0)
+    return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
+
+
+def _freeze_before_write(rng: np.random.Generator, trial: Trial) -> Made:
+    node = _pick(rng, ("tapper_trigger", "tapper_trigger", "scara_arm"))
+    writes, duration = int(rng.integers(0, 60)), _duration(rng, 0.005, 3.0)
+
+    def strike(t: Trial) -> None:
+        t.processes[node].freeze_before_write = (writes, duration)
+
+    return strike, f"{node} frozen for {duration:.3f} s before its write number {writes}"
+
+
+def _freeze_after_check(rng: np.random.Generator, trial: Trial) -> Made:
+    duration = _duration(rng, 0.005, 3.0)
+
+    def strike(t: Trial) -> None:
+        t.processes["tapper_trigger"].freeze_after_check = duration
+
+    return strike, f"tapper_trigger frozen for {duration:.3f} s after its last check"
+
+
+def _kill(rng: np.random.Generator, trial: Trial) -> Made:
+    node, away = _pick(rng, (*NODES, "camera_pose")), _duration(rng, 0.2, 25.0)
+    return lambda t: t.kill(node, away), f"{node} killed, back after {away:.1f} s"
+
+
+def _restart(rng: np.random.Generator, trial: Trial) -> Made:
+    node, away = _pick(rng, NODES), _duration(rng, 0.2, 5.0)
+    return lambda t: t.shut_down(node, away), f"{node} ended in order, back after {away:.1f} s"
+
+
+def _deactivate(rng: np.random.Generator, trial: Trial) -> Made:
+    node, away = _pick(rng, NODES), _duration(rng, 0.05, 5.0)
+
+    def strike(t: Trial) -> None:
+        t.processes[node].lifecycle(Deactivated())
+        t.scheduler.after(away, lambda: t.processes[node].lifecycle(Activated()))
+
+    return strike, f"{node} deactivated for {away:.2f} s"
+
+
+def _slow_topic(rng: np.random.Generator, trial: Trial) -> Made:
+    topic = _pick(
+        rng,
+        ("arm_state", "tapper_state", "object_state", "plan_state", "tap_command", "hold_still"),
+    )
+    delay, lasting = _duration(rng, 0.01, 2.0), _duration(rng, 0.2, 6.0)
+
+    def strike(t: Trial) -> None:
+        t.network.faults.slow_topics[topic] = delay
+        t.scheduler.after(lasting, lambda: t.network.faults.slow_topics.pop(topic, None))
+
+    return strike, f"{topic} late by {delay:.2f} s for {lasting:.1f} s"
+
+
+def _duplicates(rng: np.random.Generator, trial: Trial) -> Made:
+    lasting = _duration(rng, 0.5, 8.0)
+
+    def strike(t: Trial) -> None:
+        t.network.faults.duplicates = 0.3
+        t.scheduler.after(lasting, lambda: setattr(t.network.faults, "duplicates", 0.0))
+
+    return strike, f"a third of all messages twice for {lasting:.1f} s"
+
+
+def _replay(rng: np.random.Generator, trial: Trial) -> Made:
+    topic = _pick(rng, ("tap_command", "arm_state", "tapper_state", "plan_state"))
+    back = int(rng.integers(1, 20))
+
+    def strike(t: Trial) -> None:
+        kept = t.network.history.get(topic)
+        if kept:
+            t.network.publish("somebody_else", topic, kept[max(len(kept) - back, 0)])
+
+    return strike, f"an old message repeated on {topic}"
+
+
+def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
+    withdraw = bool(rng.random() < 0.6)
+    how = int(rng.integers(3))
+
+    def strike(t: Trial) -> None:
+        last = max(t.witness.commands, default=0)
+        number = (0, last, last + 1)[how]
+        command = TapCommand(
+            request=TapCommand.WITHDRAW if withdraw else TapCommand.TAP, tap_id=number
+        )
+        if not withdraw and last:
+            # A command like the last one, with an id that is not the planner's.
+            model = t.witness.commands[last]
+            command.strike_pose, command.striker_speed = model.strike_pose, model.striker_speed
+            command.object_pose, command.predicted_pose = model.object_pose, model.predicted_pose
+        now = t.clocks["tap_planner"].now().ros
+        command.header.frame_id = "table"
+        command.header.stamp = time_message(now)
+        command.expiry = time_message(now + int(rng_expiry * 1e9))
+        if not withdraw:
+            t.witness.commands.setdefault(number, command)
+        t.network.publish("somebody_else", "tap_command", command)
+
+    rng_expiry = float(rng.uniform(1.0, 30.0))
+    name = "WITHDRAW" if withdraw else "TAP"
+    return strike, f"a foreign {name} with id {('0', 'of the present tap', 'of the next tap')[how]}"
+
+
+def _trajectory(rng: np.random.Generator, trial: Trial) -> Made:
+    joints = [float(v) for v in rng.uniform((-0.5, 0.5, -0.05, -1.0), (1.0, 1.8, 0.0, 1.0))]
+
+    def strike(t: Trial) -> None:
+        point = JointTrajectoryPoint(positions=joints)
+        message = JointTrajectory(joint_names=list(t.joint_names), points=[point])
+        point.time_from_start.sec = 3
+        t.network.publish("somebody_else", "joint_trajectory", message)
+
+    return strike, "a joint_trajectory from somebody else"
+
+
+def _clock_step(rng: np.random.Generator, trial: Trial) -> Made:
+    node = _pick(rng, (*NODES, "camera_pose"))
+    step = float(rng.choice((-1.0, 1.0))) * _duration(rng, 0.01, 3600.0)
+
+    def strike(t: Trial) -> None:
+        t.clocks[node].offset += step
+
+    return strike, f"the clock of {node}'s computer stepped by {step:.2f} s"
+
+
+def _line(rng: np.random.Generator, trial: Trial) -> Made:
+    name = _pick(rng, ("arm", "tapper"))
+    direction = list(Direction)[int(rng.integers(2))]
+    drawn = random_fault(rng, direction, 0, 3000 if name == "arm" else 1500)
+
+    def strike(t: Trial) -> None:
+        layer = (t.physical.arm_line if name == "arm" else t.physical.tapper_line).layer
+        layer.add(
+            type(drawn)(
+                drawn.kind,
+                direction,
+                layer.count(direction) + drawn.byte,
+                drawn.length,
+                drawn.duration,
+                drawn.bit,
+            )
+        )
+
+    reset = " (the board restarts)" if drawn.kind is FaultKind.RESET else ""
+    return strike, f"{name} line: {drawn.kind.value}{reset} after {drawn.byte} bytes"
+
+
+def _power(rng: np.random.Generator, trial: Trial) -> Made:
+    name = _pick(rng, ("arm", "tapper"))
+
+    def strike(t: Trial) -> None:
+        board = t.physical.arm_board if name == "arm" else t.physical.tapper_board
+        board.power_cycle(t.scheduler.now)
+        line = t.physical.arm_line if name == "arm" else t.physical.tapper_line
+        line.schedule()
+        if name == "arm":
+            t.witness.word_given = False
+
+    return strike, f"the {name}'s board loses power for a moment"
+
+
+def _camera(rng: np.random.Generator, trial: Trial) -> Made:
+    which = _pick(rng, ("lost", "late", "repeated", "hidden", "wrong"))
+    lasting = _duration(rng, 0.05, 6.0)
+    late_by = _duration(rng, 0.02, 1.5)
+    off = Pose(float(rng.normal(0, 0.02)), float(rng.normal(0, 0.02)), float(rng.normal(0, 0.3)))
+
+    def strike(t: Trial) -> None:
+        faults, until = t.camera.faults, t.scheduler.now + lasting
+        if which == "lost":
+            faults.lost_until = until
+        elif which == "late":
+            faults.late_until, faults.late_by = until, late_by
+        elif which == "repeated":
+            faults.repeated_until = until
+        elif which == "hidden":
+            t.hide_object(lasting)
+        else:
+            # One frame: what lasts longer is a lie that no fusion can see through.
+            faults.wrong_until, faults.wrong_by = t.scheduler.now + 1 / 15, off
+
+    return strike, f"frames {which} for {lasting:.2f} s"
+
+
+def _bump(rng: np.random.Generator, trial: Trial) -> Made:
+    shift = Pose(
+        float(rng.normal(0, 0.015)), float(rng.normal(0, 0.015)), float(rng.normal(0, 0.4))
+    )
+    return lambda t: t.move_object(shift), (
+        f"the object is moved by hand by {1e3 * math.hypot(shift.x, shift.y):.0f} mm and"
+        f" {math.degrees(shift.theta):.0f} deg"
+    )
+
+
+def _emergency_stop(rng: np.random.Generator, trial: Trial) -> Made:
+    lasting = _duration(rng, 0.2, 5.0)
+    return lambda t: t.press_emergency_stop(lasting), f"emergency stop held for {lasting:.1f} s"
+
+
+def _service_stop(rng: np.random.Generator, trial: Trial) -> Made:
+    node = _pick(rng, ("scara_arm", "tapper_trigger"))
+    return lambda t: t.call_stop(node), f"service stop of {node}"
+
+
+def _interlock(rng: np.random.Generator, trial: Trial) -> Made:
+    lasting = _duration(rng, 0.05, 4.0)
+
+    def strike(t: Trial) -> None:
+        t.physical.set_interlock(False)
+        t.scheduler.after(lasting, lambda: t.physical.set_interlock(True))
+
+    return strike, f"guard open for {lasting:.2f} s"
+
+
+def _cancel(rng: np.random.Generator, trial: Trial) -> Made:
+    return lambda t: t.cancel_goal(), "the goal is cancelled"
+
+
+def _second_client(rng: np.random.Generator, trial: Trial) -> Made:
+    goal = trial.draw_goal(rng)
+    return lambda t: t.send_goal(goal, foreign=True), "a second client sends another goal"
+
+
+def _disk_full(rng: np.random.Generator, trial: Trial) -> Made:
+    def strike(t: Trial) -> None:
+        t.processes["tap_planner"].disk.full = True
+        t.scheduler.after(20.0, lambda: setattr(t.processes["tap_planner"].disk, "full", False))
+
+    return strike, "the planner's disk is full for 20 s"
+
+
+MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
+    "freeze": _freeze,
+    "freeze before a write": _freeze_before_write,
+    "freeze after the last check": _freeze_after_check,
+    "kill": _kill,
+    "restart": _restart,
+    "deactivate": _deactivate,
+    "slow topic": _slow_topic,
+    "duplicates": _duplicates,
+    "replay": _replay,
+    "foreign command": _foreign_command,
+    "foreign trajectory": _trajectory,
+    "clock step": _clock_step,
+    "serial line": _line,
+    "loss of power": _power,
+    "camera": _camera,
+    "object moved": _bump,
+    "emergency stop": _emergency_stop,
+    "stop service": _service_stop,
+    "guard": _interlock,
+    "cancel": _cancel,
+    "second client": _second_client,
+    "disk full": _disk_full,
+}
+KINDS = tuple(MAKERS)
