@@ -24,8 +24,8 @@ from tapping_cell_msgs.srv import ResetWorld
 
 from tapping_cell.cli.graph import SIMULATED, Graph
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.nodes.conversions import from_message, to_message
-from tapping_cell.nodes.goal_client import GoalClient
 from tapping_cell.se2 import Pose
 
 START, GOAL = Pose(-0.05, 0.02, 0.0), Pose(-0.02, 0.01, 0.2)
