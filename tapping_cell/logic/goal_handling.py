@@ -67,7 +67,7 @@ class GoalHandling:
         which what was learnt is remembered between runs, empty for none; ``time_limit``: of a goal
         that states none, s; ``maps``: made before for the same cell."""
         self.cell = cell
-        self._other_objects = other_objects
+        self.other_objects = other_objects
         self._adapt = adapt
         self._keep_for = keep_for
         self._time_limit = time_limit
@@ -86,7 +86,7 @@ class GoalHandling:
     def update_free_space(self, task: Task, since: float, now: Now) -> tuple[int, str] | None:
         """Let a task work in the space that the other objects leave; or why that is not known: the
         camera has not looked for one of them since the steady time ``since``."""
-        names = self._other_objects.unobserved(since)
+        names = self.other_objects.unobserved(since)
         if names:
             return (
                 ErrorCode.NOT_READY,
@@ -104,11 +104,11 @@ class GoalHandling:
 
     def others_moved(self, now: Now) -> bool:
         """True where another object lies elsewhere than when the present tap was planned."""
-        return self._other_objects.moved_since(self._planned_among, now)
+        return self.other_objects.moved_since(self._planned_among, now)
 
     def _locate_others(self, now: Now) -> None:
         """Take in where the other objects lie now."""
-        before, self.others = self.others, self._other_objects.areas(now)
+        before, self.others = self.others, self.other_objects.areas(now)
         if before != self.others:
             self.map = self._map()
 
@@ -154,7 +154,8 @@ class GoalHandling:
         if not math.isfinite(request.time_limit) or request.time_limit < 0:
             return Refused(
                 ErrorCode.COMMAND_INVALID,
-                f"the time limit is {request.time_limit:g} s; it must be 0 (the cell's own) or more",
+                f"the time limit is {request.time_limit:g} s; it must be above 0, or 0 for the"
+                " cell's own",
             )
         self._locate_others(now)
         unreachable = check_goal(goal, self.map.space, self.map.free)

@@ -12,8 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from tapping_cell.configuration.cell import Cell
-from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.logic.cell_monitor import CellMonitor, Trouble
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.effects import (
@@ -33,10 +31,8 @@ from tapping_cell.logic.effects import (
 from tapping_cell.logic.goal_handling import GoalHandling, Request
 from tapping_cell.logic.goal_validation import REFUSALS, Refused
 from tapping_cell.logic.host import Activated, Configured, Deactivated, LifecycleEvent
-from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
-from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.task import LEAST_EFFECT, Shot, SingleTapTask, Task
 from tapping_cell.logic.transitions import StateMachine, table
 from tapping_cell.messages import (
@@ -150,39 +146,14 @@ class PlannerLogic:
 
     tick_period = TICK_S
 
-    def __init__(
-        self,
-        cell: Cell,
-        settings: PlannerSettings,
-        now: Now,
-        other_files: Sequence[ObjectFile] = (),
-        keep_gains_for: str = "",
-        maps: TableMaps | None = None,
-        solve_in_background: bool = True,
-    ) -> None:
-        """``other_files``: of objects to be avoided. ``keep_gains_for``, ``maps``: see
-        :class:`~tapping_cell.logic.goal_handling.GoalHandling`.
+    goals: GoalHandling
+    """Of the present configuration: what ``Configured`` brings as ``connected``."""
 
-        Raises:
-            tapping_cell.planning.PlanningError: the planning method is not known, or what was
-                learnt in earlier runs cannot be read.
-        """
+    def __init__(self, settings: PlannerSettings) -> None:
         self._settings = settings
         self._machine = StateMachine(TABLE, S.IDLE)
         self._monitor = CellMonitor(settings.silence_limit)
-        self._others = OtherObjects(other_files, settings.others_memory, settings.moved_limit)
-        self.goals = GoalHandling(
-            cell,
-            settings.planner,
-            self._others,
-            now,
-            adapt=settings.adapt,
-            keep_for=keep_gains_for,
-            time_limit=settings.goal_time_limit,
-            maps=maps,
-            solve_in_background=solve_in_background,
-        )
-        self._active = False
+        self._active = self._configured = False
         self._task: Task | None = None
         self._shot: Shot | None = None
         self._deadline = math.inf
@@ -205,12 +176,16 @@ class PlannerLogic:
     def on_lifecycle(self, event: LifecycleEvent, now: Now) -> Sequence[Effect]:
         """The node's life cycle."""
         if isinstance(event, Configured):
+            assert isinstance(event.connected, GoalHandling)
+            self.goals = event.connected
+            self._configured = True
             if event.kept_goal is not None:
                 self._recall(event, now)
         elif isinstance(event, Activated):
             self._active = True
             self._report(now)
         else:
+            # Unreachable does not come: the planner has no device.
             self._active = False
             if self._task is not None:
                 sentence = "the planner was deactivated"
@@ -227,7 +202,9 @@ class PlannerLogic:
         elif topic == "object_state":
             self._monitor.on_object(message, now)
         elif topic == "other_objects":
-            self._others.on_object(message, self._monitor.camera_clock, now)
+            if self._configured:
+                clock = self._monitor.camera_clock
+                self.goals.other_objects.on_object(message, clock, now)
         elif topic == "arm_state":
             self._monitor.on_arm(message, now)
         elif topic == "tapper_state":

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import (
@@ -42,6 +43,7 @@ from tapping_cell.logic.host import (
     LifecycleEvent,
     Logic,
     ShutDown,
+    Unreachable,
 )
 from tapping_cell.messages import Bool
 from tapping_cell.verification.network import Network
@@ -87,12 +89,13 @@ class Disk:
 class Program:
     """What runs in a process: a machine, with a driver on a serial line or none.
 
-    ``connect(driver)`` is what the node does to configure. ``topics`` are those that it hears,
+    ``connect(driver, patience, now)`` is what the node does to configure. ``topics`` are those that it hears,
     ``services`` those that it offers.
     """
 
     make: Callable[[], tuple[Logic, Any]]
-    connect: Callable[[Any], Any]
+    connect: Callable[[Any, float, Now], Any]
+    cell: Cell
     topics: Sequence[str]
     services: Sequence[str]
     line: SerialLine | None = None
@@ -136,6 +139,7 @@ class Process:
         self._abandoned: set[int] = set()
         self._inbox: deque[Callable[[], None]] = deque()
         self._waiting: dict[str, int] = {}
+        self._answers: dict[Any, Callable[[Any], None]] = {}
         self._tick: Timer | None = None
         self._life = 0
         self._stop_publishers: set[str] = set()
@@ -153,6 +157,7 @@ class Process:
         self._jobs.clear()
         self._abandoned.clear()
         self._inbox.clear()
+        self._answers.clear()
         self._running = None
         self._stop_publishers.clear()
         for topic in self._program.topics:
@@ -161,7 +166,7 @@ class Process:
             self._network.serve(self.name, service, self._serve(service))
         delay = self._draw(*START_S)
         if self._program.line is None:
-            self._scheduler.after(delay, lambda: self._come_up(None, life))
+            self._scheduler.after(delay, lambda: self._configure(life))
             return
         worker = Fiber(self._scheduler, self.name, lambda: self._work(delay))
         self._worker = self._program.line.fiber = worker
@@ -212,10 +217,17 @@ class Process:
         self.kill()
 
     def request(
-        self, service: str, request: Any, token: Any, answer: Callable[[Any], None]
+        self,
+        service: str,
+        request: Any,
+        token: Any,
+        answer: Callable[[Any], None],
+        waits: bool = True,
     ) -> None:
-        """An action goal, or a cancellation of one; ``answer`` gets its result."""
-        self._answers[token] = answer
+        """A service request, an action goal or its cancellation (which has no answer: ``waits``
+        False); ``answer`` gets the response or result."""
+        if waits:
+            self._answers[token] = answer
         self._when_awake(
             lambda: self._handle(lambda now: self.logic.on_request(service, request, token, now))
         )
@@ -261,10 +273,6 @@ class Process:
             self._when_awake(action)
 
     # The machine and its effects
-
-    @property
-    def _answers(self) -> dict[Any, Callable[[Any], None]]:
-        return self.__dict__.setdefault("_answer_table", {})
 
     def _handle(self, call: Callable[[Now], Sequence[Effect]]) -> None:
         if not self.alive:
@@ -335,6 +343,11 @@ class Process:
 
     # Coming up, and ticks
 
+    def _configure(self, life: int) -> None:
+        """Without a device nothing is waited for."""
+        if life == self._life:
+            self._come_up(self._program.connect(None, 0.0, self._clock.now()), life)
+
     def _come_up(self, connected: Any, life: int) -> None:
         if life != self._life:
             return
@@ -342,7 +355,8 @@ class Process:
         self._when_awake(
             lambda: self._handle(
                 lambda now: self.logic.on_lifecycle(
-                    Configured(connected, self.disk.stop, self.disk.goal, age), now
+                    Configured(self._program.cell, connected, self.disk.stop, self.disk.goal, age),
+                    now,
                 )
             )
         )
@@ -367,9 +381,11 @@ class Process:
         worker.wait_until(self._scheduler.now + delay)
         while True:
             try:
-                connected = self._program.connect(self._driver)
+                patience = self.logic.patience
+                connected = self._program.connect(self._driver, patience, self._clock.now())
                 break
-            except HardwareFault:
+            except HardwareFault as fault:
+                self._handle(lambda now, met=fault: self.logic.on_lifecycle(Unreachable(met), now))
                 worker.wait_until(self._scheduler.now + RETRY_S)
         self._come_up(connected, self._life)
         while True:

@@ -11,14 +11,9 @@ from tapping_cell.verification.scheduler import Fiber, Scheduler, Timer
 
 
 class SerialLine:
-    """A board behind a line that may fail. Keeps the board going while nobody reads.
+    """A board behind a line that may fail. Keeps the board going while nobody reads."""
 
-    ``clock_offset``: what the host's steady clock shows more than the time of the run, s.
-    """
-
-    def __init__(
-        self, scheduler: Scheduler, layer: FaultLayer, name: str, clock_offset: float = 0.0
-    ) -> None:
+    def __init__(self, scheduler: Scheduler, layer: FaultLayer, name: str) -> None:
         self.layer = layer
         self.fiber: Fiber | None = None
         """The fiber that the driver runs in."""
@@ -26,12 +21,16 @@ class SerialLine:
         """Called before bytes go out: where a process may be frozen."""
         self._scheduler = scheduler
         self._name = name
-        self._offset = clock_offset
+        self._offset = 0.0
         self._absences: int | None = None
         self._stopped = False
         self._reading = False
         self._event: Timer | None = None
         self.schedule()
+
+    def set_clock(self, offset: float) -> None:
+        """The host's steady clock shows so much more than the time of the run, s."""
+        self._offset = offset
 
     # Keeping the board going
 

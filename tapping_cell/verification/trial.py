@@ -1,0 +1,528 @@
+"""One cell in virtual time, with people, goals and faults, from one seed."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.configuration.arm_assembly import make_arm_driver
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.schema import load
+from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.scara import Joints
+from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.logic import arm_jobs
+from tapping_cell.logic.arm import ArmLogic, ArmOptions
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.goal_handling import GoalHandling
+from tapping_cell.logic.other_objects import OtherObjects
+from tapping_cell.logic.planner import PlannerLogic
+from tapping_cell.logic.planner_settings import PlannerSettings
+from tapping_cell.logic.table_maps import TableMaps
+from tapping_cell.logic.tapper import TapperLogic, TapperOptions
+from tapping_cell.messages import (
+    ArmState,
+    Bool,
+    ObjectState,
+    PlanState,
+    PoseStamped,
+    PositionObject,
+    TapCommand,
+    TapperState,
+    Trigger,
+)
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.truth import TruthFile
+from tapping_cell.verification.camera import Camera
+from tapping_cell.verification.faults import Fault, draw_faults
+from tapping_cell.verification.host import HostClock, Process, Program
+from tapping_cell.verification.invariants import Violation, Witness
+from tapping_cell.verification.message_values import pose_message
+from tapping_cell.verification.network import Network, Quality
+from tapping_cell.verification.physical_cell import PhysicalCell
+from tapping_cell.verification.scheduler import HangError, Scheduler
+
+QUALITIES = {
+    "arm_state": Quality(latched=True),
+    "tapper_state": Quality(latched=True),
+    "object_state": Quality(latched=True),
+    "plan_state": Quality(latched=True),
+    "emergency_stop": Quality(latched=True),
+    "other_objects": Quality(reliable=False),
+    "markers": Quality(latched=True),
+}
+HEARS = {
+    "tap_planner": (
+        "goal_pose",
+        "object_state",
+        "arm_state",
+        "tapper_state",
+        "emergency_stop",
+    ),
+    "scara_arm": ("tap_command", "tapper_state", "joint_trajectory", "emergency_stop"),
+    "tapper_trigger": (
+        "tap_command",
+        "arm_state",
+        "plan_state",
+        "object_state",
+        "emergency_stop",
+    ),
+}
+SERVES = {
+    "tap_planner": (),
+    "scara_arm": ("~/home", "~/stop", "~/clear_fault", "hold_still"),
+    "tapper_trigger": ("~/stop", "~/clear_fault"),
+}
+CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
+"""Standard deviation of the pose in one frame: m, m, rad."""
+GOAL_TIME_LIMIT_S = 120.0
+GOAL_SLACK_S = 5.0
+"""A goal must end so long after its time limit at the latest, its planner being there."""
+RECOVERY_S = 90.0
+"""For so long a person tries to bring the cell back before the next goal."""
+
+
+@cache
+def shipped_cell() -> Cell:
+    """The cell of the package."""
+    return load_cell()
+
+
+@cache
+def _maps() -> TableMaps:
+    return TableMaps(shipped_cell())
+
+
+@dataclass(slots=True)
+class GoalOutcome:
+    """How one goal ended."""
+
+    number: int
+    code: int
+    sentence: str
+    duration: float
+    taps: int
+    faults: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class Report:
+    """What one run brought."""
+
+    seed: int
+    outcomes: list[GoalOutcome] = field(default_factory=list)
+    violations: list[Violation] = field(default_factory=list)
+    faults: Counter[str] = field(default_factory=Counter)
+    cell_seconds: float = 0.0
+    trace: list[str] = field(default_factory=list)
+
+
+class Trial:
+    """The whole cell of one seed. Times in s of the run."""
+
+    def __init__(self, seed: int, trace: bool = False) -> None:
+        self.seed = seed
+        self.rng = np.random.default_rng([seed, 0])
+        self._fault_rng = np.random.default_rng([seed, 1])
+        self.scheduler = Scheduler()
+        self.report = Report(seed)
+        self._tracing = trace
+        cell = self.cell = shipped_cell()
+        truth = load(TruthFile, shared_folder() / "truth" / "default.yaml")
+        self.physical = PhysicalCell(self.scheduler, cell, truth, seed)
+        self.network = Network(self.scheduler, np.random.default_rng([seed, 2]), QUALITIES)
+        self.witness = Witness(self.scheduler, self.physical, cell.tolerance)
+        self.network.on_publish = self._on_publish
+        self.scheduler.after_event = self._after_event
+        self.joint_names = Joints._fields
+        self._computers = {name: self._make_clock() for name in ("planner", "drivers", "camera")}
+        self.clocks = {
+            "tap_planner": self._computers["planner"],
+            "scara_arm": self._computers["drivers"],
+            "tapper_trigger": self._computers["drivers"],
+            "camera_pose": self._computers["camera"],
+        }
+        self.processes = {
+            name: Process(
+                name,
+                program,
+                self.scheduler,
+                self.network,
+                self.clocks[name],
+                lambda low, high: float(self.rng.uniform(low, high)),
+            )
+            for name, program in self._programs().items()
+        }
+        for process in self.processes.values():
+            process.on_handled = self._on_handled
+            process.on_log = self._on_log
+        self.camera = Camera(
+            self.scheduler,
+            np.random.default_rng([seed, 3]),
+            self._look,
+            lambda: self.clocks["camera_pose"].now().ros,
+            lambda state: self.network.publish("camera_pose", "object_state", state),
+            cell.object.name,
+            CAMERA_SIGMA,
+        )
+        self._hidden_until = -math.inf
+        self._token = 0
+        self._result: PositionObject.Result | None = None
+        self._pressed_until = -math.inf
+        self.network.publish("panel", "emergency_stop", Bool(data=False))
+
+    def _make_clock(self) -> HostClock:
+        rng = self.rng
+        return HostClock(
+            self.scheduler,
+            offset=float(rng.uniform(-0.2, 0.2)),
+            drift=float(rng.uniform(-5e-5, 5e-5)),
+            steady_offset=float(rng.uniform(10.0, 1e5)),
+        )
+
+    def _programs(self) -> dict[str, Program]:
+        cell = self.cell
+
+        def planner_connect(_: Any, __: float, now: Now) -> GoalHandling:
+            return GoalHandling(
+                cell,
+                "",
+                OtherObjects((), 5.0, 0.002),
+                now,
+                adapt=True,
+                keep_for="",
+                time_limit=GOAL_TIME_LIMIT_S,
+                maps=_maps(),
+                solve_in_background=False,
+            )
+
+        def arm_connect(driver: ArmDriver, patience: float, _: Now) -> arm_jobs.Reading:
+            driver.connect(timeout=patience)
+            return arm_jobs.told(driver, driver.read())
+
+        def arm() -> tuple[ArmLogic, ArmDriver]:
+            line = self.physical.arm_line
+            line.set_clock(self.clocks["scara_arm"].steady_offset)
+            return ArmLogic(ArmOptions()), make_arm_driver(cell.file.arm, line)
+
+        def tapper() -> tuple[TapperLogic, TapperDriver]:
+            line = self.physical.tapper_line
+            line.set_clock(self.clocks["tapper_trigger"].steady_offset)
+            draw = np.random.default_rng([self.seed, 4, round(1e6 * self.scheduler.now)])
+            driver = TapperDriver(line, draw_number=lambda below: int(draw.integers(below)))
+            return TapperLogic(TapperOptions()), driver
+
+        settings = PlannerSettings(goal_time_limit=GOAL_TIME_LIMIT_S)
+        programs = {
+            "tap_planner": (lambda: (PlannerLogic(settings), None), planner_connect, None),
+            "scara_arm": (arm, arm_connect, self.physical.arm_line),
+            "tapper_trigger": (
+                tapper,
+                lambda driver, patience, _: driver.connect(timeout=patience),
+                self.physical.tapper_line,
+            ),
+        }
+        return {
+            name: Program(make, connect, cell, HEARS[name], SERVES[name], line)
+            for name, (make, connect, line) in programs.items()
+        }
+
+    # One run
+
+    def run(self, goals: int) -> Report:
+        """Bring up the cell and work through so many goals, faults among them."""
+        try:
+            for process in self.processes.values():
+                process.start()
+            self._recover()
+            for number in range(goals):
+                self._work_on_a_goal(number)
+                if self.report.violations:
+                    break
+        except HangError as hang:
+            self.witness.violate("hang", str(hang))
+        self.witness.at_the_end()
+        for process in self.processes.values():
+            for defect in process.defects:
+                self.witness.violate("defect", defect)
+            process.kill()
+        self.report.violations = self.witness.violations
+        self.report.cell_seconds = self.scheduler.now
+        return self.report
+
+    def draw_goal(self, rng: np.random.Generator) -> Pose:
+        """A goal somewhere in the middle of the table."""
+        x, y = rng.uniform((-0.1, -0.06), (0.1, 0.06))
+        return Pose(float(x), float(y), float(rng.uniform(-0.6, 0.6)))
+
+    def _work_on_a_goal(self, number: int) -> None:
+        faults = draw_faults(self._fault_rng, self)
+        self.report.faults.update(fault.kind for fault in faults)
+        true = self.physical.object_pose(self.scheduler.now)
+        rng = self.rng
+        goal = self.draw_goal(rng)
+        if rng.random() < 0.8:
+            # The published task and its like: some way and some rotation from where it lies.
+            turn, way = rng.uniform(-0.3, 0.3), rng.uniform(0.0, 0.04)
+            angle = rng.uniform(-math.pi, math.pi)
+            goal = Pose(
+                float(np.clip(true.x + way * math.cos(angle), -0.15, 0.15)),
+                float(np.clip(true.y + way * math.sin(angle), -0.1, 0.1)),
+                float(true.theta + turn),
+            )
+        began = self.scheduler.now
+        self._result = None
+        self._note(f"goal {number}: {goal}")
+        self.send_goal(goal)
+        for fault in faults:
+            self.scheduler.at(began + fault.time, lambda fault=fault: self._strike(fault))
+        limit = began + GOAL_TIME_LIMIT_S + GOAL_SLACK_S
+        self.scheduler.run(limit, lambda: self._result is not None)
+        planner = self.processes["tap_planner"]
+        if self._result is None:
+            lost = any("tap_planner" in fault.words for fault in faults)
+            if planner.alive and not lost:
+                self.witness.violate(
+                    "goal without an end", f"goal {number} has not ended; {planner.logic.state}"
+                )
+            self._result = PositionObject.Result(error_code=-1, error_msg="its planner was lost")
+        last = max((fault.time for fault in faults), default=0.0)
+        self.scheduler.run(max(self.scheduler.now, began + last) + 0.5)
+        result = self._result
+        self.report.outcomes.append(
+            GoalOutcome(
+                number,
+                result.error_code,
+                result.error_msg,
+                self.scheduler.now - began,
+                result.taps,
+                tuple(fault.kind for fault in faults),
+            )
+        )
+        self._recover()
+
+    def _strike(self, fault: Fault) -> None:
+        self._note(f"FAULT {fault.words}")
+        fault.strike(self)
+
+    # What people do
+
+    def send_goal(self, goal: Pose, foreign: bool = False) -> None:
+        """Send an action goal to the planner, if it is there."""
+        message = PoseStamped(pose=pose_message(goal))
+        message.header.frame_id = "table"
+        process = self.processes["tap_planner"]
+        if foreign:
+            self.network.publish("somebody_else", "goal_pose", message)
+            return
+        if not process.alive:
+            self._result = PositionObject.Result(error_code=-1, error_msg="no planner")
+            return
+        self._token += 1
+
+        def ended(result: Any) -> None:
+            self._note(f"RESULT {result.error_code} {result.error_msg}")
+            self._result = result
+
+        request = PositionObject.Goal(goal_pose=message)
+        process.request("position_object", request, self._token, ended)
+
+    def cancel_goal(self) -> None:
+        """Cancel the action goal."""
+        process = self.processes["tap_planner"]
+        if process.alive and self._result is None:
+            process.request("cancel", None, self._token, lambda _: None, waits=False)
+
+    def freeze(self, node: str, duration: float) -> None:
+        """Freeze a process."""
+        if node == "camera_pose":
+            self.camera.frozen_until = self.scheduler.now + duration
+        else:
+            self.processes[node].freeze(duration)
+
+    def kill(self, node: str, away: float) -> None:
+        """Kill a process; it is started again after ``away`` s."""
+        if node == "camera_pose":
+            self.camera.alive = False
+            self.network.leave("camera_pose")
+            self.scheduler.after(away, self.camera.restart)
+            return
+        process = self.processes[node]
+        if not process.alive:
+            return
+        process.kill()
+        self._lost_process(node)
+        self.scheduler.after(away, lambda: self._start_again(node))
+
+    def shut_down(self, node: str, away: float) -> None:
+        """End a process in order; it is started again after ``away`` s."""
+        process = self.processes[node]
+        if not process.alive:
+            return
+        process.shut_down()
+        self._lost_process(node)
+        self.scheduler.after(away, lambda: self._start_again(node))
+
+    def _lost_process(self, node: str) -> None:
+        if node == "scara_arm":
+            self.witness.word_given = False
+        if node == "tap_planner" and self._result is None:
+            self._result = PositionObject.Result(error_code=-1, error_msg="its planner was lost")
+
+    def _start_again(self, node: str) -> None:
+        if not self.processes[node].alive:
+            self.processes[node].start()
+
+    def hide_object(self, duration: float) -> None:
+        """Hold a hand over the object."""
+        now = self.scheduler.now
+        if now >= self._hidden_until:
+            self.witness.hidden_since = now
+        self._hidden_until = max(self._hidden_until, now + duration)
+        self.camera.faults.hidden_until = self._hidden_until
+        self.scheduler.at(self._hidden_until, self._uncover)
+
+    def _uncover(self) -> None:
+        if self.scheduler.now >= self._hidden_until:
+            self.witness.hidden_since = math.inf
+
+    def move_object(self, shift: Pose) -> None:
+        """Move the object by hand; it stays on the middle of the table."""
+        now = self.scheduler.now
+        before = self.physical.object_pose(now)
+        self.witness.moved_by_hand = (now, before)
+        self.physical.world.place(
+            Pose(
+                float(np.clip(before.x + shift.x, -0.2, 0.2)),
+                float(np.clip(before.y + shift.y, -0.13, 0.13)),
+                before.theta + shift.theta,
+            )
+        )
+
+    def press_emergency_stop(self, duration: float) -> None:
+        """Hold the emergency stop of the panel for so long."""
+        self._pressed_until = max(self._pressed_until, self.scheduler.now + duration)
+        self.network.publish("panel", "emergency_stop", Bool(data=True))
+        self.scheduler.at(self._pressed_until, self._release_emergency_stop)
+
+    def _release_emergency_stop(self) -> None:
+        if self.scheduler.now >= self._pressed_until:
+            self.network.publish("panel", "emergency_stop", Bool(data=False))
+
+    def call_stop(self, node: str) -> None:
+        """Call a node's service ``stop``."""
+        process = self.processes[node]
+        if process.alive and self.scheduler.now >= process.frozen_until:
+            self.witness.stopped_at.setdefault(node, self.scheduler.now)
+            if node == "scara_arm":
+                self.witness.word_given = False
+        self._call(node, "~/stop")
+
+    def _call(self, node: str, service: str) -> None:
+        process = self.processes[node]
+        if process.alive and process.logic is not None:
+            self._token += 1
+            process.request(service, Trigger.Request(), ("person", self._token), lambda _: None)
+
+    def _recover(self) -> None:
+        """What a person does until the cell is ready for a goal: look, clear, press, home."""
+        until = self.scheduler.now + RECOVERY_S
+        arm_states, tapper_states = ArmState, TapperState
+        while self.scheduler.now < until:
+            self.scheduler.run(self.scheduler.now + 1.0)
+            arm, tapper = self._last("arm_state"), self._last("tapper_state")
+            if not all(process.alive for process in self.processes.values()) or arm is None:
+                continue
+            if tapper is None or self.scheduler.now < self._pressed_until:
+                continue
+            if arm.state == arm_states.IDLE and tapper.state == tapper_states.SAFE:
+                if self._object_lost():
+                    self.physical.world.place(Pose(0.0, 0.0, 0.0))
+                    self.witness.moved_by_hand = (self.scheduler.now, Pose(0.0, 0.0, 0.0))
+                    continue
+                return
+            if tapper.state in (tapper_states.STOPPED, tapper_states.FAULT):
+                self.physical.press_clear_button()
+                self._give_word("tapper_trigger")
+                self._call("tapper_trigger", "~/clear_fault")
+            if arm.state in (arm_states.STOPPED, arm_states.FAULT):
+                self._give_word("scara_arm")
+                self._call("scara_arm", "~/clear_fault")
+            elif arm.state == arm_states.NOT_HOMED:
+                self.witness.word_given = True
+                self._call("scara_arm", "~/home")
+        arm, tapper = self._last("arm_state"), self._last("tapper_state")
+        self.witness.violate("no way back", f"arm {arm}, tapper {tapper}")
+
+    def _give_word(self, node: str) -> None:
+        self.witness.stopped_at.pop(node, None)
+
+    def _object_lost(self) -> bool:
+        pose = self.physical.object_pose(self.scheduler.now)
+        return abs(pose.x) > 0.2 or abs(pose.y) > 0.13
+
+    # Hearing
+
+    def _last(self, topic: str) -> Any:
+        kept = self.network.history.get(topic)
+        return kept[-1] if kept else None
+
+    def _look(self, time: float) -> Pose | None:
+        return self.physical.view(time)
+
+    def _on_publish(self, node: str, topic: str, message: Any) -> None:
+        if self._tracing and topic not in ("markers", "joint_states"):
+            self._note(f"{node} -> {topic} {_short(message)}")
+        self.witness.on_publish(node, topic, message)
+
+    def _on_handled(self, process: str, topic: str, message: Any) -> None:
+        now = self.scheduler.now
+        if topic == "emergency_stop" and message.data:
+            self.witness.stopped_at.setdefault(process, now)
+            if process == "scara_arm":
+                self.witness.word_given = False
+        if topic == "tap_command" and process == "tapper_trigger":
+            if message.request == TapCommand.WITHDRAW and message.tap_id:
+                self.witness.ended_taps.setdefault(message.tap_id, now)
+
+    def _on_log(self, process: str, sentence: str) -> None:
+        self._note(f"{process}: {sentence}")
+
+    def _after_event(self) -> None:
+        self.witness.tapper_ros_now = self.clocks["tapper_trigger"].now().ros
+        self.witness.after_event()
+
+    def _note(self, words: str) -> None:
+        if self._tracing:
+            self.report.trace.append(f"{self.scheduler.now:12.6f} {words}")
+
+
+def _short(message: Any) -> str:
+    """A message in a few words, for the trace."""
+    if isinstance(message, ObjectState):
+        return f"visible={message.visible} rest={message.at_rest} fused={message.frames_fused}"
+    if isinstance(message, PlanState):
+        return f"state={message.state} taps={message.taps} {message.error_code} {message.error_msg}"
+    if isinstance(message, ArmState):
+        return (
+            f"state={message.state} tap={message.tap_id} {message.error_code} {message.error_msg}"
+        )
+    if isinstance(message, TapperState):
+        return (
+            f"state={message.state} tap={message.tap_id} outcome={message.outcome}"
+            f" {message.error_code} {message.error_msg}"
+        )
+    if isinstance(message, TapCommand):
+        return f"request={message.request} tap={message.tap_id}"
+    return repr(message)[:200]
+
+
+def run_trial(seed: int, goals: int, trace: bool = False) -> Report:
+    """One run."""
+    return Trial(seed, trace).run(goals)
