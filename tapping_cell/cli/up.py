@@ -22,6 +22,7 @@ from tapping_cell.cli.graph import HARDWARE, RECORDER, SIMULATED, Graph, NodeDie
 from tapping_cell.cli.session import end_on_signals
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
+from tapping_cell.planning import UnknownPlannerError, require_planner
 
 LOOK_PERIOD_S = 0.2
 
@@ -69,9 +70,10 @@ def run(arguments: argparse.Namespace) -> int:
     end_on_signals()
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)
+        require_planner(arguments.planner or cell.file.goal.planner)
         if arguments.params is not None:
             read_yaml(arguments.params)
-    except ConfigurationError as error:
+    except (ConfigurationError, UnknownPlannerError) as error:
         console.print(f"[red]error:[/red] {error}", highlight=False)
         return 2
     nodes = HARDWARE if arguments.hardware else SIMULATED

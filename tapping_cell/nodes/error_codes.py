@@ -6,13 +6,6 @@ from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 
-NAMES: dict[int, str] = {
-    getattr(ErrorCode, name): name
-    for name in dir(ErrorCode)
-    if name.isupper() and isinstance(getattr(ErrorCode, name), int)
-}
-"""Name of every code."""
-
 _ARM = {
     FaultReason.PORT_MISSING: ErrorCode.ARM_NOT_CONNECTED,
     FaultReason.PORT_BUSY: ErrorCode.ARM_NOT_CONNECTED,
