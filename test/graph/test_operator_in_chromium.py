@@ -75,7 +75,8 @@ class Page:
         script = """
             const row = [...document.querySelectorAll("#nodes li")].find(
                 (each) => each.querySelector(".name").textContent === arguments[0]);
-            return row && [".life", ".said"].map((part) => row.querySelector(part)?.textContent || "");
+            return row && [".life", ".said"].map(
+                (part) => row.querySelector(part)?.textContent || "");
         """
         found = self.driver.execute_script(script, name)
         return tuple(found) if found else None
