@@ -27,7 +27,7 @@ clean:
 	@find . -name .git -prune -o \( -name __pycache__ -o -name '*.egg-info' \) -type d -prune -exec rm -rf {} +
 
 reference:
-	@. ./env.sh; python environment/reference_pages.py
+	@. ./env.sh; python environment/generate_messages.py; python environment/reference_pages.py
 
 lock:
 	@python3 environment/lock.py python3.10 python3.11 python3.12 python3.13

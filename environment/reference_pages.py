@@ -35,9 +35,8 @@ in `~/.bashrc`, which also makes `cell` a short name: `cell goal 20 10 0`.
 _ERROR_CODES = """# Error codes
 
 Every refusal and failure of the cell has a number of `tapping_cell_msgs/msg/ErrorCode` and a
-message with the value
-and the limit. The command line, the report of a run and the operator page show the hint of
-the last column.
+message with the value and the limit. The command line, the report of a run and the operator page
+show the hint of the last column.
 
 `msg_defs/msg/ErrorCode.msg` declares the codes; `make reference` writes this page from it.
 

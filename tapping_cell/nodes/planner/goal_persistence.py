@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from pathlib import Path
@@ -14,8 +15,6 @@ from tapping_cell.nodes.planner.goal_handling import Request
 from tapping_cell.nodes.planner.tap_task import Task
 from tapping_cell.se2 import Pose
 
-FOLDER = Path("~/.ros/tapping_cell")
-
 
 class GoalMemory:
     """One small file a cell.
@@ -25,10 +24,9 @@ class GoalMemory:
     stood still for long does not begin to move by itself.
     """
 
-    def __init__(self, cell: str, patience: float) -> None:
-        """``cell``: what tells cells apart; ``patience``: oldest file believed, s, 0 for none."""
-        name = "".join(letter if letter.isalnum() else "_" for letter in cell)
-        self._path = FOLDER.expanduser() / f"goal-{name}.json"
+    def __init__(self, folder: Path, patience: float) -> None:
+        """``folder``: the cell's own; ``patience``: oldest file believed, s, 0 for none."""
+        self._path = folder / "goal.json"
         self._patience = patience
 
     def keep(self, task: Task) -> None:
@@ -62,11 +60,21 @@ class GoalMemory:
             self.forget()
             if not 0 <= age <= self._patience:
                 return None
-            message = PoseStamped(pose=to_message(Pose(*content["goal"])))
+            x, y, theta = map(_finite, content["goal"])
+            message = PoseStamped(pose=to_message(Pose(x, y, theta)))
             message.header.frame_id = "table"
-            position, angle = content["tolerance"]
-            return Request(message, position, angle, content["max_taps"])
-        except (OSError, ValueError, TypeError, KeyError):
-            # A file that cannot be read is no goal.
+            position, angle = map(_finite, content["tolerance"])
+            return Request(message, position, angle, int(_finite(content["max_taps"])))
+        except (OSError, ValueError, TypeError, KeyError, OverflowError, RecursionError):
+            # A file that holds no goal is no goal, whatever else it holds.
             self.forget()
             return None
+
+
+def _finite(value: object) -> float:
+    """A number as a float. Raises TypeError, ValueError or OverflowError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError(f"{type(value).__name__} is not a number")
+    if not math.isfinite(value):
+        raise ValueError("not finite")
+    return float(value)
