@@ -23,6 +23,8 @@ from tapping_cell.cli.session import end_on_signals
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
 
+STOP_PORT_OFFSET = 1000
+"""From the port of the page to that of its STOP."""
 LOOK_PERIOD_S = 0.2
 
 
@@ -164,7 +166,14 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
         parameters[RECORDER]["folder"] = arguments.runs.resolve()
     if getattr(arguments, "page", None):
         address, port = arguments.page
-        parameters["operator_page"] = {**files, "address": address, "port": port}
+        stop_port = port + STOP_PORT_OFFSET if 0 < port <= 65535 - STOP_PORT_OFFSET else 0
+        parameters["operator_page"] = {
+            **files,
+            "address": address,
+            "port": port,
+            "stop_port": stop_port,
+            "runs": parameters[RECORDER].get("folder", Path("runs").resolve()),
+        }
     if getattr(arguments, "camera", None):
         parameters["overhead_camera"]["source"] = arguments.camera
     return parameters
