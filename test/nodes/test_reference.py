@@ -11,11 +11,11 @@ import pytest
 from harness import bench
 from tapping_cell_msgs.msg import ErrorCode
 
+from tapping_cell.logic.error_codes import NAMES
 from tapping_cell.nodes import MODULES
 from tapping_cell.nodes.camera.overhead_camera import OverheadCamera
 from tapping_cell.nodes.drivers.scara_arm import ScaraArm
 from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
-from tapping_cell.nodes.error_codes import NAMES
 from tapping_cell.nodes.planner.tap_planner import TapPlanner
 from tapping_cell.nodes.recorder.run_recorder import RunRecorder
 from tapping_cell.nodes.simulation.sim_world import SimWorld

@@ -17,14 +17,12 @@ from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand, TapperState
 from trajectory_msgs.msg import JointTrajectory
 
-from tapping_cell.configuration.cell import ArmSection, Cell, load_cell
+from tapping_cell.configuration.arm_assembly import make_arm_driver
+from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.hardware.arm import ArmDriver
-from tapping_cell.hardware.arm_settings import ArmReading, ArmSettings, HomingStrategy
-from tapping_cell.hardware.dialect import ArmDialect
+from tapping_cell.hardware.arm_settings import ArmReading, HomingStrategy
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
-from tapping_cell.hardware.marlin_dialect import MarlinDialect, MarlinSettings
 from tapping_cell.hardware.motion import (
     Waypoint,
     check_limits,
@@ -34,11 +32,11 @@ from tapping_cell.hardware.motion import (
 )
 from tapping_cell.hardware.scara import Joints, TipPose
 from tapping_cell.hardware.serial_transport import SerialTransport
+from tapping_cell.logic.error_codes import of_arm
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import from_message, to_message
 from tapping_cell.nodes.drivers import tap_commands
 from tapping_cell.nodes.drivers.driver_node import DriverNode, answer, run_driver
-from tapping_cell.nodes.error_codes import of_arm
 from tapping_cell.se2 import Pose
 
 RELEASE_GUARD_S = 0.1
@@ -123,13 +121,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
         cell = load_cell(self.settings.cell_file or None)
         arm = cell.file.arm
         port = str(self.port_path(self.settings.port or arm.port))
-        transport = SerialTransport(port, arm.baud)
-        driver = ArmDriver(
-            transport,
-            controller_dialect(arm, transport),
-            arm.geometry(),
-            ArmSettings(home_joints=arm.home),
-        )
+        driver = make_arm_driver(arm, SerialTransport(port, arm.baud))
         self._cell = cell
         for remark in self.connect(driver, port).remarks:
             self.get_logger().warning(remark)
@@ -138,8 +130,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
     def activate(self) -> None:
         """Home where that needs no person."""
         assert self._cell is not None
-        strategy = HomingStrategy(self._cell.file.arm.homing)
-        if self.settings.home_on_activate and strategy is not HomingStrategy.MANUAL_POSE:
+        if self.settings.home_on_activate and self._cell.file.arm.homes_alone:
             self.submit(self._home)
         else:
             self.submit(self._set_standing)
@@ -406,16 +397,6 @@ class ScaraArm(DriverNode[Parameters, ArmDriver, Snapshot]):
             joints.header.stamp = message.header.stamp
             self._joint_publisher.publish(joints)
         self._published = now
-
-
-def controller_dialect(arm: ArmSection, transport: SerialTransport) -> ArmDialect:
-    """The language of the cell's controller, with what its settings must be."""
-    needs = arm.controller_needs()
-    if arm.dialect == "marlin":
-        return MarlinDialect(transport, MarlinSettings(needs=needs))
-    # $13 = 0: reports in mm and degrees.
-    expected = {13: 0.0} | {int(number): value for number, value in arm.grbl_settings}
-    return GrblDialect(transport, GrblSettings(expected=expected, needs=needs))
 
 
 def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:

@@ -34,14 +34,14 @@ ARM_WORDS = {
 TAPPER_WORDS = {
     TapperState.DISCONNECTED: "not connected",
     TapperState.SAFE: "safe",
-    TapperState.DRAWING: "drawing",
-    TapperState.READY: "drawn",
+    TapperState.CHARGING: "charging",
+    TapperState.CHARGED: "charged",
     TapperState.FIRING: "firing",
     TapperState.FAULT: "fault",
     TapperState.STOPPED: "stopped",
 }
 ARM_BUSY = (ArmState.HOMING, ArmState.MOVING, ArmState.IN_POSITION, ArmState.WITHDRAWING)
-TAPPER_BUSY = (TapperState.DRAWING, TapperState.READY, TapperState.FIRING)
+TAPPER_BUSY = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 
 Numbers = list["float | None"]
 

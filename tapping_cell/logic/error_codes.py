@@ -1,15 +1,12 @@
-"""The library's reasons as the numbers of ``tapping_cell_msgs/ErrorCode``."""
+"""The reasons of hardware faults as the numbers of ``ErrorCode``."""
 
 from __future__ import annotations
 
-from tapping_cell_msgs.msg import ErrorCode
-
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.messages import ErrorCode
 
 NAMES: dict[int, str] = {
-    getattr(ErrorCode, name): name
-    for name in dir(ErrorCode)
-    if name.isupper() and isinstance(getattr(ErrorCode, name), int)
+    value: name for name, value in vars(ErrorCode).items() if isinstance(value, int)
 }
 """Name of every code."""
 
@@ -52,9 +49,9 @@ _TAPPER = {
 
 def of_arm(fault: HardwareFault) -> int:
     """The code of a fault of the arm."""
-    return int(_ARM.get(fault.reason, ErrorCode.INTERNAL))
+    return _ARM.get(fault.reason, ErrorCode.INTERNAL)
 
 
 def of_tapper(fault: HardwareFault) -> int:
     """The code of a fault of the tapper."""
-    return int(_TAPPER.get(fault.reason, ErrorCode.INTERNAL))
+    return _TAPPER.get(fault.reason, ErrorCode.INTERNAL)
