@@ -75,6 +75,11 @@ def with_code(sentence: str, code: int) -> str:
     return f"{sentence} ({code})" if code else sentence
 
 
+def counted(number: int, thing: str) -> str:
+    """A number of things, as in "1 tap" and "3 taps"."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
 class CellView:
     """Hears the topics; called in the executor's thread alone."""
 
@@ -136,7 +141,7 @@ class CellView:
         if message.refused:
             sentence = f"goal refused: {sentence}"
         elif not message.error_code:
-            sentence, kind = f"goal reached after {message.taps} taps", "good"
+            sentence, kind = f"goal reached after {counted(message.taps, 'tap')}", "good"
         elif message.state == PlanState.CANCELED:
             kind = ""
         # The last report is told again to whoever joins: it happened when it was made.
