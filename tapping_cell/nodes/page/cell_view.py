@@ -7,12 +7,20 @@ import time
 from collections import deque
 from typing import NamedTuple
 
-from tapping_cell_msgs.msg import ArmState, ErrorCode, GoalReport, PlanState, TapperState, TapRecord
+from tapping_cell_msgs.msg import (
+    ArmState,
+    ErrorCode,
+    GoalReport,
+    ObjectState,
+    PlanState,
+    TapperState,
+    TapRecord,
+)
 
+from tapping_cell.logic.cell_monitor import CellMonitor
+from tapping_cell.logic.clock import Now
 from tapping_cell.nodes.clients.goal_client import PHASES
 from tapping_cell.nodes.conversions import from_message, seconds
-from tapping_cell.nodes.planner.cell_monitor import CellMonitor
-from tapping_cell.nodes.planner.plan_reporter import FINAL
 from tapping_cell.report.error_codes import hint
 from tapping_cell.se2 import Pose
 
@@ -43,7 +51,13 @@ TAPPER_WORDS = {
 ARM_BUSY = (ArmState.HOMING, ArmState.MOVING, ArmState.IN_POSITION, ArmState.WITHDRAWING)
 TAPPER_BUSY = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 
+FINAL = (PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
+
 Numbers = list["float | None"]
+
+
+def _now() -> Now:
+    return Now(time.monotonic(), time.time_ns())
 
 
 def triple(pose: Pose) -> Numbers:
@@ -93,16 +107,22 @@ class CellView:
         self._log: deque[dict[str, object]] = deque(maxlen=LOG_LENGTH)
         self._mode = ""
         self.emergency_stop = False
-        self.on_object = self._monitor.on_object
-        self.on_arm = self._monitor.on_arm
-        self.on_tapper = self._monitor.on_tapper
+
+    def on_object(self, message: ObjectState) -> None:
+        """Take in ``object_state``."""
+        self._monitor.on_object(message, _now())
+
+    def on_arm(self, message: ArmState) -> None:
+        """Take in ``arm_state``."""
+        self._monitor.on_arm(message, _now())
+
+    def on_tapper(self, message: TapperState) -> None:
+        """Take in ``tapper_state``."""
+        self._monitor.on_tapper(message, _now())
 
     def forget(self) -> None:
         """Nobody looks any more: what is heard next is new. The taps and the log are kept."""
         self._monitor = CellMonitor(SILENCE_LIMIT_S)
-        self.on_object = self._monitor.on_object
-        self.on_arm = self._monitor.on_arm
-        self.on_tapper = self._monitor.on_tapper
         self._mode = ""
 
     def note(self, text: str, kind: str = "", at: float | None = None) -> None:
@@ -163,7 +183,7 @@ class CellView:
         ]
         if stopped:
             return Mode("stopped", "; ".join(dict.fromkeys(stopped)), ErrorCode.EMERGENCY_STOP)
-        if self.emergency_stop and self._monitor.lost():
+        if self.emergency_stop and self._monitor.lost(_now()):
             sentence = "the emergency stop is pressed; arm or tapper do not answer"
             return Mode("stopped", sentence, ErrorCode.EMERGENCY_STOP)
         fault = self._monitor.fault()
@@ -172,11 +192,11 @@ class CellView:
         if self.busy:
             assert self._plan is not None
             return Mode("moving", f"tap {self._plan.taps + 1}: {PHASES[self._plan.state]}")
-        if arm is not None and arm.state in ARM_BUSY and not self._monitor.silent("arm"):
+        if arm is not None and arm.state in ARM_BUSY and not self._monitor.silent("arm", _now()):
             return Mode("moving", f"the arm is {ARM_WORDS[arm.state]}")
         if tapper is not None and tapper.state in TAPPER_BUSY:
             return Mode("moving", f"the tapper is {TAPPER_WORDS[tapper.state]}")
-        missing = self._monitor.missing()
+        missing = self._monitor.missing(_now())
         if missing is not None:
             return Mode("not ready", missing[1], missing[0])
         seen = self._monitor.object
@@ -208,7 +228,7 @@ class CellView:
 
     def _object_state(self) -> dict[str, object]:
         seen = self._monitor.object
-        if seen is None or self._monitor.silent("object"):
+        if seen is None or self._monitor.silent("object", _now()):
             return {"visible": False, "sentence": "camera_pose says nothing; start it", "code": 303}
         answer: dict[str, object] = {
             "visible": seen.visible,
@@ -242,7 +262,7 @@ class CellView:
 
     def _device(self, who: str, words: dict[int, str]) -> dict[str, object]:
         state = getattr(self._monitor, who)
-        if state is None or self._monitor.silent(who):
+        if state is None or self._monitor.silent(who, _now()):
             return {"state": "silent", "sentence": "", "code": 0}
         return {
             "state": words[state.state],

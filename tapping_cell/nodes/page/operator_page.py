@@ -39,6 +39,7 @@ from tapping_cell_msgs.msg import (
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.logic.goal_validation import REFUSALS
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, NotReady, run
 from tapping_cell.nodes.conversions import camera_from_message, is_finite, seconds, to_message
@@ -59,7 +60,6 @@ from tapping_cell.nodes.page.requests import (
 )
 from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.page.stop_link import StopLink
-from tapping_cell.nodes.planner.goal_validation import REFUSALS
 from tapping_cell.planning import FreeSpace, check_goal
 from tapping_cell.report.error_codes import hint
 from tapping_cell.se2 import Pose

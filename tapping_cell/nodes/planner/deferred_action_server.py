@@ -10,7 +10,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
 
-class ActionDoor:
+class DeferredActionServer:
     """The actions of one node; every goal is accepted, so that its refusal is a numbered result."""
 
     def __init__(

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 
 import pytest
-from geometry_msgs.msg import PoseStamped
 from hypothesis import given
 from hypothesis import strategies as st
-from tapping_cell_msgs.msg import ErrorCode
 
-from tapping_cell.nodes.conversions import from_message, to_message
-from tapping_cell.nodes.planner.goal_validation import Refused, read_goal, read_tolerance
+from tapping_cell.logic.goal_validation import Refused, read_goal, read_tolerance
+from tapping_cell.logic.poses import from_message, to_message
+from tapping_cell.messages import ErrorCode, PoseStamped
 from tapping_cell.se2 import Pose
 
 NOW = 1000.0

@@ -1,0 +1,35 @@
+"""What a crash leaves on disk: a file that holds nothing usable never keeps a node down."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tapping_cell.nodes.kept_content import KeptContent
+
+
+def test_what_was_kept_is_recalled_and_removed(tmp_path: Path) -> None:
+    kept = KeptContent(tmp_path / "cell" / "goal.json")
+    assert kept.recall() is None
+    kept.keep({"goal": [0.01, 0.02, 0.3]})
+    assert kept.recall() == {"goal": [0.01, 0.02, 0.3]} and kept.age() < 60.0
+    kept.keep(None)
+    assert kept.recall() is None
+
+
+@pytest.mark.parametrize("text", ["", "[" * 200_000, "[]", "7", "\x00", '{"goal": ' * 100_000])
+def test_a_file_that_cannot_be_read_is_an_empty_content(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "goal.json"
+    file.write_text(text, encoding="utf-8")
+    assert KeptContent(file).recall() == {}
+
+
+def test_an_old_content_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
+    file = tmp_path / "goal.json"
+    kept = KeptContent(file)
+    kept.keep({"goal": 1})
+    with pytest.raises(TypeError):
+        kept.keep({"goal": object()})
+    assert json.loads(file.read_text()) == {"goal": 1}

@@ -1,0 +1,76 @@
+"""The goal that a planner keeps over a crash: resumed once, soon, and only if it can be read."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import pytest
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.effects import Content, Effect, KeepGoal
+from tapping_cell.logic.goal_handling import GoalHandling
+from tapping_cell.logic.host import Activated, Configured
+from tapping_cell.logic.other_objects import OtherObjects
+from tapping_cell.logic.planner import PlannerLogic, State
+from tapping_cell.logic.planner_settings import PlannerSettings
+
+GOAL = {"goal": [0.01, 0.02, 0.3], "tolerance": [0.001, 0.02], "max_taps": 20, "time_left": 60.0}
+NOW = Now(100.0, 1_800_000_000_000_000_000)
+
+
+@cache
+def goals() -> GoalHandling:
+    return GoalHandling(
+        load_cell(),
+        "exact",
+        OtherObjects((), 5.0, 0.002),
+        NOW,
+        adapt=True,
+        keep_for="",
+        time_limit=600.0,
+    )
+
+
+def started(kept: Content | None, age: float = 1.0) -> tuple[PlannerLogic, list[Effect]]:
+    logic = PlannerLogic(PlannerSettings())
+    event = Configured(goals().cell, goals(), kept_goal=kept, kept_goal_age=age)
+    made = [*logic.on_lifecycle(event, NOW), *logic.on_lifecycle(Activated(), NOW)]
+    return logic, [*made, *logic.on_tick(NOW)]
+
+
+def test_a_goal_is_resumed() -> None:
+    logic, made = started(GOAL)
+    assert logic.state is State.WAITING_FOR_CELL
+    assert logic.last.goal.pose.position.x == 0.01
+    kept = [effect.content for effect in made if isinstance(effect, KeepGoal)]
+    assert kept[0] is None and kept[-1] is not None, "kept again for the next crash"
+
+
+def test_an_old_goal_is_not_resumed() -> None:
+    logic, made = started(GOAL, age=16.0)
+    assert logic.state is State.IDLE
+    assert KeepGoal(None) in made
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {},
+        {**GOAL, "goal": [10**400, 0, 0]},
+        {**GOAL, "goal": [0.0, 0.0]},
+        {**GOAL, "goal": ["x", 0, 0]},
+        {**GOAL, "goal": [float("inf"), 0, 0]},
+        {**GOAL, "tolerance": [1]},
+        {**GOAL, "tolerance": ["wide", None]},
+        {**GOAL, "max_taps": "many"},
+        {**GOAL, "max_taps": 10**400},
+        {**GOAL, "time_left": None},
+    ],
+    ids=range(10),
+)
+def test_a_content_without_a_goal_is_forgotten(content: dict[str, Any]) -> None:
+    logic, made = started(content)
+    assert logic.state is not State.WAITING_FOR_CELL
+    assert KeepGoal(None) in made
