@@ -35,6 +35,9 @@ class PeerLimits:
     """Greatest age of the arm's read-back, s."""
     silence: float = 0.45
     """Longest silence of planner and camera, s."""
+    unseen: float = 4.0
+    """Longest time for which the object may not be seen before the shot, s: on its way to some
+    strike poses the arm itself covers the object."""
     moved: float = 0.002
     """Greatest distance of the object from where the tap was planned, m."""
     turned: float = math.radians(3)
@@ -165,10 +168,10 @@ class TapperPeers:
         if self._picture_at is None:
             return None
         limits, unseen = self._limits, now.steady - self._seen_at
-        if self._seen is None or unseen > limits.silence:
+        if self._seen is None or unseen > limits.unseen:
             return (
                 ErrorCode.OBJECT_NOT_SEEN,
-                f"the object has not been seen for {unseen:.2f} s (limit {limits.silence:.2f} s);"
+                f"the object has not been seen for {unseen:.2f} s (limit {limits.unseen:.2f} s);"
                 " uncover it",
             )
         pose = from_message(self._seen.pose.pose)

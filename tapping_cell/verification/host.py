@@ -6,7 +6,6 @@ again with the files that it left behind.
 
 from __future__ import annotations
 
-import copy
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -46,6 +45,7 @@ from tapping_cell.logic.host import (
     Unreachable,
 )
 from tapping_cell.messages import Bool
+from tapping_cell.verification.message_values import copy_of
 from tapping_cell.verification.network import Network
 from tapping_cell.verification.scheduler import Fiber, Scheduler, Timer
 from tapping_cell.verification.serial_line import SerialLine
@@ -89,8 +89,8 @@ class Disk:
 class Program:
     """What runs in a process: a machine, with a driver on a serial line or none.
 
-    ``connect(driver, patience, now)`` is what the node does to configure. ``topics`` are those that it hears,
-    ``services`` those that it offers.
+    ``connect(driver, patience, now)`` is what the node does to configure. ``topics`` are those
+    that it hears, ``services`` those that it offers.
     """
 
     make: Callable[[], tuple[Logic, Any]]
@@ -287,7 +287,7 @@ class Process:
     def _carry_out(self, effects: Sequence[Effect]) -> None:
         for effect in effects:
             if isinstance(effect, Publish):
-                self._network.publish(self.name, effect.topic, copy.deepcopy(effect.message))
+                self._network.publish(self.name, effect.topic, copy_of(effect.message))
             elif isinstance(effect, RunJob):
                 self._jobs.append(effect.job)
                 if self._worker is not None and self._running is None:

@@ -17,8 +17,9 @@ STRIKE_POSITION_M = 0.0025
 STRIKE_ANGLE_RAD = 0.01
 """How far the true tip may be from the commanded one at a release: errors of the arm included."""
 STRIKE_HEIGHT_M = 0.0005
-UNSEEN_LIMIT_S = 1.2
-"""A release may follow a change of the scene by so much: the cell's limits of freshness."""
+UNSEEN_LIMIT_S = 4.7
+"""A release may follow a change of the scene that nothing covered by so much: the limit of the
+object's being unseen, and of the camera's silence."""
 BUMP_M = 0.004
 BUMP_RAD = math.radians(6.0)
 """From how much on an object that was moved by hand must not be struck as planned."""
@@ -160,7 +161,7 @@ class Witness:
 
     def _check_charge(self) -> None:
         now = self.scheduler.now
-        charged = self.physical.tapper_board.state in ("DRAWING", "DRAWN")
+        charged = self.physical.tapper_board.state in ("CHARGING", "CHARGED")
         if not charged:
             self._charged_since = None
             return
@@ -197,7 +198,7 @@ class Witness:
                 self.violate("false report", f"tap {message.tap_id} is told FIRED, it was not")
         if message.state == TapperState.SAFE and self._charged_since is not None:
             since = self.scheduler.now - self._charged_since
-            if since > 0.6 and message.tap_id == self.physical.tapper_board.shot:
+            if since > 0.6 and message.tap_id != 0:
                 self.violate(
                     "said safe while charged",
                     f"the tapper is told SAFE, it has been charged for {since:.2f} s",

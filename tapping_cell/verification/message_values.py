@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields, is_dataclass
+from typing import Any
 
 from tapping_cell.logic.clock import to_nanoseconds, to_stamp
 from tapping_cell.messages import Pose as PoseMessage
@@ -23,6 +25,18 @@ def pose_message(pose: Pose, height: float = 0.0) -> PoseMessage:
     message.orientation.z = math.sin(pose.theta / 2)
     message.orientation.w = math.cos(pose.theta / 2)
     return message
+
+
+def copy_of(value: Any) -> Any:
+    """A copy of a message that shares nothing with it that could change."""
+    if isinstance(value, list):
+        return [copy_of(item) for item in value]
+    if not is_dataclass(value):
+        return value
+    made = object.__new__(type(value))
+    for field in fields(value):
+        object.__setattr__(made, field.name, copy_of(getattr(value, field.name)))
+    return made
 
 
 def time_of(stamp: Time) -> int:

@@ -175,6 +175,7 @@ class Trial:
         self._token = 0
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
+        self._last_words: dict[tuple[str, str], str] = {}
         self.network.publish("panel", "emergency_stop", Bool(data=False))
 
     def _make_clock(self) -> HostClock:
@@ -478,7 +479,10 @@ class Trial:
 
     def _on_publish(self, node: str, topic: str, message: Any) -> None:
         if self._tracing and topic not in ("markers", "joint_states"):
-            self._note(f"{node} -> {topic} {_short(message)}")
+            words = f"{node} -> {topic} {_short(message)}"
+            if self._last_words.get((node, topic)) != words:
+                self._last_words[node, topic] = words
+                self._note(words)
         self.witness.on_publish(node, topic, message)
 
     def _on_handled(self, process: str, topic: str, message: Any) -> None:
@@ -487,9 +491,9 @@ class Trial:
             self.witness.stopped_at.setdefault(process, now)
             if process == "scara_arm":
                 self.witness.word_given = False
-        if topic == "tap_command" and process == "tapper_trigger":
-            if message.request == TapCommand.WITHDRAW and message.tap_id:
-                self.witness.ended_taps.setdefault(message.tap_id, now)
+        withdrawn = topic == "tap_command" and message.request == TapCommand.WITHDRAW
+        if withdrawn and process == "tapper_trigger" and message.tap_id:
+            self.witness.ended_taps.setdefault(message.tap_id, now)
 
     def _on_log(self, process: str, sentence: str) -> None:
         self._note(f"{process}: {sentence}")
@@ -506,7 +510,7 @@ class Trial:
 def _short(message: Any) -> str:
     """A message in a few words, for the trace."""
     if isinstance(message, ObjectState):
-        return f"visible={message.visible} rest={message.at_rest} fused={message.frames_fused}"
+        return f"visible={message.visible} rest={message.at_rest}"
     if isinstance(message, PlanState):
         return f"state={message.state} taps={message.taps} {message.error_code} {message.error_msg}"
     if isinstance(message, ArmState):
