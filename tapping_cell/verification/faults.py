@@ -184,10 +184,21 @@ def _clock_step(rng: np.random.Generator, trial: Trial) -> Made:
     node = _pick(rng, (*NODES, "camera_pose"))
     step = float(rng.choice((-1.0, 1.0))) * _duration(rng, 0.01, 3600.0)
 
+    lasting = _duration(rng, 0.1, 30.0)
+
     def strike(t: Trial) -> None:
         t.clocks[node].offset += step
+        t.scheduler.after(lasting, back(t))
 
-    return strike, f"the clock of {node}'s computer stepped by {step:.2f} s"
+    def back(t: Trial) -> Callable[[], None]:
+        def set_back() -> None:
+            t.clocks[node].offset -= step
+
+        return set_back
+
+    return strike, (
+        f"the clock of {node}'s computer stepped by {step:.2f} s, and back after {lasting:.1f} s"
+    )
 
 
 def _line(rng: np.random.Generator, trial: Trial) -> Made:

@@ -48,9 +48,10 @@ class SerialLine:
     def _advance(self) -> None:
         self._event = None
         self.layer.advance(self._scheduler.now)
-        if self._reading and self.fiber is not None:
+        if self._reading:
             self._reading = False
-            self.fiber.wake()
+            if self.fiber is not None:
+                self.fiber.wake()
         self.schedule()
 
     # Transport
@@ -88,6 +89,7 @@ class SerialLine:
     def close(self) -> None:
         """Close the line."""
         self._absences = None
+        self._reading = False
 
     def read(self, timeout: float) -> bytes:
         """The bytes at hand, letting up to ``timeout`` s pass for the first."""
