@@ -38,6 +38,11 @@ class MotionEnd:
     reading: Reading
 
 
+def reading_of(driver: ArmDriver) -> Reading:
+    """Ask where the arm stands."""
+    return _told(driver, driver.read())
+
+
 def _told(driver: ArmDriver, reading: ArmReading) -> Reading:
     """A driver's reading with what it is worth."""
     return Reading(driver.homed, reading.joints, reading.moving, reading.stamp)
@@ -47,20 +52,19 @@ def connect(context: JobContext, patience: float) -> Reading:
     """Open the line again and read where the arm is."""
     driver: ArmDriver = context.driver
     driver.connect(timeout=patience)
-    return _told(driver, driver.read())
+    return reading_of(driver)
 
 
 def read(context: JobContext) -> Reading:
     """Read back where the arm stands."""
-    driver: ArmDriver = context.driver
-    return _told(driver, driver.read())
+    return reading_of(context.driver)
 
 
 def clear(context: JobContext) -> Reading:
     """End a stop or a fault."""
     driver: ArmDriver = context.driver
     driver.clear_fault()
-    return _told(driver, driver.read())
+    return reading_of(driver)
 
 
 def home(

@@ -31,10 +31,10 @@ from tapping_cell_msgs.msg import (
 
 from tapping_cell.configuration.cell import load_cell, load_other_objects
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
+from tapping_cell.logic.tapper_peers import TAPPING
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import from_message
-from tapping_cell.nodes.drivers.peer_watch import TAPPING
 from tapping_cell.nodes.planner.cell_monitor import CellMonitor
 from tapping_cell.nodes.planner.deferred_action_server import ActionDoor
 from tapping_cell.nodes.planner.goal_handling import GoalDesk, Request
