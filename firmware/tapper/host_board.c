@@ -98,6 +98,7 @@ void host_run(uint32_t now)
     while (clock_ms != now)
         millisecond();
 }
+void host_step(void) { millisecond(); }
 /* The board is switched on, with its carriage wherever it stands. */
 void host_reset(uint32_t boot, uint64_t used, uint32_t now)
 {
@@ -140,6 +141,7 @@ double host_released_from(void) { return released_from; }
 void host_lose_steps(uint32_t count) { carriage.lose = count; }
 void host_motor(int powered) { carriage.powered = powered; }
 void host_front_switch(int stuck) { carriage.stuck = stuck; }
+void host_no_bounce(void) { carriage.bounce_us = 0; }
 void host_back_drive(double speed) { carriage.back_drive = speed; }
 int host_state(void) { return tapper.state; }
 uint32_t host_releases(void) { return releases; }

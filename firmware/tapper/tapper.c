@@ -115,7 +115,8 @@ void tapper_stop(struct tapper *t, bool by_wire)
     t->state = TAPPER_STOPPED;
     t->press = PRESS_FOR_NOTHING;
     t->acknowledged = false;
-    t->inside = false;
+    if (!by_wire) /* an open stop loop stops again every millisecond, and the host may ask meanwhile */
+        t->inside = false;
 }
 
 /* A press counts when the button is let go: one that is held down or stuck never does. */

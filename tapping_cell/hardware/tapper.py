@@ -37,7 +37,8 @@ PROTOCOL_VERSION = "2"
 """First part of the firmware's version that this driver speaks. Version 1 knew no deadline, so it
 could release a shot long after the last check: a board with it is refused."""
 CLOCK_TOLERANCE = 0.01
-"""Greatest difference in rate of the board's clock to this computer's (ceramic resonator: 0.5 %)."""
+"""Greatest difference in rate of the board's clock to this computer's; a ceramic resonator has
+0.5 %."""
 RETURNING = frozenset({State.RELEASING, State.DISCHARGING, State.HOMING})
 """States that end by themselves in one that can charge."""
 
@@ -581,8 +582,8 @@ class TapperDriver:
         elif reply.result is Result.NOT_ENABLED:
             reason, text = (
                 FaultReason.OUT_OF_RANGE,
-                "the tapper is in set-up mode, where it takes more than its set-up energy only while"
-                " the enabling switch is held: hold it, use less energy, or set run mode",
+                "the tapper is in set-up mode, where it takes more than its set-up energy only"
+                " while the enabling switch is held: hold it, use less energy, or set run mode",
             )
         elif reply.result is Result.RANGE:
             reason, text = (
@@ -599,8 +600,8 @@ class TapperDriver:
         else:
             reason, text = (
                 FaultReason.REJECTED,
-                f"the tapper answered {reply.result.value} in state {reply.state.value} ({shot}): it"
-                " discharged itself or was never charged; charge again",
+                f"the tapper answered {reply.result.value} in state {reply.state.value} ({shot}):"
+                " it discharged itself or was never charged; charge again",
             )
         return self._noted(reason, text)
 
