@@ -1,5 +1,6 @@
 """The package ``tapping_cell``: the program, its nodes and every file that they read."""
 
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -7,16 +8,7 @@ from setuptools import find_packages, setup
 
 NAME = "tapping_cell"
 SHARE = f"share/{NAME}"
-NODES = (
-    "overhead_camera",
-    "camera_pose",
-    "tap_planner",
-    "scara_arm",
-    "tapper_trigger",
-    "sim_world",
-    "run_recorder",
-    "operator_page",
-)
+NODES = runpy.run_path(f"{NAME}/nodes/__init__.py")["MODULES"]
 
 
 def data_files(*folders: str) -> Iterator[tuple[str, list[str]]]:
@@ -49,7 +41,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES),
+            *(f"{node} = {module}:main" for node, module in NODES.items()),
             f"cell = {NAME}.cli:main",
         ]
     },

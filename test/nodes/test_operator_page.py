@@ -35,12 +35,12 @@ from tornado.websocket import (
 )
 
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.nodes import images
+from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import camera_to_message, to_message
-from tapping_cell.nodes.operator_page import OperatorPage
+from tapping_cell.nodes.page.operator_page import OperatorPage
 from tapping_cell.nodes.page.server import PICTURE_HEADER
-from tapping_cell.nodes.tap_planner import TapPlanner
+from tapping_cell.nodes.planner.tap_planner import TapPlanner
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraPose, View
 

@@ -359,8 +359,7 @@ def test_every_imported_package_is_declared():
                 imported.add(node.module.split(".")[0])
             elif isinstance(node, ast.Import):
                 imported.update(alias.name.split(".")[0] for alias in node.names)
-    # peers that benchmarks measure against where they are installed; and what has no rosdep key
-    optional = {"mujoco", "pupil_apriltags", "rosbags"}
+    optional = {"rosbags"}  # it has no rosdep key
     outside = imported - set(sys.stdlib_module_names) - {"tapping_cell"} - optional
     assert {"numpy", "rclpy"} <= outside
     undeclared = {

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from tapping_cell_msgs.msg import ArmState, ErrorCode, GoalReport, PlanState, TapperState, TapRecord
 
-from tapping_cell.nodes.cell_monitor import CellMonitor
+from tapping_cell.nodes.clients.goal_client import PHASES
 from tapping_cell.nodes.conversions import from_message, seconds
-from tapping_cell.nodes.goal_client import PHASES
-from tapping_cell.nodes.plan_reporter import FINAL
+from tapping_cell.nodes.planner.cell_monitor import CellMonitor
+from tapping_cell.nodes.planner.plan_reporter import FINAL
 from tapping_cell.report.hints import hint
 from tapping_cell.se2 import Pose
 
@@ -34,14 +34,14 @@ ARM_WORDS = {
 TAPPER_WORDS = {
     TapperState.DISCONNECTED: "not connected",
     TapperState.SAFE: "safe",
-    TapperState.DRAWING: "drawing",
-    TapperState.READY: "drawn",
+    TapperState.CHARGING: "charging",
+    TapperState.CHARGED: "charged",
     TapperState.FIRING: "firing",
     TapperState.FAULT: "fault",
     TapperState.STOPPED: "stopped",
 }
 ARM_BUSY = (ArmState.HOMING, ArmState.MOVING, ArmState.IN_POSITION, ArmState.WITHDRAWING)
-TAPPER_BUSY = (TapperState.DRAWING, TapperState.READY, TapperState.FIRING)
+TAPPER_BUSY = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 
 Numbers = list["float | None"]
 

@@ -19,8 +19,8 @@ from tapping_cell.calibration.print_sheet import (
 from tapping_cell.calibration.target import Target, find_target
 from tapping_cell.cli import main
 from tapping_cell.configuration.table import load_reference_map
-from tapping_cell.vision.edges import refine
-from tapping_cell.vision.markers import find_markers, marker_pattern
+from tapping_cell.vision.markers.detection import find_markers, marker_pattern
+from tapping_cell.vision.markers.edges import refine
 
 DPI = 254.0  # ten dots a millimetre
 
