@@ -30,6 +30,8 @@ def sample_support(body: Disk | Ring | Polygon, truth: SupportTruth) -> tuple[Ar
 
     Grip is the share of the weight times the point's friction relative to the mean (``lean``).
     """
+    points: Array
+    shares: Array
     if truth.pressure == "three_points":
         angles = truth.feet_turn + np.arange(3) * (2 * math.pi / 3)
         points = truth.feet_radius * np.asarray(body.boundary(angles))

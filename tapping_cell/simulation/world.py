@@ -135,6 +135,12 @@ class World:
             float(wrap_angle(motion.theta)),
         )
 
+    @property
+    def twist(self) -> tuple[float, float, float]:
+        """Velocity of the centre of mass in table, m/s, and spin, rad/s, at that time."""
+        motion = self._motion()
+        return motion.vx, motion.vy, motion.omega
+
     def reseed(self, seed: int) -> None:
         """Begin the random numbers anew."""
         self._random = np.random.default_rng(seed)
@@ -175,7 +181,9 @@ class World:
         self._tap = _Tap(
             flight,
             _Scatter(
-                1 + scatter.speed * draws[0], 1 + scatter.spin * draws[1], scatter.direction * draws[2]
+                1 + scatter.speed * draws[0],
+                1 + scatter.spin * draws[1],
+                scatter.direction * draws[2],
             ),
         )
         return meets
@@ -197,6 +205,13 @@ class World:
                 self._before = self._after
             else:
                 self._step()
+
+    def settle(self, longest: float = 60.0) -> float:
+        """Let time go on until the object rests, for ``longest`` s at most; the time then."""
+        until = self._now + longest
+        while not self.at_rest and self._now < until:
+            self.advance(min(until, max(self._done, math.nextafter(self._now, math.inf))))
+        return self._now
 
     def _step(self) -> None:
         """One step of whatever happens: a contact, a flight, a slide."""

@@ -38,11 +38,12 @@ def collided(
     if isinstance(body, Polygon):
         x, normal = -0.04, 0.0
     else:
-        x, normal = -math.sqrt(body.radius**2 - along**2), math.atan2(-along, 1)
+        x = -math.sqrt(body.radius**2 - along**2)
         normal = math.asin(-along / body.radius)
     angle = normal + incidence
     axis = (math.cos(angle), math.sin(angle))
-    ball = (x - striker.tip_radius * math.cos(normal), along - striker.tip_radius * math.sin(normal))
+    tip = striker.tip_radius
+    ball = (x - tip * math.cos(normal), along - tip * math.sin(normal))
     flight = Flight(*ball, speed * axis[0], speed * axis[1], axis, 1.0)
     motion, time = contact.collide(STILL, flight)
     return motion, flight, time

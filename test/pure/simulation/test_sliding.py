@@ -132,9 +132,7 @@ def test_the_grain_brakes_less_along_than_across(heading: float, power: float) -
     """Along the grain mu / sqrt(ratio), across it mu sqrt(ratio)."""
     ratio, speed = 1.6, 0.3
     slide = slide_of(DISK, replace(PLAIN, anisotropy=ratio, grain=0.4))
-    end, _ = slide.rest(
-        Motion(0.0, 0.0, 0.0, speed * math.cos(heading), speed * math.sin(heading))
-    )
+    end, _ = slide.rest(Motion(0.0, 0.0, 0.0, speed * math.cos(heading), speed * math.sin(heading)))
     expected = speed**2 / (2 * 0.17 * ratio**power * GRAVITY)
     assert math.hypot(end.x, end.y) == pytest.approx(expected, rel=1e-3)
     assert math.atan2(end.y, end.x) == pytest.approx(heading, abs=1e-3)
@@ -185,9 +183,7 @@ def test_three_points_carry_what_the_centre_of_mass_says() -> None:
 
 @pytest.mark.parametrize("pressure", ["even", "rim", "three_points", "pads"])
 @pytest.mark.parametrize("body", [DISK, Ring(0.03, 0.1, 0.01), SQUARE])
-def test_the_pressure_is_centred_under_the_mass(
-    body: Disk | Ring | Polygon, pressure: str
-) -> None:
+def test_the_pressure_is_centred_under_the_mass(body: Disk | Ring | Polygon, pressure: str) -> None:
     points, grip = sample_support(
         body, SupportTruth(pressure=pressure, mass_offset=(0.004, -0.003), edge_weight=0.5)
     )

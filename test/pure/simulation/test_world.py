@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.se2 import Pose
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.schema import load
 from tapping_cell.mechanics import Striker
+from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTruth, TruthFile
 from tapping_cell.simulation.world import World
 
@@ -202,6 +205,17 @@ def test_a_generator_may_be_injected() -> None:
         world.strike(tip, 0.006, 0.3, 0.0)
         ends.append((settled(world), world.gate_speed(0.3)))
     assert ends[0] == ends[1]
+
+
+@pytest.mark.parametrize(
+    "file", sorted((shared_folder() / "truth").glob("*.yaml")), ids=lambda file: file.stem
+)
+def test_every_supplied_world_answers_a_tap(file: Path) -> None:
+    truth = replace(load(TruthFile, file), object_start=tuple(START))
+    world = world_of(truth)
+    assert world.strike(Pose(START.x - 0.07, START.y, 0.0), 0.006, 0.3, 0.0)
+    moved = math.dist(settled(world)[:2], START[:2])
+    assert 0.001 < moved < 0.02
 
 
 @given(seed=st.integers(0, 1000))
