@@ -28,7 +28,7 @@ from tapping_cell.cli.graph import (
     RECORDER,
     SIMULATED,
     Graph,
-    NodeDied,
+    GraphError,
     own_domain,
     with_own_ports,
 )
@@ -37,6 +37,7 @@ from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.nodes.conversions import from_message
+from tapping_cell.planning import UnknownPlannerError, require_planner
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_folder import (
     SUMMARY,
@@ -86,11 +87,11 @@ def run(arguments: argparse.Namespace) -> int:
     began = time.monotonic()
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)
+        domain = own_domain()
         folder = _run_folder(arguments.out)
-    except (ConfigurationError, OSError) as error:
+    except (ConfigurationError, GraphError, OSError) as error:
         session.tell_error(console, str(error), "error")
         return 2
-    domain = own_domain()
     # The client below runs in this process and must meet the nodes.
     os.environ["ROS_DOMAIN_ID"] = str(domain.number)
     # Whatever the shell says: a demo is nobody else's business on the network.
@@ -100,18 +101,24 @@ def run(arguments: argparse.Namespace) -> int:
     parameters[RECORDER] |= {"folder": folder.parent, "name": folder.name}
     nodes = (*SIMULATED, RECORDER)
     try:
+        require_planner(arguments.planner or cell.file.goal.planner)
         with (
             tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports,
             Graph(nodes, with_own_ports(parameters, Path(ports)), folder / "logs") as graph,
             GoalClient("demo") as client,
         ):
             record = read_run(_position(arguments, graph, client, console))
-    except (NodeDied, session.NotReadyInTime, session.NotRecorded, RunError) as error:
+    except (GraphError, session.NotReadyInTime, session.NotRecorded, RunError) as error:
         session.tell_error(console, str(error))
         not_ready = isinstance(error, session.NotReadyInTime)
         code = ErrorCode.NOT_READY if not_ready else ErrorCode.INTERNAL
         write_failure(folder, code, str(error), arguments.seed, time.monotonic() - began)
         return 1
+    except UnknownPlannerError as error:
+        session.tell_error(console, str(error), "error")
+        elapsed = time.monotonic() - began
+        write_failure(folder, ErrorCode.PLANNER_UNKNOWN, str(error), arguments.seed, elapsed)
+        return 2
     except KeyboardInterrupt:
         console.print("interrupted; every node has ended")
         elapsed = time.monotonic() - began
@@ -158,7 +165,7 @@ def _position(
         session.follow(client, graph.check, console)
     except KeyboardInterrupt:
         if client.cancel():
-            with contextlib.suppress(session.NotRecorded, NodeDied):
+            with contextlib.suppress(session.NotRecorded, GraphError):
                 session.wait_for_record(client, INTERRUPTED_PATIENCE_S, graph.check, console)
         raise
     return session.wait_for_record(client, RECORD_PATIENCE_S, graph.check, console)

@@ -97,7 +97,8 @@ class ArmSection:
     )
     dialect: str = choice("language of the arm's controller", "grbl", "marlin")
     port: str = text(
-        "path of the controller's serial port; ~ is the home folder, {namespace} the node's"
+        "path of the controller's serial port; ~ is the home folder, {namespace} the node's, "
+        "{cell} a name of this namespace in this ROS domain, for the ports of the simulated cell"
     )
     baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000)
     homing: str = choice("how the arm is homed", "firmware", "manual_pose", "none")
@@ -366,6 +367,34 @@ def load_cell(path: Path | str | None = None, object_path: Path | str | None = N
         references=load_reference_map(folder / content.reference_markers),
         camera=load_camera_model(folder / content.camera_info),
     )
+
+
+def has_simulated_ports(cell: Cell) -> bool:
+    """True where arm or tapper has a port that the simulated world makes."""
+    return bool(_simulated_ports(cell))
+
+
+def refuse_simulated_ports(cell: Cell) -> None:
+    """See that a cell file describes devices, before it is used for a cell on hardware.
+
+    Raises:
+        ConfigurationError: a port is one of the simulated cell, as in the package's own file.
+    """
+    for key, port in _simulated_ports(cell).items():
+        raise ConfigurationError(
+            f"{cell.path}: key '{key}' is {port}, a port of the simulated cell, and hardware was "
+            "asked for: copy the folder config, name the device there (such as "
+            "/dev/serial/by-id/...), and give the copy as the cell file"
+        )
+
+
+def _simulated_ports(cell: Cell) -> dict[str, str]:
+    ports = {"arm.port": cell.file.arm.port, "tapper.port": cell.file.tapper.port}
+    return {
+        key: port
+        for key, port in ports.items()
+        if "{cell}" in port or "/.ros/tapping_cell/" in str(Path(port).expanduser())
+    }
 
 
 def load_other_objects(paths: str, cell: Cell) -> tuple[ObjectFile, ...]:

@@ -54,15 +54,16 @@ class GoalDesk:
     """
 
     def __init__(
-        self, cell: Cell, planner: str, neighbours: Neighbours, *, adapt: bool, keep: bool
+        self, cell: Cell, planner: str, neighbours: Neighbours, *, adapt: bool, keep_for: str
     ) -> None:
         """``neighbours``: the further objects, to be kept clear of; ``adapt``: learn from taps;
-        ``keep``: remember what was learnt between runs."""
+        ``keep_for``: the cell for which what was learnt is remembered between runs; empty for none.
+        """
         self.cell = cell
         self._neighbours = neighbours
         self._adapt = adapt
-        self._keep = keep
-        self._gains = load_gains(cell.object.name) if keep else Gains.start()
+        self._keep_for = keep_for
+        self._gains = load_gains(cell.object.name, keep_for) if keep_for else Gains.start()
         self._planner = planner or cell.file.goal.planner
         self._alone = assembly.make_strike_space(cell)
         self._experiments_alone = assembly.make_strike_space(cell, cautious(self._alone))
@@ -126,8 +127,8 @@ class GoalDesk:
     def learn(self, task: Task) -> None:
         """Remember what a goal's taps taught about the object, for the goals that follow."""
         self._gains = task.session.gains
-        if self._keep and task.records:
-            keep_gains(self.cell.object.name, self._gains)
+        if self._keep_for and task.records:
+            keep_gains(self.cell.object.name, self._keep_for, self._gains)
 
     def accept(self, request: Request, now: float) -> Task | Refused:
         """A task for a request, or why there is none. ``now`` is ROS time in s."""

@@ -15,8 +15,6 @@ from tapping_cell.nodes.planner.goal_handling import Request
 from tapping_cell.nodes.planner.tap_task import Task
 from tapping_cell.se2 import Pose
 
-FOLDER = Path("~/.ros/tapping_cell")
-
 
 class GoalMemory:
     """One small file a cell.
@@ -26,10 +24,9 @@ class GoalMemory:
     stood still for long does not begin to move by itself.
     """
 
-    def __init__(self, cell: str, patience: float) -> None:
-        """``cell``: what tells cells apart; ``patience``: oldest file believed, s, 0 for none."""
-        name = "".join(letter if letter.isalnum() else "_" for letter in cell)
-        self._path = FOLDER.expanduser() / f"goal-{name}.json"
+    def __init__(self, folder: Path, patience: float) -> None:
+        """``folder``: the cell's own; ``patience``: oldest file believed, s, 0 for none."""
+        self._path = folder / "goal.json"
         self._patience = patience
 
     def keep(self, task: Task) -> None:

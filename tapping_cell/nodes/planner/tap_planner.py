@@ -8,7 +8,6 @@ known is looked at, and nothing is fired twice.
 from __future__ import annotations
 
 import math
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -32,6 +31,7 @@ from tapping_cell_msgs.msg import (
 
 from tapping_cell.configuration.cell import load_cell, load_other_objects
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
+from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import from_message
 from tapping_cell.nodes.drivers.peer_watch import TAPPING
@@ -121,10 +121,7 @@ class TapPlanner(CellNode[Parameters]):
     def __init__(self) -> None:
         super().__init__("tap_planner", Parameters)
         self._desk: GoalDesk | None = None
-        self._memory = GoalMemory(
-            f"{os.environ.get('ROS_DOMAIN_ID', '0')}{self.get_namespace()}",
-            self.settings.resume_within,
-        )
+        self._memory = GoalMemory(state_folder(key_of(self)), self.settings.resume_within)
         self._monitor = CellMonitor(self.settings.silence_limit)
         self._neighbours = Neighbours()
         self._left: Request | None = None
@@ -165,7 +162,7 @@ class TapPlanner(CellNode[Parameters]):
                 self.settings.planner,
                 self._neighbours,
                 adapt=self.settings.adapt,
-                keep=self.settings.keep_gains,
+                keep_for=key_of(self) if self.settings.keep_gains else "",
             )
         except PlanningError as error:
             raise ConfigurationError(f"{cell.path}: {error}") from error

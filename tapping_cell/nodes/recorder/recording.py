@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import shutil
@@ -44,8 +45,13 @@ class RecordedTopic:
     quality: Quality
 
 
-def new_folder(parent: Path, name: str, most_runs: int, least_free: float) -> Path:
+def new_folder(
+    parent: Path, name: str, most_runs: int, least_free: float, prepared: bool = False
+) -> Path:
     """Make the folder of a run that does not exist yet; ``least_free`` in bytes.
+
+    ``prepared``: a folder of this name that holds no run yet was made for this one, as the verb
+    demo does for the nodes' logs; else it is that of a cell that began a run in the same second.
 
     Raises:
         CannotRecord: too many runs, too little room, or the folder cannot be made.
@@ -61,9 +67,11 @@ def new_folder(parent: Path, name: str, most_runs: int, least_free: float) -> Pa
             )
         for number in range(1, most_runs + 2):
             folder = parent / (name if number == 1 else f"{name}_{number}")
-            # The verb demo has made its folder, with the logs of the nodes in it.
-            if not (folder / BAG).exists() and not (folder / "summary.json").exists():
+            if prepared and not (folder / BAG).exists() and not (folder / "summary.json").exists():
                 folder.mkdir(exist_ok=True)
+                return folder
+            with contextlib.suppress(FileExistsError):
+                folder.mkdir()
                 return folder
     except OSError as error:
         raise CannotRecord(

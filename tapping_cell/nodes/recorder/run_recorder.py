@@ -407,7 +407,8 @@ class RunRecorder(CellNode[Parameters]):
     def _open(self, folder: Path, name: str) -> None:
         try:
             least_free = MEGABYTE * self.settings.least_free
-            made = new_folder(folder, name, self.settings.most_runs, least_free)
+            prepared = bool(Path(self._name).name)
+            made = new_folder(folder, name, self.settings.most_runs, least_free, prepared)
             self._recording = Recording(made, self._topics, self._types)
         except CannotRecord as error:
             self._complain(str(error))

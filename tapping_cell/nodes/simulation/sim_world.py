@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 import threading
 import time
@@ -21,6 +22,7 @@ from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import load, quantity, text
 from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.cell_identity import claim, key_of
 from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.conversions import from_message, is_finite, to_message
 from tapping_cell.se2 import Pose
@@ -67,6 +69,7 @@ class SimWorld(CellNode[Parameters]):
         self._world: World | None = None
         self._renderer: SceneRenderer | None = None
         self._devices: SimulatedDevices | None = None
+        self._claim: socket.socket | None = None
         self._info = CameraInfo()
         self._lock = threading.Lock()
         self._late: deque[tuple[float, Image]] = deque()
@@ -98,6 +101,13 @@ class SimWorld(CellNode[Parameters]):
         # Drawn once before the devices are there: the first picture takes longest, and an emulated
         # board must not be kept waiting.
         renderer.render(world.pose)
+        self._claim = claim(f"world/{key_of(self)}")
+        if self._claim is None:
+            raise NotReady(
+                "another simulated world runs on this machine in ROS domain "
+                f"{self.context.get_domain_id()}, namespace '{self.get_namespace()}': end it, or "
+                "give this one a ROS_DOMAIN_ID or a namespace of its own"
+            )
         try:
             devices = SimulatedDevices(
                 cell,
@@ -119,6 +129,9 @@ class SimWorld(CellNode[Parameters]):
         if self._devices is not None:
             self._devices.close()
         self._devices = None
+        if self._claim is not None:
+            self._claim.close()
+        self._claim = None
         self._late.clear()
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:

@@ -114,16 +114,17 @@ def test_many_objects_at_once_are_the_same_as_each_alone():
 
 def test_kept_gains_come_back_and_a_damaged_file_is_named():
     name = "my disk / no. 3"
-    assert np.array_equal(load_gains(name).value, Gains.start().value)
+    assert np.array_equal(load_gains(name, "domain0").value, Gains.start().value)
     gains = learn((1.05, 0.95, 0.01), 5)
-    path = keep_gains(name, gains)
-    assert path == gains_file(name) and path.parent.name == "gains"
-    assert np.allclose(load_gains(name).value, gains.value)
-    assert np.allclose(load_gains(name).variance, gains.variance)
+    path = keep_gains(name, "domain0", gains)
+    assert path == gains_file(name, "domain0") and path.parent.name == "domain0"
+    assert np.array_equal(load_gains(name, "domain0.left").value, Gains.start().value)
+    assert np.allclose(load_gains(name, "domain0").value, gains.value)
+    assert np.allclose(load_gains(name, "domain0").variance, gains.variance)
     content = json.loads(path.read_text())
     path.write_text(json.dumps({**content, "distance": 17.0}))
     with pytest.raises(PlanningError, match=r"no\._3\.json.*distance is 17\.0.*0\.5 to 2"):
-        load_gains(name)
+        load_gains(name, "domain0")
     path.write_text("{")
     with pytest.raises(PlanningError, match="delete it"):
-        load_gains(name)
+        load_gains(name, "domain0")
