@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from tapping_cell.configuration.cell import Cell
-from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
+from tapping_cell.hardware.arm_settings import HomingStrategy
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.motion import MotionSettings, check_limits
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
@@ -412,14 +412,12 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _check_place(self, reading: Reading) -> None:
         """The arm must stay where it was placed; one garbled report does not count."""
-        tolerance = ArmSettings()
-        limits = (tolerance.tolerance_angle,) * 2 + (
-            tolerance.tolerance_quill,
-            tolerance.tolerance_angle,
-        )
+        arm = self._cell.file.arm
+        angle, quill = 2 * arm.tolerance_angle, 2 * arm.tolerance_quill
+        limits = (angle, angle, quill, angle)
         assert self._placed is not None
         near = all(
-            abs(a - b) <= 2 * limit
+            abs(a - b) <= limit
             for a, b, limit in zip(reading.joints, self._placed, limits, strict=True)
         )
         if reading.homed and near and not reading.moving:
@@ -489,8 +487,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state not in (S.NOT_HOMED, S.IDLE, S.INACTIVE):
             return
         self._stand(Event.ACTIVATED)
-        strategy = HomingStrategy(self._cell.file.arm.homing)
-        if self._options.home_on_activate and strategy is not HomingStrategy.MANUAL_POSE:
+        if self._options.home_on_activate and self._cell.file.arm.homes_alone:
             self._begin_homing()
 
     def _deactivated(self, now: Now) -> None:

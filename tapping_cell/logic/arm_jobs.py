@@ -38,7 +38,12 @@ class MotionEnd:
     reading: Reading
 
 
-def told(driver: ArmDriver, reading: ArmReading) -> Reading:
+def reading_of(driver: ArmDriver) -> Reading:
+    """Ask where the arm stands."""
+    return _told(driver, driver.read())
+
+
+def _told(driver: ArmDriver, reading: ArmReading) -> Reading:
     """A driver's reading with what it is worth."""
     return Reading(driver.homed, reading.joints, reading.moving, reading.stamp)
 
@@ -47,20 +52,19 @@ def connect(context: JobContext, patience: float) -> Reading:
     """Open the line again and read where the arm is."""
     driver: ArmDriver = context.driver
     driver.connect(timeout=patience)
-    return told(driver, driver.read())
+    return reading_of(driver)
 
 
 def read(context: JobContext) -> Reading:
     """Read back where the arm stands."""
-    driver: ArmDriver = context.driver
-    return told(driver, driver.read())
+    return reading_of(context.driver)
 
 
 def clear(context: JobContext) -> Reading:
     """End a stop or a fault."""
     driver: ArmDriver = context.driver
     driver.clear_fault()
-    return told(driver, driver.read())
+    return reading_of(driver)
 
 
 def home(
@@ -81,9 +85,9 @@ def place(
     _wait(context, not_before)
     path = strike_path(driver.geometry, driver.read_joints(), tip, motion)
     if not _move_along(context, path, expiry):
-        return MotionEnd(False, told(driver, driver.read()))
+        return MotionEnd(False, _told(driver, driver.read()))
     reading = driver.settle(path[-1].joints if path else None)
-    return MotionEnd(not context.abandoned(), told(driver, reading))
+    return MotionEnd(not context.abandoned(), _told(driver, reading))
 
 
 def withdraw(context: JobContext, motion: MotionSettings, not_before: float) -> MotionEnd:
@@ -112,7 +116,7 @@ def follow(
             complete = False
             break
         here, before = target, at
-    return MotionEnd(complete, told(driver, driver.settle(None)))
+    return MotionEnd(complete, _told(driver, driver.settle(None)))
 
 
 def _wait(context: JobContext, until: float) -> None:
@@ -125,7 +129,7 @@ def _wait(context: JobContext, until: float) -> None:
 def _park(context: JobContext, here: Joints, motion: MotionSettings) -> MotionEnd:
     driver: ArmDriver = context.driver
     complete = _move_along(context, withdraw_path(driver.geometry, here, motion))
-    return MotionEnd(complete, told(driver, driver.read()))
+    return MotionEnd(complete, _told(driver, driver.read()))
 
 
 def _move_along(context: JobContext, path: Sequence[Waypoint], expiry: int | None = None) -> bool:
@@ -135,5 +139,5 @@ def _move_along(context: JobContext, path: Sequence[Waypoint], expiry: int | Non
         if context.abandoned() or (expiry is not None and context.now().ros > expiry):
             return False
         reading = driver.move_to(waypoint.joints, waypoint.speed, via=waypoint.via)
-        context.post(told(driver, reading))
+        context.post(_told(driver, reading))
     return not context.abandoned()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
 from typing import Any
@@ -131,7 +131,7 @@ class TapperOptions:
 
     state_rate: float = 20.0
     """Hz."""
-    limits: PeerLimits = PeerLimits()
+    limits: PeerLimits = field(default_factory=PeerLimits)
 
 
 @dataclass(frozen=True, slots=True)

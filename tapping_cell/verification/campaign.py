@@ -1,0 +1,73 @@
+"""Many runs on all cores: counts by fault and by outcome, and what was violated."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+
+from tapping_cell.verification.invariants import Violation
+from tapping_cell.verification.trial import Report, run_trial
+
+GOALS_A_RUN = 10
+"""Goals of one cell, from one seed: results do not depend on the number of processes."""
+
+
+@dataclass(slots=True)
+class Summary:
+    """What a campaign brought."""
+
+    goals: int = 0
+    taps: int = 0
+    cell_seconds: float = 0.0
+    by_fault: Counter[str] = field(default_factory=Counter)
+    by_code: Counter[int] = field(default_factory=Counter)
+    violations: list[tuple[int, Violation]] = field(default_factory=list)
+    """With the seed that repeats each."""
+
+    def add(self, report: Report) -> None:
+        """Count one run."""
+        self.goals += len(report.outcomes)
+        self.taps += sum(outcome.taps for outcome in report.outcomes)
+        self.cell_seconds += report.cell_seconds
+        self.by_fault.update(report.faults)
+        self.by_code.update(outcome.code for outcome in report.outcomes)
+        self.violations += [(report.seed, violation) for violation in report.violations]
+
+
+def seeds_of(seed: int, goals: int) -> list[tuple[int, int]]:
+    """The runs of a campaign: the seed of each and how many goals it has."""
+    return [
+        (seed * 1_000_000 + number, min(GOALS_A_RUN, goals - first))
+        for number, first in enumerate(range(0, goals, GOALS_A_RUN))
+    ]
+
+
+def reports_of(runs: list[tuple[int, int]], jobs: int) -> Iterator[Report]:
+    """Work through runs on so many processes."""
+    if jobs == 1 or len(runs) == 1:
+        for seed, goals in runs:
+            yield run_trial(seed, goals)
+        return
+    with ProcessPoolExecutor(min(jobs, len(runs))) as pool:
+        for future in as_completed([pool.submit(run_trial, *run) for run in runs]):
+            yield future.result()
+
+
+def run_campaign(
+    goals: int,
+    seed: int,
+    jobs: int = os.cpu_count() or 1,
+    progress: Callable[[Summary], None] = lambda summary: None,
+    stop_at_violation: bool = False,
+) -> Summary:
+    """Run so many goals; ``progress`` is told after every run."""
+    summary = Summary()
+    for report in reports_of(seeds_of(seed, goals), jobs):
+        summary.add(report)
+        progress(summary)
+        if stop_at_violation and summary.violations:
+            break
+    return summary
