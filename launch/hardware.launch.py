@@ -24,4 +24,4 @@ def generate_launch_description() -> LaunchDescription:
         LaunchedNode("tapper_trigger", CELL),
         LaunchedNode("run_recorder", {**FILES, "runs": "folder"}, respawn=True),
     )
-    return cell_launch(ARGUMENTS, nodes)
+    return cell_launch(ARGUMENTS, nodes, hardware=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tapping_cell.calibration.target import Target
 from tapping_cell.vision.camera import Array
-from tapping_cell.vision.markers import ReferenceMap, ReferenceMarker, marker_pattern
+from tapping_cell.vision.markers.detection import ReferenceMap, ReferenceMarker, marker_pattern
 
 PAPERS = {
     "a4": (0.297, 0.210),

@@ -18,8 +18,7 @@ from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.table_frame import rigid, with_poses
 from tapping_cell.se2 import compose, inverse, transform_points
 from tapping_cell.vision.camera import Array, CameraModel, CameraPose, Image
-from tapping_cell.vision.edges import MarkerEdges, refine, straight_corners
-from tapping_cell.vision.markers import (
+from tapping_cell.vision.markers.detection import (
     UNIT_CORNERS,
     Effort,
     ReferenceMap,
@@ -27,6 +26,7 @@ from tapping_cell.vision.markers import (
     find_markers,
     marker_pattern,
 )
+from tapping_cell.vision.markers.edges import MarkerEdges, refine, straight_corners
 
 _LENS_NOISE = 0.03
 """Pixels by which a well calibrated lens still bends a marker's corner, one standard deviation."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tapping_cell.configuration.provenance import Provenance, provenance_yaml
-from tapping_cell.vision.markers import ReferenceMap
+from tapping_cell.vision.markers.detection import ReferenceMap
 
 
 def table_yaml(references: ReferenceMap, record: Provenance | None, comment: str) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.se2 import compose, inverse, transform_points, wrap_angle
 from tapping_cell.vision.camera import Array
-from tapping_cell.vision.markers import ReferenceMap, ReferenceMarker
+from tapping_cell.vision.markers.detection import ReferenceMap, ReferenceMarker
 
 
 def in_frame(references: ReferenceMap, frame: Array) -> ReferenceMap:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.vision.camera import Array, Image
-from tapping_cell.vision.markers import dictionary_name
+from tapping_cell.vision.markers.detection import dictionary_name
 
 _SEARCH_WIDTH = 1600
 """Larger photographs are searched at this width; corners are refined at full size."""

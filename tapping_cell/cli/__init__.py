@@ -28,9 +28,14 @@ VERBS = {
     "report": "make run folders again, and compare runs",
     "check-config": "what is wrong with configuration files, without starting anything",
     "urdf": "the arm of a cell file, for RViz and Foxglove",
-    "bench": "benchmarks, each beside a peer measured in the same run",
     "completion": "shell code that completes verbs and options",
 }
+
+MOVED = {
+    "bench": "the benchmarks are not part of the package any more: "
+    "in the source tree call  python -m benchmarks",
+}
+"""What replaced the verbs of earlier versions."""
 
 READER_HAS_GONE = 128 + signal.SIGPIPE
 """Exit status of a verb whose reader has gone: the shell's for a program that SIGPIPE ended."""
@@ -49,10 +54,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("verb", choices=VERBS, metavar="VERB")
+    if words and words[0] in MOVED:
+        parser.error(MOVED[words[0]])
     if not words or words[0] not in VERBS:
         parser.parse_args(words[:1])
         return 2
-    parser, execute = verb_parser(words[0])
+    try:
+        parser, execute = verb_parser(words[0])
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] == "tapping_cell":
+            raise
+        print(
+            f"error: {sys.executable} has no module '{error.name}': set this shell up first, with "
+            " . ./env.sh  in the source folder, or  source install/setup.bash  in a workspace",
+            file=sys.stderr,
+        )
+        return 2
     try:
         try:
             status: int = execute(parser.parse_args(words[1:]))

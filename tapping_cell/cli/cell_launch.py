@@ -14,7 +14,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.cell import load_cell, refuse_simulated_ports
 from tapping_cell.hardware.urdf import urdf
 
 COMMON = {
@@ -28,6 +28,7 @@ COMMON = {
     "page": ("false", "serve the operator's web page"),
     "page_address": ("localhost", "where: 0.0.0.0 for the whole network, with a token"),
     "page_port": ("8010", "port of the page"),
+    "page_stop_port": ("9010", "port of the page's STOP"),
     "description": ("true", "describe the arm for RViz (robot_state_publisher, where installed)"),
 }
 """Arguments of every launch file: default and description."""
@@ -50,6 +51,8 @@ PAGE = LaunchedNode(
         "object_file": "object_file",
         "page_address": "address",
         "page_port": "port",
+        "page_stop_port": "stop_port",
+        "runs": "runs",
     },
     respawn=True,
 )
@@ -57,23 +60,32 @@ PAGE = LaunchedNode(
 
 
 def cell_launch(
-    arguments: Mapping[str, tuple[str, str]], nodes: Sequence[LaunchedNode]
+    arguments: Mapping[str, tuple[str, str]],
+    nodes: Sequence[LaunchedNode],
+    hardware: bool = False,
 ) -> LaunchDescription:
-    """A launch description of the nodes, with the arguments of its own and the common ones."""
+    """A launch description of the nodes, with the arguments of its own and the common ones.
+
+    ``hardware``: the nodes drive real devices, so a cell file with simulated ports is refused.
+    """
     return LaunchDescription(
         [
             *(
                 DeclareLaunchArgument(name, default_value=default, description=text)
                 for name, (default, text) in {**COMMON, **arguments}.items()
             ),
-            OpaqueFunction(function=lambda context: _start(context, nodes)),
+            OpaqueFunction(function=lambda context: _start(context, nodes, hardware)),
         ]
     )
 
 
-def _start(context: LaunchContext, nodes: Sequence[LaunchedNode]) -> list[Node | LogInfo]:
+def _start(
+    context: LaunchContext, nodes: Sequence[LaunchedNode], hardware: bool
+) -> list[Node | LogInfo]:
     """The nodes, once the arguments are known."""
     given = context.launch_configurations
+    if hardware:
+        refuse_simulated_ports(load_cell(given["cell_file"] or None))
     shared: list[dict[str, object] | str] = [{"use_sim_time": LaunchConfiguration("use_sim_time")}]
     overrides = [given["params_file"]] if given["params_file"] else []
     if given["page"].lower() == "true":

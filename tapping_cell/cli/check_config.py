@@ -28,6 +28,7 @@ from tapping_cell.configuration.objects import ObjectFile, load_object
 from tapping_cell.configuration.problems import problems_of
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
 from tapping_cell.configuration.table import TableFile, load_camera_model, load_reference_map
+from tapping_cell.nodes import MODULES
 from tapping_cell.nodes.parameters import FOREIGN_PREFIXES
 from tapping_cell.simulation.truth import TruthFile
 
@@ -205,7 +206,7 @@ def check_parameters(document: Any, path: Path) -> list[str]:
             continue
         own = {key: v for key, v in values.items() if not str(key).startswith(FOREIGN_PREFIXES)}
         for known in NODES if node in ("**", "*") else (node,):
-            module = importlib.import_module(f"tapping_cell.nodes.{known}")
+            module = importlib.import_module(MODULES[known])
             said = problems_of(module.Parameters, own, source)
             found += [f"{s} (the node {known})" if node in ("**", "*") else s for s in said]
     return found

@@ -24,8 +24,8 @@ from tapping_cell_msgs.srv import ResetWorld
 
 from tapping_cell.cli.graph import SIMULATED, Graph
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.nodes.conversions import from_message, to_message
-from tapping_cell.nodes.goal_client import GoalClient
 from tapping_cell.se2 import Pose
 
 START, GOAL = Pose(-0.05, 0.02, 0.0), Pose(-0.02, 0.01, 0.2)
@@ -229,7 +229,7 @@ class CrashCell:
             "planning": plan.state == PlanState.LOOKING,
             "travelling": mine and arm.state == ArmState.MOVING and not low,
             "lowered": mine and arm.state in (ArmState.MOVING, ArmState.IN_POSITION) and low,
-            "drawn": tapper.state in (TapperState.DRAWING, TapperState.READY),
+            "drawn": tapper.state in (TapperState.CHARGING, TapperState.CHARGED),
             "fired": tapper.tap_id == tap > 0 and tapper.outcome == TapperState.FIRED,
             "withdrawing": arm.state == ArmState.WITHDRAWING,
             "settling": plan.state == PlanState.SETTLING,

@@ -28,15 +28,15 @@ from tapping_cell.cli.graph import (
     RECORDER,
     SIMULATED,
     Graph,
-    NodeDied,
+    GraphError,
     own_domain,
     with_own_ports,
 )
 from tapping_cell.cli.up import add_truth_arguments, node_parameters
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.nodes.conversions import from_message
-from tapping_cell.nodes.goal_client import GoalClient
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_folder import (
     SUMMARY,
@@ -86,11 +86,11 @@ def run(arguments: argparse.Namespace) -> int:
     began = time.monotonic()
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)
+        domain = own_domain()
         folder = _run_folder(arguments.out)
-    except (ConfigurationError, OSError) as error:
+    except (ConfigurationError, GraphError, OSError) as error:
         session.tell_error(console, str(error), "error")
         return 2
-    domain = own_domain()
     # The client below runs in this process and must meet the nodes.
     os.environ["ROS_DOMAIN_ID"] = str(domain.number)
     # Whatever the shell says: a demo is nobody else's business on the network.
@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
             GoalClient("demo") as client,
         ):
             record = read_run(_position(arguments, graph, client, console))
-    except (NodeDied, session.NotReadyInTime, session.NotRecorded, RunError) as error:
+    except (GraphError, session.NotReadyInTime, session.NotRecorded, RunError) as error:
         session.tell_error(console, str(error))
         not_ready = isinstance(error, session.NotReadyInTime)
         code = ErrorCode.NOT_READY if not_ready else ErrorCode.INTERNAL
@@ -158,7 +158,7 @@ def _position(
         session.follow(client, graph.check, console)
     except KeyboardInterrupt:
         if client.cancel():
-            with contextlib.suppress(session.NotRecorded, NodeDied):
+            with contextlib.suppress(session.NotRecorded, GraphError):
                 session.wait_for_record(client, INTERRUPTED_PATIENCE_S, graph.check, console)
         raise
     return session.wait_for_record(client, RECORD_PATIENCE_S, graph.check, console)

@@ -11,7 +11,7 @@ import json
 import math
 
 from tapping_cell.cli import session
-from tapping_cell.nodes.goal_client import Finished, GoalClient
+from tapping_cell.nodes.clients.goal_client import Finished, GoalClient
 from tapping_cell.report.hints import hint
 from tapping_cell.report.run_folder import for_people
 from tapping_cell.se2 import Pose

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import json
 import os
 import random
 import signal
+import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO
+
+from tapping_cell.nodes import MODULES
+from tapping_cell.nodes.cell_identity import STATE, cell_key, claim
 
 SIMULATED = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 HARDWARE = ("overhead_camera", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
@@ -30,10 +32,20 @@ PATIENCE_S = 5.0
 MOST_RECORDER_STARTS = 3
 """A recorder that ends more often than this is left alone: its log says why."""
 
+LAST_DOMAIN = 232
+"""Beyond it the middleware's port numbers end."""
+
+OWN_DOMAINS = range(1, 102)
+"""Domains that clear the ephemeral ports of Linux; 0 is everybody's."""
+
 _PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux' prctl(2)
 
 
-class NodeDied(RuntimeError):
+class GraphError(RuntimeError):
+    """The graph cannot run, or no longer; the sentence says why."""
+
+
+class NodeDied(GraphError):
     """A node ended by itself; the sentence says which, with what status and its last words."""
 
 
@@ -74,8 +86,17 @@ class Graph:
         self._parameter_file = parameter_file
         self._recorder_starts = 0
         self._children: list[Child] = []
+        self._claim: socket.socket | None = None
 
     def __enter__(self) -> Graph:
+        domain = domain_number(self._environment)
+        self._claim = claim(f"graph/{cell_key(domain, self._namespace)}")
+        if self._claim is None:
+            raise GraphError(
+                f"another cell runs on this machine in ROS domain {domain}, namespace "
+                f"'/{self._namespace.strip('/')}': end it, or give this one a ROS_DOMAIN_ID or a "
+                "--namespace of its own"
+            )
         self._log_folder.mkdir(parents=True, exist_ok=True)
         try:
             for name in self._nodes:
@@ -94,7 +115,7 @@ class Graph:
         self.stop()
 
     def _start(self, name: str) -> Child:
-        command = [sys.executable, "-m", f"tapping_cell.nodes.{name}", "--ros-args"]
+        command = [sys.executable, "-m", MODULES[name], "--ros-args"]
         if self._namespace:
             command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
         if self._parameter_file is not None:
@@ -165,6 +186,9 @@ class Graph:
                 child.process.wait()
             child.stream.close()
         self._children.clear()
+        if self._claim is not None:
+            self._claim.close()
+            self._claim = None
 
 
 def last_words(log: Path, lines: int = 3) -> str:
@@ -197,9 +221,9 @@ def parameter_text(value: object) -> str:
 
 
 def with_own_ports(
-    parameters: dict[str, dict[str, object]], ports: Path
+    parameters: dict[str, dict[str, object]], ports: Path = STATE / "{cell}"
 ) -> dict[str, dict[str, object]]:
-    """Parameters of a simulated graph, with serial ports in a folder of this run alone."""
+    """Parameters of a simulated graph, with serial ports in a folder of its own."""
     own = {name: dict(values) for name, values in parameters.items()}
     own["sim_world"] |= {"arm_port": ports / "arm", "tapper_port": ports / "tapper"}
     own["scara_arm"]["port"] = ports / "arm"
@@ -207,36 +231,42 @@ def with_own_ports(
     return own
 
 
+def domain_number(environment: Mapping[str, str] = os.environ) -> int:
+    """The ROS domain that an environment chooses; 0 where it says nothing.
+
+    Raises:
+        GraphError: ROS_DOMAIN_ID is not a domain.
+    """
+    chosen = environment.get("ROS_DOMAIN_ID", "") or "0"
+    if not chosen.isascii() or not chosen.isdigit() or int(chosen) > LAST_DOMAIN:
+        raise GraphError(
+            f"ROS_DOMAIN_ID is '{chosen}', but must be a whole number from 0 to {LAST_DOMAIN}"
+        )
+    return int(chosen)
+
+
 @dataclass(frozen=True, slots=True)
 class Domain:
     """A ROS domain held for one run, so that two runs side by side do not meet."""
 
     number: int
-    lock: IO[str] | None
+    held: socket.socket | None
 
 
 def own_domain() -> Domain:
-    """The domain of ROS_DOMAIN_ID where it is set, else one that no other run on this machine uses.
-
-    Domains 1 to 101 keep clear of the ephemeral ports of Linux. The lock is held until this process
-    ends.
+    """The domain of ROS_DOMAIN_ID where it is set, else one that no other run on this machine uses,
+    whoever started it; held until this process ends.
 
     Raises:
-        RuntimeError: every domain is in use.
+        GraphError: every domain is in use, or ROS_DOMAIN_ID is not a domain.
     """
-    chosen = os.environ.get("ROS_DOMAIN_ID", "")
-    if chosen:
-        return Domain(int(chosen), None)
-    folder = Path(tempfile.gettempdir()) / f"tapping_cell-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    for number in random.sample(range(1, 102), 101):
-        lock = (folder / f"domain-{number}.lock").open("w", encoding="utf-8")
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lock.close()
-            continue
-        return Domain(number, lock)
-    raise RuntimeError(
-        "all 101 ROS domains are held by other runs on this machine; end one of them"
+    if os.environ.get("ROS_DOMAIN_ID", ""):
+        return Domain(domain_number(), None)
+    for number in random.sample(OWN_DOMAINS, len(OWN_DOMAINS)):
+        held = claim(f"domain/{number}")
+        if held is not None:
+            return Domain(number, held)
+    raise GraphError(
+        f"all {len(OWN_DOMAINS)} ROS domains are held by other runs on this machine; "
+        "end one of them"
     )

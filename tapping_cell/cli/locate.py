@@ -54,7 +54,7 @@ from tapping_cell.vision import (
     annotate,
     marker_ids,
 )
-from tapping_cell.vision.markers import dictionary_name
+from tapping_cell.vision.markers.detection import dictionary_name
 
 FRAME_PERIOD = 1.0 / 30.0
 """Seconds between the images of a --sequence, as far as speeds are concerned."""

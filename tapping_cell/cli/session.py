@@ -11,8 +11,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from tapping_cell.nodes.clients.goal_client import Finished, GoalClient, PhaseChanged, TapDone
 from tapping_cell.nodes.conversions import from_message
-from tapping_cell.nodes.goal_client import Finished, GoalClient, PhaseChanged, TapDone
 from tapping_cell.report.hints import hint
 from tapping_cell.se2 import Pose
 

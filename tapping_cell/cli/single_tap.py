@@ -49,7 +49,7 @@ from tapping_cell.cli.graph import (
     HARDWARE,
     SIMULATED,
     Graph,
-    NodeDied,
+    GraphError,
     own_domain,
     with_own_ports,
 )
@@ -59,10 +59,10 @@ from tapping_cell.cli.tap_series import TapSeries
 from tapping_cell.cli.tap_summary import tell, trial_text
 from tapping_cell.cli.up import add_truth_arguments, node_parameters
 from tapping_cell.configuration import assembly
-from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.cell import Cell, load_cell, refuse_simulated_ports
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError, load
-from tapping_cell.nodes.single_tap_client import NoAnswer, SingleTapClient
+from tapping_cell.nodes.clients.single_tap_client import NoAnswer, SingleTapClient
 from tapping_cell.planning import PlanningError
 from tapping_cell.report.bag import BagError, BagWriter
 from tapping_cell.simulation.truth import TruthFile
@@ -149,6 +149,8 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         _check_ranges(arguments)
         cell = load_cell(arguments.cell, object_path=arguments.object)
+        if arguments.hardware:
+            refuse_simulated_ports(cell)
         folder, design = _open(arguments)
         trials = _recorded(folder)
         refusal = _refused(cell, design)
@@ -166,8 +168,8 @@ def run(arguments: argparse.Namespace) -> int:
             _measure(arguments, cell, folder, design, trials, console)
     except SeriesStopped as error:
         code, sentence, status = error.code, str(error), 1
-    except (NodeDied, NoAnswer, session.NotReadyInTime) as error:
-        code = ErrorCode.INTERNAL if isinstance(error, NodeDied) else ErrorCode.NOT_READY
+    except (GraphError, NoAnswer, session.NotReadyInTime) as error:
+        code = ErrorCode.INTERNAL if isinstance(error, GraphError) else ErrorCode.NOT_READY
         sentence, status = str(error), 1
     except (RecordError, BagError, ConfigurationError, OSError) as error:
         code, sentence, status = ErrorCode.CONFIGURATION_CONFLICT, str(error), 1

@@ -13,11 +13,11 @@ from tapping_cell_msgs.msg import ErrorCode, TapperState, TapRecord
 
 from tapping_cell.calibration.design import contact_of, travel_direction
 from tapping_cell.calibration.trials import Trial
+from tapping_cell.logic.error_codes import NAMES
 from tapping_cell.mechanics import Tap
+from tapping_cell.nodes.clients.goal_client import Finished
+from tapping_cell.nodes.clients.single_tap_client import SingleTapClient
 from tapping_cell.nodes.conversions import covariance_from_message, from_message
-from tapping_cell.nodes.error_codes import NAMES
-from tapping_cell.nodes.goal_client import Finished
-from tapping_cell.nodes.single_tap_client import SingleTapClient
 from tapping_cell.se2 import Pose
 
 READY_PATIENCE_S = 60.0

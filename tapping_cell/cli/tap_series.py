@@ -21,7 +21,7 @@ from tapping_cell.calibration.experiment import ExperimentFile
 from tapping_cell.calibration.trials import Trial, append_trial
 from tapping_cell.cli.tap_maker import SeriesStopped, TapMaker, trial_of
 from tapping_cell.mechanics import Tap
-from tapping_cell.nodes.single_tap_client import SingleTapClient
+from tapping_cell.nodes.clients.single_tap_client import SingleTapClient
 from tapping_cell.report.bag import BagWriter
 
 

@@ -18,11 +18,27 @@ from pathlib import Path
 
 from rich.console import Console
 
-from tapping_cell.cli.graph import HARDWARE, RECORDER, SIMULATED, Graph, NodeDied
+from tapping_cell.cli.graph import (
+    HARDWARE,
+    RECORDER,
+    SIMULATED,
+    Graph,
+    GraphError,
+    domain_number,
+    with_own_ports,
+)
 from tapping_cell.cli.session import end_on_signals
-from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.cell import (
+    Cell,
+    has_simulated_ports,
+    load_cell,
+    refuse_simulated_ports,
+)
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
+from tapping_cell.nodes.cell_identity import cell_key
 
+STOP_PORT_OFFSET = 1000
+"""From the port of the page to that of its STOP."""
 LOOK_PERIOD_S = 0.2
 
 
@@ -59,7 +75,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "the whole network, where it wants a token",
     )
     parser.add_argument(
-        "--logs", type=Path, default=Path("runs/up"), help="folder of the nodes' logs"
+        "--logs",
+        type=Path,
+        help="folder of the nodes' logs (default: one for each cell under runs/up)",
     )
 
 
@@ -79,24 +97,35 @@ def run(arguments: argparse.Namespace) -> int:
         nodes = (*nodes, RECORDER)
     if arguments.page:
         nodes = (*nodes, "operator_page")
-    page_log = arguments.logs / "operator_page.log"
+    try:
+        if arguments.hardware:
+            refuse_simulated_ports(cell)
+        logs = arguments.logs or Path("runs/up") / cell_key(domain_number(), arguments.namespace)
+    except (ConfigurationError, GraphError) as error:
+        console.print(f"[red]error:[/red] {error}", highlight=False)
+        return 2
+    parameters = node_parameters(arguments, cell)
+    if not arguments.hardware and not has_simulated_ports(cell):
+        # A file of a real cell names real ports: the simulated devices take none of them.
+        parameters = with_own_ports(parameters)
+    page_log = logs / "operator_page.log"
     page_log.unlink(missing_ok=True)  # what an earlier run said of its page holds no longer
     try:
         with Graph(
             nodes,
-            node_parameters(arguments, cell),
-            arguments.logs.resolve(),
+            parameters,
+            logs.resolve(),
             namespace=arguments.namespace,
             parameter_file=arguments.params.resolve() if arguments.params else None,
         ) as graph:
-            console.print(f"{', '.join(nodes)} are up; logs in {arguments.logs}; Ctrl-C ends them")
+            console.print(f"{', '.join(nodes)} are up; logs in {logs}; Ctrl-C ends them")
             told = not arguments.page
             while True:
                 graph.check()
                 told = told or tell_page(page_log, console)
                 time.sleep(LOOK_PERIOD_S)
-    except NodeDied as error:
-        console.print(f"[red]failed:[/red] {error}; the other nodes were ended", highlight=False)
+    except GraphError as error:
+        console.print(f"[red]failed:[/red] {error}", highlight=False)
         return 1
     except KeyboardInterrupt:
         console.print("every node has ended")
@@ -164,7 +193,14 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
         parameters[RECORDER]["folder"] = arguments.runs.resolve()
     if getattr(arguments, "page", None):
         address, port = arguments.page
-        parameters["operator_page"] = {**files, "address": address, "port": port}
+        stop_port = port + STOP_PORT_OFFSET if 0 < port <= 65535 - STOP_PORT_OFFSET else 0
+        parameters["operator_page"] = {
+            **files,
+            "address": address,
+            "port": port,
+            "stop_port": stop_port,
+            "runs": parameters[RECORDER].get("folder", Path("runs").resolve()),
+        }
     if getattr(arguments, "camera", None):
         parameters["overhead_camera"]["source"] = arguments.camera
     return parameters

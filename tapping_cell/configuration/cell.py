@@ -21,6 +21,8 @@ from tapping_cell.configuration.schema import (
     text,
 )
 from tapping_cell.configuration.table import load_camera_model, load_reference_map
+from tapping_cell.hardware.arm_settings import ArmSettings
+from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.controller_needs import ControllerNeeds, needs_of
 from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.motion import MotionSettings
@@ -94,12 +96,49 @@ class ArmSection:
     )
     dialect: str = choice("language of the arm's controller", "grbl", "marlin")
     port: str = text(
-        "path of the controller's serial port; ~ is the home folder, {namespace} the node's"
+        "path of the controller's serial port; ~ is the home folder, {namespace} the node's, "
+        "{cell} a name of this namespace in this ROS domain, for the ports of the simulated cell"
     )
     baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000)
     homing: str = choice("how the arm is homed", "firmware", "manual_pose", "none")
     home: FourNumbers = quantity(
         "joints where homing ends: rad, rad, m, rad", "", -20.0, 20.0, default=(0.0,) * 4
+    )
+    home_place: FourNumbers | None = quantity(
+        "what a Grbl-family controller calls the four axes after its homing, in degrees and mm; "
+        "left out: computed from its settings",
+        "",
+        -1e5,
+        1e5,
+        default=None,
+    )
+    homing_timeout: float = quantity(
+        "longest time that homing may take", "s", 1.0, 600.0, default=60.0
+    )
+    axis_letters: str = text(
+        "axis letters of shoulder, elbow, quill and tool at the controller", default="XYZA"
+    )
+    axis_sign: tuple[int, int, int, int] = quantity(
+        "direction of each controller axis against the joint: 1 or -1",
+        "",
+        -1,
+        1,
+        default=(1, 1, 1, 1),
+    )
+    tolerance_angle: float = quantity(
+        "largest difference of a joint from its target when the arm is in position",
+        "rad",
+        1e-5,
+        0.1,
+        default=1e-3,
+    )
+    tolerance_quill: float = quantity("the same for the quill", "m", 1e-6, 0.01, default=1e-4)
+    settle_time: float = quantity(
+        "rest after the last move before the arm counts as in position",
+        "s",
+        0.0,
+        5.0,
+        default=0.15,
     )
     joint_offset: FourNumbers = quantity(
         "true joints minus the controller's, as calibrated: rad, rad, m, rad",
@@ -139,6 +178,27 @@ class ArmSection:
             max_acceleration=self.max_acceleration,
             singularity_margin=self.singularity_margin,
             joint_offset=self.joint_offset,
+        )
+
+    @property
+    def homes_alone(self) -> bool:
+        """Whether homing needs no person at the arm."""
+        return self.homing != "manual_pose"
+
+    def driver_settings(self) -> ArmSettings:
+        """Wiring, homing and tolerances for the arm's driver.
+
+        Raises:
+            ValueError: axis_sign or axis_letters make no arm.
+        """
+        check_letters(self.axis_letters)
+        return ArmSettings(
+            axis_sign=self.axis_sign,
+            home_joints=self.home,
+            homing_timeout=self.homing_timeout,
+            tolerance_angle=self.tolerance_angle,
+            tolerance_quill=self.tolerance_quill,
+            settle_time=self.settle_time,
         )
 
     def controller_needs(self) -> ControllerNeeds:
@@ -281,6 +341,7 @@ def load_cell(path: Path | str | None = None, object_path: Path | str | None = N
     chosen = Path(object_path) if object_path else folder / content.object
     chosen = chosen.expanduser().resolve()
     try:
+        content.arm.driver_settings()
         content.arm.controller_needs()
         content.arm.motion()
         content.tapper.striker()
@@ -295,6 +356,34 @@ def load_cell(path: Path | str | None = None, object_path: Path | str | None = N
         references=load_reference_map(folder / content.reference_markers),
         camera=load_camera_model(folder / content.camera_info),
     )
+
+
+def has_simulated_ports(cell: Cell) -> bool:
+    """True where arm or tapper has a port that the simulated world makes."""
+    return bool(_simulated_ports(cell))
+
+
+def refuse_simulated_ports(cell: Cell) -> None:
+    """See that a cell file describes devices, before it is used for a cell on hardware.
+
+    Raises:
+        ConfigurationError: a port is one of the simulated cell, as in the package's own file.
+    """
+    for key, port in _simulated_ports(cell).items():
+        raise ConfigurationError(
+            f"{cell.path}: key '{key}' is {port}, a port of the simulated cell, and hardware was "
+            "asked for: copy the folder config, name the device there (such as "
+            "/dev/serial/by-id/...), and give the copy as the cell file"
+        )
+
+
+def _simulated_ports(cell: Cell) -> dict[str, str]:
+    ports = {"arm.port": cell.file.arm.port, "tapper.port": cell.file.tapper.port}
+    return {
+        key: port
+        for key, port in ports.items()
+        if "{cell}" in port or "/.ros/tapping_cell/" in str(Path(port).expanduser())
+    }
 
 
 def load_other_objects(paths: str, cell: Cell) -> tuple[ObjectFile, ...]:

@@ -5,11 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from tapping_cell.hardware.dialect import AxisValues
+from tapping_cell.hardware.dialect import AXIS_COUNT, AxisValues
 from tapping_cell.hardware.scara import Joints
 
+LETTERS = "XYZABCUVWE"
+"""Axis letters that controllers know; E only Marlin."""
 TO_UNITS = (180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi)
 """Joint values (rad, rad, m, rad) to the controller's units (deg, deg, mm, deg)."""
+
+
+def check_letters(letters: str) -> None:
+    """Raise ValueError unless these can be the axis letters of shoulder, elbow, quill, tool."""
+    if len(letters) != AXIS_COUNT or len(set(letters)) != AXIS_COUNT:
+        raise ValueError(f"axis letters {letters!r}: four different letters are needed")
+    if not set(letters) <= set(LETTERS):
+        raise ValueError(f"axis letters {letters!r}: each must be one of {LETTERS}")
 
 
 def to_axes(axis_sign: Sequence[int], joints: Joints) -> AxisValues:

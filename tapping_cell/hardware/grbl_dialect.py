@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from tapping_cell.hardware import controller_needs, grbl
+from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.controller_needs import ControllerNeeds
 from tapping_cell.hardware.dialect import (
     AXIS_COUNT,
@@ -66,10 +67,7 @@ class GrblSettings:
     """Machine position after homing, in degrees and mm; None: as Grbl computes it from ``$$``."""
 
     def __post_init__(self) -> None:
-        if len(set(self.letters)) != AXIS_COUNT or not set(self.letters) <= set("XYZABCUVW"):
-            raise ValueError(
-                f"axis letters {self.letters!r}: four different letters of XYZABCUVW are needed"
-            )
+        check_letters(self.letters)
 
 
 class GrblDialect:
@@ -189,7 +187,7 @@ class GrblDialect:
                 FaultReason.HOMING_FAILED,
                 f"after homing the controller stands at {place}, not at {self._homed_place}, where"
                 " its settings $23, $27 and $130 to $133 end a homing: home again; if it stays so,"
-                " set home_place",
+                " set arm.home_place",
             )
         if axes is not None:
             self.set_position(axes, deadline)
@@ -397,7 +395,7 @@ class GrblDialect:
             raise HardwareFault(
                 FaultReason.SETTINGS_MISMATCH,
                 f"the controller does not list {', '.join(missing)} in its $$: connect again; if it"
-                " stays so, set home_place",
+                " stays so, set arm.home_place",
             )
         self._homed_place = self._settings.home_place or _homed_place(found)
         wrong = [

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from tapping_cell.hardware import controller_needs, marlin
+from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.controller_needs import ControllerNeeds
 from tapping_cell.hardware.dialect import (
     AXIS_COUNT,
@@ -57,10 +58,7 @@ class MarlinSettings:
     """What M92, M201, M203 and M211 must allow, where the firmware tells them."""
 
     def __post_init__(self) -> None:
-        if len(set(self.letters)) != AXIS_COUNT or not set(self.letters) <= set("XYZABCUVWE"):
-            raise ValueError(
-                f"axis letters {self.letters!r}: four different letters of XYZABCUVWE are needed"
-            )
+        check_letters(self.letters)
 
 
 class MarlinDialect:

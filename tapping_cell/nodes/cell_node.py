@@ -29,6 +29,7 @@ from std_msgs.msg import Bool
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes import parameters
+from tapping_cell.nodes.cell_identity import key_of
 from tapping_cell.nodes.memory import keep_memory
 
 Parameters = TypeVar("Parameters")
@@ -109,8 +110,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         return DiagnosticStatus.OK, "ok", {}
 
     def port_path(self, port: str) -> Path:
-        """Where a port is: ``~`` is the home folder, ``{namespace}`` that of the node."""
-        return Path(port.replace("{namespace}", self.get_namespace().strip("/"))).expanduser()
+        """Where a port is: ``~`` is the home folder, ``{namespace}`` that of the node, ``{cell}`` a
+        name of this namespace in this ROS domain."""
+        port = port.replace("{namespace}", self.get_namespace().strip("/"))
+        return Path(port.replace("{cell}", key_of(self))).expanduser()
 
     # Life cycle
 
@@ -245,6 +248,9 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
     """Run one node until Ctrl-C, a termination signal or a fatal error; returns the exit status."""
     pictures = getattr(make_node, "carries_pictures", True)
     choose_transport(pictures)
+    # The middleware's own default is the local network: a goal of another machine must not move
+    # this arm.
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if pictures:
         keep_memory()
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.ALL)

@@ -1,7 +1,8 @@
-"""What was learnt about an object, kept between runs: one small file an object.
+"""What was learnt about an object, kept between runs: one small file for an object in a cell.
 
-``$XDG_STATE_HOME/tapping_cell/gains/<object>.json`` (``~/.local/state`` where that is not set).
-Kept on request only: gains belong to one object on one table on a dry day.
+``$XDG_STATE_HOME/tapping_cell/gains/<cell>/<object>.json``, or below ``~/.local/state``
+where that is not set. Kept on request only: gains belong to one object on one table on a dry day,
+and those of a simulated cell to no other.
 """
 
 from __future__ import annotations
@@ -16,22 +17,23 @@ from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.gains import Gains
 
 
-def gains_file(object_name: str) -> Path:
-    """The file of an object's gains; the name may hold anything, the file's name does not."""
+def gains_file(object_name: str, cell: str) -> Path:
+    """The file of an object's gains in a cell, which is named by a file name; the object's name may
+    hold anything."""
     root = os.environ.get("XDG_STATE_HOME") or os.path.join(
         os.path.expanduser("~"), ".local", "state"
     )
     safe = re.sub(r"[^A-Za-z0-9._-]+", "_", object_name).strip("._") or "object"
-    return Path(root) / "tapping_cell" / "gains" / f"{safe}.json"
+    return Path(root) / "tapping_cell" / "gains" / cell / f"{safe}.json"
 
 
-def keep_gains(object_name: str, gains: Gains) -> Path:
-    """Write an object's gains; an older file is replaced at once and as a whole.
+def keep_gains(object_name: str, cell: str, gains: Gains) -> Path:
+    """Write an object's gains in a cell; an older file is replaced at once and as a whole.
 
     Raises:
         OSError: the file cannot be written.
     """
-    path = gains_file(object_name)
+    path = gains_file(object_name, cell)
     path.parent.mkdir(parents=True, exist_ok=True)
     content = {"object": object_name, **gains.as_numbers()}
     with tempfile.NamedTemporaryFile(
@@ -42,13 +44,13 @@ def keep_gains(object_name: str, gains: Gains) -> Path:
     return path
 
 
-def load_gains(object_name: str) -> Gains:
-    """An object's gains from earlier runs, or those of an object never tapped before.
+def load_gains(object_name: str, cell: str) -> Gains:
+    """An object's gains from earlier runs in a cell, or those of an object never tapped before.
 
     Raises:
         PlanningError: the file cannot be read or holds impossible numbers; the sentence says which.
     """
-    path = gains_file(object_name)
+    path = gains_file(object_name, cell)
     if not path.exists():
         return Gains.start()
     try:

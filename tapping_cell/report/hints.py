@@ -88,6 +88,7 @@ HINTS: dict[int, tuple[str, str]] = {
     311: ("OBJECT_MOVED", "Keep hands off the object between taps, then send the goal again."),
     312: ("OBJECT_OFF_TABLE", "Put the object back into the table's area."),
     313: ("STAMP_INVALID", "Synchronise the clocks; look for two cameras on one topic."),
+    314: ("TOO_FEW_FRAMES", "Raise the camera's rate, or lower frames_needed of tap_planner."),
     # planning
     401: (
         "NO_TAP_FOUND",
@@ -197,6 +198,14 @@ HINTS: dict[int, tuple[str, str]] = {
         "RECORDING_FAILED",
         "Make room on the disk, or set the parameter folder to one that can be written; the goal "
         "itself goes on.",
+    ),
+    909: (
+        "CLOCKS_DIFFER",
+        "Synchronise the clocks of the computers, with chrony for example.",
+    ),
+    910: (
+        "ENABLING_RELEASED",
+        "Hold the enabling device while the cell works, or leave set-up mode.",
     ),
 }
 """Name and hint of each code, in imperative; the hint is empty where there is nothing to do."""

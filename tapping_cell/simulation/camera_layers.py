@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tapping_cell.vision.markers import marker_pattern
+from tapping_cell.vision.markers.detection import marker_pattern
 
 Array32 = NDArray[np.float32]
 

@@ -24,8 +24,8 @@ from tapping_cell.simulation.camera_layers import (
     outline_layer,
 )
 from tapping_cell.vision.camera import CameraModel, CameraPose, Image, View
-from tapping_cell.vision.markers import ObjectMarker, ReferenceMap
-from tapping_cell.vision.outline import ObjectOutline
+from tapping_cell.vision.markers.detection import ObjectMarker, ReferenceMap
+from tapping_cell.vision.outline.shape import ObjectOutline
 
 TABLE_REFLECTANCE = 0.50
 TOP_REFLECTANCE = 0.30

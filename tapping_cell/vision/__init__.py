@@ -2,17 +2,17 @@
 
 from tapping_cell.vision.annotate import annotate
 from tapping_cell.vision.camera import CameraError, CameraModel, CameraPose, View
-from tapping_cell.vision.markers import (
+from tapping_cell.vision.markers.detection import (
     MarkerError,
     ObjectMarker,
     ReferenceMap,
     ReferenceMarker,
 )
 from tapping_cell.vision.observation import Observation, Problem
-from tapping_cell.vision.others import OtherObjects, Sighting, marker_ids
-from tapping_cell.vision.outline import Dot, ObjectOutline, OutlineError
-from tapping_cell.vision.rest import RestSettings
-from tapping_cell.vision.table_fit import TableSettings
+from tapping_cell.vision.other_objects import OtherObjects, Sighting, marker_ids
+from tapping_cell.vision.outline.shape import Dot, ObjectOutline, OutlineError
+from tapping_cell.vision.rest_detection import RestSettings
+from tapping_cell.vision.table.fit import TableSettings
 from tapping_cell.vision.tracker import PoseTracker, TrackerSettings
 
 __all__ = [

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.se2 import Pose, transform_points
 from tapping_cell.vision.camera import Array, Image, View
-from tapping_cell.vision.markers import ReferenceMap
+from tapping_cell.vision.markers.detection import ReferenceMap
 from tapping_cell.vision.observation import Observation
 
 Colour = tuple[int, int, int]

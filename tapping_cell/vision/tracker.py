@@ -10,27 +10,32 @@ from numpy.typing import NDArray
 
 from tapping_cell.se2 import Pose, transform_points, wrap_angle
 from tapping_cell.vision.camera import Array, CameraModel, Image, View
-from tapping_cell.vision.edges import MarkerEdges, join, no_edges, take
-from tapping_cell.vision.form import Form, Suspicion, judge_form
-from tapping_cell.vision.gate import FrameGate
-from tapping_cell.vision.markers import UNIT_CORNERS, ObjectMarker, ReferenceMap, marker_pattern
-from tapping_cell.vision.measuring import measure
-from tapping_cell.vision.object import PoseFit, fit_marker, marker_pose, object_pose
+from tapping_cell.vision.frame_validation import FrameGate
+from tapping_cell.vision.markers.detection import (
+    UNIT_CORNERS,
+    ObjectMarker,
+    ReferenceMap,
+    marker_pattern,
+)
+from tapping_cell.vision.markers.edges import MarkerEdges, join, no_edges, take
+from tapping_cell.vision.markers.measurement import measure
+from tapping_cell.vision.markers.object_pose import PoseFit, fit_marker, marker_pose, object_pose
+from tapping_cell.vision.markers.search import Census, census, efforts, near
+from tapping_cell.vision.markers.shape_consistency import Form, Suspicion, judge_form
+from tapping_cell.vision.markers.stationary_marker import RestingMarker
 from tapping_cell.vision.observation import Observation, Problem
-from tapping_cell.vision.outline import ObjectOutline
-from tapping_cell.vision.outline_finder import OutlineFinder
-from tapping_cell.vision.outline_fit import OutlineFit
-from tapping_cell.vision.refusals import table_notice, table_refusal
-from tapping_cell.vision.rest import Motion, RestSettings, Track
-from tapping_cell.vision.resting import RestingMarker
-from tapping_cell.vision.search import Census, census, efforts, near
-from tapping_cell.vision.table import (
+from tapping_cell.vision.outline.finder import OutlineFinder
+from tapping_cell.vision.outline.fit import OutlineFit
+from tapping_cell.vision.outline.shape import ObjectOutline
+from tapping_cell.vision.rest_detection import Motion, RestSettings, Track
+from tapping_cell.vision.table.fit import TableSettings
+from tapping_cell.vision.table.problems import table_notice, table_refusal
+from tapping_cell.vision.table.tracker import (
     CROSS,
     TableState,
     TableTracker,
     pose_changes,
 )
-from tapping_cell.vision.table_fit import TableSettings
 
 _SLOW = 0.0001
 _SLOW_TURN = 0.002

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from rosbags.highlevel import AnyReader
 
+from tapping_cell.nodes import MODULES
 from tapping_cell.report.bag import read_bag
 
 NODES = (
@@ -46,7 +47,7 @@ def children_of(folder: Path) -> dict[str, int]:
         except OSError:
             continue
         for node in NODES:
-            if f"tapping_cell.nodes.{node}" in words and log.startswith(str(folder)):
+            if MODULES[node] in words and log.startswith(str(folder)):
                 found[node] = int(entry.name)
     return found
 

@@ -18,7 +18,7 @@ import pytest
 from tapping_cell_msgs.msg import ArmState, TapperState
 
 from tapping_cell.cli.graph import RECORDER, SIMULATED, Graph
-from tapping_cell.nodes.goal_client import GoalClient
+from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.se2 import Pose
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")

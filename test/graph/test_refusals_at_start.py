@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 
 from tapping_cell.configuration.files import shared_folder
+from tapping_cell.nodes import MODULES
 
 NODES = ("camera_pose", "tap_planner", "scara_arm", "tapper_trigger", "sim_world")
 
 
 def run_node(node: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", f"tapping_cell.nodes.{node}", "--ros-args", *arguments]
+    command = [sys.executable, "-m", MODULES[node], "--ros-args", *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
 
 

@@ -24,8 +24,8 @@ from tapping_cell_msgs.srv import ResetWorld
 from tapping_cell.cli import session
 from tapping_cell.cli.graph import SIMULATED, Graph
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.clients.goal_client import Finished, GoalClient, TapDone
 from tapping_cell.nodes.conversions import to_message
-from tapping_cell.nodes.goal_client import Finished, GoalClient, TapDone
 from tapping_cell.se2 import Pose
 
 TOLERANCE = (0.001, math.radians(1.0))

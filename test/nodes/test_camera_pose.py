@@ -23,9 +23,9 @@ from tapping_cell_msgs.msg import ErrorCode, ObjectState
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import load_object
-from tapping_cell.nodes import images
-from tapping_cell.nodes.backlog import LONGEST_WAIT_S
-from tapping_cell.nodes.camera_pose import CameraPose
+from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.camera.camera_pose import CameraPose
+from tapping_cell.nodes.camera.dropped_frames import LONGEST_WAIT_S
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import (
     camera_from_message,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import Image
 
-from tapping_cell.nodes import images
+from tapping_cell.nodes.camera import images
 
 HEIGHT, WIDTH = 24, 32
 RANDOM = np.random.default_rng(5)

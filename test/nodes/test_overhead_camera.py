@@ -14,8 +14,8 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.nodes import images
-from tapping_cell.nodes.overhead_camera import OverheadCamera
+from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.camera.overhead_camera import OverheadCamera
 
 pytestmark = pytest.mark.alone
 

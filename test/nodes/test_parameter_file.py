@@ -13,6 +13,7 @@ import rclpy
 
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.nodes import MODULES
 
 CLASSES = {
     "camera_pose": "CameraPose",
@@ -32,7 +33,7 @@ def started(node: str, file: Path, namespace: str = "/") -> Iterator[Any]:
     rclpy.init(args=["--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file)])
     made = None
     try:
-        module = importlib.import_module(f"tapping_cell.nodes.{node}")
+        module = importlib.import_module(MODULES[node])
         made = getattr(module, CLASSES[node])()
         yield made
     finally:

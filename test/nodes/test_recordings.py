@@ -31,8 +31,8 @@ from tapping_cell.cli.calibration import arm_recording, arm_verb, tapper_recordi
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.clients.single_tap_client import SingleTapClient
 from tapping_cell.nodes.conversions import to_message
-from tapping_cell.nodes.single_tap_client import SingleTapClient
 from tapping_cell.se2 import Pose
 
 CELL = load_cell()
@@ -158,7 +158,7 @@ def test_another_cell_file_than_the_running_cells_is_refused(
 def test_a_marker_that_is_never_seen_stops_the_recording(
     held: HeldMarker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tapping_cell.nodes.arm_pose_client.UNSEEN_PATIENCE_S", 0.1)
+    monkeypatch.setattr("tapping_cell.nodes.clients.arm_pose_client.UNSEEN_PATIENCE_S", 0.1)
     held.blind = True
     with pytest.raises(CalibrationRefused, match="6 postures in a row"):
         arm_recording.record(asked(tmp_path / "poses.csv"), CELL, QUIET)

@@ -11,13 +11,14 @@ import pytest
 from harness import bench
 from tapping_cell_msgs.msg import ErrorCode
 
-from tapping_cell.nodes.error_codes import NAMES
-from tapping_cell.nodes.overhead_camera import OverheadCamera
-from tapping_cell.nodes.run_recorder import RunRecorder
-from tapping_cell.nodes.scara_arm import ScaraArm
-from tapping_cell.nodes.sim_world import SimWorld
-from tapping_cell.nodes.tap_planner import TapPlanner
-from tapping_cell.nodes.tapper_trigger import TapperTrigger
+from tapping_cell.logic.error_codes import NAMES
+from tapping_cell.nodes import MODULES
+from tapping_cell.nodes.camera.overhead_camera import OverheadCamera
+from tapping_cell.nodes.drivers.scara_arm import ScaraArm
+from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
+from tapping_cell.nodes.planner.tap_planner import TapPlanner
+from tapping_cell.nodes.recorder.run_recorder import RunRecorder
+from tapping_cell.nodes.simulation.sim_world import SimWorld
 from tapping_cell.report.hints import HINTS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -45,7 +46,7 @@ def section(title: str) -> str:
 @pytest.mark.parametrize("node", NODES)
 def test_every_parameter_stands_in_the_page_with_its_text_and_range(node: str) -> None:
     rows = section(f"`{node}`")
-    parameters = importlib.import_module(f"tapping_cell.nodes.{node}").Parameters
+    parameters = importlib.import_module(MODULES[node]).Parameters
     fields = dataclasses.fields(parameters)
     for entry in fields:
         limits = entry.metadata["limits"]
@@ -73,8 +74,8 @@ def test_every_error_code_has_a_hint_and_stands_in_its_page() -> None:
 
 
 def test_every_topic_and_service_of_the_nodes_stands_in_the_page() -> None:
-    from tapping_cell.nodes.camera_pose import CameraPose
-    from tapping_cell.nodes.operator_page import OperatorPage
+    from tapping_cell.nodes.camera.camera_pose import CameraPose
+    from tapping_cell.nodes.page.operator_page import OperatorPage
 
     cell = (OverheadCamera, CameraPose, TapPlanner, ScaraArm, TapperTrigger, SimWorld)
     kinds = (*cell, OperatorPage, RunRecorder)

@@ -18,10 +18,11 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from tapping_cell_msgs.msg import ArmState, ErrorCode, GoalReport, ObjectState, PlanState, TapRecord
 
-from tapping_cell.nodes import images, run_recorder
+from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import to_message
-from tapping_cell.nodes.run_recorder import RunRecorder
+from tapping_cell.nodes.recorder import run_recorder
+from tapping_cell.nodes.recorder.run_recorder import RunRecorder
 from tapping_cell.report.bag import read_bag
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_folder import read_run

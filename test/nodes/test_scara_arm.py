@@ -25,7 +25,7 @@ from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import from_message, to_message
-from tapping_cell.nodes.scara_arm import ScaraArm
+from tapping_cell.nodes.drivers.scara_arm import ScaraArm
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import arm_emulator
 from tapping_cell.simulation.grbl_emulator import GrblEmulator

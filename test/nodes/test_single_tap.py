@@ -13,8 +13,8 @@ from tapping_cell_msgs.action import SingleTap
 from tapping_cell_msgs.msg import ArmState, ErrorCode, PlanState, TapCommand, TapperState
 from test_tap_planner import Actors, acted
 
+from tapping_cell.nodes.clients.single_tap_client import SingleTapClient
 from tapping_cell.nodes.conversions import from_message
-from tapping_cell.nodes.single_tap_client import SingleTapClient
 from tapping_cell.se2 import Pose
 
 SPEED, INCIDENCE = 0.6, math.radians(20.0)

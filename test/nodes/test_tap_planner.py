@@ -33,7 +33,7 @@ from tapping_cell_msgs.msg import (
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import covariance_to_message, from_message, to_message
-from tapping_cell.nodes.tap_planner import TapPlanner
+from tapping_cell.nodes.planner.tap_planner import TapPlanner
 from tapping_cell.se2 import Pose
 
 START = Pose(-0.05, 0.02, 0.2)
@@ -325,9 +325,9 @@ def test_only_a_goal_that_a_crash_left_a_moment_ago_is_gone_on_with(
     age: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
-    folder = tmp_path / ".ros" / "tapping_cell"
+    folder = tmp_path / ".ros" / "tapping_cell" / f"domain{os.environ['ROS_DOMAIN_ID']}"
     folder.mkdir(parents=True)
-    left = folder / f"goal-{os.environ['ROS_DOMAIN_ID']}_.json"
+    left = folder / "goal.json"
     content = {"goal": list(GOAL), "tolerance": [0.001, 0.0175], "max_taps": 10}
     left.write_text(json.dumps(content))
     then = time.time() - age
@@ -350,7 +350,7 @@ def test_a_goal_under_way_is_kept_for_a_crash_and_forgotten_at_its_end(
         made.arm_arrives = False
         made.send()
         made.bench.wait(made.taps, "a tap")
-        (kept,) = (tmp_path / ".ros" / "tapping_cell").glob("goal-*.json")
+        (kept,) = (tmp_path / ".ros" / "tapping_cell").glob("domain*/goal.json")
         assert json.loads(kept.read_text())["goal"] == pytest.approx(list(GOAL))
         made.end()
         assert not kept.exists()

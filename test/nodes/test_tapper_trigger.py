@@ -24,7 +24,7 @@ from tapping_cell_msgs.msg import (
 )
 
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
-from tapping_cell.nodes.tapper_trigger import TapperTrigger
+from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 
@@ -240,7 +240,7 @@ SLOW = TapperMachine(draw_time=10.0)
     "lost", ["planner", "arm", "camera", "pictures", "usable pictures"], ids=lambda name: name
 )
 def test_whoever_falls_silent_has_the_striker_let_down(tmp_path: Path, lost: str) -> None:
-    """``bench --section disarm`` measures how soon, with processes that are killed and hung."""
+    """How soon, with processes that are killed and hung, is measured by benchmarks/disarm.py."""
     with tapper_cell(tmp_path, SLOW) as cell:
 
         def all_speak(but: str = "") -> None:

@@ -8,13 +8,13 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tapping_cell.nodes.camera_pose import CameraPose
+from tapping_cell.nodes.camera.camera_pose import CameraPose
+from tapping_cell.nodes.camera.overhead_camera import OverheadCamera
 from tapping_cell.nodes.cell_node import PROFILE_VARIABLE, choose_transport
-from tapping_cell.nodes.overhead_camera import OverheadCamera
-from tapping_cell.nodes.scara_arm import ScaraArm
-from tapping_cell.nodes.sim_world import SimWorld
-from tapping_cell.nodes.tap_planner import TapPlanner
-from tapping_cell.nodes.tapper_trigger import TapperTrigger
+from tapping_cell.nodes.drivers.scara_arm import ScaraArm
+from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
+from tapping_cell.nodes.planner.tap_planner import TapPlanner
+from tapping_cell.nodes.simulation.sim_world import SimWorld
 
 
 def transports(path: str) -> set[str]:

@@ -67,7 +67,7 @@ def test_home_move_read_back(plug: Callable[..., PseudoTerminal]) -> None:
 def test_a_path_ends_on_the_strike_pose_and_rests_there(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
-    """What the driver adds to the time of the moves is measured by ``bench --section drivers``."""
+    """What the driver adds to the time of the moves is measured by benchmarks/drivers.py."""
     cell = emulated(plug)
     driver = cell.ready()
     tip = TipPose(0.40, 0.35, 0.01, 0.6)

@@ -153,8 +153,8 @@ def test_stop_goes_out_at_once_and_nothing_after_it(terminal: RawTerminal) -> No
     worker = threading.Thread(target=wait)
     worker.start()
     time.sleep(0.05)
-    # The other thread waits for ten seconds; `bench --section drivers` measures how little this
-    # does.
+    # The other thread waits for ten seconds; benchmarks/drivers.py measures how little
+    # this does.
     assert transport.stop(b"!\x18")
     assert os.read(terminal.master, 10) == b"!\x18"
     assert not failures or failures[0].reason is FaultReason.STOPPED

@@ -17,7 +17,7 @@ from tapping_cell.calibration.growing_csv import GrowingCsv
 from tapping_cell.cli import session
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.scara import Joints
-from tapping_cell.nodes.arm_pose_client import ArmPoseClient, ArmRefused
+from tapping_cell.nodes.clients.arm_pose_client import ArmPoseClient, ArmRefused
 from tapping_cell.nodes.conversions import from_message
 from tapping_cell.se2 import Pose
 

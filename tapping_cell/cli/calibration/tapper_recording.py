@@ -23,7 +23,7 @@ from tapping_cell.cli.tap_maker import SeriesStopped, TapMaker, trial_of
 from tapping_cell.cli.tap_room import TapRoom
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
-from tapping_cell.nodes.single_tap_client import NoAnswer, SingleTapClient
+from tapping_cell.nodes.clients.single_tap_client import NoAnswer, SingleTapClient
 
 HEADER = ("energy", "distance", "rotation", "incidence", "distance_std")
 LONGEST = 0.090

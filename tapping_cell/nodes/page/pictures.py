@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from sensor_msgs.msg import Image
 
-from tapping_cell.nodes.images import ImageRefused, to_grey, unpack
+from tapping_cell.nodes.camera.images import ImageRefused, to_grey, unpack
 
 
 def to_jpeg(message: Image, quality: int) -> bytes:

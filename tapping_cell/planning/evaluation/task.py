@@ -120,11 +120,12 @@ def draw_gains(evaluation: Evaluation, count: int, rng: np.random.Generator) -> 
     """True gains of distance and rotation and the two numbers of an object off its middle (rad/m),
     (count, 4)."""
     signs = rng.choice([-1.0, 1.0], size=(count, 2))
-    gains: Array = np.add(1.0, signs * np.asarray(evaluation.gain_bias))
+    bias = 1.0 + signs * np.asarray(evaluation.gain_bias)
+    factor: Array = np.ones((count, 2))
     if evaluation.unknown != (1.0, 1.0):
-        factor = np.asarray(evaluation.unknown) ** rng.uniform(-1.0, 1.0, (count, 2))
-        gains = gains * np.stack([factor[:, 0], factor[:, 0] * factor[:, 1]], axis=-1)
-    off = np.zeros((count, 2))
+        drawn = np.asarray(evaluation.unknown) ** rng.uniform(-1.0, 1.0, (count, 2))
+        factor = np.stack([drawn[:, 0], drawn[:, 0] * drawn[:, 1]], axis=-1)
+    off: Array = np.zeros((count, 2))
     if evaluation.off_centre > 0.0:
         off = evaluation.off_centre * rng.standard_normal((count, 2))
-    return np.concatenate([gains, off], axis=1)
+    return np.concatenate([bias * factor, off], axis=1)

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import calibration_truths as truths
 import numpy as np
 import pytest
 
@@ -13,7 +14,6 @@ from tapping_cell.calibration.arm import ArmRecord, calibrate_arm, predicted
 from tapping_cell.calibration.arm_places import arm_places
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.cli import main
-from tapping_cell.cli.benchmarks import calibration_truths as truths
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.hardware.scara import ScaraGeometry

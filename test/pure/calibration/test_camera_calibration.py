@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import calibration_truths as truths
 import cv2
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ import yaml
 from tapping_cell.calibration.camera import CalibrationRefused, calibrate_camera
 from tapping_cell.calibration.target import Target, TargetError, TargetView, find_target
 from tapping_cell.cli import main
-from tapping_cell.cli.benchmarks import calibration_truths as truths
 from tapping_cell.configuration.table import load_camera_model
 from tapping_cell.simulation.rendered_sheet import SheetCamera
 from tapping_cell.vision import CameraModel, CameraPose, View

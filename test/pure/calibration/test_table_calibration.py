@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import calibration_truths as truths
 import numpy as np
 import pytest
 
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.table import MarkerView, calibrate_table, look
 from tapping_cell.calibration.table_frame import frame_of_map, frame_of_markers, in_frame, scaled
-from tapping_cell.cli.benchmarks import calibration_truths as truths
 from tapping_cell.se2 import transform_points
 from tapping_cell.simulation.rendered_sheet import SheetCamera
 from tapping_cell.vision import CameraModel, CameraPose, ReferenceMap, View
-from tapping_cell.vision.markers import UNIT_CORNERS
+from tapping_cell.vision.markers.detection import UNIT_CORNERS
 
 CAMERA = CameraModel(1280, 1024, 1000.0, 1000.0, 640.0, 512.0)
 NOISE = 0.05

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import calibration_truths as truths
 import numpy as np
 import pytest
 
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.tapper import SHARES, TapRecord, calibrate_tapper
 from tapping_cell.cli import main
-from tapping_cell.cli.benchmarks import calibration_truths as truths
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 

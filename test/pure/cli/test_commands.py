@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from tapping_cell.cli import VERBS, commands_page, verb_parser
+from benchmarks.__main__ import make_parser
+from tapping_cell.cli import VERBS, commands_page, main, verb_parser
 
 
 def test_the_page_of_commands_is_up_to_date() -> None:
@@ -43,6 +44,15 @@ def test_every_command_in_the_documents_parses(page: Path) -> None:
         words = shlex.split(re.split(r" [>|] ", line)[0], comments=True)
         # a name in capitals stands for a number or a file of the reader's
         verb_parser(words[0])[0].parse_args(["1" if word.isupper() else word for word in words[1:]])
+    for line in re.findall(r"python -m benchmarks( --[^`\n]+)", text):
+        make_parser().parse_args(shlex.split(line))
+
+
+def test_the_former_verb_for_benchmarks_says_what_replaced_it(capsys) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["bench", "--section", "mechanics"])
+    assert ended.value.code == 2
+    assert "python -m benchmarks" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("verb", VERBS)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import load_cell
@@ -144,3 +145,44 @@ def test_how_well_a_map_was_measured_comes_from_its_record(tmp_path: Path) -> No
     path.write_text(text + provenance_yaml(record), encoding="utf-8")
     assert load_reference_map(path).deviation == pytest.approx(np.sqrt(12.5e-10))
     assert load_reference_map(shared_folder() / "table.yaml").deviation == 0.0
+
+
+def test_the_arms_keys_reach_its_driver(tmp_path: Path) -> None:
+    path = changed_arm(
+        tmp_path,
+        axis_letters="XYZC",
+        axis_sign=[1, -1, 1, 1],
+        homing_timeout=90.0,
+        tolerance_angle=0.002,
+        tolerance_quill=0.0002,
+        settle_time=0.3,
+    )
+    settings = load_cell(path).file.arm.driver_settings()
+    assert settings.axis_sign == (1, -1, 1, 1)
+    assert (settings.homing_timeout, settings.settle_time) == (90.0, 0.3)
+    assert (settings.tolerance_angle, settings.tolerance_quill) == (0.002, 0.0002)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("axis_letters", "XYZ", "four different letters are needed"),
+        ("axis_letters", "XYZQ", "each must be one of XYZABCUVWE"),
+        ("axis_sign", [1, 0, 1, 1], "each must be 1 or -1"),
+    ],
+)
+def test_axes_that_make_no_arm_are_refused(
+    tmp_path: Path, key: str, value: object, words: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        load_cell(changed_arm(tmp_path, **{key: value}))
+
+
+def changed_arm(folder: Path, **keys: object) -> Path:
+    """A copy of the shipped cell with other values in its arm section."""
+    shutil.copytree(shared_folder(), folder / "config")
+    path = folder / "config" / "cell.yaml"
+    document = yaml.safe_load(path.read_text())
+    document["arm"].update(keys)
+    path.write_text(yaml.safe_dump(document))
+    return path

@@ -196,18 +196,19 @@ def test_the_spread_holds_999_of_1000_first_slides_anywhere_in_the_prior(frictio
 
 def test_kept_gains_come_back_and_a_damaged_file_is_named():
     name = "my disk / no. 3"
-    assert np.array_equal(load_gains(name).value, Gains.start().value)
+    assert np.array_equal(load_gains(name, "domain0").value, Gains.start().value)
     gains = learn((1.8, 0.6, 0.01, 0.0, 1.0, 0.0), 12)
-    path = keep_gains(name, gains)
-    assert path == gains_file(name) and path.parent.name == "gains"
-    loaded = load_gains(name)
+    path = keep_gains(name, "domain0", gains)
+    assert path == gains_file(name, "domain0") and path.parent.name == "domain0"
+    assert np.array_equal(load_gains(name, "domain0.left").value, Gains.start().value)
+    loaded = load_gains(name, "domain0")
     again = learn((1.8, 0.6, 0.01, 0.0, 1.0, 0.0), 1, 9, loaded)
     assert np.allclose(again.value[:3], gains.value[:3], rtol=0.06, atol=0.01)
     assert loaded.spread([0.01, 0, 0], SCATTER, 3.0).longest < 2.0
     content = json.loads(path.read_text())
     path.write_text(json.dumps({**content, "distance": 17.0}))
     with pytest.raises(PlanningError, match=r"no\._3\.json.*distance is 17\.0.*0\.1 to 10"):
-        load_gains(name)
+        load_gains(name, "domain0")
     path.write_text("{")
     with pytest.raises(PlanningError, match="delete it"):
-        load_gains(name)
+        load_gains(name, "domain0")

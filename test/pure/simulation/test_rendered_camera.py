@@ -13,7 +13,7 @@ from tapping_cell.se2 import inverse, transform_points
 from tapping_cell.simulation.camera_layers import convex_coverage
 from tapping_cell.simulation.rendered_camera import Occluder, SceneRenderer, SceneSettings
 from tapping_cell.vision import CameraModel, CameraPose, ObjectMarker, ReferenceMap, ReferenceMarker
-from tapping_cell.vision.markers import marker_pattern
+from tapping_cell.vision.markers.detection import marker_pattern
 
 CAMERA = CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5, (-0.12, 0.08, 0.0004, -0.0003, 0.0))
 POSE = CameraPose.above((0.03, -0.02, 0.7), spin=0.02)

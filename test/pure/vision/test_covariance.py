@@ -10,8 +10,8 @@ from scenes import CAMERA, REFERENCES
 
 from tapping_cell.se2 import transform_points
 from tapping_cell.vision import CameraModel, CameraPose, ReferenceMap, View
-from tapping_cell.vision.edges import BINS, MarkerEdges
-from tapping_cell.vision.table import TableState, TableTracker
+from tapping_cell.vision.markers.edges import BINS, MarkerEdges
+from tapping_cell.vision.table.tracker import TableState, TableTracker
 
 ROW = 0.05
 """Standard deviation of one row of an edge, pixels; 60 rows a side."""

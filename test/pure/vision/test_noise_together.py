@@ -10,9 +10,9 @@ from scenes import CAMERA, MARKER, POSE, area_sampled_marker
 
 from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.vision import View
-from tapping_cell.vision.edges import refine
-from tapping_cell.vision.markers import UNIT_CORNERS
-from tapping_cell.vision.photometric import align, make_template
+from tapping_cell.vision.markers.detection import UNIT_CORNERS
+from tapping_cell.vision.markers.edges import refine
+from tapping_cell.vision.markers.photometric import align, make_template
 
 VIEW = View(CAMERA, POSE)
 PIXEL = 0.7 / 1150.0

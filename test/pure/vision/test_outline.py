@@ -23,8 +23,8 @@ from tapping_cell.vision import (
     Problem,
     View,
 )
-from tapping_cell.vision.outline_fit import fit_again, fit_outline
-from tapping_cell.vision.outline_search import find_outlines, stands_out
+from tapping_cell.vision.outline.fit import fit_again, fit_outline
+from tapping_cell.vision.outline.search import find_outlines, stands_out
 
 DISK = ObjectOutline(0.012, False, radius=0.048, dot=Dot(0.006, (0.03, 0.0), True))
 FOUR = ObjectOutline(

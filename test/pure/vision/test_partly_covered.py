@@ -9,10 +9,10 @@ from scenes import MARKER, renderer
 
 from tapping_cell.se2 import transform_points
 from tapping_cell.simulation.rendered_camera import Occluder
-from tapping_cell.vision.edges import refine
-from tapping_cell.vision.markers import UNIT_CORNERS, marker_pattern
-from tapping_cell.vision.object import fit_marker
-from tapping_cell.vision.search import patterns_agree
+from tapping_cell.vision.markers.detection import UNIT_CORNERS, marker_pattern
+from tapping_cell.vision.markers.edges import refine
+from tapping_cell.vision.markers.object_pose import fit_marker
+from tapping_cell.vision.markers.search import patterns_agree
 
 
 def test_a_plate_along_a_side_moves_no_accepted_pose():

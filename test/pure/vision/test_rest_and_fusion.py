@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tapping_cell.se2 import wrap_angle
 from tapping_cell.vision.fusion import fuse
-from tapping_cell.vision.rest import Track
+from tapping_cell.vision.rest_detection import Track
 
 SIGMA = np.array([3e-6, 3e-6, 1.0e-4])
 COVARIANCE = np.diag(SIGMA**2)

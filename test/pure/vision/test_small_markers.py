@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from tapping_cell.vision.markers import Effort, find_markers, marker_pattern
-from tapping_cell.vision.measuring import measure
-from tapping_cell.vision.search import Census
-from tapping_cell.vision.small import as_edges, fit_pattern
-from tapping_cell.vision.start import better_corners
-from tapping_cell.vision.table import side_noise
+from tapping_cell.vision.markers.detection import Effort, find_markers, marker_pattern
+from tapping_cell.vision.markers.initial_corners import better_corners
+from tapping_cell.vision.markers.measurement import measure
+from tapping_cell.vision.markers.search import Census
+from tapping_cell.vision.markers.small_markers import as_edges, fit_pattern
+from tapping_cell.vision.table.tracker import side_noise
 
 FINE = 12
 """Samples of the picture along a pixel."""

@@ -22,7 +22,7 @@ from tapping_cell.vision import (
     ReferenceMap,
     annotate,
 )
-from tapping_cell.vision.table import TableTracker
+from tapping_cell.vision.table.tracker import TableTracker
 
 HOME = np.array([0.1, 0.05, 0.4])
 FRAME = 1.0 / 30.0

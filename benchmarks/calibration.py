@@ -1,0 +1,186 @@
+"""The fit of single taps against truths that it does not know.
+
+Each experiment draws a truth (friction 0.10 to 0.30, torque factor 1 to 4, restitution 0.65 to
+0.95, contact friction 0.14 to 0.28, a striker 5 % faster or slower than commanded), makes 4 runs of
+10 taps on the simulated world, which integrates them in time, with a scatter of 5 % in speed, 15 %
+in spin and 1 degree in direction, and a camera of 30 Hz whose poses are off by 0.03 mm and 0.05
+degrees; then it fits. Every fourth experiment predicts as many new taps.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from single_taps import Design, simulated_trials
+
+from benchmarks.closed_loop import measure_loop
+from tapping_cell.calibration.experiment import Experiment, ExperimentFile, StrikerSection
+from tapping_cell.calibration.object_fit import fit_object, predict
+from tapping_cell.configuration.objects import MarkerSection, ObjectFile, ShapeSection
+from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTruth, TruthFile
+
+DEFAULT_COUNT = 100
+_SHAPES = ("disk", "ring", "polygon")
+_OTHERS = 0.2  # experiments with each other shape, of those with a disk
+_PREDICTING = 4  # every so many experiments
+_LIMITS = {"torque_factor": 0.05, "friction": 0.03, "restitution": 0.04}
+_SCATTER = ScatterTruth(speed=0.05, spin=0.15, direction=math.radians(1.0))
+_STRIKER = StrikerSection(mass=0.1, tip_radius=0.0054, constraint="free")
+
+
+def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
+    """Errors and coverage by shape, over ``count`` with disks and a fifth with the others."""
+    report: dict[str, Any] = {"load": os.getloadavg()[0]}
+    for shape in _SHAPES:
+        number = count if shape == "disk" else max(round(_OTHERS * count), 1)
+        report[shape] = _shape(shape, number)
+    report["loop"] = measure_loop()
+    return report
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """The figures for people."""
+    text = [f"load average {report['load']:.1f}"]
+    for shape in _SHAPES:
+        figures = report[shape]
+        text.append(
+            f"{shape}, {figures['experiments']} experiments of 4 x 10 taps, "
+            f"{figures['fit_s']:.1f} s of processor a fit:"
+        )
+        for name, limit in _LIMITS.items():
+            value = figures[name]
+            text.append(
+                f"  {name:<14} within {100 * limit:.0f} % in {100 * value['within']:.0f} %, in its "
+                f"95 % interval in {100 * value['covered']:.0f} %; error rms "
+                f"{100 * value['rms']:.2f} %, mean {100 * value['mean']:+.2f} %, half interval "
+                f"{100 * value['half_interval']:.2f} %"
+            )
+        for kind in ("sliding", "tap"):
+            value = figures[kind]
+            text.append(
+                f"  new taps, {kind}: distance of a run off by {100 * value['distance']:.1f} % on "
+                f"average (within 5 % in {100 * value['distance_within']:.0f} % of the runs), "
+                f"rotation by {100 * value['rotation']:.1f} % (within 10 % in "
+                f"{100 * value['rotation_within']:.0f} %)"
+            )
+    text.append("taps of the optimal planner for 10 mm and 10 degrees, by the true over configured")
+    text.append("friction, torque factor, restitution and contact friction:")
+    for row in report["loop"]:
+        factors = ", ".join(f"{factor:g}" for factor in row["truth"])
+        text.append(
+            f"  {factors}: {row['configured']:.2f} as configured, {row['fitted']:.2f} as fitted "
+            f"({100 * row['fewer']:.0f} % fewer), {row['perfect']:.2f} if it knew the truth"
+        )
+    return text
+
+
+def _shape(shape: str, count: int) -> dict[str, Any]:
+    return summary([trial(shape, seed) for seed in range(count)])
+
+
+def trial(shape: str, seed: int) -> dict[str, Any]:
+    """One experiment: errors, half intervals and coverage; every fourth also predicts new taps."""
+    content, truth, true = draw(shape, seed)
+    experiment = _experiment(content, truth, 2 * seed)
+    began = time.process_time()
+    fit = fit_object([experiment], content)
+    row: dict[str, Any] = {"seconds": time.process_time() - began, "sliding": [], "tap": []}
+    for name in _LIMITS:
+        found = fit.estimate(name)
+        row[name] = (
+            found.value / true[name] - 1,
+            (found.high - found.low) / (2 * found.value),
+            found.low <= true[name] <= found.high,
+        )
+    if seed % _PREDICTING == 0:
+        for run in predict(fit, [_experiment(content, truth, 2 * seed + 1)]):
+            row["sliding"].append((run.sliding_distance, run.sliding_rotation))
+            row["tap"].append((run.tap_distance, run.tap_rotation))
+    return row
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The figures of several experiments together."""
+    seconds = float(np.mean([row["seconds"] for row in rows]))
+    report: dict[str, Any] = {"experiments": len(rows), "fit_s": seconds}
+    for name, limit in _LIMITS.items():
+        off, width, covered = np.array([row[name] for row in rows], dtype=float).T
+        report[name] = {
+            "within": float(np.mean(np.abs(off) <= limit)),
+            "covered": float(np.mean(covered)),
+            "rms": float(np.sqrt(np.mean(off**2))),
+            "mean": float(np.mean(off)),
+            "half_interval": float(np.mean(width)),
+        }
+    for kind in ("sliding", "tap"):
+        distance, rotation = np.abs([pair for row in rows for pair in row[kind]]).T
+        report[kind] = {
+            "distance": float(distance.mean()),
+            "rotation": float(rotation.mean()),
+            "distance_within": float(np.mean(distance <= 0.05)),
+            "rotation_within": float(np.mean(rotation <= 0.10)),
+        }
+    return report
+
+
+def draw(shape: str, seed: int) -> tuple[ObjectFile, TruthFile, dict[str, float]]:
+    """What the fit is told of an object, the truth, and the true values."""
+    random = np.random.default_rng([seed, _SHAPES.index(shape)])
+    size = float(random.uniform(0.035, 0.055))
+    half = 0.9 * size
+    square = ((-half, -half), (half, -half), (half, half), (-half, half))
+    outline = (
+        ShapeSection("polygon", vertices=square)
+        if shape == "polygon"
+        else ShapeSection(shape, radius=size)
+    )
+    told = {"friction": 0.17, "torque_factor": 3.64, "restitution": 0.86, "contact_friction": 0.20}
+    true = {
+        "friction": float(random.uniform(0.10, 0.30)),
+        "torque_factor": float(math.exp(random.uniform(0.0, math.log(4.0)))),
+        "restitution": float(random.uniform(0.65, 0.95)),
+        "contact_friction": float(random.uniform(0.14, 0.28)),
+    }
+    content = ObjectFile(
+        name=shape,
+        shape=outline,
+        mass=float(random.uniform(0.1, 0.3)),
+        height=0.012,
+        marker=MarkerSection("APRILTAG_36h11", 1, 0.04),
+        **told,
+    )
+    truth = TruthFile(
+        (0.0, 0.0, 0.0),
+        support=SupportTruth(
+            friction_factor=true["friction"] / told["friction"],
+            torque_factor_factor=true["torque_factor"] / told["torque_factor"],
+        ),
+        impact=ImpactTruth(
+            true["restitution"] / told["restitution"],
+            true["contact_friction"] / told["contact_friction"],
+            float(random.uniform(0.95, 1.05)),
+        ),
+        scatter=_SCATTER,
+    )
+    return content, truth, true
+
+
+def _experiment(content: ObjectFile, truth: TruthFile, seed: int) -> Experiment:
+    design = Design()
+    header = ExperimentFile(
+        format=1,
+        made="",
+        source="simulated",
+        striker=_STRIKER,
+        camera_rate_hz=design.rate,
+        rest_position_std=design.rest_noise[0],
+        rest_rotation_std=design.rest_noise[1],
+    )
+    trials = simulated_trials(content, _STRIKER.striker(), truth, design, seed)
+    return Experiment(Path(), header, tuple(trials), ())

@@ -1,0 +1,172 @@
+"""What a fitted object file is worth in demos: taps with the configured and with the fitted file.
+
+The cell's own sessions (planner, learning from tap to tap, arm, table) against the simulated world,
+which integrates every slide in time, with the truth's tilt, uneven pressure, scatter and errors of
+the arm; without pictures, serial lines and the graph, so that a demo takes a fifth of a second.
+Truths differ from the configuration by a fifth, as in closed_loop, and the fit is made of 4 runs of
+10 single taps on the same truth.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from single_taps import Design, simulated_trials
+
+from benchmarks.closed_loop import TRUTHS
+from tapping_cell.calibration.experiment import Experiment, ExperimentFile, StrikerSection
+from tapping_cell.calibration.object_file import fit_record, fitted_object
+from tapping_cell.calibration.object_fit import fit_object
+from tapping_cell.configuration import assembly
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.objects import ObjectFile
+from tapping_cell.configuration.schema import load
+from tapping_cell.planning import FreeSpace, PositioningSession, make_planner
+from tapping_cell.planning.session import Done, Strike
+from tapping_cell.se2 import Pose, wrap_angle
+from tapping_cell.simulation.truth import ArmTruth, ImpactTruth, TruthFile
+from tapping_cell.simulation.world import World
+
+DEFAULT_COUNT = 60
+MOVES = ((10.0, 0.0, 10.0), (40.0, -25.0, 30.0), (-35.0, 30.0, -25.0), (70.0, 10.0, 15.0))
+"""Goals from where the object lies, mm, mm and degrees, in turn."""
+_LOOK = (1.5e-5, 1.5e-5, 3e-4)
+"""What a look at rest leaves, one standard deviation: m, m, rad."""
+
+
+def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
+    """Mean taps over ``count`` demos for each truth."""
+    configured = load_cell()
+    rows = []
+    for seed, (friction, torque, restitution, contact) in enumerate(TRUTHS):
+        default = load(TruthFile, shared_folder() / "truth" / "default.yaml")
+        truth = replace(
+            default,
+            support=replace(default.support, friction_factor=friction, torque_factor_factor=torque),
+            impact=ImpactTruth(restitution, contact, default.impact.striker_speed_factor),
+        )
+        old = _demos(configured, configured.object, truth, count)
+        fitted = replace(configured, object=_fitted(configured, truth, seed))
+        new = _demos(fitted, configured.object, truth, count)
+        # A striker as fast as its curve says is what `calibrate tapper` leaves.
+        as_told = replace(truth, impact=replace(truth.impact, striker_speed_factor=1.0))
+        both = _demos(fitted, configured.object, as_told, count)
+        saved = np.array(old) - np.array(new)
+        rows.append(
+            {
+                "truth": (friction, torque, restitution, contact),
+                "configured": float(np.mean(old)),
+                "fitted": float(np.mean(new)),
+                "fitted_and_tapper": float(np.mean(both)),
+                "fewer": 1.0 - float(np.sum(new)) / float(np.sum(old)),
+                "fewer_deviation": float(saved.std() / math.sqrt(count) / np.mean(old)),
+            }
+        )
+    return {"demos": count, "truths": rows}
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    text = [
+        f"mean taps of {report['demos']} demos of 10 to 71 mm and 10 to 30 degrees, by the true"
+        " over configured friction, torque factor, restitution and contact friction:"
+    ]
+    for row in report["truths"]:
+        factors = ", ".join(f"{factor:g}" for factor in row["truth"])
+        text.append(
+            f"  {factors}: {row['configured']:.2f} as configured, {row['fitted']:.2f} as fitted:"
+            f" {100 * row['fewer']:.0f} +- {100 * row['fewer_deviation']:.0f} % fewer;"
+            f" {row['fitted_and_tapper']:.2f} with the tapper calibrated as well:"
+            f" {100 * (1 - row['fitted_and_tapper'] / row['configured']):.0f} % fewer"
+        )
+    before, *after = (
+        sum(row[name] for row in report["truths"])
+        for name in ("configured", "fitted", "fitted_and_tapper")
+    )
+    shares = [f"{100 * (1 - taps / before):.0f} %" for taps in after]
+    text.append(f"  all: {shares[0]} fewer, {shares[1]} with the tapper calibrated as well")
+    return text
+
+
+def _fitted(cell: Cell, truth: TruthFile, seed: int) -> ObjectFile:
+    tapper = cell.file.tapper
+    striker = StrikerSection(tapper.mass, tapper.tip_radius, tapper.constraint)
+    header = ExperimentFile(1, "", "simulated", striker=striker, camera_rate_hz=30.0)
+    taps = simulated_trials(cell.object, tapper.striker(), truth, Design(), seed)
+    fit = fit_object([Experiment(Path(), header, tuple(taps), ())], cell.object)
+    return fitted_object(fit, fit_record(fit, ()))
+
+
+def _demos(cell: Cell, told: ObjectFile, truth: TruthFile, count: int) -> list[int]:
+    """Taps of each demo of a cell that believes its object, where ``told`` is what the truth is
+    relative to; one that ends without the goal counts with the most taps."""
+    goal = cell.file.goal
+    tolerance = (goal.position_tolerance, goal.angle_tolerance)
+    planner = make_planner(goal.planner, assembly.make_planner_settings(cell, tolerance))
+    space = assembly.make_strike_space(cell)
+    free = FreeSpace(space)
+    taps = []
+    for seed in range(1, count + 1):
+        world = World(told, cell.file.tapper.striker(), cell.file.tapper.stroke, truth, seed)
+        start = Pose(*truth.object_start)
+        world.place(start)
+        dx, dy, turn = MOVES[seed % len(MOVES)]
+        wanted = (
+            start.x + dx / 1000,
+            start.y + dy / 1000,
+            float(wrap_angle(start.theta + math.radians(turn))),
+        )
+        session = PositioningSession(wanted, planner, space, free, most_taps=goal.max_taps)
+        done = _position(cell, told, world, session, truth.arm, np.random.default_rng([seed, 7]))
+        taps.append(session.taps if done else goal.max_taps)
+    return taps
+
+
+def _position(
+    cell: Cell,
+    told: ObjectFile,
+    world: World,
+    session: PositioningSession,
+    arm: ArmTruth,
+    random: np.random.Generator,
+) -> bool:
+    """Tap until the session says that it is done or refuses; whether it was done."""
+    covariance = np.diag(np.square(_LOOK))
+
+    def look() -> np.ndarray:
+        here = world.pose
+        return np.array([here.x, here.y, here.theta]) + _LOOK * random.standard_normal(3)
+
+    now = 0.0
+    world.advance(now)
+    seen = look()
+    decision = session.decide(seen, covariance)
+    while isinstance(decision, Strike):
+        tip = _true_tip(cell, decision.plan.strike_pose, arm, random)
+        world.strike(tip, told.height / 2, decision.plan.striker_speed, now)
+        while True:
+            now += 0.1
+            world.advance(now)
+            if world.at_rest:
+                break
+        before, seen = seen, look()
+        session.observe(decision, before, seen, covariance)
+        decision = session.decide(seen, covariance)
+    return isinstance(decision, Done)
+
+
+def _true_tip(cell: Cell, asked: Pose, arm: ArmTruth, random: np.random.Generator) -> Pose:
+    """Where the arm truly holds the tip that it was asked for."""
+    geometry = cell.file.arm.geometry()
+    local = cell.arm_base.inverse() @ asked
+    solution = geometry.inverse((local.x, local.y, cell.file.arm.strike_height, local.theta))
+    assert solution.joints is not None, solution.reason
+    play = np.array(arm.backlash) * (random.random(4) - 0.5)
+    off = np.array(arm.joint_offset) + np.array(arm.repeatability) * random.standard_normal(4)
+    tip = geometry.forward(np.array(solution.joints) + off + play)
+    return cell.arm_base @ Pose(*arm.base_offset) @ Pose(tip.x, tip.y, tip.yaw)

@@ -1,0 +1,162 @@
+"""From the topic ``emergency_stop`` to the stop bytes on the wire, through the real nodes.
+
+Each driver's node runs as a process of its own against an emulated board in this process; what is
+measured is publisher, middleware, executor, driver, terminal and the thread that reads it here. The
+peer is a byte written to the same terminal and seen by the same thread.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+from tapping_cell_msgs.msg import ArmState, TapperState
+
+from tapping_cell.cli.graph import Graph, own_domain
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.clients.goal_client import GoalClient
+from tapping_cell.simulation.device_emulator import DeviceEmulator
+from tapping_cell.simulation.grbl_emulator import GrblEmulator
+from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
+
+STOPS = 100
+PATIENCE_S = 20.0
+
+
+class Listening:
+    """An emulated board that notes when a stop byte comes."""
+
+    def __init__(self, board: DeviceEmulator) -> None:
+        self.board = board
+        self.stopped_at = 0.0
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Bytes from the host."""
+        if b"!" in data and not self.stopped_at:
+            self.stopped_at = time.monotonic()
+        self.board.receive(data, now)
+
+    def advance(self, now: float) -> None:
+        """Let the board go on."""
+        self.board.advance(now)
+
+    def take_output(self, now: float) -> bytes:
+        """What the board says."""
+        return self.board.take_output(now)
+
+    def next_event(self) -> float | None:
+        """When the board does something next."""
+        return self.board.next_event()
+
+    def power_cycle(self, now: float) -> None:
+        """The board restarts."""
+        self.board.power_cycle(now)
+
+
+def measure() -> dict[str, Any]:
+    """Times in s for each node, and of a bare byte through the terminal."""
+    domain = own_domain()
+    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    tapper = TapperEmulator(now=time.monotonic())
+    return {
+        "scara_arm": _stops(
+            "scara_arm",
+            GrblEmulator(now=time.monotonic()),
+            lambda client: (
+                client.arm_state is not None
+                and client.arm_state.state in (ArmState.NOT_HOMED, ArmState.IDLE)
+            ),
+            lambda: None,
+            {"home_on_activate": False},
+        ),
+        "tapper_trigger": _stops(
+            "tapper_trigger",
+            tapper,
+            lambda client: (
+                client.tapper_state is not None and client.tapper_state.state == TapperState.SAFE
+            ),
+            lambda: tapper.press_clear_button(time.monotonic()),
+            {},
+        ),
+    }
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    return [
+        f"{node}: emergency_stop to the wire: median {1e3 * figures['median']:.1f} ms, p99"
+        f" {1e3 * figures['p99']:.1f} ms of {figures['stops']} (a bare byte: p99"
+        f" {1e3 * figures['bare_p99']:.1f} ms); load {figures['load']:.1f}"
+        for node, figures in report.items()
+    ]
+
+
+def _stops(
+    name: str,
+    board: DeviceEmulator,
+    ready: Callable[[GoalClient], bool],
+    person: Callable[[], None],
+    parameters: dict[str, object],
+) -> dict[str, float]:
+    listening = Listening(board)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "port"
+        given = {name: {"port": path, **parameters}}
+        with (
+            PseudoTerminal(listening, path) as terminal,
+            Graph((name,), given, Path(folder) / "logs") as graph,
+            GoalClient("stop_bench") as client,
+        ):
+            publisher = client.node.create_publisher(Bool, "emergency_stop", LATCHED)
+            clear = client.node.create_client(Trigger, f"{name}/clear_fault")
+            times: list[float] = []
+            for _ in range(STOPS):
+                _wait(lambda: ready(client) and clear.service_is_ready(), graph)
+                listening.stopped_at = 0.0
+                began = time.monotonic()
+                publisher.publish(Bool(data=True))
+                _wait(lambda: listening.stopped_at > 0, graph)
+                times.append(listening.stopped_at - began)
+                _wait(lambda: not ready(client), graph)
+                with terminal.lock:
+                    person()
+                clear.call_async(Trigger.Request())
+            graph.stop()
+            bare = [_bare(path, listening) for _ in range(STOPS)]
+    return {
+        "stops": STOPS,
+        "median": float(np.median(times)),
+        "p99": float(np.percentile(times, 99)),
+        "bare_p99": float(np.percentile(bare, 99)),
+        "load": os.getloadavg()[0],
+    }
+
+
+def _bare(path: Path, listening: Listening) -> float:
+    port = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        listening.stopped_at = 0.0
+        began = time.monotonic()
+        os.write(port, b"!")
+        while not listening.stopped_at:
+            time.sleep(0.0002)
+        return listening.stopped_at - began
+    finally:
+        os.close(port)
+
+
+def _wait(condition: Callable[[], bool], graph: Graph) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        graph.check()
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"nothing happened for {PATIENCE_S:.0f} s")
+        time.sleep(0.001)

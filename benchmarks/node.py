@@ -1,0 +1,105 @@
+"""The running graph: what each node takes of a core, and how long camera_pose takes for a picture.
+
+Starts the simulated cell as processes, lets the object lie still, and reads for some seconds the
+processes' times and the stamps of object_state against the clock. Then feeds camera_pose alone with
+pictures of several kinds.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from tapping_cell_msgs.msg import ObjectState
+
+from benchmarks import node_pictures
+from tapping_cell.cli.graph import SIMULATED, Graph, own_domain, with_own_ports
+from tapping_cell.nodes.cell_node import LATCHED
+
+DEFAULT_COUNT = 10
+"""Seconds that are watched."""
+PATIENCE_S = 60.0
+
+
+def measure(seconds: int) -> dict[str, Any]:
+    """Shares of a core by node, rate and age of object_state, milliseconds a picture."""
+    domain = own_domain()
+    local = {"ROS_DOMAIN_ID": str(domain.number), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    os.environ.update(local)
+    with tempfile.TemporaryDirectory() as folder:
+        parameters = with_own_ports({name: {} for name in SIMULATED}, Path(folder))
+        with Graph(SIMULATED, parameters, Path(folder) / "logs", local) as graph:
+            rclpy.init()
+            try:
+                report = _watch(graph, seconds)
+            except BaseException:
+                rclpy.try_shutdown()
+                raise
+    try:
+        return report | {"pictures": node_pictures.measure(seconds, local, _cpu_seconds)}
+    finally:
+        rclpy.try_shutdown()
+
+
+def _watch(graph: Graph, seconds: int) -> dict[str, Any]:
+    node = rclpy.create_node("node_benchmark")
+    states: list[tuple[float, bool]] = []
+    told: dict[str, str] = {}
+
+    def on_state(message: ObjectState) -> None:
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        states.append((time.time() - stamp, message.at_rest))
+
+    def on_diagnostics(message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name.endswith("camera_pose"):
+                told.update({entry.key: entry.value for entry in status.values})
+
+    node.create_subscription(ObjectState, "object_state", on_state, LATCHED)
+    node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
+    deadline = time.monotonic() + PATIENCE_S
+    while not (states and states[-1][1]):
+        graph.check()
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"the object was not seen at rest within {PATIENCE_S:.0f} s")
+        rclpy.spin_once(node, timeout_sec=0.1)
+    states.clear()
+    before = {name: _cpu_seconds(pid) for name, pid in graph.process_ids.items()}
+    begin = time.monotonic()
+    while time.monotonic() - begin < seconds:
+        rclpy.spin_once(node, timeout_sec=0.05)
+    took = time.monotonic() - begin
+    shares = {
+        name: (_cpu_seconds(pid) - before[name]) / took for name, pid in graph.process_ids.items()
+    }
+    node.destroy_node()
+    return {
+        "cores": shares,
+        "rate_hz": len(states) / took,
+        "age_ms": statistics.median(age for age, _ in states) * 1e3,
+        "picture_ms": float(told.get("milliseconds a picture", "nan")),
+        "load": os.getloadavg()[0],
+    }
+
+
+def _cpu_seconds(pid: int) -> float:
+    """User and system time of a process, its threads included (proc(5), fields 14 and 15)."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    text = [f"{name:<16}{100 * share:5.1f} % of a core" for name, share in report["cores"].items()]
+    text.append(
+        f"object_state at {report['rate_hz']:.1f} Hz, {report['age_ms']:.1f} ms after the middle "
+        f"of the exposure; camera_pose takes {report['picture_ms']:.2f} ms a picture "
+        f"(load {report['load']:.1f})"
+    )
+    return [*text, "camera_pose alone:", *node_pictures.lines(report["pictures"])]

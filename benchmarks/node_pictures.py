@@ -1,0 +1,207 @@
+"""camera_pose alone, fed with pictures from this process: what a picture costs it and how late the
+answer is.
+
+The latency counts from the call that publishes a picture to the arrival of its object_state here:
+the transport both ways included. The node's own share of that is what it says in /diagnostics.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import CameraInfo, Image
+from tapping_cell_msgs.msg import ObjectState
+
+from tapping_cell.cli.graph import Graph
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.scene import make_renderer
+from tapping_cell.simulation.truth import CameraTruth
+
+RATE = 30.0
+PICTURES = 60
+"""Different pictures, shown over and over."""
+WARM_UP_S = 4.0
+PATIENCE_S = 60.0
+MARKED, PLAIN = "aluminium_disk.yaml", "plain_disk_with_dot.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What is shown to the node."""
+
+    name: str
+    object_file: str = MARKED
+    moving: bool = False
+    encoding: str = "mono8"
+    annotated: bool = False
+
+
+CASES = (
+    Case("at rest"),
+    Case("at rest, annotated picture heard", annotated=True),
+    *(
+        Case(f"at rest, {encoding}", encoding=encoding)
+        for encoding in ("bgr8", "bgra8", "mono16", "yuv422", "bayer_rggb8")
+    ),
+    Case("moving", moving=True),
+    Case("outline, at rest", PLAIN),
+    Case("outline, moving", PLAIN, moving=True),
+)
+
+
+def measure(
+    seconds: float, environment: dict[str, str], cpu_seconds: Callable[[int], float]
+) -> list[dict[str, Any]]:
+    """Each case in a process of its own; rclpy is initialised."""
+    return [_measure(case, seconds, environment, cpu_seconds) for case in CASES]
+
+
+def _measure(
+    case: Case, seconds: float, environment: dict[str, str], cpu_seconds: Callable[[int], float]
+) -> dict[str, Any]:
+    path = shared_folder() / "objects" / case.object_file
+    shown = _pictures(case, path)
+    parameters = {"camera_pose": {"object_file": path}}
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Graph(("camera_pose",), parameters, Path(folder), environment) as graph,
+    ):
+        player = _Player(case, shown)
+        try:
+            player.play(WARM_UP_S, graph)
+            (pid,) = graph.process_ids.values()
+            before, begin = cpu_seconds(pid), time.monotonic()
+            player.play(seconds, graph)
+            took = time.monotonic() - begin
+            return player.report(seconds) | {
+                "case": case.name,
+                "cores": (cpu_seconds(pid) - before) / took,
+                "load": os.getloadavg()[0],
+            }
+        finally:
+            player.node.destroy_node()
+
+
+def _pictures(case: Case, path: Path) -> list[Image]:
+    cell = load_cell(None, path)
+    renderer = make_renderer(cell, CameraTruth(), cell.outline(), 1)
+    made = []
+    for number in range(PICTURES):
+        # Once around in two seconds: 0.3 m/s, blurred over a fifth of the period.
+        turns = np.array([number, number + 0.2]) / PICTURES if case.moving else np.full(2, 0.1)
+        start, end = (
+            Pose(0.1 * np.cos(angle), 0.1 * np.sin(angle), angle) for angle in 2 * np.pi * turns
+        )
+        picture = _encoded(renderer.render(start, end), case.encoding)
+        made.append(images.to_message(picture, case.encoding))
+    return made
+
+
+def _encoded(grey: NDArray[np.uint8], encoding: str) -> NDArray[np.uint8]:
+    """A grey picture as a camera of that encoding sends it; grey, a Bayer pattern is the same."""
+    if encoding in ("bgr8", "bgra8"):
+        return np.repeat(grey[..., None], len(encoding) - 1, axis=2)
+    empty = {"mono16": 0, "yuv422": 128}.get(encoding)
+    # Of two bytes the upper one, which little-endian comes last, and with UYVY the grey one, too.
+    return grey if empty is None else np.stack([np.full_like(grey, empty), grey], axis=-1)
+
+
+class _Player:
+    """Plays the camera at its rate from a thread of its own and hears the answers."""
+
+    def __init__(self, case: Case, shown: list[Image]) -> None:
+        self.node = rclpy.create_node("camera_player")
+        self._shown = shown
+        self._info = images.to_camera_info(load_cell().camera)
+        self._late: list[float] = []
+        self._inside: tuple[int, float] = (0, 0.0)
+        self._inside_before = self._inside
+        create = self.node.create_publisher
+        self._pictures = create(Image, "camera/image_raw", images.PICTURES)
+        self._infos = create(CameraInfo, "camera/camera_info", images.PICTURES)
+        self.node.create_subscription(ObjectState, "object_state", self._on_state, LATCHED)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        if case.annotated:
+            topic = "camera/image_annotated"
+            self.node.create_subscription(Image, topic, lambda _: None, images.PICTURES)
+
+    def play(self, seconds: float, graph: Graph) -> None:
+        """Publish for so long; what was measured before is forgotten."""
+        executor = SingleThreadedExecutor()
+        executor.add_node(self.node)
+        deadline = time.monotonic() + PATIENCE_S
+        while not (
+            self._pictures.get_subscription_count() and self._infos.get_subscription_count()
+        ):
+            graph.check()
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"camera_pose did not come up within {PATIENCE_S:.0f} s")
+            executor.spin_once(timeout_sec=0.1)
+        self._late.clear()
+        self._inside_before = self._inside
+        thread = threading.Thread(target=self._publish, args=(round(seconds * RATE),))
+        thread.start()
+        while thread.is_alive():
+            executor.spin_once(timeout_sec=0.05)
+        thread.join()
+        executor.remove_node(self.node)
+
+    def report(self, seconds: float) -> dict[str, Any]:
+        """Answers a second, and how late they were."""
+        (pictures, busy), (pictures_0, busy_0) = self._inside, self._inside_before
+        late = 1e3 * np.array(self._late)
+        return {
+            "rate_hz": len(late) / seconds,
+            "latency_ms": statistics.median(late.tolist()),
+            "latency_p95_ms": float(np.percentile(late, 95)),
+            "inside_ms": (busy - busy_0) / max(1, pictures - pictures_0),
+        }
+
+    def _publish(self, count: int) -> None:
+        begin = time.monotonic()
+        for number in range(count):
+            picture = self._shown[number % len(self._shown)]
+            stamp = self.node.get_clock().now().to_msg()
+            picture.header.stamp = self._info.header.stamp = stamp
+            self._infos.publish(self._info)
+            self._pictures.publish(picture)
+            time.sleep(max(0.0, begin + (number + 1) / RATE - time.monotonic()))
+
+    def _on_state(self, message: ObjectState) -> None:
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        if message.visible:
+            self._late.append(1e-9 * self.node.get_clock().now().nanoseconds - stamp)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            told = {entry.key: entry.value for entry in status.values}
+            if "milliseconds a picture" in told:
+                pictures = int(told["pictures"])
+                self._inside = (pictures, pictures * float(told["milliseconds a picture"]))
+
+
+def lines(report: list[dict[str, Any]]) -> list[str]:
+    """The report for people."""
+    return [
+        f"{entry['case']:<34}{100 * entry['cores']:5.1f} % of a core at {entry['rate_hz']:.1f} Hz; "
+        f"answer after {entry['latency_ms']:.1f} ms (p95 {entry['latency_p95_ms']:.1f}), of it "
+        f"{entry['inside_ms']:.1f} ms inside (load {entry['load']:.1f})"
+        for entry in report
+    ]

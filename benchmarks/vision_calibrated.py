@@ -1,0 +1,149 @@
+"""How exact is a cell whose camera was calibrated from photographs? And what limits it?
+
+Photographs of a ChArUco board are rendered and go through ``calibrate camera``'s own way; the
+object is then measured at rest, its frames fused, over the whole table: once with that
+calibration, once with the exact one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from benchmarks.vision_scenes import (
+    Cell,
+    Score,
+    random_place,
+    random_scene,
+    score_lines,
+)
+from tapping_cell.calibration.camera import CameraCalibration, calibrate_camera
+from tapping_cell.calibration.target import Target, TargetView, find_target
+from tapping_cell.vision import CameraModel, CameraPose, PoseTracker, View
+from tapping_cell.vision.markers.detection import dictionary_name
+
+DEFAULT_COUNT = 100
+VIEWS = 25
+FUSED = 30
+PLACES = 10
+"""Places of the object under one camera, and under one calibration."""
+TEXEL = 0.0002
+TARGET = Target("charuco", 14, 10, 0.030, 0.022, "4X4_100")
+
+
+def measure(count: int) -> dict[str, Any]:
+    """Scores of ``count`` places, a new camera and new photographs every ten."""
+    cv2.setNumThreads(1)
+    cell = Cell.load()
+    names = ("calibrated from photographs", "the same, one frame", "exact files")
+    scores = {name: Score([], []) for name in names}
+    calibrations = []
+    scene, camera = None, cell.camera
+    for number in range(count):
+        random = np.random.default_rng([number, 31])
+        if number % PLACES == 0:
+            scene = random_scene(random, cell, seed=number)
+            calibration = calibrated(random, cell.camera)
+            calibrations.append(calibration)
+            camera = replace(calibration.model, deviations=_stated(calibration))
+        assert scene is not None
+        true = random_place(random)
+        trackers = [PoseTracker(c, cell.table, cell.marker) for c in (camera, cell.camera)]
+        for k in range(FUSED):
+            image = scene.render(true)
+            by_calibration, by_exact = (t.update(image, k / 30.0) for t in trackers)
+            if k == 0:
+                scores[names[1]].add(by_calibration, true)
+        scores[names[0]].add(by_calibration, true)
+        scores[names[2]].add(by_exact, true)
+    true_camera = cell.camera
+    return {
+        "scores": {name: score.figures() for name, score in scores.items()},
+        "views": VIEWS,
+        "calibrations": [
+            {
+                "rms_pixels": c.rms,
+                "lens": c.lens,
+                "views_used": len(c.views),
+                "fx_error_pixels": c.model.fx - true_camera.fx,
+                "cx_error_pixels": c.model.cx - true_camera.cx,
+                "cy_error_pixels": c.model.cy - true_camera.cy,
+            }
+            for c in calibrations
+        ],
+    }
+
+
+def calibrated(random: np.random.Generator, camera: CameraModel) -> CameraCalibration:
+    """The camera as found from photographs of a board held at up to 35 degrees."""
+    board = _board()
+    rows, columns = np.mgrid[0 : camera.height, 0 : camera.width].astype(float)
+    rays = camera.rays(np.stack([columns, rows], axis=-1))
+    size = np.array([TARGET.columns, TARGET.rows]) * TARGET.square
+    views: list[TargetView] = []
+    for number in range(VIEWS):
+        tilt, way = math.radians(random.uniform(0.0, 35.0)), random.uniform(0.0, 2.0 * math.pi)
+        distance = random.uniform(0.42, 0.7)
+        aim = random.uniform(-0.35, 0.35, 2) * size
+        off = distance * math.sin(tilt) * np.array([math.cos(way), math.sin(way)])
+        place = (*(aim + off), distance * math.cos(tilt))
+        pose = CameraPose.above(place, (aim[0], aim[1]), random.uniform(-math.pi, math.pi))
+        image = _photograph(random, View(camera, pose), board, rays)
+        found = find_target(image, TARGET, f"view {number}")
+        if isinstance(found, TargetView):
+            views.append(found)
+    return calibrate_camera(views, TARGET, (camera.width, camera.height))
+
+
+def _stated(calibration: CameraCalibration) -> tuple[float, ...]:
+    """The standard deviations that the calibration's file states."""
+    names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+    return tuple(calibration.deviations.get(name, 0.0) for name in names)
+
+
+def _board() -> np.ndarray:
+    """The board's reflectance, a value a texel, blurred like a well focused picture of it."""
+    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary_name(TARGET.dictionary)))
+    board = cv2.aruco.CharucoBoard(
+        (TARGET.columns, TARGET.rows), TARGET.square, TARGET.marker, book
+    )
+    each = round(TARGET.square / TEXEL)
+    drawn = board.generateImage((TARGET.columns * each, TARGET.rows * each))
+    sheet = np.pad(drawn.astype(np.float32), each, constant_values=255.0)
+    return np.asarray(cv2.GaussianBlur(30.0 + sheet * (170.0 / 255.0), (0, 0), 1.7))
+
+
+def _photograph(
+    random: np.random.Generator, view: View, board: np.ndarray, rays: np.ndarray
+) -> np.ndarray:
+    points = view.rays_on_plane(rays, 0.0)
+    middle = 0.5 * np.array(board.shape[::-1]) - 0.5
+    x = (points[..., 0] / TEXEL + middle[0]).astype(np.float32)
+    y = (middle[1] - points[..., 1] / TEXEL).astype(np.float32)
+    image = cv2.remap(board, x, y, cv2.INTER_LINEAR, borderValue=(90.0,))
+    slope = random.uniform(-0.3, 0.0)
+    image = image * (1.0 + slope * np.linspace(0.0, 1.0, image.shape[1]))
+    noise = random.normal(0.0, 2.0, image.shape)
+    return np.asarray(np.clip(np.rint(image + noise), 0, 255), dtype=np.uint8)
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    rows = score_lines(report["scores"])
+    found = report["calibrations"]
+    rows.append(
+        f"{len(found)} calibrations from {report['views']} photographs each: focal length off by "
+        f"{_rms(found, 'fx_error_pixels'):.2f} pixels, middle by "
+        f"{_rms(found, 'cx_error_pixels'):.2f} and "
+        f"{_rms(found, 'cy_error_pixels'):.2f}, corners fitted to "
+        f"{np.median([c['rms_pixels'] for c in found]):.3f} pixels"
+    )
+    return rows
+
+
+def _rms(found: list[dict[str, Any]], name: str) -> float:
+    return float(np.sqrt(np.mean([c[name] ** 2 for c in found])))

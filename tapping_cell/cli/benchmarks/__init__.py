@@ -1,1 +1,0 @@
-"""One benchmark a room; see ``tapping_cell.cli.bench``."""

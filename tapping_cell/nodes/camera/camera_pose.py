@@ -1,0 +1,404 @@
+"""The seeing node: pictures in, the object's pose on the table with its covariance out.
+
+Further objects (parameter ``other_object_files``) are looked at in turn and published on
+``other_objects``.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from numpy.typing import NDArray
+from rclpy.time import Time
+from sensor_msgs.msg import CameraInfo, Image
+from tapping_cell_msgs.msg import ErrorCode, ObjectState, PlanState
+
+from tapping_cell.configuration.cell import Cell, load_cell, load_other_objects
+from tapping_cell.configuration.objects import ObjectFile
+from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.camera.dropped_frames import Backlog
+from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
+from tapping_cell.nodes.conversions import (
+    camera_to_message,
+    covariance_to_message,
+    from_message,
+    seconds,
+    to_message,
+)
+from tapping_cell.se2 import Pose
+from tapping_cell.vision import (
+    CameraError,
+    CameraModel,
+    Observation,
+    OtherObjects,
+    PoseTracker,
+    Problem,
+    TrackerSettings,
+    annotate,
+    marker_ids,
+)
+
+CODES = {
+    Problem.NONE: ErrorCode.NONE,
+    Problem.WRONG_IMAGE: ErrorCode.IMAGE_INVALID,
+    Problem.LATE_FRAME: ErrorCode.STAMP_INVALID,
+    Problem.FROZEN_FRAME: ErrorCode.IMAGE_INVALID,
+    Problem.DARK: ErrorCode.IMAGE_INVALID,
+    Problem.OVEREXPOSED: ErrorCode.IMAGE_INVALID,
+    Problem.TABLE_UNKNOWN: ErrorCode.REFERENCES_NOT_SEEN,
+    Problem.TABLE_CONTRADICTED: ErrorCode.CAMERA_MOVED,
+    Problem.REFERENCES_HIDDEN: ErrorCode.REFERENCES_NOT_SEEN,
+    Problem.CAMERA_MOVED: ErrorCode.CAMERA_MOVED,
+    Problem.CAMERA_MOVED_TOO_FAR: ErrorCode.CAMERA_MOVED,
+    Problem.OBJECT_HIDDEN: ErrorCode.OBJECT_NOT_SEEN,
+    Problem.WRONG_MARKER: ErrorCode.OBJECT_NOT_SEEN,
+    Problem.DUPLICATE_MARKER: ErrorCode.MARKER_AMBIGUOUS,
+    Problem.MIRRORED_MARKER: ErrorCode.OBJECT_NOT_SEEN,
+    Problem.MISSHAPEN_MARKER: ErrorCode.OBJECT_NOT_SEEN,
+    Problem.DUPLICATE_OBJECT: ErrorCode.MARKER_AMBIGUOUS,
+    Problem.MISSHAPEN_OBJECT: ErrorCode.OBJECT_NOT_SEEN,
+    Problem.WRONG_OBJECT: ErrorCode.OBJECT_NOT_SEEN,
+    Problem.DOT_HIDDEN: ErrorCode.OBJECT_NOT_SEEN,
+}
+
+WATCH_PERIOD_S = 0.05
+"""Between two looks whether pictures still come."""
+SILENCE_TOLD_EVERY = 5
+"""Looks in vain between two reports of a silent camera."""
+CAMERA_PERIOD_S = 1.0
+"""Between two reports of where the camera is."""
+STAMP_AHEAD_S = 1.0
+"""How far a picture's stamp may lie ahead of this node's clock."""
+MOST_LATE = 15
+"""Pictures in a row with stamps before the last good one: half a second of them is no accident."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Parameters of camera_pose."""
+
+    autostart: bool = text("configure and activate without being asked", default=True)
+    cell_file: str = text("path of the cell file; empty for the package's own", default="")
+    object_file: str = text("path of the object file; empty for the cell file's", default="")
+    other_object_files: str = text(
+        "paths of the files of further objects on the table, separated by commas", default=""
+    )
+    silence_limit: float = quantity(
+        "time without a picture after which the camera counts as silent",
+        "s",
+        0.1,
+        60.0,
+        default=0.4,
+    )
+    annotated_rate: float = quantity(
+        "greatest rate of camera/image_annotated, sent only while somebody listens",
+        "Hz",
+        0.1,
+        60.0,
+        default=10.0,
+    )
+
+
+class CameraPose(CellNode[Parameters]):
+    """See the module's docstring."""
+
+    def __init__(self) -> None:
+        super().__init__("camera_pose", Parameters)
+        self._cell: Cell | None = None
+        self._other_files: tuple[ObjectFile, ...] = ()
+        self._others: OtherObjects | None = None
+        self._tracker: PoseTracker | None = None
+        self._camera: CameraModel | None = None
+        self._calibration: tuple[object, ...] = ()
+        self._camera_problem = ""
+        self._late = 0
+        self._unanswered_since = 0.0
+        self._goal: Pose | None = None
+        self._heard = time.monotonic()
+        self._missed = 0
+        self._annotated_at = 0.0
+        self._camera_told_at = 0.0
+        self._backlog = Backlog()
+        self._frames = 0
+        self._busy_seconds = 0.0
+        self._last = ObjectState()
+        self._notice = ""
+        self._pose_publisher = self.create_publisher(PoseWithCovarianceStamped, "object_pose", 10)
+        self._state_publisher = self.create_publisher(ObjectState, "object_state", LATCHED)
+        self._others_publisher = self.create_publisher(ObjectState, "other_objects", 10)
+        self._camera_publisher = self.create_publisher(PoseStamped, "camera/pose", LATCHED)
+        self._picture_publisher = self.create_publisher(
+            Image, "camera/image_annotated", images.PICTURES
+        )
+        self.create_subscription(
+            CameraInfo, "camera/camera_info", self._on_camera_info, images.PICTURES
+        )
+        self._pictures = self.create_subscription(
+            Image, "camera/image_raw", self._on_image, images.PICTURES
+        )
+        self.create_subscription(PlanState, "plan_state", self._on_plan_state, LATCHED)
+        self.create_timer(WATCH_PERIOD_S, self._watch)
+
+    def configure(self) -> None:
+        """Read the cell, table and object files."""
+        self._cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
+        self._other_files = load_other_objects(self.settings.other_object_files, self._cell)
+        self._camera, self._calibration = None, ()
+
+    def cleanup(self) -> None:
+        """Forget the track."""
+        self._tracker = self._others = None
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """Pictures seen and what is wrong with them."""
+        values: dict[str, object] = {
+            "pictures": self._frames,
+            "pictures passed over": self._backlog.passed_over,
+            "milliseconds a picture": f"{1000 * self._busy_seconds / max(1, self._frames):.2f}",
+        }
+        trouble = self._last.error_msg or self._notice or self._backlog.sentence
+        if self._last.error_code or trouble:
+            return DiagnosticStatus.WARN, trouble, values
+        return DiagnosticStatus.OK, "ok", values
+
+    def _on_plan_state(self, message: PlanState) -> None:
+        busy = message.state not in (PlanState.IDLE, PlanState.CANCELED)
+        self._goal = from_message(message.goal.pose) if busy else None
+
+    def _on_camera_info(self, message: CameraInfo) -> None:
+        if not self.active or self._cell is None:
+            return
+        heard = images.calibration_of(message)
+        if heard == self._calibration:
+            return
+        self._calibration = heard
+        try:
+            camera = images.from_camera_info(message)
+        except CameraError as error:
+            self._camera_problem = str(error)
+            self._tracker = self._camera = self._others = None
+            return
+        if camera == self._cell.camera:
+            camera = self._cell.camera  # the file knows the standard deviations, too
+        self._camera_problem = ""
+        self._camera = camera
+        self._make_trackers(camera, self._cell)
+
+    def _make_trackers(self, camera: CameraModel, cell: Cell) -> None:
+        seen, others = cell.object.seen(), [file.seen() for file in self._other_files]
+        settings = TrackerSettings(other_ids=marker_ids(others))
+        self._late = 0
+        self._tracker = PoseTracker(camera, cell.references, seen, settings)
+        self._others = OtherObjects(camera, cell.references, others, marker_ids([seen]))
+
+    def _on_image(self, message: Image, info: dict[str, int]) -> None:
+        self._heard = time.monotonic()
+        if not self.active:
+            return
+        self._answer(self._newest(message, info))
+        self._backlog.answered(time.time())
+
+    def _newest(self, message: Image, info: dict[str, int]) -> Image:
+        """This picture, or one that waits behind it where this is stale (``Backlog``)."""
+        self._backlog.arrived(_arrival(info))
+        while self._backlog.stale(time.time()):
+            with self._pictures.handle:
+                taken = self._pictures.handle.take_message(Image, False)
+            if taken is None:
+                break
+            self._backlog.passed_over += 1
+            message, info = taken
+            self._backlog.arrived(_arrival(info))
+        return message
+
+    def _answer(self, message: Image) -> None:
+        began = time.perf_counter()
+        if self._tracker is None:
+            self._say_no_camera(message)
+            return
+        stamp = seconds(message.header.stamp)
+        if stamp <= 0.0:
+            self._refuse(
+                message,
+                ErrorCode.STAMP_INVALID,
+                f"the picture's stamp is {stamp:.0f}: its header holds no time; let the camera's "
+                "node set it",
+            )
+            return
+        ahead = stamp - 1e-9 * self.get_clock().now().nanoseconds
+        if ahead > STAMP_AHEAD_S:
+            # Taken for good, it would make every true stamp after it a late one.
+            self._refuse(
+                message,
+                ErrorCode.STAMP_INVALID,
+                f"the picture's stamp lies {ahead:.1f} s ahead of this node's clock (limit "
+                f"{STAMP_AHEAD_S:.1f} s); synchronise the clocks",
+            )
+            return
+        try:
+            grey = images.to_grey(message)
+        except images.ImageRefused as error:
+            self._refuse(message, ErrorCode.IMAGE_INVALID, str(error))
+            return
+        observation = self._tracker.update(grey, stamp)
+        self._publish(message, observation)
+        self._count_late(observation)
+        self._tell_camera(message)
+        self._frames += 1
+        self._busy_seconds += time.perf_counter() - began
+        self._annotate(message, grey, observation)
+        self._look_at_others(message, grey, stamp)
+
+    def _say_no_camera(self, picture: Image) -> None:
+        """Pictures come, but nobody says what camera takes them."""
+        now = time.monotonic()
+        if self._camera_problem:
+            self._refuse(picture, ErrorCode.CAMERA_NOT_CALIBRATED, self._camera_problem)
+        elif not self._unanswered_since:
+            self._unanswered_since = now
+        elif now - self._unanswered_since > self.settings.silence_limit:
+            self._refuse(
+                picture,
+                ErrorCode.CAMERA_NOT_CALIBRATED,
+                "pictures come but no calibration: nothing is heard on camera/camera_info; check "
+                "that the camera's node publishes it",
+            )
+
+    def _count_late(self, observation: Observation) -> None:
+        """A clock that was set back makes every picture late: then all begins anew."""
+        self._late = self._late + 1 if observation.problem is Problem.LATE_FRAME else 0
+        if self._late >= MOST_LATE and self._camera is not None and self._cell is not None:
+            self.get_logger().warning(
+                f"{self._late} pictures in a row are older than one before: the camera's clock was "
+                "set back; beginning anew"
+            )
+            self._make_trackers(self._camera, self._cell)
+
+    def _look_at_others(self, picture: Image, grey: NDArray[np.uint8], stamp: float) -> None:
+        sighting = None if self._others is None else self._others.update(grey, stamp)
+        if sighting is not None:
+            name = self._other_files[sighting.number].name
+            self._others_publisher.publish(_state_of(picture, name, sighting.observation))
+
+    def _publish(self, picture: Image, observation: Observation) -> None:
+        assert self._cell is not None
+        state = _state_of(picture, self._cell.object.name, observation)
+        if state.visible:
+            pose = PoseWithCovarianceStamped(header=state.header, pose=state.pose)
+            self._pose_publisher.publish(pose)
+        self._state_publisher.publish(state)
+        self._last = state
+        self._note(observation)
+
+    def _note(self, observation: Observation) -> None:
+        """What does not spoil the pose but must be known: a covered reference, a moved camera."""
+        if observation.visible and observation.sentence != self._notice:
+            self._notice = observation.sentence
+            if self._notice:
+                self.get_logger().warning(self._notice)
+
+    def _tell_camera(self, picture: Image) -> None:
+        """Say where the camera is over the table: what turns a pixel into a place on it."""
+        assert self._tracker is not None
+        now, view = time.monotonic(), self._tracker.view
+        if view is None or now - self._camera_told_at < CAMERA_PERIOD_S:
+            return
+        self._camera_told_at = now
+        message = PoseStamped(pose=camera_to_message(view.pose))
+        message.header.stamp = picture.header.stamp
+        message.header.frame_id = "table"
+        self._camera_publisher.publish(message)
+
+    def _refuse(self, picture: Image, code: int, sentence: str) -> None:
+        assert self._cell is not None
+        self._last = _empty_state(picture, self._cell.object.name, code, sentence)
+        self._state_publisher.publish(self._last)
+
+    def _annotate(self, message: Image, grey: NDArray[np.uint8], observation: Observation) -> None:
+        now = time.monotonic()
+        due = now - self._annotated_at >= 1.0 / self.settings.annotated_rate
+        if not due or self._picture_publisher.get_subscription_count() == 0:
+            return
+        assert self._cell is not None and self._tracker is not None
+        self._annotated_at = now
+        picture = annotate(
+            grey,
+            self._tracker.view,
+            observation,
+            self._cell.outline(),
+            self._cell.object.height,
+            self._goal,
+        )
+        annotated = images.to_message(picture, "bgr8")
+        annotated.header = message.header
+        self._picture_publisher.publish(annotated)
+
+    def _watch(self) -> None:
+        """Say so when no picture comes."""
+        now = time.monotonic()
+        silent = now - self._heard
+        if not self.active or silent <= self.settings.silence_limit:
+            self._missed = 0
+            return
+        # Where this process itself was held up, a picture waits: it is taken before the next look.
+        self._missed += 1
+        if self._missed % SILENCE_TOLD_EVERY == 2:
+            empty = Image()
+            empty.header.stamp = self.get_clock().now().to_msg()
+            self._refuse(
+                empty,
+                ErrorCode.CAMERA_SILENT,
+                f"no picture for {silent:.1f} s (limit {self.settings.silence_limit:.1f} s); check "
+                "the camera, its cable and the topic camera/image_raw",
+            )
+
+
+def _arrival(info: dict[str, int]) -> float:
+    """When a message came to this process (s, system's clock), as far as the middleware says so."""
+    return 1e-9 * info["received_timestamp"] or time.time()
+
+
+def _empty_state(picture: Image, name: str, code: int, sentence: str) -> ObjectState:
+    """What is said of an object of which nothing is known."""
+    state = ObjectState(object_id=name, error_code=code, error_msg=sentence if code else "")
+    state.header.stamp = picture.header.stamp
+    state.header.frame_id = "table"
+    return state
+
+
+def _state_of(picture: Image, name: str, observation: Observation) -> ObjectState:
+    """What an observation says of an object."""
+    state = _empty_state(picture, name, CODES[observation.problem], observation.sentence)
+    state.visible = observation.visible
+    state.at_rest = observation.at_rest
+    state.frames_fused = observation.frames_fused
+    state.references_used = list(observation.references_used)
+    if observation.at_rest_since is not None:
+        since = Time(nanoseconds=round(1e9 * observation.at_rest_since))
+        state.at_rest_since = since.to_msg()
+    if observation.velocity is not None:
+        vx, vy, omega = (float(value) for value in observation.velocity)
+        state.velocity.linear.x, state.velocity.linear.y = vx, vy
+        state.velocity.angular.z = omega
+    if observation.pose is not None and observation.covariance is not None:
+        state.pose.pose = to_message(observation.pose)
+        state.pose.covariance = covariance_to_message(observation.covariance)
+    return state
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    cv2.setNumThreads(1)
+    return run(CameraPose, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

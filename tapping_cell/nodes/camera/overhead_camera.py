@@ -1,0 +1,212 @@
+"""The camera's node: pictures from a device, a video file or a folder, with their calibration."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.duration import Duration
+from sensor_msgs.msg import CameraInfo, Image
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.configuration.table import load_camera_model
+from tapping_cell.hardware.camera_source import (
+    CameraSettings,
+    CameraSourceError,
+    Device,
+    Frame,
+    Playback,
+    SourceEnded,
+    open_source,
+    to_grey,
+)
+from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.cell_node import CellNode, NotReady, run
+from tapping_cell.nodes.worker import Worker
+
+LISTENER_WAIT_S = 5.0
+"""How long a file or folder waits for somebody to listen before its first picture."""
+REOPEN_PERIOD_S = 1.0
+"""Between two tries to open a source that went away."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Parameters of overhead_camera."""
+
+    autostart: bool = text("configure and activate without being asked", default=True)
+    cell_file: str = text("path of the cell file; empty for the package's own", default="")
+    camera_info_file: str = text(
+        "path of the calibration; empty for the one that the cell file names", default=""
+    )
+    source: str = text(
+        "a device such as /dev/video0, a video file or a folder of pictures", default="/dev/video0"
+    )
+    frame_rate: float = quantity("pictures a second", "Hz", 0.1, 240.0, default=30.0)
+    exposure: float = quantity(
+        "time of exposure; 0 leaves it to the device", "s", 0.0, 1.0, default=0.0
+    )
+    loop: bool = text("begin a file or folder again at its end", default=False)
+
+
+class OverheadCamera(CellNode[Parameters]):
+    """See the module's docstring."""
+
+    def __init__(self) -> None:
+        super().__init__("overhead_camera", Parameters)
+        self._source: Device | Playback | None = None
+        self._worker: Worker | None = None
+        self._settings: CameraSettings | None = None
+        self._info = CameraInfo()
+        self._frames = 0
+        self._problem = ""
+        self._warning = ""
+        self._ended = False
+        self._away = False
+        self._image_publisher = self.create_publisher(Image, "camera/image_raw", images.PICTURES)
+        self._info_publisher = self.create_publisher(
+            CameraInfo, "camera/camera_info", images.PICTURES
+        )
+
+    def configure(self) -> None:
+        """Read the calibration and open the source."""
+        given = self.settings.camera_info_file
+        if given:
+            camera = load_camera_model(Path(given).expanduser())
+        else:
+            camera = load_cell(self.settings.cell_file or None).camera
+        self._info = images.to_camera_info(camera)
+        self._info.header.frame_id = "camera_optical"
+        self._ended = False
+        self._settings = CameraSettings(
+            width=camera.width,
+            height=camera.height,
+            rate=self.settings.frame_rate,
+            exposure=self.settings.exposure,
+            loop=self.settings.loop,
+        )
+        try:
+            self._source = self._open()
+        except CameraSourceError as error:
+            raise NotReady(str(error)) from error
+
+    def activate(self) -> None:
+        """Begin to send pictures."""
+        self._worker = Worker("camera", self._take, 0.0)
+        self._worker.start()
+
+    def deactivate(self) -> None:
+        """Cease to send pictures."""
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.close()
+
+    def cleanup(self) -> None:
+        """Give the source back."""
+        self.deactivate()
+        if self._source is not None:
+            self._source.close()
+        self._source = None
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """Pictures sent, and what keeps the source from delivering."""
+        values: dict[str, object] = {"hardware_id": self.settings.source, "pictures": self._frames}
+        failure = None if self._worker is None else self._worker.error
+        if failure is not None:
+            return DiagnosticStatus.ERROR, f"the camera's thread failed: {failure!r}", values
+        if self._problem:
+            return DiagnosticStatus.ERROR, self._problem, values
+        if self._warning:
+            return DiagnosticStatus.WARN, self._warning, values
+        return DiagnosticStatus.OK, "ok", values
+
+    def _open(self) -> Device | Playback:
+        assert self._settings is not None
+        if not self.settings.source.strip():
+            raise CameraSourceError(
+                "the parameter source is empty; give a device such as /dev/video0, a file or a "
+                "folder"
+            )
+        return open_source(str(Path(self.settings.source).expanduser()), self._settings)
+
+    def _take(self) -> None:
+        """One picture, or another try to open the source; in the worker's thread."""
+        if self._ended:
+            time.sleep(0.1)
+            return
+        try:
+            if self._source is None:
+                self._source = self._open()
+            if self._frames == 0 and isinstance(self._source, Playback):
+                self._pause(LISTENER_WAIT_S, self._image_publisher.get_subscription_count)
+            frame = self._source.read()
+        except SourceEnded as error:
+            self._ended = True
+            self._say(str(error))
+            return
+        except CameraSourceError as error:
+            self._say(str(error))
+            if self._source is not None:
+                self._source.close()
+            self._source, self._away = None, True
+            self._pause(REOPEN_PERIOD_S)
+            return
+        if self._away:
+            self.get_logger().info(f"{self.settings.source} delivers pictures again")
+            self._away = False
+        self._send(frame)
+
+    def _send(self, frame: Frame) -> None:
+        assert self._settings is not None
+        picture, wanted = to_grey(frame.picture), self._settings
+        if picture.shape != (wanted.height, wanted.width):
+            self._say(
+                f"the picture is {picture.shape[1]} x {picture.shape[0]} pixels but the "
+                f"calibration is for {wanted.width} x {wanted.height}: not sent; calibrate at this "
+                "size or set the camera so"
+            )
+            return
+        self._problem = ""
+        if frame.sentence and frame.sentence != self._warning:
+            self._warning = frame.sentence
+            self.get_logger().warning(frame.sentence)
+        age = time.monotonic() - frame.captured
+        stamp = self.get_clock().now() - Duration(seconds=age + self.settings.exposure / 2)
+        message = images.to_message(picture, "mono8")
+        message.header.frame_id = "camera_optical"
+        message.header.stamp = self._info.header.stamp = stamp.to_msg()
+        try:
+            self._info_publisher.publish(self._info)
+            self._image_publisher.publish(message)
+        except RCLError:
+            if self.context.ok():
+                raise
+            return  # the process is being ended
+        self._frames += 1
+
+    def _say(self, sentence: str) -> None:
+        """Report trouble, once for each kind."""
+        if sentence != self._problem:
+            self.get_logger().error(sentence)
+        self._problem = sentence
+
+    def _pause(self, period: float, done: Callable[[], int] = lambda: 0) -> None:
+        """Wait for a period (s), but not longer than the node lives or than until ``done``."""
+        end = time.monotonic() + period
+        while time.monotonic() < end and self._worker is not None and not done():
+            time.sleep(0.05)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run(OverheadCamera, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

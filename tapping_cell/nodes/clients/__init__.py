@@ -1,0 +1,1 @@
+"""Clients of a running cell, used by the command line."""

@@ -1,0 +1,210 @@
+"""The client of single-tap experiments: prescribed taps, everything heard, records of each.
+
+Not an executable of its own: the command line's verb `single-tap` uses it.
+"""
+
+from __future__ import annotations
+
+import math
+import queue
+import time
+from collections import deque
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from rclpy.action import ActionClient
+from rclpy.serialization import deserialize_message
+from tapping_cell_msgs.action import SingleTap
+from tapping_cell_msgs.msg import (
+    ArmState,
+    ObjectState,
+    PlanState,
+    TapCommand,
+    TapperState,
+    TapRecord,
+)
+
+from tapping_cell.calibration.trials import Track
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.clients.goal_client import GoalClient
+from tapping_cell.nodes.conversions import covariance_from_message, from_message, seconds
+from tapping_cell.nodes.recorder.recording import Heard
+from tapping_cell.report.bag import BagWriter, Quality
+from tapping_cell.se2 import Pose
+
+BEFORE_S = 1.0
+AFTER_S = 0.7
+"""A track begins so long before the release and ends so long after the object came to rest."""
+KEPT_POSES = 4000
+LONGEST_TAP_S = 120.0
+LONGEST_AWAY_S = 3.0
+"""An action server that discovery misses for longer has gone; for less, it only looks so."""
+LATCHED_QUALITY = Quality(1, latched=True)
+RECORDED: tuple[tuple[type, str, Any, Quality], ...] = (
+    (PoseWithCovarianceStamped, "object_pose", 50, Quality()),
+    (ObjectState, "object_state", 50, LATCHED_QUALITY),
+    (TapCommand, "tap_command", COMMAND, Quality()),
+    (ArmState, "arm_state", LATCHED, LATCHED_QUALITY),
+    (TapperState, "tapper_state", LATCHED, LATCHED_QUALITY),
+    (PlanState, "plan_state", LATCHED, LATCHED_QUALITY),
+    (PoseStamped, "ground_truth", 50, Quality()),
+)
+"""What goes into the bag: type, topic, quality of the subscription and as written."""
+
+
+class NoAnswer(RuntimeError):
+    """The planner did not answer; the sentence says what to do."""
+
+
+class SingleTapClient(GoalClient):
+    """A :class:`GoalClient` that makes prescribed taps, too; use as a context manager."""
+
+    def __init__(self, name: str = "single_tap_client", namespace: str = "") -> None:
+        super().__init__(name, namespace)
+        self._single = ActionClient(self.node, SingleTap, "single_tap")
+        self._results: queue.Queue[SingleTap.Result] = queue.Queue()
+        self._poses: deque[PoseWithCovarianceStamped] = deque(maxlen=KEPT_POSES)
+        self._tips: dict[int, Pose] = {}
+        self._heard: deque[Heard] = deque()
+        self.phase = ""
+        for kind, topic, profile, _ in RECORDED:
+            self.node.create_subscription(kind, topic, self._keeper(kind, topic), profile, raw=True)
+
+    def missing(self) -> list[str]:
+        """What still keeps the cell from taking a tap, in words; empty when it is ready."""
+        reasons = super().missing()
+        if not reasons and not self._single.server_is_ready():
+            reasons.append("the planner does not serve single_tap: it is of an older version")
+        return reasons
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a simulated world answers the taps."""
+        return bool(self.node.count_publishers("ground_truth") > 0)
+
+    def camera_rate(self, look_for: float, check: Callable[[], None]) -> float:
+        """Poses a second, from those of the next ``look_for`` s; NaN where none comes."""
+        self._poses.clear()
+        end = time.monotonic() + look_for
+        while time.monotonic() < end:
+            check()
+            time.sleep(0.05)
+        return rate_of([seconds(pose.header.stamp) for pose in list(self._poses)])
+
+    def tap(
+        self,
+        striker_speed: float,
+        incidence: float,
+        direction: float,
+        slack: float,
+        check: Callable[[], None],
+    ) -> SingleTap.Result:
+        """Make one tap and wait for its result; SI, ``direction`` and ``slack`` in rad.
+
+        An exception from ``check``, or a KeyboardInterrupt, cancels the tap.
+
+        Raises:
+            NoAnswer: the planner went away.
+        """
+        message = SingleTap.Goal(
+            striker_speed=striker_speed, incidence=incidence, direction=direction, slack=slack
+        )
+        self._handle = None
+        # As in GoalClient.send: from the executor's thread.
+        self._executor.create_task(self._send_tap, message)
+        begun = there = time.monotonic()
+        try:
+            while (now := time.monotonic()) < min(begun + LONGEST_TAP_S, there + LONGEST_AWAY_S):
+                try:
+                    return self._results.get(timeout=0.1)
+                except queue.Empty:
+                    check()
+                if self._single.server_is_ready():
+                    there = now
+        except BaseException:
+            self.cancel()
+            raise
+        self.cancel()
+        raise NoAnswer(
+            f"the planner did not end the tap within {LONGEST_TAP_S:.0f} s, or went away; look "
+            "after the node tap_planner, then go on with --resume"
+        )
+
+    def track_of(self, record: TapRecord) -> Track | None:
+        """The object's poses around a tap, one for each picture; None where there are none."""
+        fired, rest = seconds(record.fired_at), seconds(record.at_rest_at)
+        until = rest + AFTER_S if rest > 0 else math.inf
+        rows = []
+        for message in list(self._poses):
+            stamp = seconds(message.header.stamp)
+            if not fired - BEFORE_S <= stamp <= until or (rows and stamp <= rows[-1][0]):
+                continue
+            pose = from_message(message.pose.pose)
+            spread = covariance_from_message(message.pose.covariance)
+            rows.append(
+                (
+                    stamp,
+                    *pose,
+                    math.sqrt(max(spread[0, 0] + spread[1, 1], 0.0) / 2),
+                    math.sqrt(max(spread[2, 2], 0.0)),
+                )
+            )
+        if len(rows) < 2:
+            return None
+        table = np.array(rows)
+        return Track(table[:, 0] - table[0, 0], *table[:, 1:].T)
+
+    def tip_of(self, tap_id: int) -> Pose | None:
+        """Where the striker's tip was read back for a tap; None where the arm did not say."""
+        return self._tips.get(tap_id)
+
+    def begin_bag(self, bag: BagWriter) -> None:
+        """Make the topics known to a bag."""
+        for kind, topic, _, quality in RECORDED:
+            name = kind.__module__.split(".")[0] + "/msg/" + kind.__name__
+            bag.add_topic(self.node.resolve_topic_name(topic), name, quality)
+
+    def write_bag(self, bag: BagWriter) -> None:
+        """Write what was heard since the last call, as a whole piece.
+
+        Raises:
+            OSError: the disk is full or away.
+        """
+        while self._heard:
+            heard = self._heard.popleft()
+            bag.write(heard.topic, heard.stamp, heard.data)
+        bag.flush()
+
+    def _keeper(self, kind: type, topic: str) -> Callable[[bytes], None]:
+        name = self.node.resolve_topic_name(topic)
+
+        def keep(data: bytes) -> None:
+            self._heard.append(Heard(name, self.node.get_clock().now().nanoseconds, data))
+            if kind is PoseWithCovarianceStamped:
+                self._poses.append(deserialize_message(data, kind))
+
+        return keep
+
+    def _on_arm_state(self, message: ArmState) -> None:
+        super()._on_arm_state(message)
+        if message.state == ArmState.IN_POSITION:
+            self._tips[int(message.tap_id)] = from_message(message.tip_pose)
+
+    def _send_tap(self, message: SingleTap.Goal) -> None:
+        future = self._single.send_goal_async(message)
+        future.add_done_callback(self._on_tap_response)
+
+    def _on_tap_response(self, future: Any) -> None:
+        self._handle = handle = future.result()
+        handle.get_result_async().add_done_callback(
+            lambda done: self._results.put(done.result().result)
+        )
+
+
+def rate_of(stamps: list[float]) -> float:
+    """Frames a second, from their times in s: by the shorter steps, since a lost frame is none."""
+    steps = [after - before for before, after in pairwise(stamps) if after > before]
+    return 1.0 / float(np.quantile(steps, 0.2)) if steps else math.nan

@@ -1,0 +1,480 @@
+"""The operator's page: one web page that shows the cell, takes goals and stops it.
+
+Serves on this machine alone unless `address` says otherwise; then it demands a token. STOP is
+served by a process of its own, which also publishes it. While no page is open this node subscribes
+to little more than the planner's states.
+"""
+
+from __future__ import annotations
+
+import socket
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from action_msgs.srv import CancelGoal
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.action import ActionClient
+from rclpy.client import Client
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from rclpy.task import Future
+from rclpy.timer import Timer
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
+from tapping_cell_msgs.action import PositionObject
+from tapping_cell_msgs.msg import (
+    ArmState,
+    ErrorCode,
+    GoalReport,
+    ObjectState,
+    PlanState,
+    TapperState,
+)
+
+from tapping_cell.configuration import assembly
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.cell_node import LATCHED, CellNode, NotReady, run
+from tapping_cell.nodes.conversions import camera_from_message, is_finite, seconds, to_message
+from tapping_cell.nodes.page import guard, server
+from tapping_cell.nodes.page.cell_view import CellView, counted, with_code
+from tapping_cell.nodes.page.ghost import Ghost
+from tapping_cell.nodes.page.node_watch import NodeWatch
+from tapping_cell.nodes.page.pictures import to_jpeg
+from tapping_cell.nodes.page.previews import Previews
+from tapping_cell.nodes.page.requests import (
+    BadRequest,
+    Command,
+    Move,
+    Place,
+    Request,
+    SendGoal,
+    Turn,
+)
+from tapping_cell.nodes.page.runs import Runs
+from tapping_cell.nodes.page.stop_link import StopLink
+from tapping_cell.nodes.planner.goal_validation import REFUSALS
+from tapping_cell.planning import FreeSpace, check_goal
+from tapping_cell.report.hints import hint
+from tapping_cell.se2 import Pose
+from tapping_cell.vision import CameraError, CameraModel, View
+
+STATE_PERIOD_S = 0.2
+LONGEST_PATH = 4096
+STOP_NOT_SENT = (
+    "the stop was NOT sent: the process that serves it is starting; press again, or use the wired "
+    "emergency stop"
+)
+LATEST = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Parameters of operator_page."""
+
+    autostart: bool = text("configure and activate without being asked", default=True)
+    cell_file: str = text("path of the cell file; empty for the package's own", default="")
+    object_file: str = text("path of the object file; empty for the cell file's", default="")
+    address: str = text(
+        "where the page is served; 0.0.0.0 for the whole network, with a token",
+        default="localhost",
+    )
+    port: int = quantity("port of the page; 0 takes any that is free", "", 0, 65535, default=8010)
+    stop_port: int = quantity(
+        "port of the page's STOP; 0 takes any that is free", "", 0, 65535, default=9010
+    )
+    token: str = text(
+        "what a browser must know; empty makes one where the network can reach the page",
+        default="",
+    )
+    host_names: str = text(
+        "more names under which browsers may open the page, with commas", default=""
+    )
+    runs: str = text("folder of the recorded runs: run_recorder's parameter folder", default="runs")
+    picture_rate: float = quantity("greatest rate of pictures", "Hz", 0.1, 60.0, default=10.0)
+    picture_quality: int = quantity("quality of the JPEG pictures", "", 10, 100, default=80)
+
+
+class OperatorPage(CellNode[Parameters]):
+    """See the module's docstring. A :class:`server.Backend`."""
+
+    def __init__(self) -> None:
+        super().__init__("operator_page", Parameters)
+        self._cell: Cell | None = None
+        self._server: server.PageServer | None = None
+        self.urls: list[str] = []
+        self._view = CellView()
+        self._ghost: Ghost | None = None
+        self._camera: CameraModel | None = None
+        self._refusal: Callable[[Pose], str] = lambda _: ""
+        self._watched: list[Subscription] = []
+        self._camera_info: Subscription | None = None
+        self._watch: NodeWatch | None = None
+        self._timer: Timer | None = None
+        self._pages = 0
+        self._picture_at = -np.inf
+        self._stop: StopLink | None = None
+        self._previews: Previews[tuple[Move | Turn | Place, server.Answer]] | None = None
+        self.runs = Runs(Path(self.settings.runs))
+        self._action = ActionClient(self, PositionObject, "position_object")
+        self._cancel_client = self.create_client(CancelGoal, "position_object/_action/cancel_goal")
+        self._clear_clients = {
+            name: self.create_client(Trigger, f"{name}/clear_fault")
+            for name in ("scara_arm", "tapper_trigger")
+        }
+        self._home_client = self.create_client(Trigger, "scara_arm/home")
+        self._button_client = self.create_client(Trigger, "sim_world/press_clear_button")
+        self._last_run = ""
+        self.create_subscription(PlanState, "plan_state", self._view.on_plan, LATCHED)
+        self.create_subscription(GoalReport, "goal_report", self._view.on_report, LATCHED)
+        self.create_subscription(String, "last_run", self._on_last_run, LATCHED)
+
+    # Life cycle
+
+    def configure(self) -> None:
+        """Read the cell, and the map of the table by which the planner refuses goals."""
+        cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
+        space = assembly.make_strike_space(cell)
+        free = FreeSpace(space)
+
+        def refusal(pose: Pose) -> str:
+            found = check_goal(pose, space, free)
+            return with_code(found.sentence, REFUSALS[found.reason]) if found is not None else ""
+
+        self._cell, self._refusal = cell, refusal
+
+    def activate(self) -> None:
+        """Open the ports and say where the page is."""
+        address = self.settings.address
+        rules = guard.Guard.make(address, self.settings.host_names.split(","), self.settings.token)
+        sockets = self._bind("port", self.settings.port)
+        page_port = sockets[0].getsockname()[1]
+        try:
+            stop_sockets = self._bind("stop_port", self.settings.stop_port)
+        except NotReady:
+            for each in sockets:
+                each.close()
+            raise
+        self._stop = StopLink(
+            rules,
+            stop_sockets,
+            page_port,
+            self.get_namespace(),
+            self.resolve_topic_name("emergency_stop"),
+            lambda held, who: self._do(self._note_stop, held, who),
+        )
+        self._previews = Previews(self._answer_preview)
+        stop_port = stop_sockets[0].getsockname()[1]
+        self._server = server.PageServer(rules, self, sockets, stop_port)
+        self._server.start()
+        self._list_runs()
+        self.urls = guard.urls(address, page_port, rules.token)
+        for url in self.urls:
+            self.get_logger().info(f"operator page: {url}")
+
+    def _bind(self, parameter: str, port: int) -> list[socket.socket]:
+        """Listen at a port of the page. Raises NotReady."""
+        try:
+            return server.bind(self.settings.address, port)
+        except OSError as error:
+            raise NotReady(
+                f"the page cannot be served at {self.settings.address}, port {port} "
+                f"({error.strerror or error}); end what uses the port or set the parameters "
+                f"address and {parameter}"
+            ) from error
+
+    def deactivate(self) -> None:
+        """Close the ports."""
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        if self._previews is not None:
+            self._previews.close()
+            self._previews = None
+        if self._stop is not None:
+            self._stop.close()
+            self._stop = None
+        self._watch_cell(0)
+
+    def cleanup(self) -> None:
+        """Close the ports."""
+        self.deactivate()
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """Where the page is, without its token, and how many are open."""
+        places = ", ".join(url.partition("#")[0] for url in self.urls)
+        values: dict[str, object] = {"url": places, "pages": self._pages}
+        if self._server is None:
+            return DiagnosticStatus.WARN, self._last_complaint or "the page is not served", values
+        if self._stop is None or not self._stop.ready.is_set():
+            return DiagnosticStatus.WARN, "the process that serves STOP is starting", values
+        return DiagnosticStatus.OK, "ok", values
+
+    def _on_emergency_stop(self, message: Bool) -> None:
+        super()._on_emergency_stop(message)
+        self._view.emergency_stop = message.data
+
+    def _on_last_run(self, message: String) -> None:
+        """A run was recorded. Where it is only tells where to look: nothing is read from there."""
+        self._last_run = message.data[:LONGEST_PATH]
+        self._list_runs()
+
+    def _list_runs(self) -> None:
+        if self._server is not None:
+            self._server.show_runs(self.runs.rows())
+
+    # While a page is open
+
+    def on_pages(self, count: int) -> None:
+        """Watch the cell while at least one page is open (server's thread)."""
+        self._do(self._watch_cell, count)
+
+    def _watch_cell(self, count: int) -> None:
+        self._pages = count
+        if count and not self._watched:
+            self._subscribe()
+        elif not count and self._watched:
+            self._unsubscribe()
+
+    def _subscribe(self) -> None:
+        subscribe, view = self.create_subscription, self._view
+        self._camera_info = subscribe(
+            CameraInfo, "camera/camera_info", self._on_camera_info, images.PICTURES
+        )
+        self._watched = [
+            subscribe(ObjectState, "object_state", view.on_object, LATCHED),
+            subscribe(ArmState, "arm_state", view.on_arm, LATCHED),
+            subscribe(TapperState, "tapper_state", view.on_tapper, LATCHED),
+            subscribe(PoseStamped, "camera/pose", self._on_camera_pose, LATCHED),
+            subscribe(Image, "camera/image_annotated", self._on_picture, LATEST),
+        ]
+        self._watch = NodeWatch(self)
+        self._watch.look()
+        self._timer = self.create_timer(STATE_PERIOD_S, self._show)
+
+    def _unsubscribe(self) -> None:
+        assert self._watch is not None and self._timer is not None
+        self.destroy_timer(self._timer)
+        self._watch.close()
+        self._drop_camera_info()
+        for subscription in self._watched:
+            self.destroy_subscription(subscription)
+        self._watched.clear()
+        self._watch = self._timer = self._ghost = None
+        self._view.forget()
+
+    def _on_camera_info(self, message: CameraInfo) -> None:
+        """One is enough: it is the same with every picture."""
+        try:
+            self._camera = images.from_camera_info(message)
+        except CameraError:
+            return
+        self._drop_camera_info()
+
+    def _drop_camera_info(self) -> None:
+        if self._camera_info is not None:
+            self.destroy_subscription(self._camera_info)
+            self._camera_info = None
+
+    def _on_camera_pose(self, message: PoseStamped) -> None:
+        if self._camera is None or self._cell is None or not is_finite(message.pose):
+            return
+        self._ghost = Ghost(
+            View(self._camera, camera_from_message(message.pose)),
+            np.asarray(self._cell.outline()),
+            self._cell.object.height,
+            self._refusal,
+        )
+
+    def _on_picture(self, message: Image) -> None:
+        page = self._server
+        now = self.get_clock().now().nanoseconds * 1e-9
+        due = abs(now - self._picture_at) >= 0.9 / self.settings.picture_rate
+        if page is None or not due or not page.wants_picture:
+            return
+        try:
+            jpeg = to_jpeg(message, self.settings.picture_quality)
+        except images.ImageRefused as error:
+            self.get_logger().warning(str(error), throttle_duration_sec=10.0)
+            return
+        self._picture_at = now
+        stamp = seconds(message.header.stamp)
+        page.show_picture(jpeg, stamp, self.get_clock().now().nanoseconds * 1e-9 - stamp)
+
+    def _show(self) -> None:
+        if self._server is None or self._watch is None:
+            return
+        state = self._view.state()
+        state["nodes"] = self._watch.rows()
+        state["simulated"] = self._watch.runs("sim_world")
+        state["placeable"] = self._ghost is not None
+        state["runs_hint"] = self._runs_hint()
+        state["held_by_page"] = self._stop is not None and self._stop.held
+        self._server.show(state)
+
+    def _runs_hint(self) -> str:
+        """Why the list of runs may lack some; empty where it does not."""
+        if self._last_run and Path(self._last_run).parent != self.runs.folder:
+            return (
+                f"The last run was recorded to {self._last_run}; the page serves only runs in "
+                f"{self.runs.folder}. Set its parameter 'runs' to the recorder's folder."
+            )
+        if self._watch is not None and not self._watch.runs("run_recorder"):
+            return "Runs are not recorded: run_recorder is not running."
+        return ""
+
+    # What pages ask for; greet and on_request are called by the server
+
+    def greet(self) -> dict[str, object]:
+        """What a page must know of the cell."""
+        assert self._cell is not None
+        return {
+            "cell": self._cell.file.name,
+            "namespace": self.get_namespace(),
+            "object": self._cell.object.name,
+        }
+
+    def on_request(self, page: object, request: Request, who: str, answer: server.Answer) -> None:
+        """Serve a page's request (server's thread)."""
+        if isinstance(request, (Move, Turn, Place)):
+            if self._previews is not None:
+                self._previews.ask(page, (request, answer))
+        elif isinstance(request, SendGoal):
+            self._do(self._send_goal, request.pose, who, answer)
+        elif isinstance(request, Command) and request.name == "stop":
+            sent = self._stop is not None and self._stop.stop(who)
+            text = "stop sent to arm, tapper and planner" if sent else STOP_NOT_SENT
+            answer(_answer("stop", sent, text))
+        elif isinstance(request, Command):
+            serve = {
+                "clear": self._clear,
+                "cancel": self._cancel,
+                "home": self._home,
+                "press_button": self._press_button,
+            }[request.name]
+            self._do(serve, who, answer)
+
+    def _note_stop(self, held: bool, who: str) -> None:
+        if held and who:
+            self._view.note(f"stop pressed on the page ({who})", "bad")
+
+    def _do(self, function: Callable[..., None], *arguments: object) -> None:
+        """Call in the executor's thread, from any other."""
+        if self.executor is not None:
+            self.executor.create_task(function, *arguments)
+
+    def _answer_preview(self, asked: tuple[Move | Turn | Place, server.Answer]) -> None:
+        """Where a dragged goal lies (the previews' thread)."""
+        request, answer = asked
+        ghost = self._ghost
+        try:
+            if ghost is None:
+                raise BadRequest(
+                    "the camera's place over the table is not known yet; type the goal instead"
+                )
+            answer(ghost.answer(request))
+        except BadRequest as error:
+            answer({"type": "ghost", "number": request.number, "trouble": str(error)})
+
+    def _send_goal(self, pose: Pose, who: str, answer: server.Answer) -> None:
+        if not self._action.server_is_ready():
+            answer(_answer("goal", False, "the planner is not up; start tap_planner"))
+            return
+        goal = PositionObject.Goal()
+        goal.goal_pose.header.frame_id = "table"
+        goal.goal_pose.header.stamp = self.get_clock().now().to_msg()
+        goal.goal_pose.pose = to_message(pose)
+
+        def taken(future: Future) -> None:
+            handle = future.result()
+            if not handle.accepted:
+                answer(_answer("goal", False, "the planner did not take the goal"))
+                return
+            answer(_answer("goal", True, "goal sent"))
+            handle.get_result_async().add_done_callback(ended)
+
+        def ended(future: Future) -> None:
+            result: PositionObject.Result = future.result().result
+            if result.error_code == ErrorCode.NONE:
+                answer(_answer("goal", True, f"goal reached after {counted(result.taps, 'tap')}"))
+                return
+            sentence = with_code(result.error_msg, result.error_code)
+            answer({**_answer("goal", False, sentence), "hint": hint(result.error_code)})
+
+        self._view.note_own_goal(pose, who)
+        self._action.send_goal_async(goal).add_done_callback(taken)
+
+    def _cancel(self, who: str, answer: server.Answer) -> None:
+        def done(future: Future) -> None:
+            if future.result().goals_canceling:
+                answer(_answer("cancel", True, "goal canceled; the arm withdraws"))
+                return
+            answer(
+                _answer(
+                    "cancel",
+                    False,
+                    "no goal of an action is under way; one of the topic goal_pose ends with the "
+                    "stop, or with another goal",
+                )
+            )
+
+        # The zero id asks for every goal, whoever sent it.
+        self._call(self._cancel_client, CancelGoal.Request(), "cancel", "the planner", answer, done)
+        self._view.note(f"cancel pressed on the page ({who})")
+
+    def _clear(self, who: str, answer: server.Answer) -> None:
+        if self._stop is not None:
+            self._stop.release()
+        self._view.note(f"faults cleared on the page ({who})")
+        for name, client in self._clear_clients.items():
+            self._call(client, Trigger.Request(), "clear", name, answer)
+
+    def _home(self, who: str, answer: server.Answer) -> None:
+        self._view.note(f"homing asked for on the page ({who})")
+        self._call(self._home_client, Trigger.Request(), "home", "scara_arm", answer)
+
+    def _press_button(self, _: str, answer: server.Answer) -> None:
+        self._call(
+            self._button_client, Trigger.Request(), "press_button", "the clear button", answer
+        )
+
+    def _call(
+        self,
+        client: Client,
+        request: object,
+        to: str,
+        name: str,
+        answer: server.Answer,
+        done: Callable[[Future], None] | None = None,
+    ) -> None:
+        """Call a service; the page hears what it says, or that nobody is there."""
+        if not client.service_is_ready():
+            answer(_answer(to, False, f"{name}: does not answer; is it up?"))
+            return
+
+        def told(future: Future) -> None:
+            response = future.result()
+            answer(_answer(to, response.success, f"{name}: {response.message}"))
+
+        client.call_async(request).add_done_callback(done or told)
+
+
+def _answer(to: str, ok: bool, sentence: str) -> dict[str, object]:
+    return {"type": "answer", "to": to, "ok": ok, "text": sentence}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run(OperatorPage, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

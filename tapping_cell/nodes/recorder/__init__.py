@@ -1,0 +1,1 @@
+"""The node ``run_recorder``: a run folder for every goal."""

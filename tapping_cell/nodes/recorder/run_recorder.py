@@ -1,0 +1,504 @@
+"""The recorder: for every goal a run folder with bag, tables, picture and page. It moves nothing.
+
+It listens and writes, in a thread of its own; when it cannot write it says so on /diagnostics, and
+the goal goes on. Messages of the last seconds are kept, so that a bag begins before its goal.
+"""
+
+from __future__ import annotations
+
+import array
+import json
+import os
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
+from std_msgs.msg import Bool, String
+from tapping_cell_msgs.msg import (
+    ArmState,
+    ErrorCode,
+    GoalReport,
+    ObjectState,
+    PlanState,
+    TapCommand,
+    TapperState,
+)
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
+from tapping_cell.nodes.conversions import seconds
+from tapping_cell.nodes.planner.plan_reporter import FINAL
+from tapping_cell.nodes.recorder.recording import (
+    MEGABYTE,
+    CannotRecord,
+    Heard,
+    RecordedTopic,
+    Recording,
+    cell_notes,
+    check_room,
+    is_own_goal,
+    new_folder,
+    run_name,
+    same_goal,
+)
+from tapping_cell.nodes.worker import Worker
+from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
+from tapping_cell.report.bag import BagError, Quality
+from tapping_cell.report.message_types import MessageTypes
+from tapping_cell.report.run_reader import NOTES, PICTURES
+
+LEAD_S = 2.0
+"""How long before its goal a bag begins."""
+TAIL_S = 1.0
+"""How long after its end a bag goes on, for the last look."""
+SILENCE_S = 30.0
+"""A planner that said nothing for so long is gone: the recording ends without the goal's end."""
+END_PATIENCE_S = 4.0
+WRITE_PERIOD_S = 0.5
+REPEATED_WITHIN_S = 10.0
+"""The same refusal again within this time makes no folder of its own."""
+DEPTH = 200
+"""Messages that may wait while a busy machine keeps this node from its work."""
+
+_STREAM = QoSProfile(
+    depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
+)
+_STATE = QoSProfile(
+    depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+
+STATES: dict[str, type] = {
+    "arm_state": ArmState,
+    "goal_report": GoalReport,
+    "markers": MarkerArray,
+    "object_state": ObjectState,
+    "plan_state": PlanState,
+    "tapper_state": TapperState,
+}
+"""Latched topics."""
+STREAMS: dict[str, type] = {
+    "/diagnostics": DiagnosticArray,
+    "emergency_stop": Bool,
+    "goal_pose": PoseStamped,
+    "joint_states": JointState,
+    "joint_trajectory": JointTrajectory,
+    "tap_command": TapCommand,
+}
+"""Topics that are not latched."""
+FRAMES: dict[str, type] = {
+    "camera/camera_info": CameraInfo,
+    "ground_truth": PoseStamped,
+    "object_pose": PoseWithCovarianceStamped,
+}
+"""What comes with every picture: heard only while a goal is under way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Parameters of run_recorder."""
+
+    autostart: bool = text("configure and activate without being asked", default=True)
+    cell_file: str = text("path of the cell file; empty for the package's own", default="")
+    object_file: str = text("path of the object file; empty for the cell file's", default="")
+    folder: str = text("folder in which every run gets one of its own", default="runs")
+    name: str = text("name of the run's folder; empty for time and goal", default="")
+    picture_rate: float = quantity(
+        "pictures kept of camera/image_annotated; 0 for none", "Hz", 0.0, 10.0, default=1.0
+    )
+    picture_width: int = quantity("width of a kept picture", "pixels", 160, 4096, default=960)
+    pictures: bool = text("draw cell.png and report.html at the end of a run", default=True)
+    least_free: float = quantity(
+        "room on the disk below which nothing is recorded", "MB", 0.0, 1e7, default=500.0
+    )
+    most_runs: int = quantity(
+        "folders beside each other after which nothing is recorded; nothing is ever deleted",
+        "",
+        1,
+        1_000_000,
+        default=10_000,
+    )
+    seed: int = quantity(
+        "seed of the simulated world, to be written down; negative for none",
+        "",
+        -1,
+        2**31 - 1,
+        default=-1,
+    )
+
+
+class RunRecorder(CellNode[Parameters]):
+    """See the module's docstring.
+
+    The executor's thread only notes what comes; ``_worker`` writes it, ``_teller`` draws.
+    """
+
+    changeable = ("folder", "name", "picture_rate")
+
+    def __init__(self) -> None:
+        super().__init__("run_recorder", Parameters)
+        self._cell: Cell | None = None
+        self._notes: dict[str, Any] = {}
+        self._lock = threading.Lock()
+        self._lead: deque[Heard] = deque()
+        self._latched: dict[str, Heard] = {}
+        self._waiting: deque[Heard] = deque()
+        self._plan: PlanState | None = None
+        self._ends_at: float | None = None
+        self._end: PlanState | GoalReport | None = None
+        self._recording: Recording | None = None
+        self._trouble = ""
+        self._runs = 0
+        self._refusal: tuple[int, str, float] = (0, "", 0.0)
+        self._picture_at = 0.0
+        self._planner_heard = 0.0
+        self._frames: list[Subscription] = []
+        self._folder, self._name = self.settings.folder, self.settings.name
+        self._picture_rate = self.settings.picture_rate
+        self._worker: Worker | None = None
+        self._teller: Worker | None = None
+        self._types = MessageTypes()
+        self._last_run = self.create_publisher(String, "last_run", LATCHED)
+        self._topics: dict[str, RecordedTopic] = {}
+        for name, kind in STATES.items():
+            self._know(name, kind, Quality(1, latched=True))
+            self._listen(name, kind, _STATE)
+        for name, kind in STREAMS.items():
+            self._know(name, kind, Quality())
+            self._listen(name, kind, _STREAM)
+        for name, kind in FRAMES.items():
+            self._know(name, kind, Quality(reliable=kind is not CameraInfo))
+        self._picture_topic = self.resolve_topic_name(PICTURES)
+        self._topics[self._picture_topic] = RecordedTopic(
+            "sensor_msgs/msg/CompressedImage", Quality(reliable=False)
+        )
+        self._notes_topic = self.resolve_topic_name(NOTES)
+        self._topics[self._notes_topic] = RecordedTopic(
+            "std_msgs/msg/String", Quality(1, latched=True)
+        )
+        self.create_timer(0.1, self._tick)
+
+    def _know(self, name: str, kind: type, quality: Quality) -> None:
+        package = kind.__module__.partition(".")[0]
+        topic = RecordedTopic(f"{package}/msg/{kind.__name__}", quality)
+        self._topics[self.resolve_topic_name(name)] = topic
+
+    def _listen(self, name: str, kind: type, profile: QoSProfile) -> Subscription:
+        topic = self.resolve_topic_name(name)
+        latched = profile is _STATE
+        readers: dict[type, Callable[[Any], None]] = {
+            PlanState: self._on_plan_state,
+            GoalReport: self._on_goal_report,
+        }
+        reader = readers.get(kind)
+        seldom = kind is CameraInfo
+
+        def hear(data: bytes) -> None:
+            self._note(Heard(topic, self._now(), data), latched, seldom)
+            if reader is not None:
+                reader(deserialize_message(data, kind))
+
+        return self.create_subscription(kind, name, hear, profile, raw=True)
+
+    # Life cycle
+
+    def configure(self) -> None:
+        """Read the files that a run writes down, and begin to work."""
+        cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
+        self._cell = cell
+        self._notes = cell_notes(cell, self.settings.seed)
+        self._worker = Worker("recorder", self._write_on, WRITE_PERIOD_S)
+        self._worker.start()
+        self._teller = Worker("teller", lambda: None, 60.0)
+        self._teller.start()
+        for topic in self._topics.values():
+            # Looked up once, now: a goal's first messages are not to wait for it.
+            self._types.definition(topic.kind)
+
+    def deactivate(self) -> None:
+        """End the recording under way."""
+        self._conclude(pictures=False)
+
+    def cleanup(self) -> None:
+        """End the recording under way, in short: who ends the node does not wait long."""
+        if self._worker is not None:
+            self._conclude(pictures=False)
+            # Closing drops what is queued; whoever ends the node waits 5 s before it is killed.
+            written = threading.Event()
+            self._worker.submit(written.set)
+            written.wait(END_PATIENCE_S)
+            for worker in (self._worker, self._teller):
+                if worker is not None:
+                    worker.close(patience=0.2)
+            self._worker = self._teller = None
+
+    def change(self, name: str, value: object) -> None:
+        """Take another folder, name or rate for the next run."""
+        if name == "picture_rate":
+            self._picture_rate = float(str(value))
+        elif name == "folder":
+            self._folder = str(value)
+        else:
+            self._name = str(value)
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """What is recorded, and what keeps it from being."""
+        recording = self._recording
+        values: dict[str, object] = {
+            "folder": os.path.abspath(self._folder),
+            "recording": recording.folder if recording is not None else "",
+            "runs": self._runs,
+            "error code": ErrorCode.RECORDING_FAILED if self._trouble else ErrorCode.NONE,
+        }
+        if self._worker is not None and self._worker.error is not None:
+            return DiagnosticStatus.ERROR, f"a defect: {self._worker.error!r}", values
+        if self._trouble:
+            return DiagnosticStatus.ERROR, self._trouble, values
+        return DiagnosticStatus.OK, "ok", values
+
+    # What is heard: the executor's thread
+
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _note(self, heard: Heard, latched: bool, seldom: bool) -> None:
+        """Keep a message for the bag under way, or for the one that begins next."""
+        with self._lock:
+            last = self._latched.get(heard.topic)
+            if seldom and last is not None and heard.stamp - last.stamp < 1_000_000_000:
+                return
+            if latched or seldom:
+                self._latched[heard.topic] = heard
+            if self._plan is not None:
+                self._waiting.append(heard)
+                return
+            self._lead.append(heard)
+            while self._lead[0].stamp < heard.stamp - 1e9 * LEAD_S:
+                self._lead.popleft()
+
+    def _on_plan_state(self, plan: PlanState) -> None:
+        if not self.active:
+            return
+        self._planner_heard = time.monotonic()
+        known = self._plan is not None and same_goal(self._plan, plan)
+        if self._is_late(plan):
+            return
+        if not is_own_goal(plan, PRESCRIBED):
+            if known and self._ends_at is None and plan.state in FINAL:
+                self._end = plan
+                self._ends_at = time.monotonic() + TAIL_S
+            return
+        if known and self._ends_at is None:
+            return
+        self._conclude(pictures=True)
+        self._begin(plan, refused=False)
+
+    def _is_late(self, plan: PlanState) -> bool:
+        """Whether a report is older than the end of its goal: topics overtake each other."""
+        end = self._end
+        if end is None or not same_goal(plan, end):
+            return False
+        return seconds(plan.header.stamp) <= seconds(end.header.stamp)
+
+    def _on_goal_report(self, report: GoalReport) -> None:
+        if not self.active:
+            return
+        if not report.refused:
+            self._end = report
+            if self._plan is not None and same_goal(self._plan, report):
+                self._ends_at = time.monotonic() + TAIL_S
+            return
+        # Latched: the last report is told again to whoever joins.
+        age = 1e-9 * self._now() - seconds(report.header.stamp)
+        code, sentence, at = self._refusal
+        repeated = (code, sentence) == (report.error_code, report.error_msg)
+        self._refusal = (report.error_code, report.error_msg, time.monotonic())
+        if age > LEAD_S or (repeated and time.monotonic() - at < REPEATED_WITHIN_S):
+            return
+        if self._plan is None:
+            asked = PlanState(header=report.header, goal=report.goal)
+            self._begin(asked, refused=True)
+            self._ends_at = time.monotonic()
+
+    def _begin(self, plan: PlanState, refused: bool) -> None:
+        """Open a recording with what was heard in the last seconds."""
+        began = seconds(plan.header.stamp)
+        name = Path(self._name).name or run_name(began, self.get_namespace(), plan.goal)
+        notes = {**self._notes, "began": began, "refused": refused}
+        with self._lock:
+            lead = list(self._lead)
+            first = lead[0].stamp if lead else self._now()
+            # What is latched was said longer ago than the lead: it stands at the bag's beginning.
+            told = {message.topic for message in lead}
+            old = [
+                Heard(message.topic, first, message.data)
+                for message in self._latched.values()
+                if message.topic not in told
+            ]
+            self._lead.clear()
+            text = serialize_message(String(data=json.dumps(notes)))
+            self._waiting.append(Heard(self._notes_topic, first, text))
+            self._waiting.extend(old + lead)
+            self._plan = plan
+        self._ends_at = None
+        self._planner_heard = time.monotonic()
+        folder = Path(self._folder).expanduser().absolute()
+        self._submit(lambda: self._open(folder, name))
+        if not refused and not self._frames:
+            self._frames = [
+                self._listen(name, kind, images.PICTURES if kind is CameraInfo else _STREAM)
+                for name, kind in FRAMES.items()
+            ]
+            if self._picture_rate > 0:
+                pictures = self.create_subscription(
+                    Image, "camera/image_annotated", self._on_picture, images.PICTURES, raw=True
+                )
+                self._frames.append(pictures)
+
+    def _on_picture(self, data: bytes) -> None:
+        now = time.monotonic()
+        if self._picture_rate <= 0 or now - self._picture_at < 1.0 / self._picture_rate:
+            return
+        self._picture_at = now
+        stamp = self._now()
+        self._submit(lambda: self._keep_picture(data, stamp))
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        over = self._ends_at is not None and now >= self._ends_at
+        if over or (self._plan is not None and now - self._planner_heard > SILENCE_S):
+            self._conclude(pictures=True)
+
+    def _conclude(self, pictures: bool) -> None:
+        """End the recording under way, if there is one."""
+        with self._lock:
+            if self._plan is None:
+                return
+            self._plan = self._ends_at = None
+            rest = list(self._waiting)
+            self._waiting.clear()
+        for subscription in self._frames:
+            self.destroy_subscription(subscription)
+        self._frames = []
+        self._submit(lambda: self._close(rest, pictures and self.settings.pictures))
+
+    def _submit(self, job: Callable[[], None]) -> None:
+        if self._worker is not None:
+            self._worker.submit(job)
+
+    # What is written: the worker's thread
+
+    def _open(self, folder: Path, name: str) -> None:
+        try:
+            least_free = MEGABYTE * self.settings.least_free
+            prepared = bool(Path(self._name).name)
+            made = new_folder(folder, name, self.settings.most_runs, least_free, prepared)
+            self._recording = Recording(made, self._topics, self._types)
+        except CannotRecord as error:
+            self._complain(str(error))
+            return
+        self._trouble = ""
+        self.get_logger().info(f"recording to {made}")
+
+    def _write_on(self) -> None:
+        with self._lock:
+            messages = list(self._waiting)
+            self._waiting.clear()
+        self._write(messages)
+
+    def _write(self, messages: list[Heard]) -> None:
+        recording = self._recording
+        if recording is None:
+            return
+        try:
+            recording.write(messages)
+            check_room(recording.folder, MEGABYTE * self.settings.least_free / 2)
+        except (OSError, CannotRecord) as error:
+            self._recording = None
+            self._complain(f"recording to {recording.folder} was given up: {error}")
+
+    def _keep_picture(self, data: bytes, stamp: int) -> None:
+        """Make a JPEG of a picture; coded here, so that the executor's thread hears everything."""
+        message = deserialize_message(data, Image)
+        try:
+            if message.encoding != "bgr8":
+                raise images.ImageRefused(f"its encoding is '{message.encoding}', not bgr8")
+            rows = np.frombuffer(message.data, dtype=np.uint8)
+            picture = rows.reshape(message.height, message.step)[:, : 3 * message.width]
+            picture = picture.reshape(message.height, message.width, 3)
+            scale = self.settings.picture_width / message.width
+            if scale < 1.0:
+                picture = cv2.resize(
+                    picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
+                )
+            coded, jpeg = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, 85))
+        except (images.ImageRefused, ValueError, cv2.error) as error:
+            self.get_logger().warning(f"a picture was not kept: {error}", once=True)
+            return
+        if coded:
+            small = CompressedImage(header=message.header, format="bgr8; jpeg compressed bgr8")
+            small.data = array.array("B", jpeg.tobytes())
+            heard = Heard(self._picture_topic, stamp, serialize_message(small))
+            with self._lock:
+                if self._plan is not None:
+                    self._waiting.append(heard)
+
+    def _close(self, rest: list[Heard], pictures: bool) -> None:
+        self._write(rest)
+        recording, self._recording = self._recording, None
+        if recording is None:
+            return
+        try:
+            recording.close()
+        except OSError as error:
+            self._complain(f"the bag in {recording.folder} has no end: {error}")
+        # The tables at once; drawing takes seconds, in which the next goal may begin.
+        self._tell(recording, pictures=False)
+        if pictures and self._teller is not None:
+            self._teller.submit(lambda: self._announce(recording, pictures=True))
+        else:
+            self._announce(recording, pictures=False)
+
+    def _tell(self, recording: Recording, pictures: bool) -> None:
+        try:
+            recording.tell(pictures)
+        except (OSError, BagError, ValueError) as error:
+            self._complain(f"the run in {recording.folder} is not told in full: {error}")
+
+    def _announce(self, recording: Recording, pictures: bool) -> None:
+        """Say that a run folder is complete, once it is."""
+        if pictures:
+            self._tell(recording, pictures=True)
+        self._runs += 1
+        self._last_run.publish(String(data=str(recording.folder)))
+        self.get_logger().info(f"recorded {recording.folder}")
+
+    def _complain(self, sentence: str) -> None:
+        self._trouble = f"({ErrorCode.RECORDING_FAILED}) {sentence}"
+        self.get_logger().error(self._trouble)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node, a little behind the others where the machine is short of time."""
+    os.nice(5)
+    return run(RunRecorder, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

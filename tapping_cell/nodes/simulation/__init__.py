@@ -1,0 +1,1 @@
+"""The node ``sim_world``: the simulated camera and the simulated serial devices."""

@@ -1,0 +1,243 @@
+"""The simulated world: camera pictures out, and two serial devices on pseudo-terminals."""
+
+from __future__ import annotations
+
+import socket
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.duration import Duration
+from rclpy.time import Time
+from sensor_msgs.msg import CameraInfo, Image
+from std_srvs.srv import Trigger
+from tapping_cell_msgs.srv import ResetWorld
+
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.schema import load, quantity, text
+from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.cell_identity import claim, key_of
+from tapping_cell.nodes.cell_node import CellNode, NotReady, run
+from tapping_cell.nodes.conversions import from_message, is_finite, to_message
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.devices import SimulatedDevices
+from tapping_cell.simulation.pacing import Pace
+from tapping_cell.simulation.pseudo_terminal import PortTakenError
+from tapping_cell.simulation.rendered_camera import SceneRenderer
+from tapping_cell.simulation.scene import make_renderer
+from tapping_cell.simulation.truth import TruthFile
+from tapping_cell.simulation.world import World
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Parameters of sim_world."""
+
+    autostart: bool = text("configure and activate without being asked", default=True)
+    cell_file: str = text("path of the cell file; empty for the package's own", default="")
+    object_file: str = text("path of the object file; empty for the cell file's", default="")
+    truth_file: str = text("path of the truth file; empty for the package's own", default="")
+    seed: int = quantity("of all that is random", "", 0, 2**31 - 1, default=1)
+    arm_port: str = text("where the arm's port appears; empty for the cell file's", default="")
+    tapper_port: str = text(
+        "where the tapper's port appears; empty for the cell file's", default=""
+    )
+    frame_rate: float = quantity("rate of the camera", "Hz", 1.0, 120.0, default=30.0)
+    slow_motion: float = quantity(
+        "times slower than real that a slide is played, for a machine too slow for the camera's "
+        "rate; stamps are true",
+        "",
+        1.0,
+        100.0,
+        default=1.0,
+    )
+
+
+class SimWorld(CellNode[Parameters]):
+    """See the module's docstring."""
+
+    def __init__(self) -> None:
+        super().__init__("sim_world", Parameters)
+        self._cell: Cell | None = None
+        self._truth: TruthFile | None = None
+        self._world: World | None = None
+        self._renderer: SceneRenderer | None = None
+        self._devices: SimulatedDevices | None = None
+        self._claim: socket.socket | None = None
+        self._info = CameraInfo()
+        self._lock = threading.Lock()
+        self._late: deque[tuple[float, Image]] = deque()
+        self._frames = 0
+        self._world_began = Time(nanoseconds=0)
+        self._pace = Pace(1.0 / self.settings.frame_rate, self.settings.slow_motion)
+        self._image_publisher = self.create_publisher(Image, "camera/image_raw", images.PICTURES)
+        self._info_publisher = self.create_publisher(
+            CameraInfo, "camera/camera_info", images.PICTURES
+        )
+        self._truth_publisher = self.create_publisher(PoseStamped, "ground_truth", 10)
+        self.create_service(ResetWorld, "reset_world", self._on_reset)
+        self.create_service(Trigger, "~/press_clear_button", self._on_clear_button)
+        self.create_timer(1.0 / self.settings.frame_rate, self._expose)
+
+    def configure(self) -> None:
+        """Make the world and open the two ports."""
+        settings = self.settings
+        cell = load_cell(settings.cell_file or None, settings.object_file or None)
+        truth = load(TruthFile, settings.truth_file or shared_folder() / "truth" / "default.yaml")
+        world = World(
+            cell.object,
+            cell.file.tapper.striker(),
+            cell.file.tapper.stroke,
+            truth,
+            settings.seed,
+        )
+        renderer = make_renderer(cell, truth.camera, world.outline, settings.seed)
+        # Drawn once before the devices are there: the first picture takes longest, and an emulated
+        # board must not be kept waiting.
+        renderer.render(world.pose)
+        self._claim = claim(f"world/{key_of(self)}")
+        if self._claim is None:
+            raise NotReady(
+                "another simulated world runs on this machine in ROS domain "
+                f"{self.context.get_domain_id()}, namespace '{self.get_namespace()}': end it, or "
+                "give this one a ROS_DOMAIN_ID or a namespace of its own"
+            )
+        try:
+            devices = SimulatedDevices(
+                cell,
+                truth.arm,
+                arm_port=self.port_path(settings.arm_port or cell.file.arm.port),
+                tapper_port=self.port_path(settings.tapper_port or cell.file.tapper.port),
+                on_strike=self._on_strike,
+                seed=settings.seed,
+            )
+        except PortTakenError as error:
+            raise NotReady(str(error)) from error
+        self._cell, self._truth, self._world, self._devices = cell, truth, world, devices
+        self._renderer = renderer
+        self._info = images.to_camera_info(cell.camera)
+        self._info.header.frame_id = "camera_optical"
+
+    def cleanup(self) -> None:
+        """Close the ports; the devices are gone."""
+        if self._devices is not None:
+            self._devices.close()
+        self._devices = None
+        if self._claim is not None:
+            self._claim.close()
+        self._claim = None
+        self._late.clear()
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """Pictures sent."""
+        return DiagnosticStatus.OK, "ok", {"pictures": self._frames}
+
+    def _on_strike(self, tip: Pose, height: float, speed: float, now: float) -> float:
+        """The tapper was released, and measures its speed; called from the emulator's thread."""
+        with self._lock:
+            if self._world is None:
+                return speed
+            self._world.strike(tip, height, speed, now)
+            return self._world.gate_speed(speed)
+
+    def _expose(self) -> None:
+        """Take a picture where one is due; send the one whose latency is over."""
+        if not self.active or self._world is None:
+            return
+        assert self._renderer is not None and self._truth is not None
+        camera = self._truth.camera
+        self._send_late()
+        now, clock = time.monotonic(), self.get_clock().now()
+        with self._lock:
+            taken = self._pace.next_picture(now, self._world.at_rest)
+            if taken is None:
+                return
+            opening, middle, closing = (
+                self._pose_at(taken - camera.exposure * share) for share in (1.0, 0.5, 0.0)
+            )
+        if taken == now:
+            # Kept through a slide: a switch of tasks between the two clocks would shift a picture.
+            self._world_began = clock - Duration(seconds=now)
+        stamp = self._world_began + Duration(seconds=taken - camera.exposure / 2)
+        self._publish_truth(middle, stamp)
+        picture = images.to_message(self._renderer.render(opening, closing), "mono8")
+        picture.header.frame_id = "camera_optical"
+        picture.header.stamp = stamp.to_msg()
+        self._late.append((now + camera.latency, picture))
+        self._send_late()
+
+    def _pose_at(self, time: float) -> Pose:
+        """The object's true pose, on the table or held by the arm."""
+        assert self._world is not None and self._truth is not None and self._devices is not None
+        self._world.advance(time)
+        held = self._truth.arm.holds
+        return self._world.pose if held is None else self._devices.tip(time)[0] @ Pose(*held)
+
+    def _send_late(self) -> None:
+        while self._late and self._late[0][0] <= time.monotonic():
+            self._send(self._late.popleft()[1])
+
+    def _send(self, picture: Image) -> None:
+        self._info.header.stamp = picture.header.stamp
+        self._info_publisher.publish(self._info)
+        self._image_publisher.publish(picture)
+        self._frames += 1
+
+    def _publish_truth(self, pose: Pose, stamp: Time) -> None:
+        message = PoseStamped()
+        message.header.frame_id = "table"
+        message.header.stamp = stamp.to_msg()
+        message.pose = to_message(pose)
+        self._truth_publisher.publish(message)
+
+    def _on_clear_button(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Stand in for the person who presses the button at the tapper after a stop."""
+        if self._devices is not None:
+            self._devices.press_clear_button()
+        response.success = self._devices is not None
+        response.message = "pressed" if response.success else "the world is not active yet"
+        return response
+
+    def _on_reset(
+        self, request: ResetWorld.Request, response: ResetWorld.Response
+    ) -> ResetWorld.Response:
+        if self._world is None or self._cell is None or not self.active:
+            response.message = "the world is not active yet; call again when it is"
+            return response
+        table = self._cell.file.table
+        with self._lock:
+            if request.seed:
+                self._world.reseed(request.seed)
+            if request.random:
+                margin = self._cell.object.body().bounding_radius + 0.06
+                pose = self._world.random_pose(table.length, table.width, margin)
+            elif is_finite(request.object_pose):
+                pose = from_message(request.object_pose)
+            else:
+                response.message = "the pose holds a number that is not finite; nothing was moved"
+                return response
+            if abs(pose.x) > table.length / 2 or abs(pose.y) > table.width / 2:
+                response.message = (
+                    f"x {1000 * pose.x:.1f} mm, y {1000 * pose.y:.1f} mm is off the table of "
+                    f"{1000 * table.length:.0f} x {1000 * table.width:.0f} mm; nothing was moved"
+                )
+                return response
+            self._world.place(pose)
+        response.success = True
+        response.message = f"the object lies at x {1000 * pose.x:.1f} mm, y {1000 * pose.y:.1f} mm"
+        return response
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run(SimWorld, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,202 @@
+"""Square markers: dictionaries, the printed pattern, and finding them in an image.
+
+The frame of a marker has its origin in the middle of the black square, x along its top edge to the
+right and y up, as the pattern is drawn by OpenCV (``generateImageMarker``). The size of a marker is
+the side of its black square. Corners come clockwise in the image from the top left one.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.se2 import transform_points
+from tapping_cell.vision.camera import Array, Image
+
+# The corners of a marker of side 1 in its own frame, in the order of detection.
+UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
+
+
+_ENLARGED = 2_200_000
+"""Pixels of an image above which it is not enlarged: markers are not that small in larger ones."""
+
+
+class Effort(enum.IntEnum):
+    """How long to search: thorough takes half as long again and finds smaller markers, enlarged
+    (twice as wide and high, in images of up to 2.2 million pixels) takes five times as long and
+    finds those whose modules are little more than a pixel."""
+
+    QUICK = 0
+    THOROUGH = 1
+    ENLARGED = 2
+
+
+class MarkerError(ValueError):
+    """A marker that does not exist: unknown dictionary or id; the text says which."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detection:
+    """One marker found: its id and its corners in pixels, shape (4, 2), good to about half a
+    pixel."""
+
+    id: int
+    corners: Array
+
+
+def dictionary_name(name: str) -> str:
+    """OpenCV's name (``DICT_...``) for a dictionary called e.g. apriltag_36h11, tag36h11 or 4X4_50.
+
+    Raises MarkerError for a name that OpenCV does not have.
+    """
+    known = {n.upper().removeprefix("DICT_"): n for n in dir(cv2.aruco) if n.startswith("DICT_")}
+    word = name.strip().upper().removeprefix("DICT_").replace("-", "_")
+    for candidate in (word, word.removeprefix("ARUCO_"), word.replace("TAG", "APRILTAG_", 1)):
+        if candidate in known:
+            return known[candidate]
+    raise MarkerError(
+        f"marker dictionary {name!r} is unknown; use apriltag_36h11, apriltag_25h9, "
+        "aruco_4x4_50 or another of OpenCV's (DICT_...)"
+    )
+
+
+@lru_cache(maxsize=32)
+def _dictionary(name: str) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary_name(name)))
+
+
+@lru_cache(maxsize=64)
+def marker_pattern(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
+    """The modules of a marker, black border included: (n, n), True where white, row 0 on top.
+
+    Raises MarkerError for an unknown dictionary or an id that it does not hold.
+    """
+    book = _dictionary(dictionary)
+    count = len(book.bytesList)
+    if not 0 <= marker_id < count:
+        raise MarkerError(f"{dictionary} has the ids 0 to {count - 1}; {marker_id} is none of them")
+    modules = book.markerSize + 2
+    drawn = cv2.aruco.generateImageMarker(book, marker_id, modules, borderBits=1)
+    return np.asarray(drawn > 127)
+
+
+@lru_cache(maxsize=32)
+def _detector(name: str, effort: Effort) -> cv2.aruco.ArucoDetector:
+    parameters = cv2.aruco.DetectorParameters()
+    # Corners are refined afterwards by edges that use every pixel row (edges.py).
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    # Two copies of a marker must both come out, so that a duplicate is named and not dropped.
+    parameters.minMarkerDistanceRate = 0.05
+    # Two windows find what OpenCV's three find (benchmarks/vision.py), in less time; three narrower
+    # ones find more of the small and oblique markers of real photographs.
+    low, high, step, perimeter = {
+        Effort.QUICK: (5, 21, 16, 0.04),
+        Effort.THOROUGH: (3, 19, 8, 0.02),
+        Effort.ENLARGED: (5, 21, 16, 0.02),
+    }[effort]
+    parameters.adaptiveThreshWinSizeMin = low
+    parameters.adaptiveThreshWinSizeMax = high
+    parameters.adaptiveThreshWinSizeStep = step
+    parameters.minMarkerPerimeterRate = perimeter
+    if effort is Effort.ENLARGED:
+        # Blurred modules are less black and white than others.
+        parameters.adaptiveThreshConstant = 5
+    return cv2.aruco.ArucoDetector(_dictionary(name), parameters)
+
+
+def find_markers(
+    image: Image,
+    dictionary: str,
+    region: tuple[int, int, int, int] | None = None,
+    effort: Effort = Effort.QUICK,
+) -> list[Detection]:
+    """All markers of a dictionary in the image or in a region (x0, y0, x1, y1) of it, in pixels."""
+    x0, y0 = 0, 0
+    if region is not None:
+        x0, y0 = max(0, region[0]), max(0, region[1])
+        image = image[y0 : max(0, region[3]), x0 : max(0, region[2])]
+        if min(image.shape) < 16:
+            return []
+    if image.size > _ENLARGED:
+        effort = min(effort, Effort.THOROUGH)
+    scale = 2.0 if effort is Effort.ENLARGED else 1.0
+    if scale > 1.0:
+        larger = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+        image = np.asarray(larger, dtype=np.uint8)
+    corners, ids, _ = _detector(dictionary, effort).detectMarkers(np.ascontiguousarray(image))
+    if ids is None:
+        return []
+    # Pixels count from their centres: the first one's is at (scale - 1) / 2 of the enlarged image.
+    offset = np.array([x0, y0]) - 0.5 * (1.0 - 1.0 / scale)
+    return [
+        Detection(int(i), np.asarray(c, dtype=float).reshape(4, 2) / scale + offset)
+        for i, c in zip(np.ravel(ids), corners, strict=True)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectMarker:
+    """The marker on an object's top: where it is on the object and how high over the table.
+
+    ``size`` is the side of the black square in m, ``offset`` the marker's pose in the object's
+    frame (m, m, rad), ``height`` that of the printed face over the table in m.
+    """
+
+    dictionary: str
+    id: int
+    size: float
+    height: float
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Refuse a marker that cannot be found, with the value."""
+        if not 0.0 < self.size < 10.0:
+            raise MarkerError(f"the marker's size is {self.size} m; it must be above 0")
+        marker_pattern(self.dictionary, self.id)
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceMarker:
+    """A marker printed on the table: its middle and angle in ``table`` (m, rad), its side in m."""
+
+    id: int
+    size: float
+    x: float
+    y: float
+    theta: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceMap:
+    """The reference markers of a table, all of one dictionary.
+
+    ``deviation`` (m) is how well their places against each other were measured, root mean square;
+    0 where the map itself is what counts.
+    """
+
+    dictionary: str
+    markers: tuple[ReferenceMarker, ...]
+    deviation: float = field(default=0.0, compare=False)
+
+    def __post_init__(self) -> None:
+        """Refuse a map that says no place or says it twice."""
+        if not self.markers:
+            raise MarkerError("the table has no reference markers; list at least two")
+        ids = [marker.id for marker in self.markers]
+        if len(set(ids)) != len(ids):
+            raise MarkerError(f"the reference markers' ids {ids} hold one of them twice")
+        for marker in self.markers:
+            if not 0.0 < marker.size < 10.0:
+                raise MarkerError(f"reference marker {marker.id} has the size {marker.size} m")
+            marker_pattern(self.dictionary, marker.id)
+
+    def corners(self) -> Array:
+        """Corners of every marker in the table's plane, shape (M, 4, 2), in m."""
+        poses = np.array([[m.x, m.y, m.theta] for m in self.markers])
+        sizes = np.array([m.size for m in self.markers])
+        return transform_points(poses[:, None, :], UNIT_CORNERS * sizes[:, None, None])

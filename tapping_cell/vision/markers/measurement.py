@@ -1,0 +1,80 @@
+"""Measuring markers whose place is roughly known: large ones by edges, small ones by their whole
+pattern."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.vision.camera import Array, Image
+from tapping_cell.vision.markers.edges import MarkerEdges, join, narrowest, no_edges, refine, take
+from tapping_cell.vision.markers.initial_corners import better_corners
+from tapping_cell.vision.markers.search import patterns_agree
+from tapping_cell.vision.markers.small_markers import as_edges, fit_pattern
+
+_SMALL = 4.5
+"""Pixels a module below which the whole pattern is fitted: there it is four times as accurate as
+the edges, whose windows no longer end in plain black and white."""
+_SMALL_EDGES = 2.5
+"""Factor on the noise of edges of such a marker, where the pattern cannot be fitted."""
+
+
+def measure(
+    image: Image, quads: Array, patterns: list[NDArray[np.bool_]], searched: bool
+) -> tuple[MarkerEdges, NDArray[np.bool_]]:
+    """Markers near ``quads`` (M, 4, 2) and for each: is it measured, and surely this pattern?
+
+    ``searched`` quads come from a search, whose corners may lie some pixels off and are then looked
+    for again; others from a marker's last place.
+    """
+    modules = np.array([pattern.shape[0] for pattern in patterns])
+    small = narrowest(quads) < _SMALL * modules
+    order, right = np.arange(len(quads)), np.zeros(len(quads), dtype=bool)
+    whole = no_edges()
+    # Those whose edges are asked, together: all large ones, and small ones whose pattern fails.
+    rest = list(np.flatnonzero(~small))
+    for row in np.flatnonzero(small):
+        fitted = _by_pattern(image, quads[row], patterns[row], searched)
+        if fitted is None:
+            rest.append(row)
+            continue
+        order[row], right[row] = len(whole.good), True
+        whole = fitted if not len(whole.good) else join(whole, fitted)
+    if not rest:
+        return take(whole, order), right
+    some = np.array(rest, dtype=np.intp)
+    edges, agree = _by_edges(image, quads[some], [patterns[row] for row in rest], searched)
+    edges = replace(edges, spread=np.where(small[some], _SMALL_EDGES, 1.0) * edges.spread)
+    order[some], right[some] = len(whole.good) + np.arange(len(some)), agree
+    whole = edges if not len(whole.good) else join(whole, edges)
+    return take(whole, order), right
+
+
+def _by_pattern(
+    image: Image, quad: Array, pattern: NDArray[np.bool_], searched: bool
+) -> MarkerEdges | None:
+    starts = (better_corners(image, quad, pattern.shape[0]), quad) if searched else (quad,)
+    for start in starts:
+        fit = fit_pattern(image, start, pattern)
+        if fit is not None:
+            return as_edges(fit)
+    return None
+
+
+def _by_edges(
+    image: Image, quads: Array, patterns: list[NDArray[np.bool_]], searched: bool
+) -> tuple[MarkerEdges, NDArray[np.bool_]]:
+    modules = np.array([pattern.shape[0] for pattern in patterns])
+    edges = refine(image, quads, modules)
+    right = patterns_agree(image, edges, patterns)
+    if not searched or right.all():
+        return edges, right
+    order, again = np.arange(len(quads)), np.flatnonzero(~right)
+    better = np.stack([better_corners(image, quads[row], int(modules[row])) for row in again])
+    second = refine(image, better, modules[again])
+    agree = patterns_agree(image, second, [patterns[row] for row in again])
+    order[again[agree]] = len(quads) + np.flatnonzero(agree)
+    right[again] = agree
+    return take(join(edges, second), order), right

@@ -1,0 +1,154 @@
+"""The object's pose from the edges of its marker, in the plane of the marker's printed face."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tapping_cell import se2
+from tapping_cell.vision.camera import Array, View
+from tapping_cell.vision.markers.detection import UNIT_CORNERS, ObjectMarker
+from tapping_cell.vision.markers.edges import MarkerEdges
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseFit:
+    """A pose (x, y, theta) of the *marker* in table, its covariance (3, 3) from pixel noise, and
+    the side that the marker seems to have (m).
+    """
+
+    pose: Array
+    covariance: Array
+    size: float
+
+
+_CLEAN, _SMEARED = 0.03, 0.25
+"""An edge smeared over its window (``MarkerEdges.pull`` p above the first, which is noise) is off
+by a standard deviation of the second, in pixels, times p / (1 - p): measured on rendered slides
+with smears of up to 14 pixels."""
+_FREE, _USUAL_FREE = 4.0, 8.0
+"""Degrees of freedom that four sides of a square leave, and how many more their usual noise counts
+for."""
+_OBLONG_PIXELS, _OBLONG = 0.5, 0.006
+"""Pixels, and share of the side, that a marker may be longer than wide: beyond, something lies
+along one of its sides and was taken for it."""
+_MORE_OBLONG, _MOST_OBLONG = 4.0, 0.03
+"""It may be so many times more so than the reference markers beside it are (root mean square; a
+poor lens, bent paper, a sharpened picture), up to that share."""
+
+
+def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
+    """Marker ``row`` of ``edges`` as a square of known side in the plane at the marker's height.
+
+    The other rows are those of reference markers. None if the edges are not good or make no square,
+    as when something lies along a side.
+    """
+    if not edges.good[row]:
+        return None
+    pixels = np.concatenate([edges.points[row].reshape(-1, 2), edges.corners[row]])
+    seen = view.on_plane(pixels, marker.height)
+    points = seen[:-4].reshape(4, -1, 2)
+    weights = edges.weights[row]
+    pose = _square_pose(seen[-4:])
+    size = marker.size
+    # Side k of the unit square lies at distance 1/2 along this normal.
+    normals = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
+    # One step: the corners are right to hundredths of a pixel, so the rest is linear.
+    normal = se2.transform_points([0.0, 0.0, pose[2]], normals)[:, None, :]
+    arm = points - pose[:2]
+    distance = (normal * arm).sum(axis=-1) - 0.5 * size
+    rows = np.empty((*distance.shape, 4))
+    rows[..., :2] = normal
+    rows[..., 2] = normal[..., 1] * arm[..., 0] - normal[..., 0] * arm[..., 1]
+    rows[..., 3] = 0.5
+    rows = rows.reshape(-1, 4)
+    # What a pixel across a side is on the plane: seen obliquely, not the same for all.
+    across = np.linalg.norm(normal[:, 0] @ _metres(edges.corners[row], seen[-4:]), axis=1)
+    pixel = float(across.max())
+    weights = weights * np.square(pixel / across)[:, None]
+    weighted = rows * weights.reshape(-1, 1)
+    inverse = np.linalg.inv(weighted.T @ rows)
+    step = inverse @ (weighted.T @ distance.reshape(-1))
+    pose = pose + step[:3]
+    size += step[3]
+    if not np.all(np.isfinite(pose)):
+        return None
+    left = distance - (rows @ step).reshape(distance.shape)
+    total = np.maximum(weights.sum(axis=1), 1e-9)
+    sides = (weights * left).sum(axis=1) / total
+    oblong = abs(float(sides[0] - sides[1] + sides[2] - sides[3]))
+    if oblong > max(_OBLONG_PIXELS * pixel, _OBLONG * marker.size) and (
+        oblong > _usually_oblong(view, edges, row) * marker.size
+    ):
+        return None
+    noise = max(float(edges.spread[row]), 0.01) * pixel
+    noise *= _misfit(left, weights, noise)
+    pull = min(max(float(edges.pull[row]) - _CLEAN, 0.0), 0.99)
+    smeared = _SMEARED * pixel * pull / (1.0 - pull)
+    covariance = inverse[:3, :3] * noise**2
+    covariance += np.diag(np.square([smeared, smeared, smeared / marker.size]))
+    return PoseFit(pose, covariance, float(size))
+
+
+def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
+    """By what share of the side the object's marker may be longer than wide for what the reference
+    markers, the other rows, are."""
+    references = np.delete(edges.corners, row, axis=0)
+    if len(references) < 3:
+        return 0.0
+    seen = view.on_plane(references)
+    sides = np.linalg.norm(np.roll(seen, -1, axis=1) - seen, axis=2)
+    longer = np.abs(sides @ [1.0, -1.0, 1.0, -1.0]) / (0.5 * sides.sum(axis=1))
+    return min(_MORE_OBLONG * float(np.sqrt((longer**2).mean())), _MOST_OBLONG)
+
+
+def _metres(pixels: Array, seen: Array) -> Array:
+    """Matrix (2, 2): steps on the plane (m) of steps of a pixel right and down, from four corners
+    (4, 2) in the image and on the plane."""
+    return np.asarray((seen[2:] - seen[:2]).T @ np.linalg.inv((pixels[2:] - pixels[:2]).T))
+
+
+def _misfit(left: Array, weights: Array, noise: float) -> float:
+    """How much worse the four sides fit a square than their noise says, at least 1.
+
+    Of four sides' places and turns a square has four, four are left: glare, sharpening, compression
+    and bent paper show there. That is a scarce sample, so it counts beside what it usually is.
+    """
+    total = np.maximum(weights.sum(axis=1), 1e-9)
+    place = (weights * left).sum(axis=1) / total
+    along = np.linspace(-0.5, 0.5, left.shape[1]) * np.ones_like(left)
+    along = along - (weights * along).sum(axis=1, keepdims=True) / total[:, None]
+    spread = np.maximum((weights * along**2).sum(axis=1), 1e-9)
+    turn = (weights * left * along).sum(axis=1) / spread
+    chi = float((place**2 * total + turn**2 * spread).sum()) / noise**2
+    return float(np.sqrt(max(1.0, (chi + _USUAL_FREE) / (_FREE + _USUAL_FREE))))
+
+
+def pose_of_corners(view: View, corners: Array, marker: ObjectMarker) -> Array:
+    """Pose (x, y, theta) of the marker from its corners (4, 2) in pixels; the size is not used."""
+    return _square_pose(view.on_plane(corners, marker.height))
+
+
+def _square_pose(seen: Array) -> Array:
+    """Pose (x, y, theta) of a square whose corners (4, 2) lie there, in m."""
+    middle = seen.mean(axis=0)
+    arm = seen - middle
+    cross = (UNIT_CORNERS[:, 0] * arm[:, 1] - UNIT_CORNERS[:, 1] * arm[:, 0]).sum()
+    dot = (UNIT_CORNERS * arm).sum()
+    return np.array([middle[0], middle[1], np.arctan2(cross, dot)])
+
+
+def object_pose(marker_pose: Array, covariance: Array, marker: ObjectMarker) -> tuple[Array, Array]:
+    """Pose and covariance of the object in table from those of its marker."""
+    to_object = se2.inverse(marker.offset)
+    pose = se2.compose(marker_pose, to_object)
+    pose[2] = se2.wrap_angle(pose[2])
+    shift = pose[:2] - marker_pose[:2]
+    jacobian = np.array([[1.0, 0.0, -shift[1]], [0.0, 1.0, shift[0]], [0.0, 0.0, 1.0]])
+    return pose, jacobian @ covariance @ jacobian.T
+
+
+def marker_pose(pose: Array, marker: ObjectMarker) -> Array:
+    """Pose of the marker in table when the object is at ``pose``."""
+    return se2.compose(pose, marker.offset)

@@ -1,0 +1,318 @@
+"""Photometric alignment of a marker at rest: every pixel of the pattern says where it is.
+
+The grey values are explained by the printed pattern, blurred, seen through the known camera from
+the known height: three unknowns of the pose; light and ink enter linearly (a gain and an offset,
+each with a gradient across the marker), and so does, to first order, what the blur differs from the
+assumed one. Gauss-Newton from the pose that the edges gave (Lucas and Kanade 1981; Baker and
+Matthews 2004 for the family). A symmetric blur moves no edge, so the answer has no bias from it.
+
+Noise that a camera has smoothed, sharpened or compressed is not independent from pixel to pixel:
+how neighbours go together in what the pattern leaves unexplained says how much less, or more, they
+tell together.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from tapping_cell.vision.camera import Array, CameraModel, Image, View
+from tapping_cell.vision.markers.detection import ObjectMarker, marker_pattern
+
+_MARGIN = 0.4
+"""Modules of the white border that take part: beyond, a neighbour may begin."""
+_LARGEST_STEP = 0.5
+"""Pixels that the answer may lie from the start; the edges are never so wrong."""
+_SMALLEST_STEP = 0.002
+"""Pixels; Gauss-Newton has converged (a tenth of what the noise of one frame allows)."""
+_POSE = slice(11, 14)
+"""Columns of the design matrix that move the marker."""
+_LAGS = 4
+"""Pixels apart up to which noise is asked whether it goes together."""
+_LEAST_POWER = 0.1
+"""Of white noise, that the noise has at least at every spatial frequency."""
+_SAME_PLACE = 0.03
+"""Pixels from where the pattern was linearised up to which it needs not be again: what the second
+order leaves there is a thousandth of a pixel at most, and for the noise of a frame, a fifth of
+this, below 5e-5."""
+_SAME_LIGHT = 0.05
+"""Share by which the contrast may have changed since."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Template:
+    """The pattern around its middle, blurred: value (0 black, 1 white), its derivatives along u and
+    v and its Laplacian (per m, per m^2), texture (n, n, 4); ``blur`` is the Gaussian's sigma in m.
+    """
+
+    texture: NDArray[np.float32]
+    texel: float
+    blur: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """Pose (3,) of the marker in table, its covariance (3, 3) from pixel noise; ``unexplained`` the
+    grey levels (root mean square) that remain where the pattern changes, ``blur`` the sigma in m
+    that would have fitted best.
+    """
+
+    pose: Array
+    covariance: Array
+    unexplained: float
+    blur: float
+    look: Look
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """An alignment linearised at ``pose`` (3,), for frames in which the marker is there again:
+    which pixels see it (flat indices), the design matrix (N, 14), and its normal matrix (14, 14);
+    ``light`` (3,) the contrast, and its gradients. ``together`` (3, 3): how much larger the
+    covariance is than that of independent pixels, :func:`_together`.
+    """
+
+    pixels: NDArray[np.intp]
+    columns: Array
+    normal: Array
+    pose: Array
+    light: Array
+    template: Template
+    pixel: float
+    together: Array
+
+
+def make_template(marker: ObjectMarker, pixel: float, blur: float) -> Template:
+    """The template of a marker for a camera whose pixel is ``pixel`` m wide there."""
+    pattern = marker_pattern(marker.dictionary, marker.id)
+    module = marker.size / pattern.shape[0]
+    each = int(np.clip(math.ceil(3.5 * module / pixel), 3, 48))
+    texel = module / each
+    sheet = np.kron(np.pad(pattern, 2, constant_values=True), np.ones((each, each)))
+    sigma = blur / texel
+    soft = cv2.GaussianBlur(sheet, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+    down, right = np.gradient(soft, texel)
+    laplacian = np.gradient(right, texel, axis=1) + np.gradient(down, texel, axis=0)
+    # Rows go down, v goes up.
+    return Template(np.stack([soft, right, -down, laplacian], -1).astype(np.float32), texel, blur)
+
+
+def align(
+    image: Image, view: View, template: Template, marker: ObjectMarker, start: Array
+) -> Alignment | None:
+    """Marker pose near ``start`` (3,), which must be right to a fraction of a pixel.
+
+    None if it does not converge there, or if the pattern does not explain the image.
+    """
+    pixels = _pixels(image, view, marker, start)
+    if pixels is None:
+        return None
+    x, y, chosen = pixels
+    grey = image.reshape(-1)[chosen].astype(float)
+    pixel = float(view.pose.translation[2]) / view.camera.fx
+    pose = start.copy()
+    weight: Array | None = None
+    gain = np.full(x.shape, float(np.ptp(grey)))
+    for iteration in range(6):
+        columns, fixed = _columns(template, marker, x, y, pose, gain)
+        weighted = columns if weight is None else columns * weight[:, None]
+        information = weighted.T @ columns
+        try:
+            answer = np.linalg.solve(information, weighted.T @ grey)
+        except np.linalg.LinAlgError:
+            return None
+        step = answer[_POSE]
+        pose = pose + step
+        gain = fixed @ answer[:3]
+        size = max(math.hypot(step[0], step[1]), abs(step[2]) * 0.5 * marker.size) / pixel
+        if not math.isfinite(size) or size > _LARGEST_STEP:
+            return None
+        residual = grey - columns @ answer
+        spread = 1.4826 * float(np.median(np.abs(residual)))
+        if weight is not None and size < _SMALLEST_STEP:
+            break
+        if iteration > 0 or size < 0.05:
+            weight = np.minimum(1.0, 3.0 * max(spread, 0.3) / np.maximum(np.abs(residual), 1e-6))
+    else:
+        return None
+    moved = pose - start
+    if math.hypot(moved[0], moved[1]) > _LARGEST_STEP * pixel:
+        return None
+    normal = columns.T @ columns
+    answers = np.linalg.inv(information)[_POSE]
+    influence = weighted @ np.linalg.solve(np.linalg.cholesky(answers[:, _POSE]), answers).T
+    together = _together(chosen, image.shape[1], influence, weight * residual)
+    look = Look(chosen, columns, normal, pose - step, answer[:3], template, pixel, together)
+    return _judged(look, answer, residual, weight, information, spread)
+
+
+def align_again(image: Image, look: Look, marker: ObjectMarker, start: Array) -> Alignment | None:
+    """The same for a frame in which the marker lies where it lay, as the edges say (``start``).
+
+    One step of Gauss-Newton from the last alignment: a tenth of the time. None if the marker or the
+    light is not as it was, which says nothing about where it is.
+    """
+    gap = start - look.pose
+    if math.hypot(gap[0], gap[1]) > _LARGEST_STEP * look.pixel:
+        return None
+    columns = look.columns
+    grey = image.reshape(-1)[look.pixels].astype(float)
+    product = grey @ columns
+    residual = grey - columns @ np.linalg.solve(look.normal, product)
+    spread = 1.4826 * float(np.median(np.abs(residual)))
+    weight = np.minimum(1.0, 3.0 * max(spread, 0.3) / np.maximum(np.abs(residual), 1e-6))
+    # Nearly all pixels count fully: only the others are taken off.
+    less = np.flatnonzero(weight < 1.0)
+    spoilt = columns[less]
+    lost = spoilt.T * (1.0 - weight[less])
+    information = look.normal - lost @ spoilt
+    try:
+        answer = np.linalg.solve(information, product - lost @ grey[less])
+    except np.linalg.LinAlgError:
+        return None
+    step = answer[_POSE]
+    size = max(math.hypot(step[0], step[1]), abs(step[2]) * 0.5 * marker.size) / look.pixel
+    change = float(np.abs(answer[:3] - look.light).max()) / abs(float(look.light[0]))
+    if not size < _SAME_PLACE or not change < _SAME_LIGHT:
+        return None
+    residual = grey - columns @ answer
+    return _judged(look, answer, residual, weight, information, spread)
+
+
+def _judged(
+    look: Look, answer: Array, residual: Array, weight: Array, information: Array, spread: float
+) -> Alignment | None:
+    """What the last step of an alignment says; None if the pattern does not explain the image."""
+    columns, template, pixel = look.columns, look.template, look.pixel
+    contrast = float(answer[0])
+    noise = max(math.sqrt(float((weight * residual**2).sum() / weight.sum())), spread, 0.3)
+    # What the edges leave is what moves the answer: a pattern not quite as modelled shows there.
+    slope = weight * (columns[:, _POSE][:, :2] ** 2).sum(axis=1)
+    unexplained = math.sqrt(float((slope * residual**2).sum() / slope.sum()))
+    noise = max(noise, unexplained)
+    if contrast < 12.0 or noise > 0.12 * contrast:
+        return None
+    root = np.linalg.cholesky(np.linalg.inv(information)[_POSE, _POSE]) * noise
+    covariance = np.asarray(root @ look.together @ root.T, dtype=float)
+    softening = template.blur**2 + 2.0 * float(answer[6])
+    blur = math.sqrt(max(softening, (0.3 * pixel) ** 2))
+    return Alignment(look.pose + answer[_POSE], covariance, unexplained, blur, look)
+
+
+def _together(
+    chosen: NDArray[np.intp], width: int, influence: Array, residual: Array
+) -> NDArray[np.float64]:
+    """Covariance (3, 3) of whitened answers: 1 for pixels with independent noise.
+
+    ``influence`` (N, 3) is how the pixels ``chosen`` (flat indices, rows of ``width``) move them,
+    and ``residual`` (N,) shows which noise goes together: its autocorrelation, filtered through the
+    influence (the sandwich of Huber 1967 and White 1980, for noise alike all over the marker).
+    """
+    rows, columns = np.divmod(chosen, width)
+    rows, columns = rows - rows.min(), columns - columns.min()
+    shape = int(rows.max()) + 1, int(columns.max()) + 1
+    # Single precision: of a factor that is known to a hundredth at best.
+    maps = np.zeros((5, *shape), dtype=np.float32)
+    maps[:, rows, columns] = np.vstack([influence.T, residual, np.ones(len(residual))])
+    size = [fft.next_fast_len(n + _LAGS, real=True) for n in shape]
+    waves = fft.rfft2(maps, size)
+    products, pairs = fft.irfft2(np.abs(waves[3:]) ** 2, size)
+    lags = np.arange(-_LAGS, _LAGS + 1)
+    near = np.ix_(lags, lags)
+    kernel = np.zeros(size, dtype=np.float32)
+    kernel[near] = products[near] / pairs[near] * (pairs[0, 0] / max(products[0, 0], 1e-9))
+    power = np.maximum(fft.rfft2(kernel).real, _LEAST_POWER)
+    filtered = fft.irfft2(waves[:3] * power, size)[:, : shape[0], : shape[1]]
+    apart = maps[:3].reshape(3, -1) @ filtered.reshape(3, -1).T - influence.T @ influence
+    return np.asarray(np.eye(3) + 0.5 * (apart + apart.T), dtype=float)
+
+
+def _pixels(
+    image: Image, view: View, marker: ObjectMarker, start: Array
+) -> tuple[Array, Array, NDArray[np.intp]] | None:
+    """Where the pixels on the marker see its plane (x, y in m, table), and which they are (flat
+    indices)."""
+    modules = marker_pattern(marker.dictionary, marker.id).shape[0]
+    reach = marker.size * (0.5 + _MARGIN / modules)
+    cos, sin = math.cos(start[2]), math.sin(start[2])
+    square = reach * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    corners = square @ np.array([[cos, sin], [-sin, cos]]) + start[:2]
+    seen = view.project(corners, marker.height)
+    x0, y0 = np.floor(seen.min(axis=0)).astype(int)
+    x1, y1 = np.ceil(seen.max(axis=0)).astype(int) + 1
+    camera = view.camera
+    if x0 < 0 or y0 < 0 or x1 > camera.width or y1 > camera.height:
+        return None
+    points = view.rays_on_plane(window_rays(camera, x0, y0, x1, y1), marker.height)
+    x, y = points[..., 0], points[..., 1]
+    dx, dy = x - start[0], y - start[1]
+    inside = np.maximum(np.abs(cos * dx + sin * dy), np.abs(cos * dy - sin * dx)) < reach
+    chosen = np.flatnonzero(inside)
+    # The textures are sampled in rows of 64: a few pixels less.
+    chosen = chosen[: len(chosen) // 64 * 64]
+    if len(chosen) < 256:
+        return None
+    rows, columns = np.divmod(chosen, x1 - x0)
+    return x.ravel()[chosen], y.ravel()[chosen], (rows + y0) * image.shape[1] + columns + x0
+
+
+def _columns(
+    template: Template, marker: ObjectMarker, x: Array, y: Array, pose: Array, gain: Array
+) -> tuple[Array, Array]:
+    """Design matrix (N, 14): gain and gradients, offset and gradients, blur, grey levels of the
+    blurred edges that are no measure of the light (gamma, ink that runs), two stretches and a
+    shear, x, y, theta; and the columns (N, 3) that a gain's values multiply.
+    """
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    dx, dy = x - pose[0], y - pose[1]
+    u, v = cos * dx + sin * dy, cos * dy - sin * dx
+    middle = 0.5 * template.texture.shape[0] - 0.5
+    found = cv2.remap(
+        template.texture,
+        (u / template.texel + middle).astype(np.float32).reshape(-1, 64),
+        (middle - v / template.texel).astype(np.float32).reshape(-1, 64),
+        cv2.INTER_LINEAR,
+    ).reshape(-1, 4)
+    value = found[:, 0]
+    by_u, by_v = gain * found[:, 1], gain * found[:, 2]
+    across, up = u / marker.size, v / marker.size
+    fixed = np.stack([np.ones_like(u), across, up], axis=-1)
+    columns = np.empty((len(u), 14))
+    columns[:, :3] = fixed * value[:, None]
+    columns[:, 3:6] = fixed
+    columns[:, 6] = gain * found[:, 3]
+    columns[:, 7] = gain * value * (1.0 - value)
+    columns[:, 8] = u * by_u
+    columns[:, 9] = v * by_v
+    columns[:, 10] = v * by_u + u * by_v
+    columns[:, 11] = -cos * by_u + sin * by_v
+    columns[:, 12] = -sin * by_u - cos * by_v
+    columns[:, 13] = v * by_u - u * by_v
+    return columns, fixed
+
+
+def window_rays(camera: CameraModel, x0: int, y0: int, x1: int, y1: int) -> Array:
+    """Directions (y1 - y0, x1 - x0, 2) of the pixels of a window of the image.
+
+    A lens is smooth: exact at 8 x 8 Chebyshev nodes, polynomial between (error below 1e-6 pixel for
+    windows of a few hundred pixels).
+    """
+    degree = 7
+    nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+    half_x, half_y = 0.5 * (x1 - 1 - x0) + 0.5, 0.5 * (y1 - 1 - y0) + 0.5
+    mid_x, mid_y = 0.5 * (x0 + x1 - 1), 0.5 * (y0 + y1 - 1)
+    grid = np.stack(np.meshgrid(mid_x + half_x * nodes, mid_y + half_y * nodes), axis=-1)
+    known = camera.rays(grid)
+    inverse = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
+    at_x = (
+        np.polynomial.chebyshev.chebvander((np.arange(x0, x1) - mid_x) / half_x, degree) @ inverse
+    )
+    at_y = (
+        np.polynomial.chebyshev.chebvander((np.arange(y0, y1) - mid_y) / half_y, degree) @ inverse
+    )
+    return np.stack([at_y @ known[..., i] @ at_x.T for i in (0, 1)], axis=-1)

@@ -1,0 +1,126 @@
+"""Finding the markers that the cell knows in a frame, and being sure that it is they."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.vision.camera import Array, Image
+from tapping_cell.vision.markers.detection import Detection, Effort, find_markers
+from tapping_cell.vision.markers.edges import MarkerEdges
+
+_BITS_WRONG = 0.04
+"""Share of a pattern's modules that may read wrong (dirt, glare): 4 of an AprilTag 36h11's 100."""
+
+
+@dataclass(frozen=True, slots=True)
+class Census:
+    """A full search, by id: markers seen once, and those seen more than once."""
+
+    single: dict[int, Array]
+    repeated: tuple[int, ...]
+
+    def and_more(self, other: Census) -> Census:
+        """This and what another search of the same image found."""
+        repeated = {*self.repeated, *other.repeated}
+        repeated |= {
+            i
+            for i in self.single.keys() & other.single.keys()
+            if _apart(self.single[i], other.single[i])
+        }
+        both = other.single | self.single
+        return Census({i: both[i] for i in both.keys() - repeated}, tuple(sorted(repeated)))
+
+
+def census(image: Image, dictionary: str, effort: Effort = Effort.QUICK) -> Census:
+    """Every marker of a dictionary in the whole image; nested doubles of one square count once."""
+    by_id: dict[int, list[Detection]] = {}
+    for found in find_markers(image, dictionary, effort=effort):
+        others = by_id.setdefault(found.id, [])
+        if all(_apart(found.corners, other.corners) for other in others):
+            others.append(found)
+    return Census(
+        {i: found[0].corners for i, found in by_id.items() if len(found) == 1},
+        tuple(sorted(i for i, found in by_id.items() if len(found) > 1)),
+    )
+
+
+def efforts(first: bool, slow: bool) -> tuple[Effort, ...]:
+    """How hard to search a frame, one search after another until all is found: the first frame may
+    be the only one; of others one search must do, which may be ``slow``."""
+    if first:
+        return tuple(Effort)
+    return (Effort.THOROUGH,) if slow else (Effort.QUICK,)
+
+
+def _apart(first: Array, second: Array) -> bool:
+    side = float(np.linalg.norm(first[1] - first[0]))
+    gap = np.linalg.norm(first.mean(axis=0) - second.mean(axis=0))
+    return float(gap) > 0.5 * side
+
+
+def near(image: Image, dictionary: str, marker_id: int, quad: Array) -> Array | None:
+    """Corners of a marker searched within one marker's width around a quad (4, 2); None if not
+    once."""
+    reach = 1.0 * float(np.linalg.norm(quad[2] - quad[0]))
+    low = np.floor(quad.min(axis=0) - reach).astype(int)
+    high = np.ceil(quad.max(axis=0) + reach).astype(int)
+    region = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+    found = [d for d in find_markers(image, dictionary, region) if d.id == marker_id]
+    if not found or any(_apart(found[0].corners, other.corners) for other in found[1:]):
+        return None
+    return found[0].corners
+
+
+def patterns_agree(
+    image: Image, edges: MarkerEdges, patterns: list[NDArray[np.bool_]]
+) -> NDArray[np.bool_]:
+    """For each marker: do the modules between its corners read as its pattern?"""
+    agree = np.zeros(len(patterns), dtype=bool)
+    height, width = image.shape
+    corners = edges.corners
+    with np.errstate(invalid="ignore"):
+        inside = (corners >= 0).all(axis=(1, 2))
+        inside &= (corners < [width - 1, height - 1]).all(axis=(1, 2))
+    whole = np.flatnonzero(edges.good & inside)
+    sizes = np.array([len(pattern) for pattern in patterns], dtype=np.intp)
+    for modules in np.unique(sizes[whole]):
+        rows = whole[sizes[whole] == modules]
+        index = np.rint(_within(corners[rows], *_centres(int(modules)))).astype(np.intp)
+        grey = image[index[..., 1], index[..., 0]]
+        middle = 0.5 * (edges.black[rows] + edges.white[rows])
+        wrong = (grey > middle[:, None]) != np.stack([patterns[row].ravel() for row in rows])
+        agree[rows] = wrong.mean(axis=1) <= _BITS_WRONG
+    return agree
+
+
+@lru_cache(maxsize=8)
+def _centres(modules: int) -> tuple[Array, Array]:
+    """Where the middles of modules lie in their marker, row after row: shares (N,) right and
+    down."""
+    centres = (np.arange(modules) + 0.5) / modules
+    u, v = np.meshgrid(centres, centres)
+    return u.ravel(), v.ravel()
+
+
+def _within(corners: Array, u: Array, v: Array) -> Array:
+    """Points (M, N, 2) at shares u (right) and v (down), (N,), of squares seen in perspective as
+    ``corners`` (M, 4, 2).
+
+    Heckbert 1989, "Fundamentals of texture mapping", square to quadrilateral.
+    """
+    # Row 0 of the pattern lies along corners 0 and 1.
+    p0, p1, p2, p3 = corners.transpose(1, 0, 2)
+    total = p0 - p1 + p2 - p3
+    d1, d2 = p1 - p2, p3 - p2
+    determinant = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+    g = ((total[:, 0] * d2[:, 1] - total[:, 1] * d2[:, 0]) / determinant)[:, None]
+    h = ((d1[:, 0] * total[:, 1] - d1[:, 1] * total[:, 0]) / determinant)[:, None]
+    along = p1 - p0 + g * p1
+    down = p3 - p0 + h * p3
+    scale = g * u + h * v + 1.0
+    points = along[:, None] * u[:, None] + down[:, None] * v[:, None] + p0[:, None]
+    return np.asarray(points / scale[..., None], dtype=float)

@@ -1,0 +1,1 @@
+"""Objects without a marker: the pose from the outline of their top."""

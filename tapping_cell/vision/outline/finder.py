@@ -1,0 +1,139 @@
+"""From one frame to the next: where the outline is, or in which words it is not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tapping_cell.vision.camera import Array, Image, View
+from tapping_cell.vision.markers.detection import ReferenceMap
+from tapping_cell.vision.observation import Problem
+from tapping_cell.vision.outline.fit import USUAL_BLUR, Look, OutlineFit, fit_again
+from tapping_cell.vision.outline.search import (
+    NO_DOT,
+    OTHER_SIZE,
+    TWO_DOTS,
+    Refused,
+    accept,
+    find_outlines,
+    fit_surely,
+    look_closely,
+    stands_out,
+)
+from tapping_cell.vision.outline.shape import ObjectOutline
+
+Trouble = tuple[Problem, str]
+
+RIM_BIAS = 7e-6
+"""Standard deviation (m) of what all frames share: an edge in a pixel, light across the rim, a
+wall; measured on rendered scenes. Chamfers, dirt and a wrong file are not in it."""
+_PROBLEMS = {
+    OTHER_SIZE: Problem.MISSHAPEN_OBJECT,
+    NO_DOT: Problem.DOT_HIDDEN,
+    TWO_DOTS: Problem.DOT_HIDDEN,
+}
+
+
+class OutlineFinder:
+    """Looks for one outline in every frame; remembers how blurred the camera shows it."""
+
+    def __init__(self, outline: ObjectOutline, table: ReferenceMap) -> None:
+        self.outline = outline
+        self._known = table.corners()
+        self._blur = USUAL_BLUR
+        self._search = True
+        self._followed = False
+        self._refused: Trouble | None = None
+        self._last_look: tuple[View, Look] | None = None
+
+    def search(self) -> None:
+        """Look everywhere in the next frame."""
+        self._search = True
+
+    def shared(self) -> Array:
+        """Covariance (3, 3; m, m, rad) of what averaging over frames does not take away."""
+        dot = self.outline.dot
+        arm = 0.7 * self.outline.reach
+        if dot is not None and self.outline.vertices is None:
+            arm = math.hypot(*dot.offset)
+        return np.diag([RIM_BIAS**2, RIM_BIAS**2, (RIM_BIAS / arm) ** 2])
+
+    def look(
+        self, image: Image, view: View, expected: Array | None, step: Array
+    ) -> OutlineFit | Trouble:
+        """The outline in this frame; ``expected`` (3,) is where it should be, ``step`` (2,) how far
+        it moves from frame to frame in m."""
+        followed = None if expected is None else self._follow(image, view, expected, step)
+        lost = followed is None and self._followed
+        if self._search or lost:
+            self._search = False
+            answer = self._everywhere(image, view, followed)
+        else:
+            answer = followed or self._refused or self._unseen()
+        self._followed = isinstance(answer, OutlineFit)
+        if isinstance(answer, OutlineFit):
+            self._refused = None
+            self._blur = float(np.clip(answer.blur, 0.4, 2.0))
+        return answer
+
+    def _follow(self, image: Image, view: View, expected: Array, step: Array) -> OutlineFit | None:
+        """The outline where it is expected, or a few pixels beside."""
+        again = self._again(image, view, expected)
+        if again is not None:
+            return again
+        if not stands_out(image, view, self.outline, expected):
+            return None
+        fit = fit_surely(image, view, self.outline, expected, blur=self._blur, step=step)
+        if fit is not None and isinstance(accept(fit, self.outline), OutlineFit):
+            self._last_look = view, fit.look
+            return fit
+        if not self._followed:
+            return None
+        near = look_closely(image, view, self.outline, expected, self._blur)
+        return near if isinstance(near, OutlineFit) else None
+
+    def _again(self, image: Image, view: View, expected: Array) -> OutlineFit | None:
+        """The outline where it lay in the last frame; None where it does not seem to."""
+        if self._last_look is None or self._last_look[0] is not view:
+            return None
+        fit = fit_again(image, self._last_look[1], expected)
+        if fit is None or isinstance(accept(fit, self.outline), Refused):
+            self._last_look = None
+            return None
+        return fit
+
+    def _everywhere(
+        self, image: Image, view: View, followed: OutlineFit | None
+    ) -> OutlineFit | Trouble:
+        found, refused = find_outlines(image, view, self.outline, self._known, self._blur)
+        if followed is not None:
+            # It may be covered in part, so that only the closer look knows it.
+            reach = 0.5 * self.outline.reach
+            others = [f for f in found if math.hypot(*(f.pose - followed.pose)[:2]) > reach]
+            found = [followed, *others]
+        if len(found) > 1:
+            places = " and ".join(
+                f"({f.pose[0] * 1e3:.0f}, {f.pose[1] * 1e3:.0f}) mm" for f in found
+            )
+            self._refused = (
+                Problem.DUPLICATE_OBJECT,
+                f"the object's outline is seen more than once, at {places}; take the others away",
+            )
+            return self._refused
+        if found:
+            return found[0]
+        self._refused = None
+        if refused:
+            first = refused[0]
+            problem = _PROBLEMS.get(first.reason, Problem.WRONG_OBJECT)
+            self._refused = (problem, f"the object is not found: {first.sentence}")
+        return self._refused or self._unseen()
+
+    def _unseen(self) -> Trouble:
+        shade = "brighter" if self.outline.brighter else "darker"
+        return (
+            Problem.OBJECT_HIDDEN,
+            f"the object's outline is not seen: nothing {shade} than the table has its size, or "
+            "too little of it is in sight",
+        )

@@ -1,0 +1,446 @@
+"""Where an outline lies in an image: all pixels of a band along the rim, and those around the dot.
+
+What the pixels should see (``outline_model.py``) has the grey levels of top, wall and surroundings
+free in every sector of the rim (light, shadows and a shining wall differ around the object), so the
+rim is where it looks like an edge and not where it has a certain grey. A wall too narrow to be told
+from the edge widens the covariance. Sectors that something covers disagree and are left out.
+Gauss-Newton; the levels are eliminated sector by sector (Schur complement). An object that lies
+where it lay is measured by the last linearisation, its levels and weights.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.vision.camera import Array, Image, View
+from tapping_cell.vision.outline.model import (
+    BLUR,
+    DOT_SIZE,
+    GLOBALS,
+    LEVELS,
+    SIZE,
+    SMEAR,
+    Band,
+    Shape,
+    dot_model,
+    rim_model,
+)
+from tapping_cell.vision.outline.pixels import (
+    MOST_PIXELS,
+    ROUGH_PIXELS,
+    SOFTENED,
+    Pixels,
+    dot_pixels,
+    rim_pixels,
+    sectors_a_side,
+    sectors_of,
+    softened,
+)
+from tapping_cell.vision.outline.shape import ObjectOutline
+
+FINE = 4.5
+COARSE = 10.0
+"""Half widths of the band in pixels: of a measurement, and around a rough place."""
+USUAL_BLUR = 0.75
+LEAST_CONTRAST = 8.0
+"""Grey levels between top and surroundings, and between dot and top, below which neither is
+seen."""
+SIZE_SPREAD = 0.004
+"""How much an object's size may differ from the file's without being another object (1 sigma)."""
+_EVEN = 0.02
+"""Pixels by which a sector of a good rim may differ from the whole."""
+_SLOPE_SPREAD = 0.5
+"""Usual change of the light across the rim, grey levels a pixel."""
+_SMEARED = 2.0
+"""Pixels from frame to frame beyond which an object's rim is smeared by its motion."""
+_SAME_PLACE = 0.15
+"""Pixels from where the rim was linearised up to which it needs not be again: an edge is the same
+to both sides, so what a step misses is of third order, 0.005 pixel there."""
+_SAME_LIGHT = 0.05
+"""Share by which the contrast may have changed since."""
+_LONG = 0.15
+"""Share of a polygon's rim from which on a side is a long one."""
+_BRIGHTEST = 2.5
+"""How much brighter than its darkest parts a rim may be for the noise to be brighter, too."""
+_ROUNDS_AGAIN, _STEADY = 4, 0.004
+"""Rounds at most, and the change (pixels) from which on another one is not worth its time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OutlineFit:
+    """Pose (3,) of the object in table (m, m, rad), its covariance (3, 3) from pixel noise, its
+    apparent ``size`` (1: as configured), the share of the rim that agrees (``seen``), that of the
+    long side of a polygon that agrees least (``least_side``), the contrasts
+    of rim and dot and the ``noise`` in grey levels (with the configured sign above 0), the
+    ``blur`` (sigma, pixels).
+    """
+
+    pose: Array
+    covariance: Array
+    size: float
+    seen: float
+    least_side: float
+    contrast: float
+    dot_contrast: float
+    noise: float
+    blur: float
+    look: Look
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """What does not change while a pose is fitted. ``pixel`` in m at the top; ``step`` (2,) the
+    motion between frames in pixels, for the blur that it makes; ``with_dot`` where that counts."""
+
+    outline: ObjectOutline
+    pixel: float
+    width: float
+    step: Array
+    measures: bool
+    size_spread: float
+    with_dot: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Design:
+    """The model where it was linearised; of the dot, if it counts (``dot_model``)."""
+
+    rim: Array
+    dot: Array | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """A fit as it was before its last step, to measure an object that lies where it lay."""
+
+    scene: _Scene
+    state: _State
+    band: Band
+    around: Pixels | None
+    design: _Design
+    contrast: float
+
+
+def fit_outline(
+    image: Image,
+    view: View,
+    outline: ObjectOutline,
+    start: Array,
+    *,
+    width: float = FINE,
+    blur: float = USUAL_BLUR,
+    step: Array | None = None,
+    with_dot: bool = True,
+    size: float = 1.0,
+    size_spread: float = SIZE_SPREAD,
+) -> OutlineFit | None:
+    """The outline near ``start`` (3,), which must be right to half of ``width`` pixels.
+
+    ``size`` is what it seems to measure, relative to the file; ``size_spread`` how much larger or
+    smaller it may be (1 sigma, share). ``blur`` is the sigma in pixels to begin with; ``step`` (2,)
+    the object's motion since the last frame in m. None where no such outline can be made out.
+    """
+    pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
+    coarse = width > FINE
+    if coarse:
+        image = softened(image, view, outline, start, width)
+        blur = math.hypot(blur, SOFTENED)
+    moving = np.zeros(2) if step is None else np.asarray(step, dtype=float) / pixel
+    dot = outline.dot if with_dot else None
+    scene = _Scene(outline, pixel, width, moving, not coarse, size_spread, dot is not None)
+    smeared = float(np.hypot(*moving)) > _SMEARED
+    # A fit that leaves the dot out is only the way to one with it.
+    rough = coarse or smeared or (outline.dot is not None and not with_dot)
+    most = ROUGH_PIXELS if rough else MOST_PIXELS
+    state = _State(start.copy(), blur, size)
+    gathered: Array | None = None
+    tolerance, stays = (0.1, 3.0) if coarse else (0.02, 2.0) if rough else (_STEADY, 1.0)
+    for _ in range(12 if coarse else 20):
+        if gathered is None or np.hypot(*(state.pose - gathered)[:2]) > stays * pixel:
+            gathered = state.pose.copy()
+            rim = rim_pixels(view, outline, gathered, width, most)
+            around = None if dot is None else dot_pixels(view, outline, dot, gathered)
+            if rim is None or (dot is not None and around is None):
+                return None
+            band = Band.of(rim, sectors_of(outline, rim, gathered))
+            state.start_anew(len(band.counts))
+            greys = band.grey(image), None if around is None else around.grey(image)
+        before = replace(state)
+        design = state.design(scene, band, around)
+        step = state.solve(scene, design, *greys, band)
+        if step is None:
+            return None
+        moved = state.take(step, scene)
+        if np.hypot(*(state.pose - start)[:2]) > width * pixel:
+            return None
+        if moved < tolerance and state.settled:
+            look = Look(scene, before, band, around, design, 0.0)
+            return state.answer(look)
+    return None
+
+
+def fit_again(image: Image, look: Look, expected: Array) -> OutlineFit | None:
+    """The same in a frame in which the object lies where it lay, as ``expected`` (3,) says; a fifth
+    of the time.
+
+    None if it or the light is not as it was, which says nothing about where it is.
+    """
+    if _way(expected - look.state.pose, look.scene) > 2.0 * _SAME_PLACE:
+        return None
+    state = replace(look.state)
+    greys = look.band.grey(image), None if look.around is None else look.around.grey(image)
+    step: Array = np.full(GLOBALS, np.inf)
+    for _ in range(_ROUNDS_AGAIN):
+        last, found = step, state.solve(look.scene, look.design, *greys, look.band)
+        if found is None:
+            return None
+        step = found
+        if _way(step - last, look.scene) < _STEADY:
+            break
+    if _way(step, look.scene) > _SAME_PLACE:
+        return None
+    state.take(step, look.scene)
+    fit = state.answer(look)
+    if look.contrast and abs(fit.contrast / look.contrast - 1.0) > _SAME_LIGHT:
+        return None
+    return fit
+
+
+def _way(step: Array, scene: _Scene) -> float:
+    """How far a step moves the object's rim, in pixels."""
+    turned = abs(float(step[2])) * scene.outline.reach
+    return (math.hypot(step[0], step[1]) + turned) / scene.pixel
+
+
+def _least_side(outline: ObjectOutline, agrees: NDArray[np.bool_]) -> float:
+    """Of the long sides of a polygon, the least share of sectors (S,) that agree; else 1."""
+    if outline.vertices is None:
+        return 1.0
+    parts = sectors_a_side(outline)
+    padded = np.pad(agrees, (0, max(0, int(parts.sum()) - len(agrees))))
+    shares = [side.mean() for side in np.split(padded, np.cumsum(parts)[:-1])]
+    long = parts >= _LONG * parts.sum()
+    return float(min((s for s, counts in zip(shares, long, strict=True) if counts), default=1.0))
+
+
+@dataclass(slots=True, eq=False)
+class _State:
+    """Gauss-Newton under way."""
+
+    pose: Array
+    blur: float
+    size: float = 1.0
+    smear: float = 0.0
+    dot_size: float = 1.0
+    noise: float = 3.0
+    rounds: int = 0
+    levels: Array | None = None
+    dot_levels: Array | None = None
+    weight: Array | None = None
+    dot_weight: Array | None = None
+    good: NDArray[np.bool_] | None = None
+    taken: NDArray[np.bool_] | None = None  # there exactly when ``good`` is
+    scatter: float = 1.0
+    information: Array | None = None
+
+    @property
+    def settled(self) -> bool:
+        """Weights and levels are those of a few rounds."""
+        return self.rounds >= 4
+
+    def start_anew(self, sectors: int) -> None:
+        """The pixels are others: their weights begin anew; the levels serve on."""
+        if self.levels is None or len(self.levels) != sectors:
+            self.levels = self.dot_levels = None
+        self.weight = self.dot_weight = self.good = self.taken = None
+        self.rounds = 0 if self.levels is None else 1
+
+    def shape(self, scene: _Scene) -> Shape:
+        """The unknowns as the model takes them."""
+        return Shape(
+            self.pose, self.blur, self.size, self.smear, self.dot_size, scene.step, scene.pixel
+        )
+
+    def design(self, scene: _Scene, band: Band, around: Pixels | None) -> _Design:
+        """The model around what is known now."""
+        shape, dot = self.shape(scene), scene.outline.dot
+        return _Design(
+            rim_model(scene.outline, shape, band, self.levels, scene.width),
+            None
+            if around is None or dot is None
+            else dot_model(dot, shape, around, self.dot_levels),
+        )
+
+    def solve(
+        self, scene: _Scene, design: _Design, grey: Array, dot_grey: Array | None, band: Band
+    ) -> Array | None:
+        """The step (GLOBALS,) that explains the grey values best, the levels with it; None if it
+        cannot be told. Levels, weights and noise are taken in, the step is not."""
+        if self.weight is None:
+            self.weight = band.real.astype(float)
+        sectors = len(band.counts)
+        variance = self.noise**2
+        prior = self._prior(scene) * variance
+        total = np.diag(prior)
+        pull = prior * self._distance_to_usual()
+        both = np.concatenate([design.rim, grey[None]])
+        normal = np.matmul((both * self.weight).transpose(1, 0, 2), both.transpose(1, 2, 0))
+        own = normal[:, :LEVELS, :LEVELS] + self._level_prior(sectors) * variance
+        mixed = normal[:, :LEVELS, LEVELS:].copy()
+        mixed[..., -1] += self._level_pull(sectors) * variance
+        answer = np.linalg.solve(own, mixed)
+        # What the levels cannot explain, sector by sector: globals, shift of the rim, grey values.
+        left = normal[:, LEVELS:, LEVELS:] - np.matmul(mixed.transpose(0, 2, 1), answer)
+        # A sector that is left out keeps its levels, so that it can come back.
+        gate: Array = np.ones(sectors)
+        if self.good is not None and self.taken is not None:
+            gate = (self.good & self.taken).astype(float)
+        summed = (gate @ left.reshape(sectors, -1)).reshape(left.shape[1:])
+        total = total + summed[:GLOBALS, :GLOBALS]
+        pull = pull + summed[:GLOBALS, -1]
+        if design.dot is not None and dot_grey is not None:
+            weighted = design.dot if self.dot_weight is None else design.dot * self.dot_weight
+            dot_normal = weighted @ design.dot.T
+            dot_pull = weighted @ dot_grey
+            inner = np.linalg.inv(dot_normal[:4, :4] + 1e-6 * np.eye(4))
+            cross = dot_normal[:4, 4:]
+            total += dot_normal[4:, 4:] - cross.T @ inner @ cross
+            pull += dot_pull[4:] - cross.T @ inner @ dot_pull[:4]
+        try:
+            step = np.linalg.solve(total, pull)
+        except np.linalg.LinAlgError:
+            return None
+        if self.levels is None:
+            step = np.zeros(GLOBALS)
+        if not np.all(np.isfinite(step)):
+            return None
+        self.levels = answer[..., -1] - answer[..., :GLOBALS] @ step
+        residual = grey - (self.levels.T[:, :, None] * design.rim[:LEVELS]).sum(axis=0)
+        residual -= np.tensordot(step, design.rim[LEVELS:-1], 1)
+        self._judge(scene, residual, band)
+        if design.dot is not None and dot_grey is not None:
+            self.dot_levels = inner @ (dot_pull[:4] - cross @ step)
+            off = np.abs(dot_grey - self.dot_levels @ design.dot[:4] - step @ design.dot[4:])
+            self.dot_weight = np.minimum(1.0, 3.0 * self.noise / np.maximum(off, 1e-6))
+        self._compare(scene, left, step)
+        self.information = total
+        self.rounds += 1
+        return step
+
+    def answer(self, look: Look) -> OutlineFit:
+        """What was found, once it no longer moves."""
+        scene, dot = look.scene, look.scene.outline.dot
+        assert self.information is not None and self.levels is not None and self.good is not None
+        sign = 1.0 if scene.outline.brighter else -1.0
+        contrast = sign * (self.levels[:, 0] - self.levels[:, 2])
+        usual = float(np.median(contrast[self.good])) if self.good.any() else 0.0
+        assert self.taken is not None
+        agrees = (
+            self.good & self.taken & (contrast > 0.35 * usual) & (contrast > 0.5 * LEAST_CONTRAST)
+        )
+        dot_contrast = 0.0
+        if dot is not None and scene.with_dot and self.dot_levels is not None:
+            difference = float(self.dot_levels[0] - self.dot_levels[1])
+            dot_contrast = difference if dot.brighter else -difference
+        covariance = np.linalg.inv(self.information)[:3, :3] * self.noise**2 * self.scatter
+        return OutlineFit(
+            self.pose,
+            np.asarray(covariance, dtype=float),
+            self.size,
+            float(agrees.mean()),
+            _least_side(scene.outline, agrees),
+            usual,
+            dot_contrast,
+            self.noise,
+            self.blur,
+            look if look.contrast else replace(look, contrast=usual),
+        )
+
+    def take(self, step: Array, scene: _Scene) -> float:
+        """Go the step, or as far of it as is wise; how far it moves the rim, in pixels."""
+        way = math.inf if self.rounds <= 1 else _way(step, scene)
+        limit = 0.5 * scene.width * scene.pixel
+        far = max(1.0, math.hypot(step[0], step[1]) / limit)
+        step = step / far
+        self.pose = self.pose + step[:3]
+        self.size = float(np.clip(self.size + step[SIZE], 0.75, 1.35))
+        self.dot_size = float(np.clip(self.dot_size + step[DOT_SIZE], 0.5, 2.0))
+        if scene.measures:
+            self.blur = math.sqrt(float(np.clip(self.blur**2 + step[BLUR], 0.15, 9.0)))
+            self.smear = float(np.clip(self.smear + step[SMEAR], 0.0, 0.1))
+        return way
+
+    def _compare(self, scene: _Scene, left: Array, step: Array) -> None:
+        """Do the sectors agree where the rim is? Those that do not are left out, and how much the
+        others differ is what the covariance must tell."""
+        power = np.maximum(left[:, GLOBALS, GLOBALS], 1e-9)
+        shift = (left[:, GLOBALS, -1] - left[:, GLOBALS, :GLOBALS] @ step) / power
+        sigma = self.noise / np.sqrt(power)
+        assert self.good is not None
+        self.taken = np.ones(len(power), dtype=bool)
+        clear = self.good & (sigma < 0.5)
+        if not scene.measures or self.rounds == 0 or not clear.any():
+            return
+        score = shift / np.hypot(sigma, _EVEN)
+        usual = float(np.clip(1.4826 * np.median(np.abs(score[clear])), 1.0, 3.0))
+        self.taken = ~clear | (np.abs(score) < 3.5 * usual)
+        kept = clear & self.taken
+        self.scatter = max(1.0, float((np.square(shift / sigma)[kept]).mean()))
+
+    def _judge(self, scene: _Scene, residual: Array, band: Band) -> None:
+        """Weights of pixels and sectors from what is left of them."""
+        off = np.abs(residual)
+        counts = band.counts
+        squares = np.square(np.minimum(off, 60.0)) * band.real
+        spread = np.sqrt(squares.sum(axis=1) / np.maximum(counts, 1))
+        # Around a rough place all of the rim fits badly at first.
+        share, factor, margin = (0.3, 1.3, 0.3) if scene.measures else (0.5, 2.5, 1.0)
+        ordered = np.sort(spread[counts > 0])
+        usual = float(ordered[round(share * (len(ordered) - 1))])
+        assert self.levels is not None
+        # More light has more noise: half of the rim may lie in a shadow.
+        light = np.maximum(self.levels[:, 0], self.levels[:, 2])
+        level = float(np.median(light[spread <= usual])) if (spread <= usual).any() else 1.0
+        brighter = np.sqrt(np.clip(light / max(level, 1.0), 1.0, _BRIGHTEST))
+        self.good = (spread < factor * usual * brighter + margin) & (counts >= 12)
+        kept = band.real & self.good[:, None]
+        inner = 1.4826 * float(np.median(off[kept])) if kept.any() else usual
+        scale = max(inner, 0.3)
+        self.weight = np.minimum(1.0, 3.0 * scale / np.maximum(off, 1e-6)) * band.real
+        counted = self.weight[self.good]
+        left = float((counted * residual[self.good] ** 2).sum() / max(counted.sum(), 1.0))
+        self.noise = max(math.sqrt(left), 0.3)
+
+    # -- what is usual
+
+    def _prior(self, scene: _Scene) -> Array:
+        """Precisions (7,) of the globals around what is usual; hardly any of the pose."""
+        blur = 4.0 if scene.measures else 1e8
+        moving = float(np.hypot(*scene.step)) > _SMEARED and scene.measures
+        place = 1.0 / (5.0 * scene.pixel) ** 2
+        return np.array(
+            [place, place, 1.0, scene.size_spread**-2, blur, 1e4 if moving else 1e12, 100.0]
+        )
+
+    def _distance_to_usual(self) -> Array:
+        return np.array([0.0, 0.0, 0.0, 1.0 - self.size, 0.0, -self.smear, 1.0 - self.dot_size])
+
+    def _level_prior(self, sectors: int) -> Array:
+        """Precisions (S, 4, 4) of the levels: of the wall's, and of the slope."""
+        top = np.full(sectors, 60.0) if self.levels is None else np.abs(self.levels[:, 0])
+        prior = np.zeros((sectors, LEVELS, LEVELS))
+        prior[:, 0, 0] = prior[:, 2, 2] = 1e-6
+        prior[:, 1, 1] = 1.0 / (0.5 * top + 10.0) ** 2
+        prior[:, 3, 3] = _SLOPE_SPREAD**-2
+        return prior
+
+    def _level_pull(self, sectors: int) -> Array:
+        """The wall is usually half as bright as the top."""
+        top = np.full(sectors, 60.0) if self.levels is None else np.abs(self.levels[:, 0])
+        pull = np.zeros((sectors, LEVELS))
+        pull[:, 1] = 0.5 * top / (0.5 * top + 10.0) ** 2
+        return pull

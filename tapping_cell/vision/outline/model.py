@@ -1,0 +1,171 @@
+"""What the pixels around an outline should see, and how that answers a change of the pose.
+
+A pixel near the rim sees the top, the side wall below it or what lies beside the object; which
+shares of each follows from its distances to the outline of the top and to the silhouette of the
+whole body, through a Gaussian blur. The pixels stand in rows, one for each sector of the rim, so
+that the levels of all sectors are solved for at once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from tapping_cell.vision.camera import Array, Image
+from tapping_cell.vision.outline.pixels import Pixels
+from tapping_cell.vision.outline.shape import Dot, ObjectOutline
+
+LEVELS = 4  # top, wall, surroundings, and a slope of the light across the rim
+GLOBALS = 7  # x, y, theta, size, blur, blur by motion, size of the dot
+SIZE, BLUR, SMEAR, DOT_SIZE = 3, 4, 5, 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Band:
+    """The rim's pixels, (S, K): sector after sector, filled up with doubles that are not ``real``.
+
+    ``top`` and ``floor`` (2, S, K) are the places that they see, in m; ``pixels`` the flat indices
+    in the image; ``counts`` (S,) the real ones of a sector.
+    """
+
+    top: Array
+    floor: Array
+    pixels: NDArray[np.intp]
+    real: NDArray[np.bool_]
+    counts: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, rim: Pixels, sectors: NDArray[np.intp]) -> Band:
+        """The rim's pixels by the numbers (N,) of their sectors."""
+        order = np.argsort(sectors, kind="stable")
+        counts = np.bincount(sectors)
+        place = np.arange(counts.max())
+        real = place < counts[:, None]
+        index = order[np.minimum((np.cumsum(counts) - counts)[:, None] + place, len(order) - 1)]
+        return cls(rim.top.T[:, index], rim.floor.T[:, index], rim.pixels[index], real, counts)
+
+    def grey(self, image: Image) -> Array:
+        """What an image shows there, (S, K)."""
+        return image.reshape(-1)[self.pixels].astype(float)
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """The unknowns: ``pose`` (3,), ``blur`` (sigma, pixels), ``size`` of the top and ``dot_size``
+    relative to the file's, ``smear`` the variance by motion per squared ``step`` (2,), pixels from
+    frame to frame; ``pixel`` in m at the top.
+    """
+
+    pose: Array
+    blur: float
+    size: float
+    smear: float
+    dot_size: float
+    step: Array
+    pixel: float
+
+
+def rim_model(
+    outline: ObjectOutline, shape: Shape, band: Band, levels: Array | None, width: float
+) -> Array:
+    """How grey values answer the levels of their sector, the globals, and a shift of the rim
+    outwards by a pixel: (LEVELS + GLOBALS + 1, S, K); ``levels`` (S, LEVELS), if they are known;
+    ``width`` of the band in pixels to either side.
+    """
+    cos, sin = math.cos(shape.pose[2]), math.sin(shape.pose[2])
+    x, y = _within(shape.pose, cos, sin, band.top)
+    below_x, below_y = _within(shape.pose, cos, sin, band.floor)
+    distance, nx, ny = outline.distance_at(x, y)
+    near, near_nx, near_ny, near_x, near_y = distance, nx, ny, x, y
+    for part in (0.5, 1.0):
+        at_x, at_y = x + part * (below_x - x), y + part * (below_y - y)
+        gap, gap_nx, gap_ny = outline.distance_at(at_x, at_y)
+        nearer = gap < near
+        near = np.where(nearer, gap, near)
+        near_nx, near_ny = np.where(nearer, gap_nx, near_nx), np.where(nearer, gap_ny, near_ny)
+        near_x, near_y = np.where(nearer, at_x, near_x), np.where(nearer, at_y, near_y)
+    model = np.empty((LEVELS + GLOBALS + 1, *distance.shape))
+    top, by_top = _edge(shape, cos, sin, x, y, distance, nx, ny)
+    body, by_body = _edge(shape, cos, sin, near_x, near_y, near, near_nx, near_ny)
+    model[0], model[1], model[2] = top, body - top, 1.0 - body
+    np.clip(distance / shape.pixel, -width, width, out=model[3])
+    if levels is None:
+        model[LEVELS:] = 0.0
+        return model
+    outer = (levels[:, 0] - levels[:, 1])[:, None]
+    inner = (levels[:, 1] - levels[:, 2])[:, None]
+    np.multiply(by_top, outer, out=model[LEVELS:])
+    by_body *= inner
+    model[LEVELS:] += by_body
+    return model
+
+
+def dot_model(dot: Dot, shape: Shape, around: Pixels, levels: Array | None) -> Array:
+    """The same for the dot, (4 + GLOBALS, N): levels of dot and top, two slopes; the globals."""
+    cos, sin = math.cos(shape.pose[2]), math.sin(shape.pose[2])
+    x, y = _within(shape.pose, cos, sin, around.top.T)
+    x, y = x - dot.offset[0], y - dot.offset[1]
+    length = np.sqrt(x * x + y * y)
+    nx, ny = x / np.maximum(length, 1e-9), y / np.maximum(length, 1e-9)
+    distance = length - shape.dot_size * dot.radius
+    at_x, at_y = x + dot.offset[0], y + dot.offset[1]
+    alone = replace(shape, size=1.0)
+    inside, columns = _edge(alone, cos, sin, at_x, at_y, distance, nx, ny)
+    model = np.empty((4 + GLOBALS, len(length)))
+    model[0], model[1] = inside, 1.0 - inside
+    model[2], model[3] = x / dot.radius, y / dot.radius
+    if levels is None:
+        model[4:] = 0.0
+        return model
+    model[4:] = columns[:GLOBALS] * (levels[0] - levels[1])
+    model[4 + SIZE] = 0.0
+    # A rim that goes outwards by the radius is that of a dot twice as large.
+    model[4 + DOT_SIZE] = columns[-1] * ((levels[0] - levels[1]) * dot.radius / shape.pixel)
+    return model
+
+
+def _within(pose: Array, cos: float, sin: float, places: Array) -> tuple[Array, Array]:
+    """Places (2, ...) of the table in the object's frame."""
+    dx, dy = places[0] - pose[0], places[1] - pose[1]
+    return cos * dx + sin * dy, cos * dy - sin * dx
+
+
+def _edge(
+    shape: Shape,
+    cos: float,
+    sin: float,
+    x: Array,
+    y: Array,
+    distance: Array,
+    nx: Array,
+    ny: Array,
+) -> tuple[Array, Array]:
+    """Coverage inside an edge of a body ``shape.size`` times as large, and how it answers the
+    globals, the dot's size left out, and a shift of the edge outwards by a pixel: (GLOBALS + 1,
+    ...). ``x``, ``y`` are the places, ``distance`` from the edge with its gradient ``nx``, ``ny``.
+    """
+    pixel = shape.pixel
+    table_nx, table_ny = cos * nx - sin * ny, sin * nx + cos * ny
+    support = nx * x + ny * y - distance
+    columns = np.empty((GLOBALS + 1, *distance.shape))
+    away = (distance - (shape.size - 1.0) * support) / pixel
+    along: Array | float = 0.0
+    sigma: Array | float = shape.blur
+    if shape.smear > 0.0 or np.any(shape.step):
+        along = (table_nx * shape.step[0] + table_ny * shape.step[1]) ** 2
+        sigma = np.sqrt(shape.blur**2 + shape.smear * along)
+    scaled = away / sigma
+    density = np.exp(-0.5 * scaled * scaled) / (math.sqrt(2.0 * math.pi) * sigma)
+    per_metre = density / pixel
+    columns[-1] = density
+    columns[0], columns[1] = table_nx * per_metre, table_ny * per_metre
+    columns[2] = (ny * x - nx * y) * per_metre
+    columns[SIZE] = support * per_metre
+    columns[BLUR] = 0.5 * density * away / sigma**2
+    columns[SMEAR] = columns[BLUR] * along
+    columns[DOT_SIZE] = 0.0
+    return ndtr(-scaled), columns

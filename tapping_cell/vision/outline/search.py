@@ -1,0 +1,439 @@
+"""Finding an outline of which nothing is known but its shape: rough places, looked at one by one.
+
+Rough places are blobs of about the right area against the light around them (morphological closing
+or opening of a small image; several thresholds, because nobody said how dark the object is). A
+polygon's angle comes from the distances of its rim from its middle; which of several like turns it
+is, and the angle of a disk, the dot says.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.se2 import transform_points, wrap_angle
+from tapping_cell.vision.camera import Array, Image, View
+from tapping_cell.vision.outline.fit import (
+    COARSE,
+    LEAST_CONTRAST,
+    SIZE_SPREAD,
+    USUAL_BLUR,
+    OutlineFit,
+    fit_outline,
+)
+from tapping_cell.vision.outline.patches import patches
+from tapping_cell.vision.outline.shape import ANGLES, Dot, ObjectOutline, turn_differences
+
+_LEAST_SEEN = {"disk": 0.55, "polygon": 0.7}
+"""Share of the rim that must be seen. An arc of a circle has one place only; a polygon that is one
+side's width off still has all sides along that direction right."""
+_LEAST_SIDE = 0.25
+"""Share of each long side of a polygon that must be seen: of a triangle, two sides and a wall taken
+for a part of the top make a good picture some millimetres away."""
+LARGEST_STRETCH = 0.03
+"""Share that an object may seem larger or smaller than its file says."""
+_CERTAIN = 1e-5
+_SMALL = 32
+"""Pixels that the object measures in the image that is searched."""
+_SHADES = (0.06, 0.1, 0.16, 0.25, 0.4, 0.7)
+"""Thresholds tried: by how much of the light around it a thing is darker or brighter."""
+_AREAS = (0.65, 1.45)
+_BULGE = 1.18
+"""Least and greatest area relative to the object's top (walls show, shadows join), and greatest
+area of the convex hull relative to the blob's."""
+_FORM = 0.12
+"""Greatest difference of a blob's form (rms, share of its size): walls and covered parts are in
+it."""
+_CANDIDATES = 6
+_NEAR = 30
+"""Steps of :func:`turn_differences` that a wall may have turned the likest angle by: 15 deg."""
+_DOUBTFUL = 0.006
+"""Share by which an object seems larger or smaller, from which on that is put to the test."""
+_INSIDE, _BESIDE, _THICK = 8.0, 14.0, np.array([-1.0, 0.0, 1.0])
+"""Pixels from the rim to where the top and its surroundings (beyond the wall) are compared, and
+those that are taken there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A thing of about the right size that is not the object; ``reason`` is one of the words
+    below."""
+
+    reason: str
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Place:
+    """Where a blob is: how its form differs from the outline's (rms, share of its size), its middle
+    (2,), the pose (3,) of the outline that fits best, and its size in relation to that."""
+
+    difference: float
+    middle: Array
+    pose: Array
+    size: float
+
+
+OTHER_SHAPE, OTHER_SIZE, NO_DOT, TWO_DOTS = "shape", "size", "no dot", "two dots"
+
+
+def least_seen(outline: ObjectOutline) -> float:
+    """Share of the rim that must be seen for the outline to be believed."""
+    return _LEAST_SEEN["disk" if outline.vertices is None else "polygon"]
+
+
+def find_outlines(
+    image: Image, view: View, outline: ObjectOutline, known: Array, blur: float = USUAL_BLUR
+) -> tuple[list[OutlineFit], list[Refused]]:
+    """All places where the outline is, and what looked like it and is not.
+
+    ``known`` (M, 4, 2) are the corners in table of the reference markers' black squares.
+    """
+    found: list[OutlineFit] = []
+    refused: list[Refused] = []
+    for start, size in rough_places(image, view, outline, known):
+        answer = look_closely(image, view, outline, start, blur, size)
+        if isinstance(answer, OutlineFit):
+            apart = [math.hypot(*(answer.pose - other.pose)[:2]) for other in found]
+            if not apart or min(apart) > 0.5 * outline.reach:
+                found.append(answer)
+        else:
+            refused.append(answer)
+    return found, refused
+
+
+def look_closely(
+    image: Image,
+    view: View,
+    outline: ObjectOutline,
+    start: Array,
+    blur: float = USUAL_BLUR,
+    size: float = 1.0,
+) -> OutlineFit | Refused:
+    """The outline near a rough place (3,), or why that is not it; ``size`` is what is there, in
+    relation to the outline's, walls and shadows included."""
+    rough = rim = None
+    # A shadow makes a dark object seem larger, so first the size is taken for granted.
+    for seems, size_spread in ((1.0, _CERTAIN), (1.0, 5.0 * SIZE_SPREAD), (size, 0.1)):
+        rough = fit_outline(
+            image,
+            view,
+            outline,
+            start,
+            width=COARSE,
+            blur=blur,
+            with_dot=False,
+            size=seems,
+            size_spread=size_spread,
+        )
+        if rough is None or rough.seen < 0.5 * least_seen(outline):
+            continue
+        if abs(rough.size - 1.0) > LARGEST_STRETCH:
+            continue
+        rim = fit_surely(image, view, outline, rough.pose, blur=blur, with_dot=False)
+        if rim is not None and rim.seen >= least_seen(outline):
+            break
+    else:
+        return _unlike(outline, rough, rim)
+    if outline.dot is None:
+        return accept(rim, outline)
+    turned = turn_by_dot(image, view, outline, outline.dot, rim.pose)
+    if isinstance(turned, Refused):
+        return turned
+    whole = fit_surely(image, view, outline, turned, blur=blur)
+    if whole is None:
+        return Refused(NO_DOT, "its dot is not seen where it should be")
+    return accept(whole, outline)
+
+
+def fit_surely(
+    image: Image,
+    view: View,
+    outline: ObjectOutline,
+    start: Array,
+    *,
+    blur: float,
+    step: Array | None = None,
+    with_dot: bool = True,
+) -> OutlineFit | None:
+    """:func:`fit_outline`, and where the size seems wrong, once more with the size of the file.
+
+    One side of a tall polygon may be taken for a wall as bright as the top, the outline shifted and
+    shrunk: an explanation nearly as good as the true one, to which the true size leads.
+    """
+    fit = fit_outline(image, view, outline, start, blur=blur, step=step, with_dot=with_dot)
+    if fit is None or outline.vertices is None or abs(fit.size - 1.0) < _DOUBTFUL:
+        return fit
+    fixed = fit_outline(
+        image,
+        view,
+        outline,
+        fit.pose,
+        blur=blur,
+        step=step,
+        with_dot=with_dot,
+        size_spread=_CERTAIN,
+    )
+    if fixed is None:
+        return fit
+    again = fit_outline(image, view, outline, fixed.pose, blur=blur, step=step, with_dot=with_dot)
+    if again is None or abs(again.size - 1.0) > abs(fit.size - 1.0):
+        return fit
+    return again if again.seen > fit.seen - 0.1 else fit
+
+
+def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | None) -> Refused:
+    """Why neither look made out the rim."""
+    least = least_seen(outline)
+    if rough is not None and rough.seen >= least and abs(rough.size - 1.0) > LARGEST_STRETCH:
+        return wrong_size(rough)
+    seen = 0.0 if rim is None else rim.seen
+    return Refused(
+        OTHER_SHAPE,
+        f"what is there agrees with its outline along {seen * 100:.0f} % of the rim (at least "
+        f"{least * 100:.0f} % are needed)",
+    )
+
+
+def accept(fit: OutlineFit, outline: ObjectOutline) -> OutlineFit | Refused:
+    """The fit if it is the object's, else why not."""
+    if abs(fit.size - 1.0) > LARGEST_STRETCH:
+        return wrong_size(fit)
+    least = least_seen(outline)
+    if fit.seen < least or fit.contrast < LEAST_CONTRAST:
+        return Refused(
+            OTHER_SHAPE,
+            f"{fit.seen * 100:.0f} % of its rim are seen with a contrast of {fit.contrast:.0f} "
+            f"grey levels (at least {least * 100:.0f} % and {LEAST_CONTRAST:.0f} are needed)",
+        )
+    if fit.least_side < _LEAST_SIDE:
+        return Refused(
+            OTHER_SHAPE,
+            f"of one of its sides {fit.least_side * 100:.0f} % are seen (at least "
+            f"{_LEAST_SIDE * 100:.0f} % of each are needed)",
+        )
+    if outline.dot is not None and fit.dot_contrast < LEAST_CONTRAST:
+        return Refused(NO_DOT, "its dot is not seen where it should be")
+    return fit
+
+
+def wrong_size(fit: OutlineFit) -> Refused:
+    """The refusal of a thing that is too large or too small."""
+    return Refused(
+        OTHER_SIZE,
+        f"it looks {(fit.size - 1.0) * 100:+.1f} % larger than its file says (limit "
+        f"{LARGEST_STRETCH * 100:.0f} %): lifted, tilted, another object, or a wrong height",
+    )
+
+
+def rough_places(
+    image: Image, view: View, outline: ObjectOutline, known: Array
+) -> Iterator[tuple[Array, float]]:
+    """Poses (3,) where a blob of about the object's area and shape is, and how large that is in
+    relation to it, the likeliest first."""
+    pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
+    across = 2.0 * math.sqrt(outline.area / math.pi) / pixel
+    shrink = int(np.clip(round(across / _SMALL), 1, 12))
+    size = (image.shape[1] // shrink, image.shape[0] // shrink)
+    scale = np.array([image.shape[1] / size[0], image.shape[0] / size[1]])
+    shrunk = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    small: Image = np.array(shrunk, dtype=np.uint8)
+    _paint_over(small, view, scale, known)
+    if shrink < 3:
+        small = np.asarray(cv2.blur(small, (3, 3)), dtype=np.uint8)
+    if outline.dot is not None:
+        # A dot near the rim would break it open.
+        across_dot = (math.ceil(2.0 * outline.dot.radius / pixel / shrink) + 1) | 1
+        fill = cv2.MORPH_OPEN if outline.dot.brighter else cv2.MORPH_CLOSE
+        cover = np.ones((across_dot, across_dot), dtype=np.uint8)
+        small = np.asarray(cv2.morphologyEx(small, fill, cover), dtype=np.uint8)
+    kernel = np.ones((int(2.6 * outline.reach / pixel / shrink) | 1,) * 2, dtype=np.uint8)
+    operation = cv2.MORPH_OPEN if outline.brighter else cv2.MORPH_CLOSE
+    around = np.asarray(cv2.morphologyEx(small, operation, kernel), dtype=np.float32)
+    shade = np.abs(small.astype(np.float32) - around) / np.maximum(around, 8.0)
+    places: list[_Place] = []
+    # In pixels of the small image; a blob's rim has at least so many as a disk's has diagonals.
+    area = outline.area / (float(scale.prod()) * pixel**2)
+    shortest = math.sqrt(2.0 * math.pi * _AREAS[0] * area)
+    for threshold in _SHADES:
+        mask = (shade > threshold).astype(np.uint8)
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        for contour in contours:
+            if len(contour) < shortest:
+                continue
+            # Contours run through the middles of the outermost pixels: half a pixel is missing.
+            share = (cv2.contourArea(contour) + 0.5 * len(contour)) / area
+            if not _AREAS[0] < share < _AREAS[1]:
+                continue
+            hull = cv2.convexHull(contour)
+            if cv2.contourArea(hull) > _BULGE * max(cv2.contourArea(contour), 1.0):
+                continue
+            places.extend(_places(view, outline, np.asarray(hull, dtype=np.int32), scale))
+    if not places:
+        reach = outline.reach / pixel / shrink
+        for hull in patches(small, area, reach):
+            share = (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True)) / area
+            if _AREAS[0] < share < _AREAS[1]:
+                places.extend(_places(view, outline, hull, scale))
+    places.sort(key=lambda place: place.difference)
+    taken: list[Array] = []
+    for place in places:
+        if len(taken) >= _CANDIDATES:
+            return
+        if all(np.hypot(*(place.middle - other)) > 0.4 * outline.reach for other in taken):
+            taken.append(place.middle)
+            yield place.pose, place.size
+
+
+def _places(
+    view: View, outline: ObjectOutline, hull: NDArray[np.int32], scale: Array
+) -> Iterator[_Place]:
+    """Where the outline may be, if a convex hull (N, 1, 2) in the small image is it."""
+    seen = (hull.reshape(-1, 2) + 0.5) * scale - 0.5
+    rim = view.on_plane(_walked(seen), outline.height)
+    return (place for place in _matched(view, outline, rim) if place.difference < _FORM)
+
+
+def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:
+    """Hide the reference markers, white border included, behind the table's grey beside them."""
+    middle = known.mean(axis=1, keepdims=True)
+    rows, columns = small.shape
+    for whole, beside in (
+        (middle + 1.35 * (quad - middle), middle + 1.7 * (quad - middle))
+        for quad, middle in zip(known, middle, strict=True)
+    ):
+        inner, outer = ((view.project(p) + 0.5) / scale - 0.5 for p in (whole, beside))
+        at = np.rint(_walked(outer)).astype(np.intp)
+        inside = ((at >= 0) & (at < [columns, rows])).all(axis=1)
+        if inside.any():
+            level = float(np.median(small[at[inside, 1], at[inside, 0]]))
+            cv2.fillPoly(small, [np.round(inner).astype(np.int32)], (level,))
+
+
+def _matched(view: View, outline: ObjectOutline, rim: Array) -> Iterator[_Place]:
+    """A rim (N, 2), seen in the plane of the top, in relation to the outline: as that of the top
+    alone, and as that of top and wall together."""
+    middle, radii = _middle(rim), _radii(rim)
+    model = outline.radii()
+    size = float(radii.mean() / model.mean())
+    # Walls and thresholds make it larger all round: only the form counts.
+    differences = turn_differences(radii / size, model)
+    best = int(differences.argmin())
+    turn = 0.0 if outline.vertices is None else 2.0 * math.pi * best / len(model)
+    at = middle - transform_points([0.0, 0.0, turn], outline.middle)
+    pose = np.array([*at, turn])
+    yield _Place(float(differences[best] / model.mean()), middle, pose, size)
+    for _ in range(2):
+        whole = _silhouette(view, outline, pose)
+        model = _radii(whole)
+        size = float(radii.mean() / model.mean())
+        differences = turn_differences(radii / size, model)
+        if outline.vertices is not None:
+            near = np.arange(-_NEAR, _NEAR + 1)
+            step = float(near[differences[near].argmin()])
+            pose = _turned(outline, pose, np.array([2.0 * math.pi * step / len(model)]))[0]
+        pose[:2] += middle - _middle(whole)
+    yield _Place(float(differences.min() / model.mean()), middle, pose, size)
+
+
+def _radii(rim: Array) -> Array:
+    """Distances of a rim (N, 2) from its middle, at the angles of :meth:`ObjectOutline.radii`."""
+    arm = rim - _middle(rim)
+    angle = np.arctan2(arm[:, 1], arm[:, 0])
+    order = np.argsort(angle)
+    length = np.hypot(*arm.T)[order]
+    grid = np.linspace(0.0, 2.0 * math.pi, ANGLES, endpoint=False)
+    return np.asarray(np.interp(grid, angle[order], length, period=2.0 * math.pi))
+
+
+def _silhouette(view: View, outline: ObjectOutline, pose: Array) -> Array:
+    """Top and wall together, as a rim (N, 2) in the plane of the top."""
+    points = transform_points(pose, outline.points(36))
+    both = np.concatenate([view.project(points, outline.height), view.project(points, 0.0)])
+    hull = cv2.convexHull(both.astype(np.float32)).reshape(-1, 2).astype(float)
+    return _walked(view.on_plane(hull, outline.height))
+
+
+def stands_out(image: Image, view: View, outline: ObjectOutline, pose: Array) -> bool:
+    """False where the rim cannot be within some pixels of a pose (3,): the greys on both sides of
+    it do not differ along enough of it. Costs a hundredth of what a fit in vain does."""
+    pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
+    points = _walked(outline.points(24))
+    arm = points - outline.middle
+    outward = arm / np.hypot(*arm.T)[:, None] * pixel
+    inside, beside = (
+        _greys(
+            image,
+            view,
+            outline,
+            transform_points(pose, points[:, None] + (far + _THICK)[:, None] * outward[:, None]),
+        )
+        for far in (-_INSIDE, _BESIDE)
+    )
+    # Means of a dozen pixels each: noise alone makes no contrast.
+    difference = (inside - beside).mean(axis=1).reshape(-1, 4).mean(axis=1)
+    contrast = difference * (1.0 if outline.brighter else -1.0)
+    seen = float((contrast > 0.5 * LEAST_CONTRAST).mean())
+    return seen >= 0.5 * least_seen(outline)
+
+
+def turn_by_dot(
+    image: Image, view: View, outline: ObjectOutline, dot: Dot, pose: Array
+) -> Array | Refused:
+    """The pose (3,) turned so that the dot is where one is seen."""
+    turns = np.array(outline.turns() or np.linspace(0.0, 2.0 * math.pi, 360, endpoint=False))
+    angle = np.linspace(0.0, 2.0 * math.pi, 12, endpoint=False)
+    circle = dot.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    poses = _turned(outline, pose, turns)
+    places = transform_points(poses[:, None, :], np.array([dot.offset]))
+    inner = _greys(image, view, outline, places + np.concatenate([0.0 * circle[:1], 0.55 * circle]))
+    outer = _greys(image, view, outline, places + 1.6 * circle)
+    difference = inner.mean(axis=1) - np.median(outer, axis=1)
+    contrast = difference if dot.brighter else -difference
+    best = int(contrast.argmax())
+    if contrast[best] < LEAST_CONTRAST:
+        return Refused(
+            NO_DOT,
+            f"its dot is not seen (the strongest contrast is {contrast[best]:.0f} grey levels, at "
+            f"least {LEAST_CONTRAST:.0f} are needed)",
+        )
+    away = np.hypot(*(places[:, 0] - places[best, 0]).T) > 2.0 * dot.radius
+    if away.any() and contrast[away].max() > 0.6 * contrast[best]:
+        return Refused(TWO_DOTS, "two dots are seen where one should be, so its angle is not known")
+    return np.asarray(poses[best])
+
+
+def _turned(outline: ObjectOutline, pose: Array, turns: Array) -> Array:
+    """The pose after turns (N,) about the outline's middle, (N, 3)."""
+    angles = wrap_angle(pose[2] + turns)
+    aside = np.column_stack([np.zeros((len(turns), 2)), angles])
+    at = transform_points(pose, outline.middle) - transform_points(aside, outline.middle)
+    return np.column_stack([at, angles])
+
+
+def _greys(image: Image, view: View, outline: ObjectOutline, points: Array) -> Array:
+    """Grey values of the pixels that see points (N, K, 2) of the top."""
+    pixels = np.rint(view.project(points, outline.height)).astype(np.intp)
+    rows, columns = image.shape
+    x = np.clip(pixels[..., 0], 0, columns - 1)
+    y = np.clip(pixels[..., 1], 0, rows - 1)
+    return image[y, x].astype(float)
+
+
+def _walked(polygon: Array, each: int = 8) -> Array:
+    """Points along the sides of a polygon (N, 2)."""
+    after = np.roll(polygon, -1, axis=0)
+    share = np.arange(each) / each
+    return (polygon[:, None] + share[:, None] * (after - polygon)[:, None]).reshape(-1, 2)
+
+
+def _middle(polygon: Array) -> Array:
+    """Centre of the area (2,) of a polygon (N, 2)."""
+    after = np.roll(polygon, -1, axis=0)
+    cross = polygon[:, 0] * after[:, 1] - polygon[:, 1] * after[:, 0]
+    return np.asarray(((polygon + after) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))

@@ -1,0 +1,1 @@
+"""The pose of the camera over the table, from the reference markers."""

@@ -1,0 +1,268 @@
+"""The camera's pose from a table's reference markers, without those that contradict the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations, islice
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tapping_cell.vision.camera import Array, CameraModel, CameraPose
+from tapping_cell.vision.markers.edges import MarkerEdges, straight_corners
+
+_BENT = 0.03
+"""Pixels that a usual error of the lens moves the sides of a square against each other."""
+_FAR = 4.0
+"""Times ``TableSettings.displaced`` that a pose from two markers may miss the others by."""
+_MOST_PAIRS = 66
+
+
+@dataclass(frozen=True, slots=True)
+class TableSettings:
+    """``least_references`` markers must be seen; ``memory`` frames are averaged at most.
+
+    A marker that lies more than ``suspect_shift`` pixels from its average was disturbed; when half
+    of a frame's are, the frame is suspect, and after ``confirm_frames`` of them the camera counts
+    as moved. ``largest_move`` (m, seen at the references, all moves together) is how far it may be
+    before the table is refused. A marker that disagrees with the rest of the map by more than
+    ``displaced`` pixels is left out. All sides together may look longer than the map has them by
+    ``bloom`` pixels or ``bloom_share`` of a side; beyond, the map is contradicted.
+    """
+
+    least_references: int = 2
+    memory: int = 150
+    suspect_shift: float = 0.25
+    confirm_frames: int = 3
+    largest_move: float = 0.05
+    displaced: float = 1.5
+    bloom: float = 2.0
+    bloom_share: float = 0.04
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TableFit:
+    """A pose of the camera, its covariance (6, 6) for steps of ``CameraPose.moved``, which markers
+    agree (``used``, (M,)), what is left of the corners of these, as directions (U, 4, 2), how those
+    answer a step of the pose (8 U, 6) and the step that the fit makes of them (6, 8 U).
+
+    ``bloom`` is how far the sides of all markers lie outside of where the map has them (a
+    direction), ``error`` the most that a marker's corners miss it by (pixels, root mean square),
+    ``unsquare`` the standard deviation (a direction) of sides that make no squares, beyond noise.
+    """
+
+    pose: CameraPose
+    covariance: Array
+    used: NDArray[np.bool_]
+    residuals: Array
+    jacobian: Array
+    gain: Array
+    bloom: float
+    error: float
+    unsquare: float
+
+
+def initial_pose(camera: CameraModel, points: ArrayLike, corners: ArrayLike) -> CameraPose | None:
+    """Pose from table points (N, 2) in m and their pixels (N, 2); None if it cannot be.
+
+    Planar pose (Collins and Bartoli, IPPE, as OpenCV has it), then least squares.
+    """
+    p = np.asarray(points, dtype=float).reshape(-1, 2)
+    flat = np.column_stack([p, np.zeros(len(p))])
+    rays = camera.rays(np.asarray(corners, dtype=float).reshape(-1, 2))
+    eye = np.eye(3)
+    number, turns, shifts, _ = cv2.solvePnPGeneric(
+        flat, rays[:, None], eye, np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+    )
+    best, least = None, np.inf
+    for turn, shift in zip(turns[:number], shifts[:number], strict=True):
+        rotation, _ = cv2.Rodrigues(turn)
+        candidate = CameraPose(np.asarray(rotation, dtype=float), np.asarray(shift, float).ravel())
+        for _ in range(4):
+            jacobian, residual = _linearised(candidate, flat, rays)
+            step = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
+            candidate = candidate.moved(step)
+        _, residual = _linearised(candidate, flat, rays)
+        error = float(residual @ residual)
+        if candidate.position[2] > 0.0 and error < least:
+            best, least = candidate, error
+    return best
+
+
+def reference_rays(camera: CameraModel, edges: MarkerEdges) -> Array:
+    """Corners of the markers as undistorted directions, shape (M, 4, 2)."""
+    return straight_corners(camera.rays(edges.points), edges.weights)
+
+
+def side_noise(edges: MarkerEdges, focal: float) -> Array:
+    """Standard deviation (M,) of the place of a side, across it, as a direction."""
+    number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
+    return np.asarray(np.maximum(edges.spread, 0.01) / np.sqrt(number) / focal)
+
+
+def whitening(rays: Array, noise: Array) -> Array:
+    """Matrices (M, 8, 8) that take errors of corners (M, 4, 2) to eight independent ones of
+    variance 1.
+
+    The corners are where four lines meet, each fitted to a side of its own: independent are the
+    places of the lines (``noise`` (M,)) and their turns, which at the ends of the side weigh root
+    three times as much.
+    """
+    side = np.roll(rays, -1, axis=1) - rays
+    side /= np.linalg.norm(side, axis=2, keepdims=True)
+    normal = np.stack([side[..., 1], -side[..., 0]], axis=-1) / noise[:, None, None]
+    matrices = np.zeros((len(rays), 8, 4, 2))
+    for k in range(4):
+        begin, end = k, (k + 1) % 4
+        matrices[:, 2 * k, [begin, end]] = 0.5 * normal[:, k, None]
+        matrices[:, 2 * k + 1, begin] = -0.5 / np.sqrt(3.0) * normal[:, k]
+        matrices[:, 2 * k + 1, end] = 0.5 / np.sqrt(3.0) * normal[:, k]
+    return matrices.reshape(-1, 8, 8)
+
+
+def fit_table(
+    pose: CameraPose,
+    points: Array,
+    rays: Array,
+    noise: Array,
+    settings: TableSettings,
+    focal: float,
+    used: NDArray[np.bool_] | None = None,
+) -> TableFit | None:
+    """The pose near ``pose`` that brings table points (M, 4, 2) onto the directions (M, 4, 2).
+
+    ``noise`` (M,) is :func:`side_noise`, ``focal`` pixels a unit of direction. Ink that runs, a
+    camera whose grey levels are no measure of the light and stray light move the sides of all
+    markers outwards or inwards alike: by how much is unknown, and fitted with the pose. One marker
+    after another (of ``used`` (M,), if given) is left out while it disagrees with the rest by more
+    than ``settings.displaced`` pixels. None if fewer than ``settings.least_references`` remain.
+    """
+    count = points.shape[0]
+    flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1).reshape(-1, 3)
+    used = np.ones(count, dtype=bool) if used is None else used.copy()
+    covariance: Array = np.zeros((6, 6))
+    white = whitening(rays, noise)
+    outwards = np.zeros((count, 8))
+    outwards[:, ::2] = 1.0 / noise[:, None]
+    while used.sum() >= settings.least_references:
+        blooms: Array = outwards[used].ravel()
+        blooms = np.asarray(blooms / np.linalg.norm(blooms))
+        for _ in range(3):
+            jacobian, residual = _linearised(pose, flat, rays.reshape(-1, 2))
+            sharp = (white[used] @ jacobian.reshape(count, 8, 6)[used]).reshape(-1, 6)
+            weighted: Array = sharp - np.outer(blooms, blooms @ sharp)
+            error = (white[used] @ residual.reshape(count, 8, 1)[used]).reshape(-1)
+            covariance = np.asarray(np.linalg.inv(weighted.T @ weighted), dtype=np.float64)
+            step = covariance @ (weighted.T @ error)
+            pose = pose.moved(step)
+            if float(np.abs(step).max()) < 1e-7:
+                break
+        left = (residual - jacobian @ step).reshape(count, 8)
+        kept = jacobian.reshape(count, 8, 6)[used]
+        bloom = float(
+            blooms @ (white[used] @ left[used, :, None]).ravel() / (blooms @ outwards[used].ravel())
+        )
+        left = left - bloom * np.linalg.solve(white, outwards[..., None])[..., 0]
+        off = np.sqrt(2.0 * (left**2).mean(axis=1)) * focal
+        worst = float(off[used].max())
+        # Only with three or more can it be said which one is wrong.
+        if used.sum() >= 3 and worst > settings.displaced:
+            wrong = _wrong_one(white[used], left[used], weighted.reshape(-1, 8, 6))
+            if wrong is not None:
+                used[np.flatnonzero(used)[wrong]] = False
+                continue
+        gain = (
+            covariance
+            @ (white[used].transpose(0, 2, 1) @ weighted.reshape(-1, 8, 6)).reshape(-1, 6).T
+        )
+        return TableFit(
+            pose,
+            np.asarray(covariance),
+            used,
+            left[used].reshape(-1, 4, 2),
+            kept.reshape(-1, 6),
+            gain,
+            bloom,
+            worst,
+            _unsquare(white[used], left[used], rays[used], noise[used], _BENT / focal),
+        )
+    return None
+
+
+def _wrong_one(white: Array, left: Array, jacobian: Array) -> int | None:
+    """Which of the markers explains most of what is left (M, 8) of the fit, were it wrong; None
+    where that is less than half of it.
+
+    Not the one that is missed by most: a marker far from the others draws the fit to itself (its
+    leverage; Cook and Weisberg 1982). ``white`` (M, 8, 8) and the whitened ``jacobian`` (M, 8, 6).
+    """
+    covariance = np.linalg.inv(np.einsum("mki,mkj->ij", jacobian, jacobian))
+    error = (white @ left[..., None])[..., 0]
+    free = 1.001 * np.eye(8) - jacobian @ covariance @ jacobian.transpose(0, 2, 1)
+    explained = (error * np.linalg.solve(free, error[..., None])[..., 0]).sum(axis=1)
+    wrong = int(np.argmax(explained))
+    return wrong if explained[wrong] > 0.5 * float((error**2).sum()) else None
+
+
+def consensus(
+    camera: CameraModel, points: Array, rays: Array, settings: TableSettings
+) -> tuple[CameraPose, NDArray[np.bool_]] | None:
+    """A pose, and which markers (M,) lie as in the map, where some lie far beside it.
+
+    The pose of the camera from two markers after another (Fischler and Bolles 1981, all pairs), and
+    how many markers it agrees with; None if that is not the better part of three or more.
+    """
+    count = len(points)
+    flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1)
+    pixels = camera.project(np.concatenate([rays, np.ones((count, 4, 1))], axis=-1))
+    best, agreed = None, np.zeros(count, dtype=bool)
+    for pair in islice(combinations(range(count), 2), _MOST_PAIRS):
+        pose = initial_pose(camera, points[list(pair)], pixels[list(pair)])
+        if pose is None:
+            continue
+        off = np.linalg.norm(camera.project(pose.apply(flat)) - pixels, axis=2).max(axis=1)
+        near = off < _FAR * settings.displaced
+        if near.sum() > agreed.sum():
+            best, agreed = pose, near
+    return None if best is None or agreed.sum() < max(3, count // 2 + 1) else (best, agreed)
+
+
+def _unsquare(white: Array, left: Array, rays: Array, noise: Array, usual: float) -> float:
+    """Standard deviation (a direction) by which sides of M markers lie beside squares, beyond
+    their ``noise`` (M,) and what is ``usual``.
+
+    Where each marker lies and how it is turned is the business of print and lens
+    (:mod:`tapping_cell.vision.table.systematic_error`); the other five degrees of freedom of its
+    corners ``left``
+    (M, 8) are noise, the little that a lens bends a square, or sides that are not where they seem:
+    smeared, too near to each other, beside a shadow. 0 where that cannot be told from noise (three
+    standard deviations of chi square).
+    """
+    count = len(left)
+    arm = rays - rays.mean(axis=1, keepdims=True)
+    shifts = np.zeros((count, 4, 2, 3))
+    shifts[..., 0, 0] = shifts[..., 1, 1] = 1.0
+    shifts[..., 0, 2], shifts[..., 1, 2] = -arm[..., 1], arm[..., 0]
+    along, _ = np.linalg.qr(white @ shifts.reshape(count, 8, 3))
+    error = (white @ left[..., None])[..., 0]
+    error = error - (along @ (along.transpose(0, 2, 1) @ error[..., None]))[..., 0]
+    total = np.square(noise) + usual**2
+    freedom = 5.0 * count - 1.0
+    ratio = float((np.square(noise) / total * (error**2).sum(axis=1)).sum()) / freedom
+    if ratio <= 1.0 + 3.0 * np.sqrt(2.0 / freedom):
+        return 0.0
+    return float(np.sqrt((ratio - 1.0) * total.mean()))
+
+
+def _linearised(pose: CameraPose, points: Array, rays: Array) -> tuple[Array, Array]:
+    """Jacobian (2 N, 6) of the directions to a step of the pose, and measured minus predicted."""
+    p = pose.apply(points)
+    x, y, z = p[:, 0], p[:, 1], p[:, 2]
+    u, v = x / z, y / z
+    zero = np.zeros_like(z)
+    by_u = np.stack([-u * v, 1.0 + u * u, -v, 1.0 / z, zero, -u / z], axis=-1)
+    by_v = np.stack([-1.0 - v * v, u * v, u, zero, 1.0 / z, -v / z], axis=-1)
+    jacobian = np.stack([by_u, by_v], axis=1).reshape(-1, 6)
+    residual = (rays - np.stack([u, v], axis=-1)).reshape(-1)
+    return jacobian, residual

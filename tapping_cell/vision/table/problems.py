@@ -1,0 +1,76 @@
+"""What is said of the table: where it is not known well enough for a pose, and where it is."""
+
+from __future__ import annotations
+
+from tapping_cell.vision.observation import Problem
+from tapping_cell.vision.table.tracker import TableState, TableTracker
+
+
+def table_refusal(
+    state: TableState, table: TableTracker, unseen: float, timeout: float
+) -> tuple[Problem, str] | None:
+    """Why a frame after which the table is in ``state`` gives no pose; None where it may.
+
+    ``unseen`` is the time (s) since references were last seen, ``timeout`` the limit of that.
+    """
+    s = table.settings
+    if state is TableState.UNKNOWN:
+        return (
+            Problem.TABLE_UNKNOWN,
+            f"fewer than {s.least_references} of the reference markers {table.ids.tolist()} are "
+            "seen; uncover them or check the table file",
+        )
+    if state is TableState.CONTRADICTED:
+        return Problem.TABLE_CONTRADICTED, _contradiction(table)
+    if state is TableState.SUSPECT:
+        return (
+            Problem.CAMERA_MOVED,
+            "the reference markers are not where they were: the camera or the table moves",
+        )
+    if state is TableState.TOO_FAR:
+        return (
+            Problem.CAMERA_MOVED_TOO_FAR,
+            f"the camera or the table has moved by more than {s.largest_move * 1e3:.0f} mm since "
+            "the start; check the mounting and configure again",
+        )
+    if unseen > timeout:
+        return (
+            Problem.REFERENCES_HIDDEN,
+            f"the reference markers have been hidden for {unseen:.1f} s; uncover at least "
+            f"{s.least_references} of them",
+        )
+    return None
+
+
+def table_notice(table: TableTracker, doubled: list[int], unmet: list[int]) -> str:
+    """What of the reference markers does not spoil the pose but should be known; empty for nothing.
+
+    ``doubled`` are ids that are seen more than once, ``unmet`` rows of the map that are not seen.
+    """
+    if table.displaced:
+        names = ", ".join(map(str, table.displaced))
+        return f"reference marker {names} is not where the table file puts it; left out"
+    if doubled:
+        names = ", ".join(map(str, doubled))
+        return f"reference marker {names} is seen more than once; cover the others"
+    names = ", ".join(map(str, sorted(int(table.ids[row]) for row in unmet)))
+    return f"reference marker {names} is not seen; uncover it" if unmet else ""
+
+
+def _contradiction(table: TableTracker) -> str:
+    names = ", ".join(map(str, table.used))
+    if table.apart:
+        return (
+            f"the reference markers {names} no longer lie to each other as they did: one of them "
+            "was moved; put it back, or measure the table again and configure again"
+        )
+    if table.error > table.settings.displaced:
+        return (
+            f"the reference markers {names} do not lie as the table file says: after the best fit "
+            f"by up to {table.error:.1f} pixels beside it (limit {table.settings.displaced:.1f}); "
+            "check their places, angles and sizes in the file and on the table"
+        )
+    return (
+        f"the sides of the reference markers {names} look {2.0 * table.bloom:+.1f} pixels longer "
+        "than the table file's places and sizes let expect; check the sizes (of the black squares)"
+    )

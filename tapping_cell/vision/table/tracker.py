@@ -1,0 +1,311 @@
+"""Where the camera is over the table: from the reference markers, averaged while it is steady.
+
+While nothing moves, each marker's corners are averaged over the frames and the pose is fitted to
+the averages. Every frame is compared with the averages, marker by marker: when most of the markers
+of several frames in a row lie elsewhere, the camera or the table was moved; the averages start anew
+and the move is reported. What the markers still disagree about after averaging is no noise but lens
+and printing, and says how wrong a pose measured on this table may be.
+"""
+
+from __future__ import annotations
+
+import enum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tapping_cell.se2 import transform_points
+from tapping_cell.vision.camera import Array, CameraModel, CameraPose, View
+from tapping_cell.vision.markers.detection import ReferenceMap
+from tapping_cell.vision.markers.edges import MarkerEdges
+from tapping_cell.vision.table.fit import (
+    TableFit,
+    TableSettings,
+    consensus,
+    fit_table,
+    initial_pose,
+    reference_rays,
+    side_noise,
+    whitening,
+)
+from tapping_cell.vision.table.systematic_error import ErrorField, condition, lens_shifts
+
+_SIDE_BIAS = 0.0007
+"""Pixels that an averaged side may be off by where it lies between pixels (measured: 0.0005)."""
+_STEP = 0.08
+"""Pixels that the bloom of two references, and half of what they miss their places by, may grow
+where it is the camera that moved."""
+_EDGE_BIAS = 0.0002
+"""Pixels that all averaged edges may be off by together (measured: below 0.0002)."""
+
+
+class TableState(enum.Enum):
+    """What the reference markers of a frame say."""
+
+    UNKNOWN = "unknown"
+    STEADY = "steady"
+    UNSEEN = "unseen"
+    SUSPECT = "suspect"
+    MOVED = "moved"
+    TOO_FAR = "too far"
+    CONTRADICTED = "contradicted"
+
+
+class TableTracker:
+    """Keeps the camera's pose over the table from frame to frame."""
+
+    def __init__(
+        self, camera: CameraModel, references: ReferenceMap, settings: TableSettings | None = None
+    ) -> None:
+        self.camera = camera
+        self.settings = settings or TableSettings()
+        self.points = references.corners()
+        self._deviation = references.deviation
+        self.ids = np.array([marker.id for marker in references.markers])
+        self.pose: CameraPose | None = None
+        self.covariance: Array = np.zeros((6, 6))
+        self.used: tuple[int, ...] = ()
+        self.displaced: tuple[int, ...] = ()
+        self.error = 0.0
+        self.bloom = 0.0
+        self.apart = False
+        self._before: tuple[float, float] | None = None
+        self.move = 0.0
+        self.field_number = 0
+        self._first: CameraPose | None = None
+        self._suspects = 0
+        self._restart()
+
+    def _restart(self) -> None:
+        """Forget where the markers were in the image."""
+        count = len(self.ids)
+        self._seen = np.zeros(count)
+        self._rays = np.zeros((count, 4, 2))
+        self._noise = np.zeros(count)
+        self._strayed = np.zeros(count, dtype=int)
+        self._astray = np.zeros(count, dtype=bool)
+        self._field: ErrorField | None = None
+        self._field_frames = 0.0
+
+    def update(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
+        """Take one frame's references: ``rows`` (M,) of the map that ``edges`` (good ones) belong
+        to."""
+        s = self.settings
+        if len(rows) < s.least_references:
+            return TableState.UNKNOWN if self.pose is None else TableState.UNSEEN
+        rays = reference_rays(self.camera, edges)
+        disturbed = self._disturbed(rays, rows)
+        known = (self._seen[rows] > 0) & ~self._astray[rows]
+        apart = int((disturbed & known).sum())
+        # One alone was moved by hand, or is half covered: where there are others to tell.
+        moving = apart >= min(2, len(self.ids) - 1) and 2 * apart >= known.sum() > 0
+        if self.pose is not None and (moving or self._too_many_stray(rows, disturbed)):
+            self._suspects += 1
+            if self._suspects < s.confirm_frames:
+                return TableState.SUSPECT
+            if not self.apart:
+                self._before = self.bloom, self.error
+            self._restart()
+            disturbed = np.zeros(len(rows), dtype=bool)
+        moved = self._suspects >= s.confirm_frames
+        self._suspects = 0
+        self._average(rays, side_noise(edges, self.camera.fx), rows, disturbed)
+        before = self.pose
+        if not self._fit(edges, rows):
+            return TableState.UNKNOWN if self.pose is None else TableState.SUSPECT
+        assert self.pose is not None
+        if self._contradicted(edges):
+            return TableState.CONTRADICTED
+        if moved and before is not None:
+            self.move = self._shift(before, self.pose)
+        self._first = self._first or self.pose
+        if self._shift(self._first, self.pose) > s.largest_move:
+            return TableState.TOO_FAR
+        return TableState.MOVED if moved else TableState.STEADY
+
+    @property
+    def camera_height(self) -> float:
+        """Of the camera over the table, in m; 0 while not known."""
+        return 0.0 if self.pose is None else float(self.pose.position[2])
+
+    def add(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
+        """Take further references of a first frame, looked for where the others say they are."""
+        rays, noise = reference_rays(self.camera, edges), side_noise(edges, self.camera.fx)
+        self._average(rays, noise, rows, np.zeros(len(rows), dtype=bool))
+        if not self._fit(edges, rows) or self._contradicted(edges):
+            return TableState.CONTRADICTED
+        self._first = self.pose
+        return TableState.STEADY
+
+    def _disturbed(self, rays: Array, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which of these markers lie elsewhere than on average."""
+        shift = np.linalg.norm((rays - self._rays[rows]).mean(axis=1), axis=1) * self.camera.fx
+        return np.asarray((self._seen[rows] > 0) & (shift > self.settings.suspect_shift))
+
+    def _too_many_stray(self, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]) -> bool:
+        """Are more markers elsewhere than a hand moves, though each look saw only a few of them?"""
+        apart = self._astray.copy()
+        apart[rows] |= disturbed & (self._strayed[rows] >= self.settings.confirm_frames)
+        return int(apart.sum()) > max(1, len(apart) // 4)
+
+    def _average(
+        self, rays: Array, noise: Array, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]
+    ) -> None:
+        self._strayed[rows] = np.where(disturbed, self._strayed[rows] + 1, 0)
+        # One marker alone that stays elsewhere was itself moved: what it says of the table no
+        # longer holds, until it is back.
+        self._astray[rows] = disturbed & (self._strayed[rows] > self.settings.confirm_frames)
+        kept = rows[~disturbed]
+        self._seen[kept] = np.minimum(self._seen[kept] + 1, self.settings.memory)
+        share = 1.0 / self._seen[kept]
+        self._rays[kept] += share[:, None, None] * (rays[~disturbed] - self._rays[kept])
+        self._noise[kept] += share * (noise[~disturbed] - self._noise[kept])
+
+    def _contradicted(self, edges: MarkerEdges) -> bool:
+        """Do the markers lie, or measure, so differently from the map that neither is believed?"""
+        s = self.settings
+        corners = edges.corners
+        side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())
+        limit = max(s.bloom, s.bloom_share * side)
+        two = len(self.used) <= 2
+        # Two that lie otherwise to each other look larger, smaller or turned: no camera's move
+        # does that.
+        self.apart = False
+        if two and self._before is not None:
+            bloom, error = self._before
+            self.apart = abs(self.bloom - bloom) > _STEP or self.error - error > 2.0 * _STEP
+        few = self.apart or (two and self.error > s.displaced)
+        return few or self.error > 3.0 * s.displaced or 2.0 * abs(self.bloom) > limit
+
+    def _fit(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> bool:
+        """Pose, covariances and the lists of markers from the averages; False if there is none."""
+        have = np.flatnonzero((self._seen > 0) & ~self._astray)
+        start = self.pose or initial_pose(self.camera, self.points[rows], edges.corners)
+        if start is None or len(have) < self.settings.least_references:
+            return False
+        noise = np.hypot(self._noise[have] / np.sqrt(self._seen[have]), _SIDE_BIAS / self.camera.fx)
+        points, rays, focal = self.points[have], self._rays[have], self.camera.fx
+        fit = fit_table(start, points, rays, noise, self.settings, focal)
+        if fit is not None and fit.error > self.settings.displaced and len(have) >= 3:
+            # So far off that least squares do not tell which: they all look wrong then.
+            agreed = consensus(self.camera, points, rays, self.settings)
+            if agreed is not None:
+                pose, used = agreed
+                fit = fit_table(pose, points, rays, noise, self.settings, focal, used)
+        if fit is not None and fit.unsquare > 0.0:
+            noise = np.hypot(noise, fit.unsquare)
+            fit = fit_table(fit.pose, points, rays, noise, self.settings, focal, fit.used)
+        if fit is None:
+            return False
+        before = self.used
+        self.pose, self.covariance = fit.pose, fit.covariance
+        self.error, self.bloom = fit.error, fit.bloom * self.camera.fx
+        self.used = tuple(int(i) for i in self.ids[have[fit.used]])
+        wrong = self._astray.copy()
+        wrong[have[~fit.used]] = True
+        self.displaced = tuple(int(i) for i in self.ids[wrong])
+        frames = float(self._seen.sum())
+        if self._field is None or frames >= 1.25 * self._field_frames or self.used != before:
+            self._field_frames = frames
+            self._field = self._condition(fit, points, rays, noise)
+            self.field_number += 1
+        return True
+
+    def _shift(self, before: CameraPose, after: CameraPose) -> float:
+        """Largest distance, in m, that the references' corners move in the camera's frame."""
+        flat = np.concatenate([self.points, np.zeros((*self.points.shape[:2], 1))], axis=-1)
+        return float(np.linalg.norm(after.apply(flat) - before.apply(flat), axis=-1).max())
+
+    def _condition(self, fit: TableFit, points: Array, rays: Array, noise: Array) -> ErrorField:
+        """The error of the lens over the table, from what the markers still disagree about."""
+        view = View(self.camera, fit.pose)
+        seen, shifts = lens_shifts(view, points[fit.used], 0.0)
+        count = int(fit.used.sum())
+        # Directions to lengths on the table, corner by corner: it may be seen obliquely.
+        ahead = seen.reshape(-1, 1, 2) + 1e-6 * np.eye(2)
+        lengths = (view.rays_on_plane(ahead) - points[fit.used].reshape(-1, 1, 2)) / 1e-6
+        block: Array = np.zeros((4 * count, 2, 4 * count, 2))
+        each = np.arange(4 * count)
+        block[each, :, each, :] = lengths.transpose(0, 2, 1)
+        block = block.reshape(8 * count, 8 * count)
+        still: Array = np.zeros((8 * count, 8 * count))
+        white = whitening(rays[fit.used], noise[fit.used])
+        for k in range(count):
+            part = slice(8 * k, 8 * k + 8)
+            still[part, part] = np.linalg.inv(white[k].T @ white[k])
+        return condition(
+            points[fit.used],
+            (block @ fit.residuals.reshape(-1)).reshape(-1, 4, 2),
+            block @ still @ block.T,
+            block @ shifts.reshape(8 * count, -1),
+            block @ fit.jacobian,
+            fit.gain @ np.linalg.inv(block),
+            stated=bool(self.camera.deviations),
+        )
+
+    def judge(self, pose: ArrayLike, height: float) -> tuple[Array, Array]:
+        """Likely error (3,) of a pose (x, y, theta) measured at ``height``, and covariance (3, 3)
+        of what remains of it: the camera's pose, lens, printing; not the noise of the object's
+        marker.
+        """
+        assert self.pose is not None and self._field is not None
+        place = np.asarray(pose, dtype=float)
+        view = View(self.camera, self.pose)
+        response = -pose_jacobian(view, place, height)
+        points = transform_points(place, CROSS)
+        rays, shifts = lens_shifts(view, points, height)
+        shifted = view.rays_on_plane(np.moveaxis(rays[..., None] + shifts, -1, 0), height)
+        lens = pose_changes(points, shifted - points).T
+        error, covariance = self._field.at(response, lens)
+        pixel = float(self.pose.translation[2]) / self.camera.fx
+        floor = (_EDGE_BIAS * pixel) ** 2
+        covariance = covariance + np.diag([floor, floor, 0.0])
+        return error, covariance + self._stretched(place)
+
+    def _stretched(self, place: Array) -> Array:
+        """Covariance (3, 3) of a pose because the map was measured.
+
+        What the lens, or the markers' printed size, did to a measured map the same camera sees
+        again: its markers agree. Taken is a common stretch, shear and turn about their middle.
+        """
+        middles = self.points.mean(axis=1)
+        arm = place[:2] - middles.mean(axis=0)
+        square = float(((middles - middles.mean(axis=0)) ** 2).sum(axis=1).mean())
+        reach = float(arm @ arm)
+        turned = 0.5 * np.array([-arm[1], arm[0]])
+        spread = np.array(
+            [[reach, 0.0, turned[0]], [0.0, reach, turned[1]], [turned[0], turned[1], 0.5]]
+        )
+        return np.asarray(spread * self._deviation**2 / square)
+
+
+CROSS = 0.02 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+"""Points (4, 2) in m around an object's middle that stand for its marker where it is shifted,
+turned and sheared: a fit to all sides of a square turns by the mean of what its sides turn."""
+
+
+def pose_changes(points: Array, shifts: Array) -> Array:
+    """Change (..., 3) of the pose (x, y, theta) fitted to points (N, 2) that shift by (..., N,
+    2)."""
+    arm = points - points.mean(axis=0)
+    turn = (arm[:, 0] * shifts[..., 1] - arm[:, 1] * shifts[..., 0]).sum(axis=-1)
+    return np.concatenate([shifts.mean(axis=-2), (turn / (arm**2).sum())[..., None]], axis=-1)
+
+
+def pose_jacobian(view: View, object_pose: ArrayLike, height: float) -> Array:
+    """How a measured pose (x, y, theta) of the plane at ``height`` answers a step of the camera's
+    pose.
+
+    Shape (3, 6); by differences of 1e-6 in steps of rotation (rad) and translation (m).
+    """
+    points = transform_points(object_pose, CROSS)
+    seen = view.pose.apply(np.column_stack([points, np.full(len(points), height)]))
+    rays = seen[:, :2] / seen[:, 2:]
+    shifts = []
+    for step in 1e-6 * np.eye(6):
+        ahead, back = (
+            View(view.camera, view.pose.moved(sign * step)).rays_on_plane(rays, height)
+            for sign in (1.0, -1.0)
+        )
+        shifts.append((ahead - back) / 2e-6)
+    return pose_changes(points, np.stack(shifts)).T

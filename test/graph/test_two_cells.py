@@ -1,0 +1,128 @@
+"""Two simulated cells of one account at the same time: each has its own world and devices."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tapping_cell.cli.graph import own_domain
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.nodes import MODULES
+
+CELL = (sys.executable, "-m", "tapping_cell")
+
+
+@contextmanager
+def cell(folder: Path, domain: int, namespace: str, seed: int) -> Iterator[dict[str, str]]:
+    """A cell as ``up`` starts it; gives the environment in which it is spoken to."""
+    environment = {**os.environ, "HOME": str(folder), "ROS_DOMAIN_ID": str(domain)}
+    command = (*CELL, "up", "--no-record", "--seed", str(seed), "--namespace", namespace)
+    process = subprocess.Popen(
+        command, env=environment, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    try:
+        yield environment
+        assert process.poll() is None, process.stdout.read() if process.stdout else ""
+    finally:
+        process.terminate()
+        process.communicate(timeout=20)
+
+
+def arm_terminals() -> dict[int, str]:
+    """The terminal that each running scara_arm has open, by process."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        try:
+            words = (entry / "cmdline").read_bytes().decode().split("\0")
+            if MODULES["scara_arm"] not in words or not entry.name.isdigit():
+                continue
+            links = [os.readlink(link) for link in (entry / "fd").iterdir()]
+        except OSError:
+            continue
+        found[int(entry.name)] = next((link for link in links if link.startswith("/dev/pts")), "")
+    return found
+
+
+@pytest.mark.parametrize("apart", ["domain", "namespace"])
+def test_two_cells_of_one_account_reach_their_own_goals(apart: str, tmp_path: Path) -> None:
+    one = own_domain_beside()
+    other = own_domain_beside() if apart == "domain" else one
+    names = ("", "") if apart == "domain" else ("left", "right")
+    goals = (("40", "30", "20"), ("-30", "20", "-10"))
+    before = set(arm_terminals())
+    with (
+        cell(tmp_path, one, names[0], seed=4) as first,
+        cell(tmp_path, other, names[1], seed=5) as second,
+    ):
+        talks = [
+            subprocess.Popen(
+                (*CELL, "goal", *goal, "--namespace", name, "--wait", "90", "--json"),
+                env=environment,
+                cwd=tmp_path,
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+            for goal, name, environment in zip(goals, names, (first, second), strict=True)
+        ]
+        answers = [json.loads(talk.communicate(timeout=170)[0]) for talk in talks]
+        terminals = {
+            terminal for process, terminal in arm_terminals().items() if process not in before
+        }
+        assert len(terminals) == 2 and "" not in terminals, "both arms on one terminal"
+    for answer, goal in zip(answers, goals, strict=True):
+        assert answer["reached"], answer
+        assert answer["final_pose"]["x_mm"] == pytest.approx(float(goal[0]), abs=1.0)
+        assert answer["final_pose"]["y_mm"] == pytest.approx(float(goal[1]), abs=1.0)
+
+
+def own_domain_beside() -> int:
+    """A further domain that this process holds, beside that of the tests."""
+    chosen = os.environ.pop("ROS_DOMAIN_ID")
+    try:
+        held = own_domain()
+        _HELD.append(held)
+        return held.number
+    finally:
+        os.environ["ROS_DOMAIN_ID"] = chosen
+
+
+_HELD: list[object] = []
+
+
+def test_a_second_cell_in_one_domain_and_namespace_is_refused(tmp_path: Path) -> None:
+    domain = own_domain_beside()
+    with cell(tmp_path, domain, "left", seed=1) as environment:
+        deadline = time.monotonic() + 30
+        while not (tmp_path / "runs/up" / f"domain{domain}.left").exists():
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        command = (*CELL, "up", "--namespace", "left")
+        second = subprocess.run(
+            command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=30
+        )
+    assert second.returncode == 1
+    words = " ".join(second.stdout.split())
+    assert f"another cell runs on this machine in ROS domain {domain}, namespace '/left'" in words
+
+
+@pytest.mark.parametrize("given", [(), ("--cell", "cell.yaml")], ids=["none", "a copy"])
+def test_hardware_on_the_packaged_example_file_is_refused(
+    given: tuple[str, ...], tmp_path: Path
+) -> None:
+    folder = tmp_path / "config"
+    folder.symlink_to(shared_folder())
+    ended = subprocess.run(
+        (*CELL, "up", "--hardware", *given), cwd=folder, capture_output=True, text=True, timeout=30
+    )
+    assert ended.returncode == 2
+    words = " ".join(ended.stdout.split())
+    assert "key 'arm.port' is ~/.ros/tapping_cell/{cell}/arm" in words
+    assert "a port of the simulated cell" in words

@@ -1,0 +1,68 @@
+"""No two cells of a machine share a name, and a name is held by one process at a time."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tapping_cell.cli.graph import Graph, GraphError, domain_number, own_domain
+from tapping_cell.nodes.cell_identity import cell_key, claim
+
+TOKEN = st.from_regex(r"[a-zA-Z_][a-zA-Z0-9_]{0,6}", fullmatch=True)
+CELL = st.tuples(
+    st.integers(0, 232), st.lists(TOKEN, max_size=3).map(lambda parts: "/" + "/".join(parts))
+)
+
+
+@given(one=CELL, other=CELL)
+def test_cells_have_one_key_only_where_they_are_one_cell(
+    one: tuple[int, str], other: tuple[int, str]
+) -> None:
+    assert (cell_key(*one) == cell_key(*other)) == (one == other)
+    assert "/" not in cell_key(*one)
+
+
+def test_a_claim_holds_between_processes_until_its_owner_ends() -> None:
+    code = (
+        "from tapping_cell.nodes.cell_identity import claim\n"
+        "held = claim('test/one'); print(held is not None, flush=True); input()"
+    )
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, stdin=-1, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "True\n"
+        assert claim("test/one") is None
+        process.kill()
+    held = claim("test/one")
+    assert held is not None
+    held.close()
+
+
+def test_a_second_graph_of_one_cell_is_refused(tmp_path: object) -> None:
+    held = claim("graph/domain7.left")
+    assert held is not None
+    with held, pytest.raises(GraphError, match=r"ROS domain 7, namespace '/left'.*--namespace"):
+        Graph((), {}, tmp_path, {"ROS_DOMAIN_ID": "7"}, "left").__enter__()  # type: ignore[arg-type]
+    with Graph((), {}, tmp_path, {"ROS_DOMAIN_ID": "7"}, "left"):  # type: ignore[arg-type]
+        assert claim("graph/domain7.left") is None
+    again = claim("graph/domain7.left")
+    assert again is not None
+    again.close()
+
+
+def test_own_domains_differ_and_a_chosen_one_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    one, other = own_domain(), own_domain()
+    assert one.number != other.number
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    assert own_domain().number == 42
+
+
+@pytest.mark.parametrize("chosen", ["left", "-1", "233", "1.5"])
+def test_a_domain_that_is_none_is_refused_in_words(chosen: str) -> None:
+    with pytest.raises(GraphError, match=f"ROS_DOMAIN_ID is '{chosen}'.*0 to 232"):
+        domain_number({"ROS_DOMAIN_ID": chosen})

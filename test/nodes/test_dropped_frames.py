@@ -1,0 +1,52 @@
+"""Pictures that come faster than they are answered: the newest is taken, jams are worked off."""
+
+from __future__ import annotations
+
+import pytest
+
+from tapping_cell.nodes.camera.dropped_frames import LONGEST_WAIT_S, Backlog
+
+
+def film(
+    period: float, each: float, pictures: int, jam: float = 0.0
+) -> tuple[Backlog, list[float]]:
+    """Pictures every ``period`` s into a node that takes ``each`` s for one, and the ages of the
+    answers; a ``jam`` (s) holds the node up halfway."""
+    backlog, queue, ages = Backlog(), [period * k for k in range(pictures)], []
+    now, jammed = 0.0, False
+    while queue:
+        now = max(now, queue[0])
+        if not jammed and len(queue) < pictures / 2:
+            now, jammed = now + jam, True
+        taken = queue.pop(0)
+        backlog.arrived(taken)
+        while backlog.stale(now) and queue and queue[0] <= now:
+            backlog.passed_over += 1
+            taken = queue.pop(0)
+            backlog.arrived(taken)
+        now += each
+        backlog.answered(now)
+        ages.append(now - taken)
+    return backlog, ages
+
+
+@pytest.mark.parametrize(("rate", "each"), [(30.0, 0.060), (120.0, 0.011), (60.0, 0.2)])
+def test_an_answer_is_not_older_than_it_needs_to_be(rate: float, each: float) -> None:
+    backlog, ages = film(1.0 / rate, each, 400)
+    # Once it is known that the node cannot keep up: its own time, and what came meanwhile.
+    # The film's last picture has none behind it.
+    assert max(ages[20:-1]) < each + 1.0 / rate + 0.005
+    assert len(ages) + backlog.passed_over == 400
+    assert "only the newest" in backlog.sentence
+
+
+def test_a_node_that_keeps_up_works_off_a_jam_and_loses_nothing() -> None:
+    backlog, ages = film(1.0 / 30.0, 0.012, 300, jam=0.1)
+    assert backlog.passed_over == 0 and len(ages) == 300
+    assert ages[-1] == pytest.approx(0.012) and not backlog.sentence
+
+
+def test_after_a_long_jam_the_newest_comes_first() -> None:
+    backlog, ages = film(1.0 / 30.0, 0.012, 300, jam=0.6)
+    assert 10 < backlog.passed_over < 20
+    assert max(ages) < LONGEST_WAIT_S

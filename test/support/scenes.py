@@ -1,0 +1,102 @@
+"""Scenes for the tests of vision: a camera over a table, a disk, and an own area sampler."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
+
+from tapping_cell.se2 import inverse, transform_points
+from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
+from tapping_cell.vision import (
+    CameraModel,
+    CameraPose,
+    ObjectMarker,
+    ReferenceMap,
+    ReferenceMarker,
+    View,
+)
+from tapping_cell.vision.markers.detection import marker_pattern
+
+CAMERA = CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5, (-0.12, 0.08, 0.0004, -0.0003, 0.0))
+POSE = CameraPose.above((0.03, -0.02, 0.7), spin=0.02)
+MARKER = ObjectMarker("apriltag_36h11", 3, 0.05, 0.012)
+REFERENCES = ReferenceMap(
+    "apriltag_36h11",
+    tuple(
+        ReferenceMarker(101 + i, 0.04, x, y)
+        for i, (x, y) in enumerate(
+            [
+                (-0.33, 0.25),
+                (0.0, 0.25),
+                (0.33, 0.25),
+                (-0.33, 0.0),
+                (0.33, 0.0),
+                (-0.33, -0.25),
+                (0.0, -0.25),
+                (0.33, -0.25),
+            ]
+        )
+    ),
+)
+ANGLES = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
+DISK = 0.048 * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=-1)
+
+
+def renderer(
+    pose: CameraPose = POSE,
+    references: ReferenceMap = REFERENCES,
+    marker: ObjectMarker = MARKER,
+    seed: int = 0,
+    **settings: float,
+) -> SceneRenderer:
+    """The standard scene with changes."""
+    return SceneRenderer(
+        CAMERA, pose, references, DISK, marker, SceneSettings(**settings), seed=seed
+    )
+
+
+def area_sampled_marker(
+    view: View,
+    marker: ObjectMarker,
+    pose: np.ndarray,
+    noise: np.ndarray | float = 0.0,
+    samples: int = 10,
+    black: float = 30.0,
+    white: float = 200.0,
+    around: float = 110.0,
+) -> np.ndarray:
+    """An image with one marker by brute force: a pixel is the mean of samples x samples points.
+
+    One module of white around the marker, grey ``around`` elsewhere. Independent of the renderer.
+    """
+    camera = view.camera
+    image = np.full((camera.height, camera.width), around)
+    pattern = np.pad(marker_pattern(marker.dictionary, marker.id), 1, constant_values=True)
+    module = marker.size / (pattern.shape[0] - 2)
+    half = 0.5 * module * pattern.shape[0]
+    square = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    seen = view.project(transform_points(pose, square), marker.height)
+    x0, y0 = np.floor(seen.min(axis=0)).astype(int) - 2
+    x1, y1 = np.ceil(seen.max(axis=0)).astype(int) + 3
+    inside = (np.arange(samples) + 0.5) / samples - 0.5
+    xs = (np.arange(x0, x1)[:, None] + inside).ravel()
+    ys = (np.arange(y0, y1)[:, None] + inside).ravel()
+    # What the plane shows at every sixth pixel, splines between (a lens is smooth).
+    grid_x, grid_y = np.arange(x0 - 6, x1 + 12, 6.0), np.arange(y0 - 6, y1 + 12, 6.0)
+    nodes = view.on_plane(np.stack(np.meshgrid(grid_x, grid_y), axis=-1), marker.height)
+    points = np.stack(
+        [RectBivariateSpline(grid_y, grid_x, nodes[..., i])(ys, xs) for i in (0, 1)], axis=-1
+    )
+    local = transform_points(inverse(pose), points)
+    column = np.floor((local[..., 0] + half) / module).astype(int)
+    row = np.floor((half - local[..., 1]) / module).astype(int)
+    count = pattern.shape[0]
+    on = (column >= 0) & (column < count) & (row >= 0) & (row < count)
+    value = np.where(
+        on,
+        np.where(pattern[row.clip(0, count - 1), column.clip(0, count - 1)], white, black),
+        around,
+    )
+    mean = value.reshape(y1 - y0, samples, x1 - x0, samples).mean(axis=(1, 3))
+    image[y0:y1, x0:x1] = mean
+    return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
