@@ -45,7 +45,7 @@ from tapping_cell.messages import (
     TapCommand,
     TapperState,
 )
-from tapping_cell.planning import Done, KeepOut, Refusal, RefusalReason, Strike
+from tapping_cell.planning import Done, KeepOut, LookAgain, Refusal, RefusalReason, Strike
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.se2 import Pose
 
@@ -438,7 +438,12 @@ class PlannerLogic:
         shot, self._shot = self._shot, None
         if shot is not None and shot.outcome != TapperState.NOT_FIRED:
             task.take_in(shot, seen)
-        decision = task.decide(seen)
+            warning = task.session.edge_warning(from_message(seen.pose.pose))
+            if warning:
+                self._log(LogLevel.WARNING, warning)
+        decision = task.decide(seen, 0 if self._late(now) else needed)
+        if isinstance(decision, LookAgain):
+            return  # the observation gets longer with every image
         if isinstance(decision, Refusal):
             # An observation that is too uncertain gets better with every image.
             if decision.reason is not RefusalReason.CAMERA_TOO_COARSE or self._late(now):
