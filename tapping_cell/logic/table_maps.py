@@ -20,7 +20,7 @@ class TableMap:
 
 
 class TableMaps:
-    """Makes the map of a cell's table; the last ones are kept, because each takes about a second."""
+    """Makes maps of a cell's table; the last ones are kept, because each takes about a second."""
 
     KEPT = 4
 

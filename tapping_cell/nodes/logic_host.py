@@ -64,6 +64,10 @@ class LogicHost:
         name = ros_class(kind.ROS_TYPE)  # type: ignore[attr-defined]
         self._publishers[topic] = self._node.create_publisher(name, topic, profile)
 
+    def offers(self, kind: Any, topic: str, profile: Any) -> None:
+        """Offer a topic of a ROS type that has no mirror; a subclass publishes on it."""
+        self._publishers[topic] = self._node.create_publisher(kind, topic, profile)
+
     def subscribes(self, kind: type, topic: str, profile: Any) -> None:
         """Hand a topic's messages to the machine."""
         self._node.create_subscription(
@@ -159,9 +163,9 @@ class LogicHost:
         elif isinstance(effect, fx.AbandonJob):
             self._abandoned.add(effect.job)
         elif isinstance(effect, fx.Call):
-            self._hand_over(lambda: self._call(effect))
+            self.later(lambda: self._call(effect))
         elif isinstance(effect, fx.AskStops):
-            self._hand_over(lambda: self._ask_stops(effect.token))
+            self.later(lambda: self._ask_stops(effect.token))
         elif isinstance(effect, fx.Answer):
             self._feedback.pop(effect.token, None)
             self._requests.pop(effect.token)(effect.response)
@@ -193,7 +197,8 @@ class LogicHost:
             what = "stop" if isinstance(effect, fx.KeepStop) else "goal"
             self._node.get_logger().warning(f"a restart would lose this {what}: {error}")
 
-    def _hand_over(self, action: Callable[[], None]) -> None:
+    def later(self, action: Callable[[], None]) -> None:
+        """Do something in the executor's thread, after what it does now."""
         self._later.append(action)
         self._wake.trigger()
 

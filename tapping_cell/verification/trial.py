@@ -205,7 +205,7 @@ class Trial:
 
         def arm_connect(driver: ArmDriver, patience: float, _: Now) -> arm_jobs.Reading:
             driver.connect(timeout=patience)
-            return arm_jobs.connected(driver)
+            return arm_jobs.reading_of(driver)
 
         def arm() -> tuple[ArmLogic, ArmDriver]:
             line = self.physical.arm_line
