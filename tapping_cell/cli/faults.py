@@ -5,7 +5,10 @@ seeded faults on the lines (bytes lost, late, doubled, flipped, split, merged; s
 vanish and return; boards that restart), and holds what the drivers say against what the devices
 did.
 
-    python -m tapping_cell faults --taps 10000 --seed 1
+    python -m tapping_cell faults --goals 1000 --seed 1   # the whole cell in simulated time
+    python -m tapping_cell faults --replay 1000003        # one run of it again, with its trace
+    python -m tapping_cell faults --mutants               # would a missing guard be found?
+    python -m tapping_cell faults --taps 10000 --seed 1   # drivers and boards alone
     python -m tapping_cell faults --taps 500 --dialect marlin --json
     python -m tapping_cell faults --every-byte
     python -m tapping_cell faults --pty --taps 20         # real terminals, in real time
@@ -29,6 +32,7 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
+from tapping_cell.cli import goal_faults
 from tapping_cell.cli.driver_soak import soak
 from tapping_cell.cli.fault_terminals import terminal_cell
 from tapping_cell.cli.fault_trials import (
@@ -40,6 +44,7 @@ from tapping_cell.cli.fault_trials import (
 )
 from tapping_cell.cli.graph import SIMULATED, own_domain
 from tapping_cell.simulation.fault_layer import FaultKind
+from tapping_cell.verification.campaign import GOALS_A_RUN
 
 CHUNK = 100
 """Taps of one cell from its start: the unit that a process works on; results do not depend on how
@@ -65,7 +70,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="over real pseudo-terminals in real time, one process a dialect",
     )
+    parser.add_argument(
+        "--goals",
+        type=int,
+        metavar="N",
+        help="the whole cell in simulated time: logic, drivers, boards, camera and people, with"
+        " random faults; with --mutants how many goals at most (default 1000)",
+    )
+    parser.add_argument(
+        "--mutant", action="append", help="with --mutants: only this one, may be repeated"
+    )
     instead = parser.add_mutually_exclusive_group()
+    instead.add_argument(
+        "--replay", type=int, metavar="SEED", help="repeat a run of --goals and print its trace"
+    )
+    instead.add_argument(
+        "--mutants",
+        action="store_true",
+        help="plant single faults in the logic, one after the other; each must be caught",
+    )
     instead.add_argument(
         "--every-byte",
         action="store_true",
@@ -94,12 +117,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the taps and report."""
     taps = (20 if arguments.pty else 1000) if arguments.taps is None else arguments.taps
-    if taps < 1 or arguments.jobs < 1 or arguments.seed < 0:
-        print("--taps and --jobs must be at least 1, --seed at least 0", file=sys.stderr)
+    goals = 1 if arguments.goals is None else arguments.goals
+    if taps < 1 or goals < 1 or arguments.jobs < 1 or arguments.seed < 0:
+        print("--taps, --goals and --jobs must be at least 1, --seed at least 0", file=sys.stderr)
         return 2
     if arguments.soak is not None and not 0 < arguments.soak <= 1000:
         print("--soak must be above 0 and at most 1000 hours", file=sys.stderr)
         return 2
+    if arguments.replay is not None:
+        return goal_faults.replay(arguments.replay, arguments.goals or GOALS_A_RUN)
+    if arguments.mutants:
+        return goal_faults.run_mutants(
+            arguments.goals or 1000,
+            arguments.seed,
+            arguments.jobs,
+            arguments.mutant or (),
+            arguments.json,
+        )
+    if arguments.goals is not None:
+        return goal_faults.run_goals(
+            arguments.goals, arguments.seed, arguments.jobs, arguments.json
+        )
     dialects = [Dialect(arguments.dialect)] if arguments.dialect else list(Dialect)
     if arguments.crashes:
         return _crashes(arguments)

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tapping_cell.logic.host import Activated, Deactivated
-from tapping_cell.messages import JointTrajectory, JointTrajectoryPoint, TapCommand
+from tapping_cell.messages import (
+    ArmState,
+    JointTrajectory,
+    JointTrajectoryPoint,
+    PlanState,
+    TapCommand,
+    TapperState,
+)
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, random_fault
 from tapping_cell.verification.message_values import time_message
@@ -22,26 +29,62 @@ SPAN_S = 16.0
 """Faults are spread over so long from the moment at which a goal is sent."""
 MEAN_FAULTS = 2.0
 """Faults of a goal, on average."""
+SHARE_AT_A_MOMENT = 0.6
+"""Of the goals' faults, those that strike around one moment of a tap, together: what goes wrong at
+the same time is what guards are for."""
+CLOSE_S = 0.3
+"""How far faults of one moment lie apart at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """The n-th time that a node publishes a state: ``topic``, ``state``, ``times``."""
+
+    topic: str
+    state: int
+    times: int
+
+
+MOMENTS = (
+    ("arm_state", ArmState.MOVING),
+    ("arm_state", ArmState.IN_POSITION),
+    ("arm_state", ArmState.IN_POSITION),
+    ("arm_state", ArmState.WITHDRAWING),
+    ("tapper_state", TapperState.CHARGING),
+    ("tapper_state", TapperState.CHARGED),
+    ("tapper_state", TapperState.CHARGED),
+    ("tapper_state", TapperState.FIRING),
+    ("tapper_state", TapperState.FIRING),
+    ("plan_state", PlanState.LOOKING),
+    ("plan_state", PlanState.SETTLING),
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault of a run. ``time`` in s from the moment at which the goal is sent."""
+    """One fault of a run. ``time`` in s from when the goal is sent, or from ``moment``."""
 
     kind: str
     time: float
     strike: Callable[[Trial], None]
     words: str = ""
+    moment: Moment | None = None
 
 
 def draw_faults(rng: np.random.Generator, trial: Trial) -> list[Fault]:
     """The faults of one goal, in the order of their times."""
     number = int(rng.poisson(MEAN_FAULTS))
+    moment = None
+    if rng.random() < SHARE_AT_A_MOMENT:
+        topic, state = MOMENTS[int(rng.integers(len(MOMENTS)))]
+        moment = Moment(topic, int(state), int(rng.integers(1, 3)))
     faults = []
     for _ in range(number):
-        kind = KINDS[int(rng.integers(len(KINDS)))]
+        kinds = KINDS if moment is None else AT_A_MOMENT
+        kind = kinds[int(rng.integers(len(kinds)))]
         strike, words = MAKERS[kind](rng, trial)
-        faults.append(Fault(kind, float(rng.uniform(0.0, SPAN_S)), strike, words))
+        time = float(rng.uniform(0.0, SPAN_S if moment is None else CLOSE_S))
+        faults.append(Fault(kind, time, strike, words, moment))
     return sorted(faults, key=lambda fault: fault.time)
 
 
@@ -73,6 +116,15 @@ def _freeze_before_write(rng: np.random.Generator, trial: Trial) -> Made:
         t.processes[node].freeze_before_write = (writes, duration)
 
     return strike, f"{node} frozen for {duration:.3f} s before its write number {writes}"
+
+
+def _freeze_at_write(rng: np.random.Generator, trial: Trial) -> Made:
+    writes, duration = int(rng.integers(0, 4)), _duration(rng, 0.02, 3.0)
+
+    def strike(t: Trial) -> None:
+        t.processes["tapper_trigger"].freeze_before_write = (writes, duration)
+
+    return strike, f"tapper_trigger frozen for {duration:.3f} s before its write number {writes}"
 
 
 def _freeze_after_check(rng: np.random.Generator, trial: Trial) -> Made:
@@ -310,6 +362,7 @@ def _disk_full(rng: np.random.Generator, trial: Trial) -> Made:
 MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "freeze": _freeze,
     "freeze before a write": _freeze_before_write,
+    "freeze at a write": _freeze_at_write,
     "freeze after the last check": _freeze_after_check,
     "kill": _kill,
     "restart": _restart,
@@ -332,3 +385,17 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "disk full": _disk_full,
 }
 KINDS = tuple(MAKERS)
+AT_A_MOMENT = (
+    *KINDS,
+    "freeze",
+    "freeze",
+    "freeze at a write",
+    "freeze at a write",
+    "freeze after the last check",
+    "kill",
+    "foreign command",
+    "cancel",
+    "object moved",
+    "emergency stop",
+)
+"""Around a moment, what makes two nodes see different things is drawn more often."""

@@ -175,6 +175,8 @@ class Trial:
         self._token = 0
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
+        self._waiting_faults: list[Fault] = []
+        self._states_seen: Counter[tuple[str, int]] = Counter()
         self._last_words: dict[tuple[str, str], str] = {}
         self.network.publish("panel", "emergency_stop", Bool(data=False))
 
@@ -281,8 +283,11 @@ class Trial:
         self._result = None
         self._note(f"goal {number}: {goal}")
         self.send_goal(goal)
+        self._waiting_faults = [fault for fault in faults if fault.moment is not None]
+        self._states_seen.clear()
         for fault in faults:
-            self.scheduler.at(began + fault.time, lambda fault=fault: self._strike(fault))
+            if fault.moment is None:
+                self.scheduler.at(began + fault.time, lambda fault=fault: self._strike(fault))
         limit = began + GOAL_TIME_LIMIT_S + GOAL_SLACK_S
         self.scheduler.run(limit, lambda: self._result is not None)
         planner = self.processes["tap_planner"]
@@ -293,7 +298,8 @@ class Trial:
                     "goal without an end", f"goal {number} has not ended; {planner.logic.state}"
                 )
             self._result = PositionObject.Result(error_code=-1, error_msg="its planner was lost")
-        last = max((fault.time for fault in faults), default=0.0)
+        self._waiting_faults = []
+        last = max((fault.time for fault in faults if fault.moment is None), default=0.0)
         self.scheduler.run(max(self.scheduler.now, began + last) + 0.5)
         result = self._result
         self.report.outcomes.append(
@@ -484,6 +490,23 @@ class Trial:
                 self._last_words[node, topic] = words
                 self._note(words)
         self.witness.on_publish(node, topic, message)
+        if self._waiting_faults and topic in ("arm_state", "tapper_state", "plan_state"):
+            self._look_for_moment(topic, message)
+
+    def _look_for_moment(self, topic: str, message: Any) -> None:
+        """Let the faults strike that wait for this state."""
+        if self._states_seen.get((topic, -1)) == message.state + 1:
+            return
+        self._states_seen[topic, -1] = message.state + 1
+        self._states_seen[topic, message.state] += 1
+        for fault in list(self._waiting_faults):
+            moment = fault.moment
+            assert moment is not None
+            if (moment.topic, moment.state) == (topic, message.state) and (
+                self._states_seen[topic, message.state] == moment.times
+            ):
+                self._waiting_faults.remove(fault)
+                self.scheduler.after(fault.time, lambda fault=fault: self._strike(fault))
 
     def _on_handled(self, process: str, topic: str, message: Any) -> None:
         now = self.scheduler.now

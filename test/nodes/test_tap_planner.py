@@ -328,7 +328,12 @@ def test_only_a_goal_that_a_crash_left_a_moment_ago_is_gone_on_with(
     folder = tmp_path / ".ros" / "tapping_cell" / f"domain{os.environ['ROS_DOMAIN_ID']}"
     folder.mkdir(parents=True)
     left = folder / "goal.json"
-    content = {"goal": list(GOAL), "tolerance": [0.001, 0.0175], "max_taps": 10}
+    content = {
+        "goal": list(GOAL),
+        "tolerance": [0.001, 0.0175],
+        "max_taps": 10,
+        "time_left": 60.0,
+    }
     left.write_text(json.dumps(content))
     then = time.time() - age
     os.utime(left, (then, then))

@@ -1,0 +1,146 @@
+"""Goals in simulated time under random faults: ``faults --goals``, ``--replay``, ``--mutants``."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from tapping_cell.logic.error_codes import NAMES
+from tapping_cell.verification.campaign import Summary, run_campaign
+from tapping_cell.verification.mutants import MUTANTS, Mutant
+from tapping_cell.verification.trial import run_trial
+
+TRACE_LINES = 60
+"""Lines of a violation's trace that are printed; ``--replay`` writes all."""
+GOALS_IN_A_STEP = 100
+"""Goals between two looks at whether a mutant was caught."""
+
+
+def run_goals(goals: int, seed: int, jobs: int, as_json: bool) -> int:
+    """Run a campaign; exit status 0 only if nothing was violated."""
+    began = time.monotonic()
+    with Progress(
+        TextColumn("goals"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[violations]} violations"),
+        disable=as_json or not sys.stderr.isatty(),
+    ) as progress:
+        bar = progress.add_task("goals", total=goals, violations=0)
+        summary = run_campaign(
+            goals,
+            seed,
+            jobs,
+            lambda s: progress.update(bar, completed=s.goals, violations=len(s.violations)),
+        )
+    wall = time.monotonic() - began
+    if as_json:
+        print(json.dumps(_as_json(summary, seed, wall), indent=2))
+    else:
+        _print(summary, wall)
+    return 1 if summary.violations else 0
+
+
+def replay(seed: int, goals: int) -> int:
+    """Repeat one run and print its whole trace."""
+    report = run_trial(seed, goals, trace=True)
+    print("\n".join(report.trace))
+    for violation in report.violations:
+        print(f"VIOLATION at {violation.time:.3f} s: {violation.name}: {violation.sentence}")
+    return 1 if report.violations else 0
+
+
+def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json: bool) -> int:
+    """Plant each mutant in processes of its own; exit status 0 only if all are caught."""
+    chosen = [mutant for mutant in MUTANTS if not names or mutant.name in names]
+    results: list[dict[str, object]] = []
+    for mutant in chosen:
+        caught = _hunt(mutant, goals, seed, jobs)
+        results.append(caught)
+        if not as_json:
+            found = caught["caught by"]
+            words = f"caught after {caught['goals']} goals: {found}" if found else "SURVIVED"
+            print(f"{mutant.name:<58} {words}", flush=True)
+    survived = [result for result in results if not result["caught by"]]
+    if as_json:
+        print(json.dumps(results, indent=2))
+    else:
+        print(f"{len(results) - len(survived)} of {len(results)} caught")
+    return 1 if survived else 0
+
+
+def _hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]:
+    """Look for a violation with a mutant planted, on all cores."""
+    done = 0
+    while done < goals:
+        step = min(GOALS_IN_A_STEP, -(-(goals - done) // jobs))
+        words = [sys.executable, "-m", "tapping_cell.verification.hunt", mutant.name]
+        running = [
+            subprocess.Popen(
+                [*words, "--goals", str(step), "--seed", str(seed + done + job)],
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+            for job in range(jobs)
+        ]
+        answers = []
+        for process in running:
+            printed, _ = process.communicate()
+            if process.returncode:
+                raise RuntimeError(f"mutant '{mutant.name}' could not be run: {printed}")
+            answers.append(json.loads(printed))
+        caught = [answer for answer in answers if answer["caught by"]]
+        done += sum(answer["goals"] for answer in answers)
+        if caught:
+            return {"name": mutant.name, "goals": done, "caught by": caught[0]["caught by"]}
+    return {"name": mutant.name, "goals": done, "caught by": ""}
+
+
+def _as_json(summary: Summary, seed: int, wall: float) -> dict[str, object]:
+    return {
+        "goals": summary.goals,
+        "taps": summary.taps,
+        "seed": seed,
+        "cell_hours": round(summary.cell_seconds / 3600, 3),
+        "wall_time": round(wall, 1),
+        "by_fault": dict(summary.by_fault.most_common()),
+        "by_outcome": {_name(code): count for code, count in summary.by_code.most_common()},
+        "violations": [
+            {
+                "seed": seed,
+                "time": violation.time,
+                "name": violation.name,
+                "what": violation.sentence,
+            }
+            for seed, violation in summary.violations
+        ],
+    }
+
+
+def _print(summary: Summary, wall: float) -> None:
+    speed = summary.cell_seconds / max(wall, 1e-9)
+    print(
+        f"{summary.goals} goals, {summary.taps} taps, {summary.cell_seconds / 3600:.1f} h of the"
+        f" cell in {wall:.0f} s ({speed:.0f} times real time)"
+    )
+    print("faults:")
+    for kind, count in summary.by_fault.most_common():
+        print(f"  {kind:<28} {count}")
+    print("outcomes:")
+    for code, count in summary.by_code.most_common():
+        print(f"  {_name(code):<28} {count}")
+    print(f"{len(summary.violations)} violations")
+    for seed, violation in summary.violations:
+        print(f"  seed {seed}, {violation.time:.3f} s: {violation.name}: {violation.sentence}")
+        trace = run_trial(seed, 10, trace=True).trace
+        print("\n".join(f"    {line}" for line in trace[-TRACE_LINES:]))
+
+
+def _name(code: int) -> str:
+    return "planner lost" if code < 0 else NAMES.get(code, str(code))

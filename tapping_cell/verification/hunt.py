@@ -1,0 +1,33 @@
+"""Look for a violation with one mutant planted: ``python -m tapping_cell.verification.hunt``.
+
+A program of its own, because a mutant must be planted before its module is imported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+from tapping_cell.verification.mutants import MUTANTS, plant
+
+
+def main() -> int:
+    """Plant the mutant, run goals until it is caught, print what caught it as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("name", choices=[mutant.name for mutant in MUTANTS])
+    parser.add_argument("--goals", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    (mutant,) = (mutant for mutant in MUTANTS if mutant.name == arguments.name)
+    plant(mutant)
+    from tapping_cell.verification.campaign import run_campaign  # with the mutant in it
+
+    summary = run_campaign(arguments.goals, arguments.seed, 1, stop_at_violation=True)
+    caught = summary.violations[0][1].name if summary.violations else ""
+    print(json.dumps({"goals": summary.goals, "caught by": caught}))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
