@@ -29,6 +29,7 @@ LONG_SECTIONS = (
     "vision-calibrated",
     "vision-covariance",
     "vision-robustness",
+    "world",
 )
 
 

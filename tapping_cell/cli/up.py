@@ -36,6 +36,7 @@ from tapping_cell.configuration.cell import (
 )
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
 from tapping_cell.nodes.cell_identity import cell_key
+from tapping_cell.planning import UnknownPlannerError, require_planner
 
 STOP_PORT_OFFSET = 1000
 """From the port of the page to that of its STOP."""
@@ -87,9 +88,10 @@ def run(arguments: argparse.Namespace) -> int:
     end_on_signals()
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)
+        require_planner(arguments.planner or cell.file.goal.planner)
         if arguments.params is not None:
             read_yaml(arguments.params)
-    except ConfigurationError as error:
+    except (ConfigurationError, UnknownPlannerError) as error:
         console.print(f"[red]error:[/red] {error}", highlight=False)
         return 2
     nodes = HARDWARE if arguments.hardware else SIMULATED

@@ -14,7 +14,7 @@ from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.page.recovery import Recovery, Step
 from tapping_cell.nodes.planner.cell_monitor import CellMonitor
 from tapping_cell.nodes.planner.plan_reporter import FINAL
-from tapping_cell.report.hints import hint
+from tapping_cell.report.error_codes import hint
 from tapping_cell.se2 import Pose
 
 SILENCE_LIMIT_S = 1.5

@@ -61,7 +61,7 @@ from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.page.stop_link import StopLink
 from tapping_cell.nodes.planner.goal_validation import REFUSALS
 from tapping_cell.planning import FreeSpace, check_goal
-from tapping_cell.report.hints import hint
+from tapping_cell.report.error_codes import hint
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraError, CameraModel, View
 
