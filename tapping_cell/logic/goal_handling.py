@@ -27,6 +27,7 @@ from tapping_cell.planning import (
     load_gains,
     make_planner,
 )
+from tapping_cell.planning.gains import NAMES
 from tapping_cell.se2 import Pose
 
 
@@ -58,17 +59,20 @@ class GoalHandling:
         now: Now,
         *,
         adapt: bool,
+        probe: bool,
         keep_for: str,
         time_limit: float,
         maps: TableMaps | None = None,
         solve_in_background: bool = True,
     ) -> None:
-        """``other_objects``: to be avoided; ``adapt``: learn from taps; ``keep_for``: the cell for
-        which what was learnt is remembered between runs, empty for none; ``time_limit``: of a goal
-        that states none, s; ``maps``: made before for the same cell."""
+        """``other_objects``: to be avoided; ``adapt``: learn from taps; ``probe``: begin with
+        a few of the smallest taps for an object that is not known; ``keep_for``: the cell for which
+        what was learnt is remembered between runs, empty for none; ``time_limit``: of a goal that
+        states none, s; ``maps``: made before for the same cell."""
         self.cell = cell
         self.other_objects = other_objects
         self._adapt = adapt
+        self._probe = probe
         self._keep_for = keep_for
         self._time_limit = time_limit
         self._in_background = solve_in_background
@@ -128,6 +132,14 @@ class GoalHandling:
             self._planner = before
             raise
 
+    def learnt(self) -> dict[str, str]:
+        """What earlier goals taught about the object, with deviations, for diagnostics."""
+        numbers = self._gains.as_numbers()
+        return {
+            f"learnt {name}": f"{numbers[name]:.4f} +- {numbers[f'{name}_deviation']:.4f}"
+            for name in NAMES
+        }
+
     def learn(self, task: Task) -> None:
         """Remember what a goal's taps taught about the object, for the goals that follow."""
         self._gains = task.session.gains
@@ -169,6 +181,7 @@ class GoalHandling:
             self.map.free,
             self._gains,
             adapt=self._adapt,
+            probe=self._probe,
             most_taps=max_taps,
         )
         expires = now.steady + (request.time_limit or self._time_limit)

@@ -15,6 +15,10 @@ class PlannerSettings:
     planner: str = text("planning method; empty for the cell file's", default="")
     adapt: bool = text("learn from every tap how the object responds", default=True)
     keep_gains: bool = text("remember what was learnt of an object between runs", default=False)
+    probe: bool = text(
+        "begin with up to three of the smallest taps where the object's friction is not known",
+        default=False,
+    )
     others_memory: float = quantity(
         "time after which another object that is no longer seen counts as taken away",
         "s",

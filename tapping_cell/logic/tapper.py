@@ -31,7 +31,12 @@ READ_PERIOD_S = 0.1
 HOLD_S = 0.25
 """For how long the arm is asked to stand still."""
 HOLD_TIMEOUT_S = 0.2
-"""An answer of the arm that is later leaves too little of the promise."""
+"""After this the arm is asked anew."""
+FLIGHT_S = 0.08
+"""From the end of the release's pulse until the striker is back; the arm stands still for it."""
+SHOT_S = 0.18
+"""What must be left of the promise to begin a shot: a question to the board, the window, the
+pulse and the flight."""
 HOLD_ATTEMPTS = 5
 
 
@@ -201,11 +206,12 @@ class TapperLogic(DeviceLogic[State, Event]):
         permit = self._permit
         if permit is None or self._tap is None or permit.tap_id != self._tap.tap_id:
             return ErrorCode.TAPPER_ARM_NOT_IN_POSITION, "the arm has not promised to hold still"
-        if self.state is not S.FIRING or max(release_by, now.steady) > permit.until:
+        end = max(release_by, now.steady) + FLIGHT_S
+        if self.state is not S.FIRING or end > permit.until:
             return (
                 ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
-                f"the shot could end {release_by - permit.until:.3f} s after the arm's promise to"
-                " hold still",
+                f"the shot could end {end - permit.until:.3f} s after the arm's promise to hold"
+                " still",
             )
         return None
 
@@ -334,7 +340,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             return
         # Counted from before the question: the arm handled it later, so that its own end is later.
         until = self._asked_at + HOLD_S
-        late = response is None or now.steady > self._asked_at + HOLD_TIMEOUT_S / 2
+        late = response is None or now.steady > until - SHOT_S
         if response is not None and not response.granted:
             self._discharge((response.error_code, response.error_msg))
         elif not late:

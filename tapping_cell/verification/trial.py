@@ -199,6 +199,7 @@ class Trial:
                 OtherObjects((), 5.0, 0.002),
                 now,
                 adapt=True,
+                probe=False,
                 keep_for="",
                 time_limit=GOAL_TIME_LIMIT_S,
                 maps=_maps(),

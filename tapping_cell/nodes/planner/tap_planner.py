@@ -112,6 +112,7 @@ class TapPlanner(CellNode[Parameters]):
                 OtherObjects(others, settings.others_memory, settings.moved_limit),
                 self.host.now(),
                 adapt=settings.adapt,
+                probe=settings.probe,
                 keep_for=key_of(self) if settings.keep_gains else "",
                 time_limit=settings.goal_time_limit,
             )
@@ -157,6 +158,8 @@ class TapPlanner(CellNode[Parameters]):
             "residual distance (mm)": f"{1000 * last.residual_distance:.3f}",
             "residual rotation (deg)": f"{math.degrees(last.residual_rotation):.3f}",
         }
+        if self.configured:
+            values.update(self.logic.goals.learnt())
         if last.error_code:
             return DiagnosticStatus.WARN, last.error_msg, values
         return DiagnosticStatus.OK, "ok", values

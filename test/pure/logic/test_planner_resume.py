@@ -28,6 +28,7 @@ def goals() -> GoalHandling:
         OtherObjects((), 5.0, 0.002),
         NOW,
         adapt=True,
+        probe=False,
         keep_for="",
         time_limit=600.0,
     )
