@@ -124,6 +124,7 @@ class Task:
     def decide(self, seen: ObjectState, frames: int) -> Decision:
         """What to do with the object at rest as it is seen; a look is ``frames`` long, a long one
         ``LONG_LOOK`` times that; 0 where there is no time left for a long one."""
+        assert isinstance(self.session, PositioningSession)
         pose = from_message(seen.pose.pose)
         return self.session.decide(
             pose,

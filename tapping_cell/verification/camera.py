@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tapping_cell.messages import ObjectState, PoseWithCovariance, Time
-from tapping_cell.se2 import Pose
+from tapping_cell.messages import ObjectState, PoseWithCovariance
+from tapping_cell.se2 import Array, Pose
 from tapping_cell.verification.message_values import pose_message, time_message
 from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.vision.rest_detection import RestSettings, Track
@@ -138,11 +138,8 @@ class Camera:
         return state
 
 
-def _planar_covariance(planar: np.ndarray) -> list[float]:
+def _planar_covariance(planar: Array) -> list[float]:
     """A covariance (3, 3) of x, y, theta as the 36 numbers of PoseWithCovariance."""
     whole = np.zeros((6, 6))
     whole[np.ix_((0, 1, 5), (0, 1, 5))] = planar
     return [float(value) for value in whole.ravel()]
-
-
-__all__ = ["Camera", "CameraFaults", "Time"]

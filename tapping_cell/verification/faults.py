@@ -165,7 +165,7 @@ def _slow_topic(rng: np.random.Generator, trial: Trial) -> Made:
 
     def strike(t: Trial) -> None:
         t.network.faults.slow_topics[topic] = delay
-        t.scheduler.after(lasting, lambda: t.network.faults.slow_topics.pop(topic, None))
+        t.scheduler.after(lasting, lambda: t.network.hasten(topic))
 
     return strike, f"{topic} late by {delay:.2f} s for {lasting:.1f} s"
 

@@ -385,7 +385,7 @@ class Process:
                 connected = self._program.connect(self._driver, patience, self._clock.now())
                 break
             except HardwareFault as fault:
-                self._handle(lambda now, met=fault: self.logic.on_lifecycle(Unreachable(met), now))
+                self._tell_unreachable(fault)
                 worker.wait_until(self._scheduler.now + RETRY_S)
         self._come_up(connected, self._life)
         while True:
@@ -404,7 +404,13 @@ class Process:
             self._running = None
             self._abandoned.discard(job.number)
             self._pause(worker)
-            self._handle(lambda now, event=ended: self.logic.on_job(event, now))
+            self._tell_end(ended)
+
+    def _tell_unreachable(self, fault: HardwareFault) -> None:
+        self._handle(lambda now: self.logic.on_lifecycle(Unreachable(fault), now))
+
+    def _tell_end(self, event: JobEnded) -> None:
+        self._handle(lambda now: self.logic.on_job(event, now))
 
     def _pause(self, worker: Fiber) -> None:
         """In the worker: wait while the process is frozen."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from tapping_cell.messages import ObjectState, PlanState, TapCommand, TapperState
+from tapping_cell.messages import PlanState, TapCommand, TapperState
 from tapping_cell.se2 import Pose
 from tapping_cell.verification.message_values import pose_of, time_of
 from tapping_cell.verification.physical_cell import PhysicalCell, Release
@@ -226,6 +226,3 @@ class Witness:
         for shot, outcome in self.outcomes.items():
             if outcome == TapperState.NOT_FIRED and shot in fired:
                 self.violate("false report", f"tap {shot} was told NOT_FIRED, it was fired")
-
-
-__all__ = ["ObjectState", "Violation", "Witness"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from tapping_cell.logic import arm_jobs
 from tapping_cell.logic.arm import ArmLogic, ArmOptions
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_handling import GoalHandling
+from tapping_cell.logic.host import Logic
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_settings import PlannerSettings
@@ -47,6 +48,7 @@ from tapping_cell.verification.message_values import pose_message
 from tapping_cell.verification.network import Network, Quality
 from tapping_cell.verification.physical_cell import PhysicalCell
 from tapping_cell.verification.scheduler import HangError, Scheduler
+from tapping_cell.verification.serial_line import SerialLine
 
 QUALITIES = {
     "arm_state": Quality(latched=True),
@@ -223,7 +225,9 @@ class Trial:
             return TapperLogic(TapperOptions()), driver
 
         settings = PlannerSettings(goal_time_limit=GOAL_TIME_LIMIT_S)
-        programs = {
+        programs: dict[
+            str, tuple[Callable[[], tuple[Logic, Any]], Callable[..., Any], SerialLine | None]
+        ] = {
             "tap_planner": (lambda: (PlannerLogic(settings), None), planner_connect, None),
             "scara_arm": (arm, arm_connect, self.physical.arm_line),
             "tapper_trigger": (
@@ -288,7 +292,7 @@ class Trial:
         self._states_seen.clear()
         for fault in faults:
             if fault.moment is None:
-                self.scheduler.at(began + fault.time, lambda fault=fault: self._strike(fault))
+                self.scheduler.at(began + fault.time, partial(self._strike, fault))
         limit = began + GOAL_TIME_LIMIT_S + GOAL_SLACK_S
         self.scheduler.run(limit, lambda: self._result is not None)
         planner = self.processes["tap_planner"]
@@ -507,7 +511,7 @@ class Trial:
                 self._states_seen[topic, message.state] == moment.times
             ):
                 self._waiting_faults.remove(fault)
-                self.scheduler.after(fault.time, lambda fault=fault: self._strike(fault))
+                self.scheduler.after(fault.time, partial(self._strike, fault))
 
     def _on_handled(self, process: str, topic: str, message: Any) -> None:
         now = self.scheduler.now
