@@ -404,7 +404,10 @@ class TapPlanner(CellNode[Parameters]):
         assert self._task is not None and self._desk is not None
         # Whole seconds of the system clock: ids rise over restarts of every node, and fit the
         # tapper's 32 bits until 2106. Two taps are always more than a second apart.
-        self._last_tap_id = max(self._last_tap_id + 1, int(time.time()))
+        # A clock that was set back must not bring ids that the tapper has seen.
+        tapper = self._monitor.tapper
+        seen_last = tapper.tap_id if tapper is not None else 0
+        self._last_tap_id = max(self._last_tap_id, seen_last, int(time.time()) - 1) + 1
         self._shot = Shot(self._last_tap_id, strike, before)
         now = self.get_clock().now()
         allowance = self.settings.place_deadline + self.settings.fire_deadline
