@@ -2,6 +2,7 @@
 # make test [ARGS="-k name"]    every ring of the tests
 # make lint                     style and types
 # make clean                    remove everything that was made here
+# make reference                write what is made from declarations: messages, reference pages
 # make lock                     choose the versions in requirements.lock again (needs Python 3.10 to 3.13)
 #
 # Each sets up what it needs first (see env.sh); there is nothing else to install or to call before.
@@ -10,7 +11,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -e -u -o pipefail -c
 ARGS ?=
 
-.PHONY: demo test lint clean lock
+.PHONY: demo test lint clean lock reference
 
 demo:
 	@. ./env.sh; python -m tapping_cell demo $(ARGS)
@@ -24,6 +25,9 @@ lint:
 clean:
 	@rm -rf .venv build install log runs .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	@find . -name .git -prune -o \( -name __pycache__ -o -name '*.egg-info' \) -type d -prune -exec rm -rf {} +
+
+reference:
+	@. ./env.sh; python environment/generate_messages.py; ruff format -q tapping_cell/messages; python environment/reference_pages.py
 
 lock:
 	@python3 environment/lock.py python3.10 python3.11 python3.12 python3.13

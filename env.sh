@@ -83,9 +83,8 @@ _tapping_cell_set_up() (
 )
 
 _tapping_cell_activate() {
-    local root=$1 range=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST} libraries
+    local root=$1 range=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST} libraries rest
     export VIRTUAL_ENV=$root/.venv
-    case :$PATH: in *":$VIRTUAL_ENV/bin:"*) ;; *) PATH=$VIRTUAL_ENV/bin:$PATH ;; esac
     if [ -z "${ROS_DISTRO:-}" ] && [ -r "$_tapping_cell_ros" ]; then
         . "$_tapping_cell_ros"
     elif [ -z "${ROS_DISTRO:-}" ]; then
@@ -102,6 +101,14 @@ _tapping_cell_activate() {
         esac
     fi
     . "$root/install/local_setup.bash"
+    # Last, and to the front wherever it stood before: whatever came to the PATH since the first time
+    # (pyenv, another environment) would otherwise bring another Python.
+    rest=:$PATH:
+    while case $rest in *":$VIRTUAL_ENV/bin:"*) true ;; *) false ;; esac; do
+        rest=${rest%%":$VIRTUAL_ENV/bin:"*}:${rest#*":$VIRTUAL_ENV/bin:"}
+    done
+    rest=${rest#:}
+    PATH=$VIRTUAL_ENV/bin:${rest%:}
     case :${AMENT_PREFIX_PATH:-}: in
         *":$root/install/tapping_cell_msgs:"*) ;;
         *)

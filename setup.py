@@ -1,14 +1,33 @@
 """The package ``tapping_cell``: the program, its nodes and every file that they read."""
 
+import os
 import runpy
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 from setuptools import find_packages, setup
+from setuptools.command.egg_info import egg_info
 
 NAME = "tapping_cell"
 SHARE = f"share/{NAME}"
 NODES = runpy.run_path(f"{NAME}/nodes/__init__.py")["MODULES"]
+
+
+class EggInfo(egg_info):  # type: ignore[misc]
+    """The step that every way to build begins with: it sees that the messages were built first."""
+
+    def run(self) -> None:
+        """Refuse to build a package that could not run."""
+        prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        if not any(Path(prefix, "share", f"{NAME}_msgs").is_dir() for prefix in prefixes if prefix):
+            here = Path(__file__).resolve().parent
+            sys.exit(
+                f"{NAME}_msgs is not built, and colcon does not look for it inside this package by "
+                f"itself. Name both folders:\n\n"
+                f"    colcon build --base-paths {here} {here}/msg_defs\n"
+            )
+        super().run()
 
 
 def data_files(*folders: str) -> Iterator[tuple[str, list[str]]]:
@@ -39,6 +58,7 @@ setup(
     ],
     install_requires=["setuptools"],
     zip_safe=False,
+    cmdclass={"egg_info": EggInfo},
     entry_points={
         "console_scripts": [
             *(f"{node} = {module}:main" for node, module in NODES.items()),

@@ -28,6 +28,7 @@ LONG_SECTIONS = (
     "vision-calibrated",
     "vision-covariance",
     "vision-robustness",
+    "world",
 )
 
 

@@ -59,7 +59,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not words or words[0] not in VERBS:
         parser.parse_args(words[:1])
         return 2
-    parser, execute = verb_parser(words[0])
+    try:
+        parser, execute = verb_parser(words[0])
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] == "tapping_cell":
+            raise
+        print(
+            f"error: {sys.executable} has no module '{error.name}': set this shell up first, with "
+            " . ./env.sh  in the source folder, or  source install/setup.bash  in a workspace",
+            file=sys.stderr,
+        )
+        return 2
     try:
         try:
             status: int = execute(parser.parse_args(words[1:]))

@@ -229,7 +229,7 @@ class CrashCell:
             "planning": plan.state == PlanState.LOOKING,
             "travelling": mine and arm.state == ArmState.MOVING and not low,
             "lowered": mine and arm.state in (ArmState.MOVING, ArmState.IN_POSITION) and low,
-            "drawn": tapper.state in (TapperState.DRAWING, TapperState.READY),
+            "drawn": tapper.state in (TapperState.CHARGING, TapperState.CHARGED),
             "fired": tapper.tap_id == tap > 0 and tapper.outcome == TapperState.FIRED,
             "withdrawing": arm.state == ArmState.WITHDRAWING,
             "settling": plan.state == PlanState.SETTLING,

@@ -26,13 +26,14 @@ from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.controller_needs import ControllerNeeds, needs_of
 from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.motion import MotionSettings
-from tapping_cell.hardware.scara import ScaraGeometry
+from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.mechanics import Striker
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraModel, ReferenceMap, marker_ids
 
 FourNumbers = tuple[float, float, float, float]
 Constraint = Literal["linear_bearings", "free"]
+JointName = Literal["shoulder", "elbow", "quill", "tool"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +105,11 @@ class ArmSection:
     home: FourNumbers = quantity(
         "joints where homing ends: rad, rad, m, rad", "", -20.0, 20.0, default=(0.0,) * 4
     )
+    axes_without_switch: tuple[JointName, ...] = choice(
+        "joints that homing does not move: a person turns them to their home before it",
+        *Joints._fields,
+        default=(),
+    )
     home_place: FourNumbers | None = quantity(
         "what a Grbl-family controller calls the four axes after its homing, in degrees and mm; "
         "left out: computed from its settings",
@@ -139,6 +145,10 @@ class ArmSection:
         0.0,
         5.0,
         default=0.15,
+    )
+    quill_brake: bool = text(
+        "whether a brake or a counterweight holds the quill while its motor has no power",
+        default=False,
     )
     joint_offset: FourNumbers = quantity(
         "true joints minus the controller's, as calibrated: rad, rad, m, rad",
@@ -183,7 +193,7 @@ class ArmSection:
     @property
     def homes_alone(self) -> bool:
         """Whether homing needs no person at the arm."""
-        return self.homing != "manual_pose"
+        return self.homing != "manual_pose" and not self.axes_without_switch
 
     def driver_settings(self) -> ArmSettings:
         """Wiring, homing and tolerances for the arm's driver.
@@ -199,6 +209,7 @@ class ArmSection:
             tolerance_angle=self.tolerance_angle,
             tolerance_quill=self.tolerance_quill,
             settle_time=self.settle_time,
+            quill_brake=self.quill_brake,
         )
 
     def controller_needs(self) -> ControllerNeeds:

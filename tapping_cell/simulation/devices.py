@@ -20,6 +20,8 @@ OnStrike = Callable[[Pose, float, float, float], float]
 """Called at a release: true tip pose in ``table``, its height in m, commanded speed in m/s, time in
 s; returns what the tapper's gate measures of the speed."""
 
+SINKING_SPEED = 0.02
+"""Of a quill without a brake while its motor has no power, m/s."""
 LARGEST_BOOT = 1_000_000
 
 
@@ -94,8 +96,11 @@ def arm_emulator(
     pulls = [
         float(scale * pull) for scale, pull in zip(TO_UNITS, arm.max_acceleration, strict=True)
     ]
+    sinks = 0.0 if arm.quill_brake else SINKING_SPEED
     if arm.dialect == "marlin":
         machine = MarlinMachine(
+            quill_sinks=sinks,
+            quill_floor=arm.lower[2],
             start_joints=arm.park,
             home_joints=arm.home,
             errors=errors,
@@ -110,7 +115,14 @@ def arm_emulator(
         settings[120 + axis] = pull
         settings[130 + axis] = float(TO_UNITS[axis]) * (arm.upper[axis] - arm.lower[axis])
     return GrblEmulator(
-        GrblMachine(start_joints=arm.park, home_joints=arm.home, errors=errors, settings=settings),
+        GrblMachine(
+            start_joints=arm.park,
+            home_joints=arm.home,
+            errors=errors,
+            settings=settings,
+            quill_sinks=sinks,
+            quill_floor=arm.lower[2],
+        ),
         seed,
         now,
     )

@@ -13,6 +13,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "tapping_cell"
 # What each room may import of ours: a room, or one module of it. A room may import itself.
 ARROWS = {
     "se2": set(),
+    "messages": set(),
     "mechanics": {"se2"},
     "vision": {"se2"},
     "hardware": {"se2"},
@@ -30,8 +31,11 @@ ARROWS = {
     },
     "calibration": {"se2", "mechanics", "vision", "hardware", "configuration"},
     "report": {"se2", "mechanics", "planning", "configuration"},
+    "logic": {"se2", "messages", "hardware", "planning", "vision", "configuration"},
     "nodes": {
         "se2",
+        "messages",
+        "logic",
         "mechanics",
         "vision",
         "hardware",
@@ -43,6 +47,8 @@ ARROWS = {
     },
     "cli": {
         "se2",
+        "messages",
+        "logic",
         "mechanics",
         "vision",
         "hardware",

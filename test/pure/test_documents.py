@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+import reference_pages
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -13,6 +14,12 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 def test_every_link_leads_to_a_file(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), f"{page.name} points at {target}"
+
+
+@pytest.mark.parametrize("page", reference_pages.PAGES, ids=lambda page: page.name)
+def test_the_reference_pages_are_up_to_date(page: Path) -> None:
+    """Otherwise call: make reference"""
+    assert page.read_text(encoding="utf-8") == reference_pages.PAGES[page]()
 
 
 def test_every_page_is_pointed_at() -> None:

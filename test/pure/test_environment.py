@@ -294,6 +294,25 @@ def test_env_sh_must_be_sourced(bare):
     assert ". ./env.sh" in done.stderr
 
 
+def test_without_the_environment_a_verb_says_what_to_call():
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-I",
+            "-S",
+            "-c",
+            "import sys; sys.path.insert(0, sys.argv.pop(1));"
+            "from tapping_cell.cli import main; sys.exit(main(['up']))",
+            str(ROOT),
+        ],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert "has no module 'rich'" in done.stderr and ". ./env.sh" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 def test_another_shell_is_told(bare):
     done = shell(f"sh -c '. {bare}/env.sh; echo $?'")
     assert "bash" in done.stderr
@@ -327,6 +346,19 @@ def test_the_users_own_settings_stay():
 
 
 @built
+def test_a_second_time_brings_the_cells_python_back_to_the_front(tmp_path):
+    other = tmp_path / "python"
+    other.write_text("#!/bin/sh\necho another python\n")
+    other.chmod(0o755)
+    done = shell(
+        f". '{ROOT}/env.sh'; once=$PATH; . '{ROOT}/env.sh';"
+        ' [ "$PATH" = "$once" ] || echo moved;'
+        f" PATH={tmp_path}:$PATH; bash --norc -c \". '{ROOT}/env.sh'; command -v python\""
+    )
+    assert (done.stdout, done.stderr) == (f"{ROOT}/.venv/bin/python\n", "")
+
+
+@built
 def test_every_executable_and_data_file_is_installed():
     prefix = ROOT / "install" / "tapping_cell"
     executables = {file.name for file in (prefix / "lib" / "tapping_cell").iterdir()}
@@ -351,6 +383,7 @@ def dependencies(package_xml: Path) -> set[str]:
 
 def test_every_imported_package_is_declared():
     keys = {"cv2": "python3-opencv", "yaml": "python3-yaml", "serial": "python3-serial"}
+    keys["rosbags"] = "python3-rosbags-pip"
     declared = dependencies(ROOT / "package.xml")
     imported = set()
     for file in [*(ROOT / "tapping_cell").rglob("*.py"), *(ROOT / "launch").rglob("*.py")]:
@@ -359,13 +392,31 @@ def test_every_imported_package_is_declared():
                 imported.add(node.module.split(".")[0])
             elif isinstance(node, ast.Import):
                 imported.update(alias.name.split(".")[0] for alias in node.names)
-    optional = {"rosbags"}  # it has no rosdep key
-    outside = imported - set(sys.stdlib_module_names) - {"tapping_cell"} - optional
+    outside = imported - set(sys.stdlib_module_names) - {"tapping_cell"}
     assert {"numpy", "rclpy"} <= outside
     undeclared = {
         name for name in outside if not {name, keys.get(name, f"python3-{name}")} & declared
     }
     assert undeclared == set()
+
+
+def test_a_build_without_the_messages_names_the_line_that_works(tmp_path):
+    for name in ("setup.py", "setup.cfg"):
+        shutil.copy(ROOT / name, tmp_path)
+    (tmp_path / "tapping_cell" / "nodes").mkdir(parents=True)
+    shutil.copy(ROOT / "tapping_cell" / "nodes" / "__init__.py", tmp_path / "tapping_cell/nodes")
+    for prefixes, expected in (("", 1), (str(tmp_path / "prefix"), 0)):
+        (tmp_path / "prefix" / "share" / "tapping_cell_msgs").mkdir(parents=True, exist_ok=True)
+        done = subprocess.run(
+            [sys.executable, "setup.py", "egg_info"],
+            cwd=tmp_path,
+            env={**os.environ, "AMENT_PREFIX_PATH": prefixes},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == expected, done.stderr
+        line = f"colcon build --base-paths {tmp_path} {tmp_path}/msg_defs"
+        assert (line in done.stderr) == bool(expected)
 
 
 def test_versions_and_licences_agree():

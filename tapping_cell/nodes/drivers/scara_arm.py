@@ -32,11 +32,11 @@ from tapping_cell.hardware.motion import (
 )
 from tapping_cell.hardware.scara import Joints, TipPose
 from tapping_cell.hardware.serial_transport import SerialTransport
+from tapping_cell.logic.error_codes import of_arm
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import from_message, to_message
 from tapping_cell.nodes.drivers import tap_commands
 from tapping_cell.nodes.drivers.driver_node import DriverNode, answer, run_driver
-from tapping_cell.nodes.error_codes import of_arm
 from tapping_cell.se2 import Pose
 
 RELEASE_GUARD_S = 0.1

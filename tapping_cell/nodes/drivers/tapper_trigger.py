@@ -27,11 +27,11 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.hardware.tapper import FireOutcome, FireResult, TapperDriver
 from tapping_cell.hardware.tapper_protocol import Reply, State
+from tapping_cell.logic.error_codes import of_tapper
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.drivers import tap_commands
 from tapping_cell.nodes.drivers.driver_node import DriverNode, run_driver
 from tapping_cell.nodes.drivers.peer_watch import PeerWatch
-from tapping_cell.nodes.error_codes import of_tapper
 
 READ_PERIOD_S = 0.1
 WINDOW_S = 0.05
@@ -106,7 +106,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
     }
     fault_state = TapperState.FAULT
     healthy_states = frozenset(
-        {TapperState.SAFE, TapperState.DRAWING, TapperState.READY, TapperState.FIRING}
+        {TapperState.SAFE, TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING}
     )
     told_at_once = ("state", "tap_id", "outcome", "error_code")
     idle_period = READ_PERIOD_S
@@ -216,8 +216,8 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
     def _serving(self) -> bool:
         """Whether a tap waits or is under way."""
         return self._pending is not None or self.snapshot.state in (
-            TapperState.DRAWING,
-            TapperState.READY,
+            TapperState.CHARGING,
+            TapperState.CHARGED,
             TapperState.FIRING,
         )
 
@@ -257,7 +257,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
         pending = self._pending
         if pending is not None and self._doubt(pending.tap_id) is None:
             self._pending = None
-            self.set(state=TapperState.DRAWING)
+            self.set(state=TapperState.CHARGING)
             self.submit(lambda: self._shoot(pending))
 
     def _abandon(self, why: str, code: int) -> None:
@@ -313,7 +313,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
             if go_on():
                 reply = driver.charge(tap.tap_id, tap.energy, go_on)
                 if reply.state is State.CHARGED:
-                    self.set(state=TapperState.READY)
+                    self.set(state=TapperState.CHARGED)
                     result = driver.fire(tap.tap_id, WINDOW_S, last_check)
             if refusal is not None and (result is None or result.outcome is FireOutcome.NOT_FIRED):
                 code, sentence = refusal

@@ -13,7 +13,7 @@ from tapping_cell.nodes.clients.goal_client import PHASES
 from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.planner.cell_monitor import CellMonitor
 from tapping_cell.nodes.planner.plan_reporter import FINAL
-from tapping_cell.report.hints import hint
+from tapping_cell.report.error_codes import hint
 from tapping_cell.se2 import Pose
 
 SILENCE_LIMIT_S = 1.5
@@ -34,14 +34,14 @@ ARM_WORDS = {
 TAPPER_WORDS = {
     TapperState.DISCONNECTED: "not connected",
     TapperState.SAFE: "safe",
-    TapperState.DRAWING: "drawing",
-    TapperState.READY: "drawn",
+    TapperState.CHARGING: "charging",
+    TapperState.CHARGED: "charged",
     TapperState.FIRING: "firing",
     TapperState.FAULT: "fault",
     TapperState.STOPPED: "stopped",
 }
 ARM_BUSY = (ArmState.HOMING, ArmState.MOVING, ArmState.IN_POSITION, ArmState.WITHDRAWING)
-TAPPER_BUSY = (TapperState.DRAWING, TapperState.READY, TapperState.FIRING)
+TAPPER_BUSY = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 
 Numbers = list["float | None"]
 
@@ -73,6 +73,11 @@ class Mode(NamedTuple):
 def with_code(sentence: str, code: int) -> str:
     """A sentence with the number of its code, where it has one."""
     return f"{sentence} ({code})" if code else sentence
+
+
+def counted(number: int, thing: str) -> str:
+    """A number of things, as in "1 tap" and "3 taps"."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 class CellView:
@@ -136,7 +141,7 @@ class CellView:
         if message.refused:
             sentence = f"goal refused: {sentence}"
         elif not message.error_code:
-            sentence, kind = f"goal reached after {message.taps} taps", "good"
+            sentence, kind = f"goal reached after {counted(message.taps, 'tap')}", "good"
         elif message.state == PlanState.CANCELED:
             kind = ""
         # The last report is told again to whoever joins: it happened when it was made.

@@ -43,7 +43,7 @@ from tapping_cell.nodes.planner.goal_validation import REFUSALS, Refused
 from tapping_cell.nodes.planner.other_objects import Neighbours
 from tapping_cell.nodes.planner.plan_reporter import PlanReporter
 from tapping_cell.nodes.planner.tap_task import LEAST_EFFECT, Shot, Task
-from tapping_cell.planning import Done, PlanningError, Refusal, RefusalReason, Strike
+from tapping_cell.planning import Done, LookAgain, PlanningError, Refusal, RefusalReason, Strike
 from tapping_cell.se2 import Pose
 
 TICK_S = 0.02
@@ -348,13 +348,19 @@ class TapPlanner(CellNode[Parameters]):
         shot, self._shot = self._shot, None
         if shot is not None and shot.outcome != TapperState.NOT_FIRED:
             task.take_in(shot, seen)
+            warning = task.session.edge_warning(from_message(seen.pose.pose))
+            if warning:
+                self.get_logger().warning(warning)
             self._say(ErrorCode.NONE, "")
         unknown = self._desk.room_for(task, self._look_after)
         if unknown is not None:
             if self._late():
                 self._fail(*unknown)
             return
-        decision = task.decide(seen)
+        frames = 0 if self._late() else self.settings.frames_needed
+        decision = task.decide(seen, frames)
+        if isinstance(decision, LookAgain):
+            return  # the look gets longer with every picture
         if isinstance(decision, Done):
             self._finish(task.done_phase, ErrorCode.NONE, "")
         elif isinstance(decision, Refusal):

@@ -4,6 +4,7 @@
 const $ = (id) => document.getElementById(id);
 const SILENCE_MS = 3000;        // without a word from the node the connection counts as lost
 const ANSWER_MS = 6000;         // after which a request without an answer is said to have none
+const STOP_CHECK_MS = 2000;     // between checks that a stop would be heard
 const STALE_S = 2;              // age of a picture beyond which it is greyed
 const MODE_WORDS = {
   ready: "Ready", moving: "Moving", "not ready": "Not ready", fault: "Fault", stopped: "Stopped",
@@ -16,7 +17,8 @@ const ANSWERS = {
 
 let socket = null, connected = false, refusedFor = "", attempts = 0, retryAt = 0;
 let lostAt = performance.now(), heardAt = 0, state = null, cell = null, picture = null;
-let sent = null, followed = "", asking = "";
+let sent = null, followed = "", asking = "", runs = [];
+let stopUrl = "", stopServed = false;
 const CONFIRMED = {
   clear: {
     words: "Clear the faults? Arm and tapper may move again. Is the cause mended, and is everybody clear of the cell?",
@@ -118,12 +120,8 @@ function hear(message) {
     render();
   } else if (message.type === "ghost") {
     ghost.answer(message);
-  } else if (message.type === "download") {
-    waiting.delete("download");
-    const link = document.createElement("a");
-    link.href = message.path;
-    link.click();
-    show("download", "the download begins", "good");
+  } else if (message.type === "runs") {
+    runs = message.runs;
   } else if (message.type === "answer") {
     waiting.delete(message.to);
     show(message.to, message.text, message.ok ? "good" : "bad");
@@ -136,6 +134,47 @@ function show(to, text, kind) {
   setText(place, text);
   place.className = "answer " + kind;
   if (place.id === "goal-answer") setText($("goal-hint"), "");
+}
+
+// ---- STOP: it has a port of its own, which works without the connection of this page
+
+async function askStop(what) {
+  if (!stopUrl) {
+    const port = await (await fetch("stop-port", { cache: "no-store" })).text();
+    stopUrl = `${location.protocol}//${location.hostname}:${port}/`;
+  }
+  const token = sessionStorage.getItem("token") || "";
+  const answer = await fetch(stopUrl, {
+    method: "POST", body: JSON.stringify({ do: what, token }), signal: AbortSignal.timeout(SILENCE_MS),
+  });
+  if (!answer.ok) throw new Error(await answer.text());
+}
+
+async function checkStop() {
+  try {
+    await askStop("check");
+    stopServed = true;
+  } catch (error) {
+    stopServed = false;
+  }
+  renderStop();
+  setTimeout(checkStop, STOP_CHECK_MS);
+}
+
+async function pressStop() {
+  const also = say({ do: "stop" });  // the slower way, where the port of its own cannot be reached
+  try {
+    await askStop("stop");
+    show("stop", "stop sent to arm, tapper and planner", "good");
+  } catch (error) {
+    if (!also) show("stop", "the stop was NOT sent: use the wired emergency stop", "bad");
+  }
+}
+
+function renderStop() {
+  const ready = connected || stopServed;
+  $("stop").disabled = !ready;
+  setText(document.querySelector(".stop-note"), ready ? "arm and tapper" : "not connected: use the wire");
 }
 
 // ---- The picture
@@ -209,8 +248,7 @@ function render() {
   renderBanner();
   renderPicture();
   for (const id of ["send", "goal-x", "goal-y", "goal-angle", "clear", "home", "press-button", "confirm-yes"]) $(id).disabled = !connected;
-  $("stop").disabled = !connected;
-  setText(document.querySelector(".stop-note"), connected ? "arm and tapper" : "not connected: use the wire");
+  renderStop();
   if (!state) {
     for (const id of ["cancel", "home-ghost", "download"]) $(id).disabled = true;
     return;
@@ -220,8 +258,9 @@ function render() {
   renderTaps();
   renderNodes();
   renderLog();
-  setText($("run-words"), state.run.text);
-  $("download").disabled = !connected || !state.run.ready;
+  const last = runs.find((run) => run.outcome !== "refused");
+  setText($("run-words"), state.runs_hint || (last ? `The last run is ${last.name}.` : "No run was recorded yet."));
+  $("download").disabled = !connected || !last;
 }
 
 function renderAttention(mode) {
@@ -450,10 +489,15 @@ $("goal-form").addEventListener("submit", (event) => {
   setText($("goal-trouble"), "");
   request("goal", goal);
 });
-$("stop").addEventListener("click", () => request("stop"));
+$("stop").addEventListener("click", pressStop);
 $("cancel").addEventListener("click", () => request("cancel"));
 $("press-button").addEventListener("click", () => request("press_button"));
-$("download").addEventListener("click", () => request("download"));
+$("download").addEventListener("click", () => {
+  const last = runs.find((run) => run.outcome !== "refused");
+  const link = document.createElement("a");
+  link.href = `runs/${cell.key}/${last.name}/run.zip`;
+  link.click();
+});
 $("home-ghost").addEventListener("click", () => {
   ghost.touched = true;
   ghost.place(...state.object.pose);
@@ -498,3 +542,4 @@ document.addEventListener("visibilitychange", () => {
   if (!document.hidden && !socket && retryAt < Infinity) connect();
 });
 connect();
+checkStop();

@@ -1,22 +1,21 @@
-"""``docs/commands.md``: every verb and option, out of the parsers themselves.
+"""Write the reference pages of docs/ that are made from the code.
 
-Not a verb: whoever changes an option calls
+    python environment/reference_pages.py        (or: make reference)
 
-    python -m tapping_cell.cli.commands_page
-
-and a test holds the page to what this writes.
+Tests compare the pages with what this writes.
 """
 
 from __future__ import annotations
 
 import argparse
 import inspect
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from tapping_cell.cli import VERBS, verb_parser
+from tapping_cell.report import error_codes
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "commands.md"
+DOCS = Path(__file__).resolve().parent.parent / "docs"
 _HEAD = """# Commands
 
 `python -m tapping_cell VERB`, or `ros2 run tapping_cell cell VERB`. Every verb has `--help` with an
@@ -31,12 +30,23 @@ The tabulator key completes verbs and options after
 
 in `~/.bashrc`, which also makes `cell` a short name: `cell goal 20 10 0`.
 
-This page is written by `python -m tapping_cell.cli.commands_page` and held to the code by a test.
+`make reference` writes this page.
+"""
+_ERROR_CODES = """# Error codes
+
+Every refusal and failure of the cell has a number of `tapping_cell_msgs/msg/ErrorCode` and a
+message with the value and the limit. The command line, the report of a run and the operator page
+show the hint of the last column.
+
+`msg_defs/msg/ErrorCode.msg` declares the codes; `make reference` writes this page from it.
+
+| code | name | when | what to do |
+| --- | --- | --- | --- |
 """
 
 
-def page() -> str:
-    """The text of the page."""
+def commands_page() -> str:
+    """Every verb and option, from the parsers."""
     parts = [_HEAD]
     for verb, text in VERBS.items():
         parser, _ = verb_parser(verb)
@@ -88,5 +98,21 @@ def _text(words: str | None) -> str:
     return (words or "").replace("%%", "%").replace("|", "\\|")
 
 
+def error_codes_page() -> str:
+    """Every error code with its meaning and hint."""
+    rows = (
+        f"| {number} | {code.name} | {code.meaning} | {code.hint} |\n"
+        for number, code in error_codes.codes().items()
+    )
+    return _ERROR_CODES + "".join(rows)
+
+
+PAGES: dict[Path, Callable[[], str]] = {
+    DOCS / "commands.md": commands_page,
+    DOCS / "error_codes.md": error_codes_page,
+}
+
+
 if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")
+    for file, text in PAGES.items():
+        file.write_text(text(), encoding="utf-8")

@@ -1,17 +1,9 @@
-"""The library's reasons as the numbers of ``tapping_cell_msgs/ErrorCode``."""
+"""The reasons of hardware faults as the numbers of ``ErrorCode``."""
 
 from __future__ import annotations
 
-from tapping_cell_msgs.msg import ErrorCode
-
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-
-NAMES: dict[int, str] = {
-    getattr(ErrorCode, name): name
-    for name in dir(ErrorCode)
-    if name.isupper() and isinstance(getattr(ErrorCode, name), int)
-}
-"""Name of every code."""
+from tapping_cell.messages import ErrorCode
 
 _ARM = {
     FaultReason.PORT_MISSING: ErrorCode.ARM_NOT_CONNECTED,
@@ -54,9 +46,9 @@ _TAPPER = {
 
 def of_arm(fault: HardwareFault) -> int:
     """The code of a fault of the arm."""
-    return int(_ARM.get(fault.reason, ErrorCode.INTERNAL))
+    return _ARM.get(fault.reason, ErrorCode.INTERNAL)
 
 
 def of_tapper(fault: HardwareFault) -> int:
     """The code of a fault of the tapper."""
-    return int(_TAPPER.get(fault.reason, ErrorCode.INTERNAL))
+    return _TAPPER.get(fault.reason, ErrorCode.INTERNAL)

@@ -1,0 +1,164 @@
+"""Generate ``tapping_cell/messages/__init__.py``: the messages as plain dataclasses, without ROS.
+
+Run it after a change in ``msg_defs``, in the shell of ``env.sh``:
+``python environment/generate_messages.py``. A test fails while the committed file differs from
+what this program writes.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+from typing import Any
+
+TARGET = Path(__file__).resolve().parents[1] / "tapping_cell" / "messages" / "__init__.py"
+ROOTS = (
+    "builtin_interfaces/msg/Duration",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "sensor_msgs/msg/JointState",
+    "std_msgs/msg/Bool",
+    "std_srvs/srv/SetBool",
+    "std_srvs/srv/Trigger",
+    "trajectory_msgs/msg/JointTrajectory",
+    "tapping_cell_msgs/msg/ArmState",
+    "tapping_cell_msgs/msg/ErrorCode",
+    "tapping_cell_msgs/msg/GoalReport",
+    "tapping_cell_msgs/msg/ObjectState",
+    "tapping_cell_msgs/msg/PlanState",
+    "tapping_cell_msgs/msg/StopState",
+    "tapping_cell_msgs/msg/TapCommand",
+    "tapping_cell_msgs/msg/TapRecord",
+    "tapping_cell_msgs/msg/TapperState",
+    "tapping_cell_msgs/srv/HoldStill",
+    "tapping_cell_msgs/action/PositionObject",
+    "tapping_cell_msgs/action/SingleTap",
+)
+PARTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
+HEADER = '''"""The cell's messages as dataclasses that need no ROS; generated, not edited.
+
+``python environment/generate_messages.py`` writes this file from the installed message packages.
+``ROS_TYPE`` names the message that a class mirrors; ``nodes/message_conversion.py`` converts.
+Units and meanings stand in ``msg_defs``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+'''
+
+
+def load(name: str) -> Any:
+    """The ROS class of ``package/kind/Name``."""
+    package, kind, title = name.split("/")
+    return getattr(importlib.import_module(f"{package}.{kind}"), title)
+
+
+def constants(kind: Any) -> dict[str, Any]:
+    """The constants of a message class, in alphabetical order."""
+    found: dict[str, Any] = vars(type(kind)).get(f"_{type(kind).__name__}__constants", {})
+    return dict(sorted(found.items()))
+
+
+def nested(ros_type: str) -> str | None:
+    """The message name inside a field type, ``package/msg/Name``; None for a plain type."""
+    inner = re.sub(r"^sequence<(.*?)(, \d+)?>$", r"\1", ros_type)
+    inner = re.sub(r"\[\d+\]$", "", inner)
+    if "/" not in inner:
+        return None
+    package, title = inner.split("/")
+    return f"{package}/msg/{title}"
+
+
+def python_type(ros_type: str) -> str:
+    """The annotation of a field."""
+    sequence = re.match(r"^sequence<(.*?)(?:, \d+)?>$", ros_type) or re.match(
+        r"^(.*)\[\d+\]$", ros_type
+    )
+    if sequence:
+        return f"list[{python_type(sequence[1])}]"
+    name = nested(ros_type)
+    if name is not None:
+        return name.rsplit("/", 1)[1]
+    if ros_type in ("float", "double"):
+        return "float"
+    if ros_type == "boolean":
+        return "bool"
+    return "str" if ros_type.startswith("string") else "int"
+
+
+def default(annotation: str, ros_type: str, value: Any) -> str:
+    """The default of a field, as source text; ``value`` is that of a new ROS message."""
+    if annotation.startswith("list["):
+        fixed = re.search(r"\[(\d+)\]$", ros_type)
+        if fixed is None:
+            return "field(default_factory=list)"
+        return f"field(default_factory=lambda: [{float(value[0])!r}] * {fixed[1]})"
+    if nested(ros_type) is not None:
+        return f"field(default_factory=lambda: {annotation}())"
+    return repr(value)
+
+
+def dataclass_text(name: str, title: str, kind: Any, indent: str = "") -> str:
+    """The dataclass of one message class."""
+    lines = [
+        "@dataclass(slots=True, kw_only=True)",
+        f"class {title}:",
+        f'    """Mirror of ``{name}``."""',
+        "",
+        f'    ROS_TYPE: ClassVar[str] = "{name}"',
+    ]
+    lines += [
+        f"    {key}: ClassVar[{type(value).__name__}] = {value!r}"
+        for key, value in constants(kind).items()
+    ]
+    empty = kind()
+    fields = kind.get_fields_and_field_types()
+    if fields:
+        lines.append("")
+    for key, ros_type in fields.items():
+        annotation = python_type(ros_type)
+        value = default(annotation, ros_type, getattr(empty, key))
+        lines.append(f"    {key}: {annotation} = {value}")
+    return "\n".join(indent + line if line else "" for line in lines) + "\n"
+
+
+def generate() -> str:
+    """The whole text of the module."""
+    blocks: list[str] = []
+    done: set[str] = set()
+
+    def add(name: str) -> None:
+        if name in done:
+            return
+        done.add(name)
+        kind = load(name)
+        title = name.rsplit("/", 1)[1]
+        parts = PARTS.get(name.split("/")[1])
+        classes = [kind] if parts is None else [getattr(kind, part) for part in parts]
+        for each in classes:
+            for ros_type in each.get_fields_and_field_types().values():
+                inner = nested(ros_type)
+                if inner is not None:
+                    add(inner)
+        if parts is None:
+            blocks.append(dataclass_text(name, title, kind))
+            return
+        text = f'class {title}:\n    """Mirror of ``{name}``."""\n\n'
+        text += f'    ROS_TYPE: ClassVar[str] = "{name}"\n\n'
+        text += "\n".join(
+            dataclass_text(f"{name}.{part}", part, each, "    ")
+            for part, each in zip(parts, classes, strict=True)
+        )
+        blocks.append(text)
+
+    for name in ROOTS:
+        add(name)
+    return "\n\n".join([HEADER, *blocks])
+
+
+if __name__ == "__main__":
+    TARGET.write_text(generate(), encoding="utf-8")
+    print(f"wrote {TARGET}")

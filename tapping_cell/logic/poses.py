@@ -1,0 +1,55 @@
+"""Planar poses and their covariances in messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.messages import Point, Quaternion
+from tapping_cell.messages import Pose as PoseMessage
+from tapping_cell.se2 import Pose
+
+_PLANAR = (0, 1, 5)
+"""Rows and columns of x, y and the rotation about z in a 6 x 6 covariance."""
+
+
+def to_message(pose: Pose, height: float = 0.0) -> PoseMessage:
+    """A planar pose at a height in m."""
+    return PoseMessage(
+        position=Point(x=pose.x, y=pose.y, z=height),
+        orientation=Quaternion(z=math.sin(pose.theta / 2), w=math.cos(pose.theta / 2)),
+    )
+
+
+def from_message(message: PoseMessage) -> Pose:
+    """The planar part of a pose."""
+    q = message.orientation
+    theta = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
+    return Pose(message.position.x, message.position.y, theta)
+
+
+def is_finite(message: PoseMessage) -> bool:
+    """True where every number of a pose is finite."""
+    p, q = message.position, message.orientation
+    return all(math.isfinite(value) for value in (p.x, p.y, p.z, q.x, q.y, q.z, q.w))
+
+
+def quaternion_norm(message: PoseMessage) -> float:
+    """Length of the orientation quaternion; 1 for a rotation."""
+    q = message.orientation
+    return math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
+
+
+def tilt(message: PoseMessage) -> float:
+    """Angle between the pose's z axis and the table's, in rad, of a unit quaternion."""
+    q = message.orientation
+    return math.acos(max(-1.0, min(1.0, 1 - 2 * (q.x**2 + q.y**2))))
+
+
+def covariance_from_message(values: Sequence[float]) -> NDArray[np.float64]:
+    """The 3 x 3 covariance of (x, y, theta) out of the 36 numbers of a pose covariance."""
+    full = np.asarray(values, dtype=float).reshape(6, 6)
+    return full[np.ix_(_PLANAR, _PLANAR)]

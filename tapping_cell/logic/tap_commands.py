@@ -1,0 +1,69 @@
+"""What arm and tapper both refuse of a tap command, whoever sent it."""
+
+from __future__ import annotations
+
+import math
+
+from tapping_cell.logic.clock import NANOSECONDS, Now, to_nanoseconds
+from tapping_cell.logic.poses import is_finite, quaternion_norm
+from tapping_cell.messages import ErrorCode, TapCommand
+
+LONGEST_EXPIRY_S = 900.0
+"""Longer than all deadlines of a tap together can be set: what lives longer blocks the cell."""
+CLOCK_TOLERANCE_S = 1.0
+"""How far a command's stamp may lie in the future: clocks of two computers differ a little."""
+LARGEST_JUMP = 2**28
+"""How far an id may lie above both the last one and the clock's whole seconds (8 years): one that
+is far greater would leave none for the taps that follow."""
+
+Trouble = tuple[int, str]
+"""An error code and a sentence."""
+
+
+def refusal(command: TapCommand, now: Now, last_tap_id: int) -> Trouble | None:
+    """Code and sentence where a TAP must not be taken; None where it is sound.
+
+    ``last_tap_id``: the greatest id served so far. A stamp of zero means that none was given.
+    """
+    if command.request != TapCommand.TAP:
+        return (
+            ErrorCode.COMMAND_INVALID,
+            f"its request {command.request} is neither TAP nor WITHDRAW",
+        )
+    if command.header.frame_id != "table":
+        sentence = f"its frame is '{command.header.frame_id}', but must be 'table'"
+        return ErrorCode.COMMAND_INVALID, sentence
+    if not (is_finite(command.strike_pose) and math.isfinite(command.striker_speed)):
+        return ErrorCode.COMMAND_INVALID, "it holds a number that is not finite"
+    if abs(quaternion_norm(command.strike_pose) - 1) > 0.01:
+        return ErrorCode.COMMAND_INVALID, "the quaternion of its strike pose has no unit length"
+    largest = max(last_tap_id, now.ros // NANOSECONDS) + LARGEST_JUMP
+    if not 0 < command.tap_id <= largest:
+        return (
+            ErrorCode.COMMAND_INVALID,
+            f"its tap id {command.tap_id} is outside 1 to {largest}; take whole seconds of the"
+            " clock, and more than the last id",
+        )
+    if command.tap_id <= last_tap_id:
+        return (
+            ErrorCode.COMMAND_REPEATED,
+            f"tap ids rise, and {last_tap_id} was served already; a tap is never served twice",
+        )
+    ahead = (to_nanoseconds(command.header.stamp) - now.ros) / NANOSECONDS
+    if ahead > CLOCK_TOLERANCE_S:
+        return (
+            ErrorCode.STAMP_INVALID,
+            f"its stamp lies {ahead:.1f} s in the future; set the computers' clocks",
+        )
+    left = (to_nanoseconds(command.expiry) - now.ros) / NANOSECONDS
+    if left > LONGEST_EXPIRY_S:
+        return (
+            ErrorCode.COMMAND_INVALID,
+            f"it expires in {left:.0f} s; the most is {LONGEST_EXPIRY_S:.0f} s",
+        )
+    return None
+
+
+def expired(command: TapCommand, now: Now) -> bool:
+    """Whether the command's expiry has passed."""
+    return now.ros > to_nanoseconds(command.expiry)

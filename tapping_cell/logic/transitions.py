@@ -1,0 +1,77 @@
+"""State machines as tables: what is not in the table cannot happen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from enum import Enum
+from typing import Generic, TypeVar
+
+State = TypeVar("State", bound=Enum)
+Event = TypeVar("Event", bound=Enum)
+
+
+class UndefinedTransition(Exception):
+    """A machine met an event that its table does not allow: a defect of this program."""
+
+
+class StateMachine(Generic[State, Event]):
+    """The state, changed by the rows of a table alone.
+
+    ``table`` gives for a state and an event the states that may follow; the caller decides among
+    them.
+    """
+
+    def __init__(
+        self, table: Mapping[tuple[State, Event], frozenset[State]], initial: State
+    ) -> None:
+        self._table = table
+        self._state = initial
+
+    @property
+    def state(self) -> State:
+        """The present state."""
+        return self._state
+
+    def allows(self, event: Event) -> bool:
+        """Whether the table has a row for this event in the present state."""
+        return (self._state, event) in self._table
+
+    def move(self, event: Event, target: State) -> None:
+        """Go to a state. Raises UndefinedTransition where the table has no such row."""
+        allowed = self._table.get((self._state, event), frozenset())
+        if target not in allowed:
+            raise UndefinedTransition(
+                f"{event.value} in state {self._state.value} does not lead to {target.value}"
+            )
+        self._state = target
+
+
+def table(
+    rows: Iterable[tuple[Iterable[State], Event, Iterable[State]]],
+) -> dict[tuple[State, Event], frozenset[State]]:
+    """A table from rows (states, event, following states).
+
+    Raises:
+        ValueError: two rows tell of the same state and event.
+    """
+    made: dict[tuple[State, Event], frozenset[State]] = {}
+    for states, event, targets in rows:
+        for state in states:
+            if (state, event) in made:
+                raise ValueError(f"two rows for {state.value} and {event.value}")
+            made[state, event] = frozenset(targets)
+    return made
+
+
+def diagram(rules: Mapping[tuple[State, Event], frozenset[State]], initial: State) -> str:
+    """A table as a Mermaid state diagram, one arrow for each pair of states."""
+    labels: dict[tuple[str, str], list[str]] = {}
+    for (state, event), targets in rules.items():
+        for target in targets:
+            labels.setdefault((state.value, target.value), []).append(event.value)
+    lines = ["stateDiagram-v2", f"    [*] --> {initial.value}"]
+    lines += [
+        f"    {start} --> {end}: {', '.join(sorted(events))}"
+        for (start, end), events in sorted(labels.items())
+    ]
+    return "\n".join(lines)
