@@ -31,6 +31,7 @@ LONG_SECTIONS = (
     "disarm",
     "node",
     "outline",
+    "page-stop",
     "vision-calibrated",
     "vision-covariance",
     "vision-robustness",

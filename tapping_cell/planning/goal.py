@@ -62,7 +62,8 @@ def check_goal(
     if edge < radius + table.edge_margin:
         return Refusal(
             RefusalReason.GOAL_OFF_TABLE,
-            f"the goal {place_text(goal)} is {1e3 * edge:.1f} mm inside the table's edge; the "
+            f"the goal {place_text(goal)} is {1e3 * abs(edge):.1f} mm "
+            f"{'inside' if edge >= 0 else 'outside'} the table's edge; the "
             f"object needs {1e3 * (radius + table.edge_margin):.1f} mm: the goal must lie within "
             f"+-{1e3 * (table.length / 2 - radius - table.edge_margin):.1f} mm in x and "
             f"+-{1e3 * (table.width / 2 - radius - table.edge_margin):.1f} mm in y",

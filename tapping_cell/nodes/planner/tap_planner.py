@@ -74,6 +74,10 @@ class Parameters:
     planner: str = text("planning method; empty for the cell file's", default="")
     adapt: bool = text("learn from every tap how the object answers", default=True)
     keep_gains: bool = text("remember what was learnt of an object between runs", default=False)
+    probe: bool = text(
+        "begin with up to three of the smallest taps where the object's friction is not known",
+        default=False,
+    )
     frames_needed: int = quantity(
         "pictures at rest that a look must be fused of", "", 1, 1000, default=10
     )
@@ -162,6 +166,7 @@ class TapPlanner(CellNode[Parameters]):
                 self.settings.planner,
                 self._neighbours,
                 adapt=self.settings.adapt,
+                probe=self.settings.probe,
                 keep_for=key_of(self) if self.settings.keep_gains else "",
             )
         except PlanningError as error:
@@ -211,6 +216,8 @@ class TapPlanner(CellNode[Parameters]):
             "residual distance (mm)": f"{1000 * last.residual_distance:.3f}",
             "residual rotation (deg)": f"{math.degrees(last.residual_rotation):.3f}",
         }
+        if self._desk is not None:
+            values.update(self._desk.learnt())
         if last.error_code:
             return DiagnosticStatus.WARN, last.error_msg, values
         return DiagnosticStatus.OK, "ok", values
