@@ -154,7 +154,9 @@ class LogicHost:
 
     def _perform(self, effect: fx.Effect) -> None:
         if isinstance(effect, fx.Publish):
-            self._publishers[effect.topic].publish(to_ros(effect.message))
+            # At the node's end the machine still tells its last state; nobody can hear it then.
+            if self._node.context.ok():
+                self._publishers[effect.topic].publish(to_ros(effect.message))
         elif isinstance(effect, fx.StopWire):
             if self.driver is not None:
                 self.driver.stop()
@@ -252,7 +254,7 @@ class LogicHost:
     def start(self, driver: Any) -> None:
         """Begin to run jobs on a driver."""
         self.driver = driver
-        self._worker = Worker(self._node.get_name())
+        self._worker = Worker(self._node.get_name(), lambda: None, 60.0)
         self._worker.start()
 
     def close(self) -> None:

@@ -10,11 +10,18 @@ Job = Callable[[], None]
 
 
 class Worker:
-    """Runs jobs one after the other. A job raises nothing."""
+    """Runs jobs one after the other and, while there are none, ``idle`` every ``period`` seconds.
 
-    def __init__(self, name: str) -> None:
+    A job or ``idle`` that raises ends the thread; ``error`` then holds what it raised, and the node
+    must look at it: a failure that is to be expected is caught in the job itself.
+    """
+
+    def __init__(self, name: str, idle: Job, period: float) -> None:
+        self._idle = idle
+        self._period = period
         self._jobs: queue.Queue[Job] = queue.Queue()
         self._ending = threading.Event()
+        self.error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
@@ -33,5 +40,13 @@ class Worker:
             self._thread.join(patience)
 
     def _run(self) -> None:
-        while not self._ending.is_set():
-            self._jobs.get()()
+        try:
+            while not self._ending.is_set():
+                try:
+                    job = self._jobs.get(timeout=self._period)
+                except queue.Empty:
+                    job = self._idle
+                job()
+        except BaseException as error:
+            self.error = error
+            raise

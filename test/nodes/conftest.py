@@ -9,4 +9,4 @@ from tapping_cell.nodes import cell_identity
 
 @pytest.fixture(autouse=True)
 def _own_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cell_identity, "STATE", tmp_path / "state")
+    monkeypatch.setattr(cell_identity, "STATE", tmp_path / ".ros" / "tapping_cell")
