@@ -115,6 +115,8 @@ TABLE = table(
 )
 WIRE = {state: getattr(PlanState, state.name) for state in State}
 FINAL = (S.REACHED, S.FAILED, S.CANCELED)
+FINAL_STATES = tuple(WIRE[state] for state in FINAL)
+"""Of ``plan_state``: the goal has ended."""
 REMEMBERED = (
     "planner",
     "goal",

@@ -19,6 +19,7 @@ from tapping_cell_msgs.msg import (
 
 from tapping_cell.logic.cell_monitor import CellMonitor
 from tapping_cell.logic.clock import Now
+from tapping_cell.logic.planner import FINAL_STATES
 from tapping_cell.nodes.clients.goal_client import PHASES
 from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.page.recovery import Recovery, Step
@@ -51,8 +52,6 @@ TAPPER_WORDS = {
 }
 ARM_BUSY = (ArmState.HOMING, ArmState.MOVING, ArmState.IN_POSITION, ArmState.WITHDRAWING)
 TAPPER_BUSY = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
-
-FINAL = (PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
 
 Numbers = list["float | None"]
 
@@ -143,13 +142,13 @@ class CellView:
         before, self._plan = self._plan, message
         self._plan_heard = time.monotonic()
         tap = message.last_tap
-        if not tap.tap_id and message.state not in FINAL:
+        if not tap.tap_id and message.state not in FINAL_STATES:
             self._taps.clear()
         elif tap.tap_id and all(tap.tap_id != row["tap_id"] for row in self._taps):
             if tap.number == 1:
                 self._taps.clear()
             self._taps.append(tap_row(tap, from_message(message.goal.pose)))
-        was_busy = before is not None and before.state not in (PlanState.IDLE, *FINAL)
+        was_busy = before is not None and before.state not in (PlanState.IDLE, *FINAL_STATES)
         if self.busy and (before is None or not was_busy or before.goal != message.goal):
             goal = from_message(message.goal.pose)
             own, self._own_goal = self._own_goal, None
@@ -175,7 +174,7 @@ class CellView:
     def busy(self) -> bool:
         """Whether a goal is under way."""
         plan = self._plan
-        return plan is not None and plan.state not in (PlanState.IDLE, *FINAL)
+        return plan is not None and plan.state not in (PlanState.IDLE, *FINAL_STATES)
 
     def mode(self) -> Mode:
         """The whole cell in a word, a sentence, and the code where there is one."""

@@ -41,10 +41,10 @@ from visualization_msgs.msg import MarkerArray
 
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
+from tapping_cell.logic.planner import FINAL_STATES
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import seconds
-from tapping_cell.nodes.planner.plan_reporter import FINAL
 from tapping_cell.nodes.recorder.recording import (
     MEGABYTE,
     CannotRecord,
@@ -327,7 +327,7 @@ class RunRecorder(CellNode[Parameters]):
         if self._is_late(plan):
             return
         if not is_own_goal(plan, PRESCRIBED):
-            if known and self._ends_at is None and plan.state in FINAL:
+            if known and self._ends_at is None and plan.state in FINAL_STATES:
                 self._end = plan
                 self._ends_at = time.monotonic() + TAIL_S
             return
