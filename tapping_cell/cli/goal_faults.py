@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from tapping_cell.logic.error_codes import NAMES
+from tapping_cell.report import error_codes
 from tapping_cell.verification.campaign import Summary, run_campaign
 from tapping_cell.verification.mutants import MUTANTS, Mutant
 from tapping_cell.verification.trial import run_trial
@@ -143,4 +143,4 @@ def _print(summary: Summary, wall: float) -> None:
 
 
 def _name(code: int) -> str:
-    return "planner lost" if code < 0 else NAMES.get(code, str(code))
+    return "planner lost" if code < 0 else error_codes.name(code)
