@@ -266,6 +266,25 @@ def test_an_axis_without_a_switch_must_be_named() -> None:
         cell.driver.connect()
 
 
+@pytest.mark.parametrize("lost", [b"[FIRMWARE:grblHAL]", b"[AXS:4:XYZA]"])
+def test_one_bad_line_does_not_make_another_controller_of_it(lost: bytes) -> None:
+    """Without the first, grblHAL looks like grbl-Mega-5X; without both, like Grbl."""
+    cell = Cell("grblhal", {22: 9.0})
+    original = cell.emulator.take_output
+    spoilt: list[bytes] = []
+
+    def take(now: float) -> bytes:
+        out = original(now)
+        if lost in out and not spoilt:
+            spoilt.append(out)
+            out = out.replace(lost, b"[FIRM:" + lost[-5:])
+        return out
+
+    cell.emulator.take_output = take  # type: ignore[method-assign]
+    driver = cell.ready()
+    assert spoilt and driver.firmware is not None and driver.firmware.name == "grblHAL"
+
+
 def test_a_forced_origin_is_where_homing_ends() -> None:
     cell = Cell("grblhal", {22: 9.0})
     cell.ready().move_to(FAR, 1.0)
