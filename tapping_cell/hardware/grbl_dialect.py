@@ -125,6 +125,7 @@ class GrblDialect:
         """Who is there, and how its settings compare with what is needed; nothing moves."""
         offset = self._offset if self._frozen else None
         self._forget()
+        self._count = 0
         self._known = False
         banner = self._drain() or self._await_first_status(deadline)
         if banner is not None:
@@ -272,7 +273,6 @@ class GrblDialect:
         self._frames.clear()
         self._offset, self._frozen = None, False
         self._unanswered = False
-        self._count = 0
 
     def _pump(self, wait: float) -> bool:
         """Read for up to ``wait`` s and decode what came; False when nothing came."""

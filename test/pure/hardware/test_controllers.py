@@ -299,6 +299,30 @@ def test_a_tool_that_homing_leaves_alone_is_where_a_person_put_it() -> None:
     assert cell.truth().tool == pytest.approx(0.7, abs=1e-3)
 
 
+def test_a_report_that_lost_an_axis_is_a_bad_line_also_after_a_fault_was_cleared() -> None:
+    cell = Cell("grblhal")
+    driver = cell.ready()
+    driver.clear_fault()
+    driver.stop()
+    driver.clear_fault()
+    driver.home(HomingStrategy.FIRMWARE)
+    original = cell.emulator.take_output
+    spoilt: list[bytes] = []
+
+    def take(now: float) -> bytes:
+        out = original(now)
+        if b"MPos:" in out and not spoilt:
+            spoilt.append(out)
+            head, _, rest = out.partition(b"MPos:")
+            out = head + b"MPos:0" + rest[rest.index(b",") + 1 :]
+        return out
+
+    cell.emulator.take_output = take  # type: ignore[method-assign]
+    before = driver.line_counters.bad_lines
+    driver.move_to(FAR, 1.0)
+    assert spoilt and driver.line_counters.bad_lines == before + 1
+
+
 # C4, C5, C7: what is told, and when.
 
 
