@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from tapping_cell.cli.fault_trials import Dialect, TrialCell
+from tapping_cell.cli.fault_trials import WINDOW, Dialect, TrialCell
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.grbl import STOP
@@ -37,6 +37,7 @@ from tapping_cell.simulation.fault_layer import Direction
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.spring_drive import SETTLE_TIME
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 
 TAPS = 200
@@ -87,7 +88,7 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
     to_release: list[float] = []
     whole: list[float] = []
     readings: list[float] = []
-    machine = cell.tapper_device.machine
+    spring = cell.tapper_device.machine.spring
     for shot in range(1, taps + 1):
         began = cell.clock.now
         here = cell.arm.read_joints()
@@ -96,9 +97,9 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
         cell.goal, cell.shot, cell.firing = path[-1].joints, shot, True
         cell.arm.follow(path)
         energy = float(cell.rng.uniform(0.001, 0.2))
-        needed += machine.draw_time + machine.draw_time_per_root_joule * energy**0.5
-        cell.tapper.arm(shot, energy)
-        cell.tapper.fire(shot)
+        needed += spring.steps_for(energy) / spring.step_rate + SETTLE_TIME
+        cell.tapper.charge(shot, energy)
+        cell.tapper.fire(shot, WINDOW, cell.allowed)
         to_release.append(cell.tapper_device.fires[-1][2] - began - needed)
         # The node reads the arm while it waits for the release to end: counted by itself.
         reading = cell.clock.now

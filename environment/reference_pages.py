@@ -8,12 +8,21 @@ Tests compare the pages with what this writes.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import inspect
-from collections.abc import Callable, Iterator
+import types
+import typing
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
+from tapping_cell.calibration.experiment import ExperimentFile
 from tapping_cell.cli import VERBS, verb_parser
+from tapping_cell.configuration.cell import CellFile
+from tapping_cell.configuration.objects import ObjectFile
+from tapping_cell.configuration.table import TableFile
 from tapping_cell.report import error_codes
+from tapping_cell.simulation.truth import TruthFile
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 _HEAD = """# Commands
@@ -107,8 +116,120 @@ def error_codes_page() -> str:
     return _ERROR_CODES + "".join(rows)
 
 
+_CONFIGURATION = """# Configuration files
+
+Every key of every YAML file that the cell reads, in SI units and radians. Unknown keys, missing
+keys, wrong types and values out of range are refused with file, key, value and range;
+`python -m tapping_cell check-config` checks all files, and the consistency between them, without
+starting anything. The files of [config/](../../config) are complete examples. For the ROS
+parameters of the nodes see [nodes.md](../nodes.md).
+
+![Dimensions of the arm and the striker](../images/arm_dimensions.svg)
+
+`make reference` writes this page from the declarations in the code.
+"""
+FILES: tuple[tuple[str, str, type], ...] = (
+    (
+        "Cell file",
+        "`cell.yaml`: table, arm, tapper, camera and goals.",
+        CellFile,
+    ),
+    ("Object file", "`objects/*.yaml`: one object.", ObjectFile),
+    ("Table file", "`table.yaml`: the reference markers.", TableFile),
+    ("Header of an experiment", "`experiment.yaml` of a folder of single taps.", ExperimentFile),
+    (
+        "Simulation parameters",
+        "`truth/*.yaml`: how the simulated world differs from what the planner is told.",
+        TruthFile,
+    ),
+)
+
+
+def configuration_page() -> str:
+    """Every key of every file, from the declarations of the sections."""
+    parts = [_CONFIGURATION]
+    written: dict[type, str] = {}
+    for title, text, kind in FILES:
+        parts.append(f"\n## {title}\n\n{text}\n")
+        parts += _section_tables(kind, "", title, written)
+    parts.append(
+        "\n## Camera calibration\n\n`camera_info.yaml` has the format of ROS's "
+        "`camera_calibration`; "
+        "`calibrate camera` writes it.\n"
+    )
+    return "".join(parts)
+
+
+def _section_tables(kind: type, prefix: str, title: str, written: dict[type, str]) -> Iterator[str]:
+    """The table of a section, then those of the sections in it; each kind of section once."""
+    hints = typing.get_type_hints(kind)
+    inner: list[tuple[str, type]] = []
+    yield "\n| key | type | unit and range | default | meaning |\n| --- | --- | --- | --- | --- |\n"
+    for entry in dataclasses.fields(kind):
+        limits = entry.metadata["limits"]
+        held = _sections_in(hints[entry.name])
+        name = f"{prefix}{entry.name}"
+        meaning = limits.description
+        if held is not None:
+            known = written.setdefault(held, name)
+            if known == name:
+                inner.append((name, held))
+            else:
+                meaning += f"; keys as in `{known}`"
+        default = entry.default
+        shown = "required" if default is dataclasses.MISSING else _value_text(default)
+        yield (
+            f"| `{name}` | {_type_text(hints[entry.name])} | {_escaped(limits.range_text())} "
+            f"| {shown} | {_escaped(meaning)} |\n"
+        )
+    for name, held in inner:
+        first = (inspect.getdoc(held) or "").splitlines()[0]
+        yield f"\n### `{name}` ({title.lower()})\n\n{first}\n"
+        yield from _section_tables(held, f"{name}.", title, written)
+
+
+def _sections_in(hint: Any) -> type | None:
+    """The section that a type holds, alone, optional or in a list; None if it holds none."""
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        return hint
+    return next(filter(None, map(_sections_in, typing.get_args(hint))), None)
+
+
+def _type_text(hint: Any) -> str:
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return _type_text(next(each for each in inner if each is not type(None)))
+    if dataclasses.is_dataclass(hint):
+        return "section"
+    if origin is tuple:
+        kind = _type_text(inner[0])
+        plural = kind.replace("list", "lists", 1) if kind.startswith("list") else f"{kind}s"
+        return f"list of {'' if inner[-1] is Ellipsis else f'{len(inner)} '}{plural}"
+    if origin is Mapping:
+        return "mapping of names to numbers"
+    names = {float: "number", int: "whole number", bool: "true or false"}
+    return names.get(hint, "text")
+
+
+def _value_text(value: Any) -> str:
+    if value is None:
+        return "none"
+    if dataclasses.is_dataclass(value):
+        return "its defaults"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_value_text, value))}]"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return str(value).lower() if isinstance(value, bool) else str(value) or "(empty)"
+
+
+def _escaped(words: str) -> str:
+    return words.replace("|", "\\|")
+
+
 PAGES: dict[Path, Callable[[], str]] = {
     DOCS / "commands.md": commands_page,
+    DOCS / "reference" / "configuration.md": configuration_page,
     DOCS / "error_codes.md": error_codes_page,
 }
 

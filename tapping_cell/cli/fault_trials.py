@@ -26,6 +26,7 @@ from tapping_cell.hardware.marlin_dialect import MarlinDialect
 from tapping_cell.hardware.motion import MotionSettings, strike_path, withdraw_path
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
 from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
+from tapping_cell.hardware.tapper_protocol import State
 from tapping_cell.hardware.transport import Transport
 from tapping_cell.simulation.fault_layer import (
     Direction,
@@ -44,6 +45,8 @@ HOME = (0.0, np.pi / 2, 0.0, 0.0)
 PARK = (0.6, 1.2, -0.020, 0.0)
 TRUE_TOLERANCE = np.array([2e-3, 2e-3, 2e-4, 2e-3])
 """How far the true joints may be from the strike pose at a release: rad, rad, m, rad."""
+WINDOW = 0.05
+"""How long after the last check the tapper may release, s."""
 CALL_LIMIT = 600.0
 """A tap with its recoveries that takes longer counts as hanging, s of the cell's time."""
 RECOVERIES = 40
@@ -152,6 +155,7 @@ class TrialCell:
         self.goal: Joints | None = None
         self.shot = 0
         self.firing = False
+        self.release_by = 0.0
         self.reported: dict[int, FireOutcome] = {}
         self.tally = Tally()
         self._seen = [0, 0]
@@ -219,17 +223,22 @@ class TrialCell:
         goal = path[-1].joints if path else self.arm.read_joints()
         self._check_place(self.arm.follow(path), goal)
         self.goal = goal
-        self.tapper.arm(self.shot, float(self.rng.uniform(0.001, 0.2)))
+        self.tapper.charge(self.shot, float(self.rng.uniform(0.001, 0.2)))
         reading = self.arm.read()
         self._check_place(reading, goal)
         if reading.alarm or reading.moving or not self._near(reading.joints, goal):
-            self.tapper.disarm()
+            self.tapper.discharge()
             return FireOutcome.NOT_FIRED
         self.firing = True
         try:
-            return self.tapper.fire(self.shot).outcome
+            return self.tapper.fire(self.shot, WINDOW, self.allowed).outcome
         finally:
             self.firing = False
+
+    def allowed(self, release_by: float) -> bool:
+        """The last check before FIRE, which notes when a release must be over."""
+        self.release_by = release_by
+        return True
 
     def recover(self) -> None:
         """Bring both devices back to where they take orders, with a person's help at the button."""
@@ -262,10 +271,13 @@ class TrialCell:
     def _recover_tapper(self) -> None:
         if not self.tapper.connected:
             self.tapper.connect()
-        if self.tapper.status().stop_latched:
+        reply = self.tapper.status()
+        if reply.stop_latched:
             with self._tapper_held():
                 self.tapper_device.press_clear_button(self.clock.now)
-            self.tapper.clear()
+            reply = self.tapper.clear()
+        if reply.state is State.UNHOMED:
+            self.tapper.home()
 
     def random_tip(self) -> TipPose:
         """Somewhere on the table that the arm reaches, in ``arm_base``."""
@@ -302,6 +314,8 @@ class TrialCell:
         why = ""
         if not self.firing or shot != self.shot:
             why = f"shot {shot} while shot {self.shot} was under way"
+        elif now > self.release_by:
+            why = f"{1e3 * (now - self.release_by):.1f} ms after the window"
         elif moving:
             why = "the arm was moving"
         elif self.goal is None or not self._near(truth, self.goal):

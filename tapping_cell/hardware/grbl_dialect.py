@@ -129,7 +129,7 @@ class GrblDialect:
             self._await_first_status(deadline)
         version = self._identify(deadline, banner)
         self._transport.write(grbl.FULL_FEED)
-        findings = self._compare(deadline)
+        findings = self._compared(deadline)
         continued = self._marked and banner is None and self._mark_is_there(deadline)
         self._marked = continued
         if continued and offset is not None:
@@ -206,11 +206,13 @@ class GrblDialect:
         answered with ``ok`` as well. A controller that still makes the last move of a program that
         died refuses ``$H``: it is waited for, but not for ever, for a garbled feed may be tiny.
         """
-        if self._homed_unknown:
-            raise HardwareFault(FaultReason.HOMING_FAILED, self._homed_unknown)
         patience = min(deadline, self._transport.now() + REST_PATIENCE)
         while _moving(self._ask_status(deadline)) and self._transport.now() < patience:
             self._pump(POLL_PERIODS[1])
+        # Somebody may have changed a setting since the connect.
+        controller_needs.refuse(self._compared(deadline))
+        if self._homed_unknown:
+            raise HardwareFault(FaultReason.HOMING_FAILED, self._homed_unknown)
         began = self._transport.now()
         try:
             self._command(b"$H\n", deadline)
@@ -503,6 +505,14 @@ class GrblDialect:
         self._columns = [letters.index(letter) for letter in self._settings.letters]
         self._count = count
         return version
+
+    def _compared(self, deadline: float) -> list[Finding]:
+        """The findings; asked for twice where one is not met, for a line may have been bad."""
+        findings = self._compare(deadline)
+        if self._homed_unknown or not all(finding.met for finding in findings):
+            self.counters.retries += 1
+            findings = self._compare(deadline)
+        return findings
 
     def _compare(self, deadline: float) -> list[Finding]:
         """Hold the controller's settings against what is needed."""

@@ -39,6 +39,8 @@ _TAPPER = {
     FaultReason.INTERLOCK: ErrorCode.TAPPER_INTERLOCK_OPEN,
     FaultReason.SHOT_SPENT: ErrorCode.TAPPER_SPENT,
     FaultReason.NEEDS_PERSON: ErrorCode.TAPPER_STOPPED,
+    FaultReason.HOMING_FAILED: ErrorCode.TAPPER_FAULT,
+    FaultReason.POSITION_LOST: ErrorCode.TAPPER_FAULT,
 }
 
 

@@ -14,7 +14,7 @@ from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.se2 import wrap_angle
 
 HEADINGS = 24
-SHARES_OF_FIRST = (1.0, 0.7, 0.5, 0.3)
+SHARES_OF_FIRST = (1.0, 0.7, 0.5, 0.3, 0.15)
 SHARES_OF_LARGEST = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
 TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
@@ -52,11 +52,11 @@ def alternative_taps(
         axis.ravel() for axis in np.meshgrid(headings, np.unique(sizes), TURNS, indexing="ij")
     )
     most = settings.cone_slope * size
-    scale = float(gains.value[0] / gains.value[1])
+    scale = 1.0 / float(gains.value[1])
     left = float(wrap_angle(goal[2] - pose[2])) * scale
     turn = np.where(share == 1.0, np.clip(left, -most, most), share * most)
-    commanded = gains.command(size, turn, heading)
-    after = pose + gains.predict(commanded)
+    commanded = gains.command(size, turn, heading, pose[2], settings.cone_slope)
+    after = pose + gains.predict(commanded, pose[2])
     path = paths.length(after[:, :2])
     remaining = wrap_angle(goal[2] - after[:, 2]) * scale
     reachable = np.isfinite(path)
@@ -85,5 +85,8 @@ def _indirect(after: Array, goal: Array, gains: Gains, planner: Planner, tap: Ta
     distance, turn, heading = gains.to_plan(left)
     settings = planner.settings
     near = (distance >= settings.smallest_distance) & (distance <= settings.largest_distance)
-    direct = tap.reachable(gains.command(np.where(near, distance, 1.0), turn, heading), after)
+    commanded = gains.command(
+        np.where(near, distance, 1.0), turn, heading, after[:, 2], settings.cone_slope
+    )
+    direct = tap.reachable(commanded, after)
     return np.where(near & ~direct, 1.0, 0.0)

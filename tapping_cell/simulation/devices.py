@@ -72,7 +72,9 @@ class SimulatedDevices:
     def _fire(self, shot: int, energy: float, now: float) -> float | None:
         """The tapper was released: the striker flies from where the arm truly holds it."""
         tip, height = self.tip(now)
-        speed = self._curve.speed_for(energy)
+        # The spring holds whole steps: at the ends of the table a little more or less than asked.
+        least, most = self._curve.table[0][0], self._curve.table[-1][0]
+        speed = self._curve.speed_for(min(max(energy, least), most))
         return self._on_strike(tip, height, speed, now)
 
     def tip(self, now: float) -> tuple[Pose, float]:

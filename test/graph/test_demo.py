@@ -185,7 +185,7 @@ def test_killing_the_demo_itself_leaves_no_node(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "code", "word", "status"),
     [
-        (("--goal", "900", "0", "0"), 103, "inside the table's edge", 1),
+        (("--goal", "900", "0", "0"), 103, "outside the table's edge", 1),
         (("--move", "10", "0", "10", "--planner", "guess"), 404, "guess", 2),
     ],
     ids=["off the table", "unknown planner"],

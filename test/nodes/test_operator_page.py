@@ -335,7 +335,7 @@ def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_said(cell: Cell) 
             await page.say({"do": "goal", "x": 0, "y": 0, "angle": 0})
             assert "start tap_planner" in (await page.answer("goal"))["text"]
             log = (await page.state(lambda s: len(s["log"]) >= 2))["log"]
-            assert any("stop pressed on the page" in line["text"] for line in log)
+            assert any("STOP pressed on the page" in line["text"] for line in log)
 
     play(scenario)
     assert cleared == ["scara_arm"]

@@ -312,12 +312,12 @@ class OperatorPage(CellNode[Parameters]):
     def _show(self) -> None:
         if self._server is None or self._watch is None:
             return
+        self._view.held_by_page = self._stop is not None and self._stop.held
+        self._view.simulated = self._watch.runs("sim_world")
         state = self._view.state()
         state["nodes"] = self._watch.rows()
-        state["simulated"] = self._watch.runs("sim_world")
         state["placeable"] = self._ghost is not None
         state["runs_hint"] = self._runs_hint()
-        state["held_by_page"] = self._stop is not None and self._stop.held
         self._server.show(state)
 
     def _runs_hint(self) -> str:
@@ -364,7 +364,7 @@ class OperatorPage(CellNode[Parameters]):
 
     def _note_stop(self, held: bool, who: str) -> None:
         if held and who:
-            self._view.note(f"stop pressed on the page ({who})", "bad")
+            self._view.note(f"STOP pressed on the page ({who})", "bad")
 
     def _do(self, function: Callable[..., None], *arguments: object) -> None:
         """Call in the executor's thread, from any other."""
