@@ -236,19 +236,43 @@ def predict(fit: ObjectFit, experiments: Sequence[Experiment]) -> tuple[RunError
     used, _ = screen(experiments, body, GRAVITY)
     own = _fit_slides(used, body)
     measured = _measured(used, own)
-    impacts = None
-    striker = _striker(experiments)
-    if fit.impact is not None and striker is not None:
-        strikes, known = _strikes(used, own, body)
-        rows = np.flatnonzero(known)
-        model = ImpactModel(strikes.of(rows), body, striker, dict(fit.impact.values))
-        impacts = _Impacts(fit.impact, model, rows)
+    impacts = _others(fit, used, own, experiments)
     return run_errors(
         _labels(used),
         measured,
         _slid(measured, fit.slide, body),
         _tapped(used, fit.slide, impacts, body),
     )
+
+
+def predicted_taps(fit: ObjectFit, experiments: Sequence[Experiment]) -> Taps:
+    """Other taps beside what a fit says of them.
+
+    Raises:
+        RecordError: the records cannot be used, or the impact was not fitted.
+    """
+    body = fit.content.body()
+    used, _ = screen(experiments, body, GRAVITY)
+    own = _fit_slides(used, body)
+    impacts = _others(fit, used, own, experiments)
+    if impacts is None:
+        raise RecordError("the impact was not fitted, or no header gives the striker")
+    tapped = _tapped(used, fit.slide, impacts, body)
+    return _taps(used, _labels(used), _measured(used, own), tapped, impacts.rows)
+
+
+def _others(
+    fit: ObjectFit, used: Sequence[Used], own: SlideFit, experiments: Sequence[Experiment]
+) -> _Impacts | None:
+    """The fitted impact on other strikes."""
+    striker = _striker(experiments)
+    if fit.impact is None or striker is None:
+        return None
+    body = fit.content.body()
+    strikes, known = _strikes(used, own, body)
+    rows = np.flatnonzero(known)
+    model = ImpactModel(strikes.of(rows), body, striker, dict(fit.impact.values))
+    return _Impacts(fit.impact, model, rows)
 
 
 def _measured(used: Sequence[Used], slide: SlideFit) -> Launches:
