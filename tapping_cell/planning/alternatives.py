@@ -48,6 +48,8 @@ def alternative_taps(
         settings.largest_distance,
     )
     headings = math.atan2(first[1], first[0]) + np.arange(HEADINGS) * (2.0 * math.pi / HEADINGS)
+    if isinstance(tap.body, Polygon):
+        headings = np.concatenate([headings, _through_edges(tap, tap.body, float(pose[2]))])
     heading, size, share = (
         axis.ravel() for axis in np.meshgrid(headings, np.unique(sizes), TURNS, indexing="ij")
     )
@@ -72,6 +74,14 @@ def alternative_taps(
     order = order[np.isfinite(cost[order])]
     for start in range(0, order.size, CHUNK):
         yield commanded[order[start : start + CHUNK]]
+
+
+def _through_edges(tap: Tap, body: Polygon, orientation: float) -> Array:
+    """Directions of travel, rad in `table`, that the edges pass on best: their normals, and half
+    of the contact friction to both sides."""
+    inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0]) + orientation
+    aside = 0.5 * math.atan(tap.impact.friction) * np.array([-1.0, 0.0, 1.0])
+    return np.asarray((inward[:, None] + aside).ravel())
 
 
 def _indirect(after: Array, goal: Array, gains: Gains, planner: Planner, tap: Tap) -> Array:

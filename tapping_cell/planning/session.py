@@ -341,8 +341,8 @@ class PositioningSession:
             return Refusal(
                 RefusalReason.PROBE_NEEDED,
                 f"no tap is surely safe with the object at {place}: until its friction is measured "
-                f"it may slide {longest:.1f} times as far as its file says; move it towards the "
-                "middle, where a probe (parameter probe: a few of the smallest taps) can measure it"
+                f"it may slide {longest:.1f} times as far as its file says; ask for a probe "
+                "(parameter probe: a few of the smallest taps), or move it towards the middle"
                 + others_text(self._space),
             )
         return Refusal(

@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tapping_cell.mechanics import Impact, Polygon, Sliding, Striker, Tap
 from tapping_cell.planning import (
     CameraNoise,
     CircleArea,
@@ -303,3 +304,35 @@ def test_after_a_slide_that_nothing_explains_the_next_tap_is_short(planner, spac
     assert math.hypot(after.wanted.x, after.wanted.y) < 0.5 * math.hypot(
         usual.wanted.x, usual.wanted.y
     )
+
+
+def square_tap(contact_friction=0.2):
+    side = 0.04
+    corners = ((-side, -side), (side, -side), (side, side), (-side, side))
+    body = Polygon(corners, mass=0.207, height=0.012)
+    striker = Striker(mass=0.1, tip_radius=0.0054)
+    return Tap(
+        sliding=Sliding(body, friction=0.25, torque_factor=2.17),
+        impact=Impact(body, striker, restitution=0.8, friction=contact_friction),
+    )
+
+
+def test_a_polygon_without_a_contact_for_the_safe_taps_is_refused_with_that_reason(known):
+    """A corridor along x; the edges pass on impulses at 45 degrees to it alone."""
+    tap = square_tap()
+    space = StrikeSpace(tap, Workspace(length=0.6, width=0.1299))
+    planner = make_planner("exact", PlannerSettings.for_tap(tap))
+    session = PositioningSession((0.1, 0.0, math.pi / 4), planner, space, None, known())
+    refusal = session.decide((0.0, 0.0, math.pi / 4))
+    assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.NO_CONTACT
+    assert "no contact of the object" in refusal.sentence
+    assert "the arm" not in refusal.sentence
+
+
+def test_a_slippery_polygon_is_struck_along_its_normals_whatever_its_orientation():
+    tap = square_tap(contact_friction=0.01)
+    space = StrikeSpace(tap, Workspace(length=1.0, width=1.0))
+    planner = make_planner("exact", PlannerSettings.for_tap(tap))
+    for degrees in (7.0, 22.0, 38.0):
+        session = PositioningSession((0.05, 0.0, 0.0), planner, space)
+        assert isinstance(session.decide((0.0, 0.0, math.radians(degrees))), Strike)
