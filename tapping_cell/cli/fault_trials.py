@@ -21,7 +21,7 @@ from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import ArmReading, ArmSettings, HomingStrategy
 from tapping_cell.hardware.dialect import ArmDialect
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.grbl_dialect import GrblDialect
+from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
 from tapping_cell.hardware.marlin_dialect import MarlinDialect
 from tapping_cell.hardware.motion import MotionSettings, strike_path, withdraw_path
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
@@ -37,6 +37,7 @@ from tapping_cell.simulation.fault_layer import (
 )
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.grbl_machine import GrblMachine
+from tapping_cell.simulation.grbl_variants import VARIANTS
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.virtual_line import HangError, VirtualClock, VirtualTransport
@@ -60,6 +61,10 @@ class Dialect(Enum):
 
     GRBL = "grbl"
     MARLIN = "marlin"
+    GRBL_MEGA_5X = "grbl-mega-5x"
+    GRBL_HAL = "grblhal"
+    FLUID_NC_3 = "fluidnc3"
+    FLUID_NC_4 = "fluidnc4"
 
 
 @dataclass
@@ -134,22 +139,26 @@ class TrialCell:
         self.motion = MotionSettings(park=PARK)
         self.tapper_device = TapperEmulator(on_fire=self._witness, now=now)
         self.arm_device: GrblEmulator | MarlinEmulator
-        if dialect is Dialect.GRBL:
-            self.arm_device = GrblEmulator(
-                GrblMachine(start_joints=PARK, home_joints=HOME), seed, now
-            )
-        else:
+        if dialect is Dialect.MARLIN:
             self.arm_device = MarlinEmulator(
                 MarlinMachine(start_joints=PARK, home_joints=HOME), seed, now
             )
+        else:
+            machine = GrblMachine(
+                start_joints=PARK, home_joints=HOME, variant=VARIANTS[dialect.value]
+            )
+            self.arm_device = GrblEmulator(machine, seed, now)
         self.arm_line = FaultLayer(self.arm_device)
         self.tapper_line = FaultLayer(self.tapper_device)
         arm_port, tapper_port = self._ports()
         language: ArmDialect
-        if dialect is Dialect.GRBL:
-            language = GrblDialect(arm_port)
-        else:
+        if dialect is Dialect.MARLIN:
             language = MarlinDialect(arm_port, draw_number=self._draw)
+        else:
+            without = tuple(sorted(VARIANTS[dialect.value].unhomed_axes))
+            language = GrblDialect(
+                arm_port, GrblSettings(without_switch=without, needs_homing=True)
+            )
         self.arm = ArmDriver(arm_port, language, self.geometry, ArmSettings(home_joints=HOME))
         self.tapper = TapperDriver(tapper_port, draw_number=self._draw)
         self.goal: Joints | None = None
@@ -266,7 +275,18 @@ class TrialCell:
                     self.arm_device.power_cycle(self.clock.now)
             raise
         if not self.arm.homed:
+            if self.dialect is Dialect.GRBL_MEGA_5X:
+                self._turn_tool_to_its_mark()
             self.arm.home(HomingStrategy.FIRMWARE)
+
+    def _turn_tool_to_its_mark(self) -> None:
+        """What a person does before homing to an axis that has no switch."""
+        assert isinstance(self.arm_device, GrblEmulator)
+        with self._arm_held():
+            now = self.clock.now
+            if not self.arm_device.moving(now):
+                here = Joints(*self.arm_device.joints(now))
+                self.arm_device.push(here._replace(tool=HOME[3]), now)
 
     def _recover_tapper(self) -> None:
         if not self.tapper.connected:
