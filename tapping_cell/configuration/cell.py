@@ -298,7 +298,7 @@ class GoalSection:
 class CellFile:
     """One cell."""
 
-    name: str = text("display name of the cell")
+    name: str = text("display name of the cell", longest=100)
     reference_markers: str = text("table file, relative to this file")
     camera_info: str = text("camera_info file, relative to this file")
     object: str = text("object file, relative to this file")

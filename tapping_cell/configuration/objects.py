@@ -128,7 +128,7 @@ class ScatterSection:
 class ObjectFile:
     """What the planner and the camera know about one object."""
 
-    name: str = text("display name of the object")
+    name: str = text("display name of the object", longest=100)
     shape: ShapeSection = section("outline of the object")
     mass: float = quantity("mass", "kg", 0.001, 100.0)
     height: float = quantity("height of the top above the table", "m", 0.0005, 0.5)

@@ -9,18 +9,17 @@ from __future__ import annotations
 import json
 import math
 import os
-import re
 import tempfile
 import zipfile
 from pathlib import Path
+
+from tapping_cell.nodes.recorder.run_names import is_run_name
 
 SUMMARY = "summary.json"
 REPORT = "report.html"
 MOST_ROWS = 40
 LARGEST_SUMMARY = 4_000_000
 """Bytes of a summary that is read."""
-NAME = re.compile(r"[\w+-][\w.+-]{0,119}", re.ASCII)
-"""What a run's folder may be called."""
 
 
 class Runs:
@@ -46,7 +45,7 @@ class Runs:
 
     def find(self, name: str) -> Path | None:
         """The folder of a run; None where there is no run of this name."""
-        if not NAME.fullmatch(name):
+        if not is_run_name(name):
             return None
         path = self.folder / name
         try:
@@ -98,7 +97,7 @@ class Runs:
         try:
             with os.scandir(self.folder) as entries:
                 for entry in entries:
-                    if entry.is_dir(follow_symlinks=False) and NAME.fullmatch(entry.name):
+                    if entry.is_dir(follow_symlinks=False) and is_run_name(entry.name):
                         try:
                             changed = os.lstat(Path(entry.path, SUMMARY)).st_mtime_ns
                         except OSError:

@@ -13,6 +13,7 @@ import asyncio
 import contextlib
 import json
 import os
+import re
 import secrets
 import socket
 import struct
@@ -183,7 +184,7 @@ class PageServer:
             ("/live", PageSocket, {"server": self}),
             ("/stop-port", StopPortHandler, {"server": self, "port": self._stop_port}),
             (
-                r"/runs/([\w-]{22})/([\w.+-]{1,120})/(report\.html|run\.zip)",
+                r"/runs/([\w-]{22})/([^/]{1,400})/(report\.html|run\.zip)",
                 RunHandler,
                 {"server": self},
             ),
@@ -351,7 +352,7 @@ class RunHandler(_Guarded):
                 self.refuse(404, f"there is no run '{name}'")
                 return
             self.set_header("Content-Type", "application/zip")
-            self.set_header("Content-Disposition", f'attachment; filename="{name}.zip"')
+            self.set_header("Content-Disposition", f'attachment; filename="{_plain(name)}.zip"')
             with path.open("rb") as file:
                 path.unlink()  # however the download ends, nothing is left
                 await self._send_file(file)
@@ -529,6 +530,11 @@ class _Count:
         self._count = self._count + 1 if second == self._second else 1
         self._second = second
         return self._count
+
+
+def _plain(name: str) -> str:
+    """A file's name as a header takes it."""
+    return re.sub(r"[^\w.+-]", "_", name, flags=re.ASCII)
 
 
 def bind(address: str, port: int) -> list[socket.socket]:

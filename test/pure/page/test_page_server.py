@@ -10,6 +10,7 @@ import random
 import socket
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 import zipfile
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -388,6 +389,11 @@ def test_a_run_is_downloaded_and_its_report_read_with_the_key_of_an_open_page(
             status, headers, body = await get(f"runs/{key}/2026-run/report.html")
             assert status == 200 and body == b"<script>alert(1)</script>"
             assert headers["Content-Security-Policy"].endswith("sandbox")
+            make_run(site.backend.runs.folder, 'a "run", \u00fc')
+            odd = urllib.parse.quote('a "run", \u00fc')
+            status, headers, _ = await get(f"runs/{key}/{odd}/run.zip")
+            assert status == 200
+            assert headers["Content-Disposition"] == 'attachment; filename="a__run____.zip"'
             for name in ("..", ".", "other", "2026-run%2f..", "%2e%2e", "a" * 200):
                 assert (await get(f"runs/{key}/{name}/run.zip"))[0] in (400, 403, 404)
         await until(lambda: not site.server.pages)
