@@ -29,6 +29,7 @@ LONG_SECTIONS = (
     "calibration",
     "demos",
     "disarm",
+    "lack-of-fit",
     "node",
     "outline",
     "page-stop",
@@ -65,8 +66,8 @@ def make_parser() -> argparse.ArgumentParser:
         "--experiments",
         type=int,
         metavar="N",
-        help="experiments of calibration, demos a truth, losses of disarm, scenes of outline, "
-        "scenes or frames of vision*, seconds of node",
+        help="experiments of calibration and lack-of-fit, demos a truth, losses of disarm, scenes "
+        "of outline, scenes or frames of vision*, seconds of node",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(

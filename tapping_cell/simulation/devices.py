@@ -8,11 +8,13 @@ from pathlib import Path
 
 from tapping_cell.configuration.cell import ArmSection, Cell
 from tapping_cell.se2 import Pose
+from tapping_cell.simulation.arm_picture import arm_solids
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.grbl_machine import TO_UNITS, GrblMachine, default_settings
 from tapping_cell.simulation.joint_motion import AxisErrors
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.rendered_camera import Occluder
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import ArmTruth
 
@@ -41,6 +43,7 @@ class SimulatedDevices:
         on_strike: OnStrike,
         seed: int,
     ) -> None:
+        self._file = cell.file
         self._geometry = cell.file.arm.geometry()
         self._base = cell.arm_base @ Pose(*truth.base_offset)
         self._curve = cell.file.tapper.curve()
@@ -76,6 +79,12 @@ class SimulatedDevices:
         least, most = self._curve.table[0][0], self._curve.table[-1][0]
         speed = self._curve.speed_for(min(max(energy, least), most))
         return self._on_strike(tip, height, speed, now)
+
+    def solids(self, now: float) -> tuple[Occluder, ...]:
+        """What the camera sees of the arm where it truly is."""
+        with self._arm_port.lock:
+            joints = self._arm.joints(now)
+        return arm_solids(self._file.arm, self._file.tapper, self._base, joints)
 
     def tip(self, now: float) -> tuple[Pose, float]:
         """Where the striker's tip truly is: its pose in ``table`` and its height in m."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tapping_cell.configuration.schema import choice, quantity, section
+from tapping_cell.configuration.schema import choice, quantity, section, text
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +200,7 @@ class CameraTruth:
         "light lost from the brightest to the darkest side", "", 0.0, 0.9, default=0.3
     )
     exposure: float = quantity("time of exposure", "s", 0.0001, 0.03, default=0.006)
+    shows_arm: bool = text("the picture shows the arm over the table", default=False)
     latency: float = quantity("from exposure to publication", "s", 0.0, 0.5, default=0.015)
 
 

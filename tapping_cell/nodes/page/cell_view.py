@@ -109,6 +109,8 @@ class CellView:
         self._recovery = Recovery()
         self.emergency_stop = False
         self.held_by_page = False
+        self.stops: dict[str, tuple[str, ...]] = {}
+        """What stopped each actor and was not reset."""
         self.simulated = False
 
     def on_object(self, message: ObjectState) -> None:
@@ -126,6 +128,7 @@ class CellView:
     def forget(self) -> None:
         """Nobody looks any more: what is heard next is new. The taps and the log are kept."""
         self._monitor = CellMonitor(SILENCE_LIMIT_S)
+        self.stops.clear()
         self._mode = ""
 
     def note(self, text: str, kind: str = "", at: float | None = None) -> None:
@@ -235,6 +238,7 @@ class CellView:
     def _recovery_steps(self) -> list[Step]:
         arm, tapper = self._monitor.arm, self._monitor.tapper
         holders = ["this page's STOP"] if self.held_by_page else []
+        holders += sorted({source for sources in self.stops.values() for source in sources})
         return self._recovery.steps(
             None if arm is None or self._monitor.silent("arm", _now()) else arm,
             None if tapper is None or self._monitor.silent("tapper", _now()) else tapper,
