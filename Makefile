@@ -2,7 +2,7 @@
 # make test [ARGS="-k name"]    every ring of the tests
 # make lint                     style and types
 # make clean                    remove everything that was made here
-# make lock                     choose the versions in requirements.lock again (needs Python 3.10 to 3.13)
+# make lock                     choose the versions in requirements.lock again
 #
 # Each sets up what it needs first (see env.sh); there is nothing else to install or to call before.
 
@@ -26,4 +26,4 @@ clean:
 	@find . -name .git -prune -o \( -name __pycache__ -o -name '*.egg-info' \) -type d -prune -exec rm -rf {} +
 
 lock:
-	@python3 environment/lock.py python3.10 python3.11 python3.12 python3.13
+	@python3 environment/lock.py
