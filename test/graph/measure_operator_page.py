@@ -48,7 +48,7 @@ def main() -> int:
     ports = {"arm_port": folder / "arm", "tapper_port": folder / "tapper"}
     parameters: dict[str, dict[str, object]] = {
         "sim_world": dict(ports),
-        "scara_arm": {"port": folder / "arm"},
+        "scara_arm": {"port": folder / "arm", "home_on_activate": True},
         "tapper_trigger": {"port": folder / "tapper"},
         "operator_page": {"port": PORT},
     }
@@ -61,7 +61,9 @@ def main() -> int:
         f"--user-data-dir={folder}/browser",
     ):
         options.add_argument(flag)
-    with Graph((*SIMULATED, "operator_page"), parameters, folder / "logs") as graph:
+    with Graph(
+        (*SIMULATED, "operator_page"), parameters, folder / "logs", {"HOME": str(folder)}
+    ) as graph:
         process = graph.process_ids["operator_page"]
         log = folder / "logs" / "operator_page.log"
         while "operator page:" not in log.read_text():

@@ -224,8 +224,9 @@ class OperatorPage(CellNode[Parameters]):
             return DiagnosticStatus.WARN, "the process that serves STOP is starting", values
         return DiagnosticStatus.OK, "ok", values
 
-    def _on_emergency_stop(self, message: Bool) -> None:
-        super()._on_emergency_stop(message)
+    def hear_stop(self, message: Bool) -> None:
+        """Show the level, too."""
+        super().hear_stop(message)
         self._view.emergency_stop = message.data
 
     def _on_last_run(self, message: String) -> None:

@@ -31,10 +31,10 @@ from tapping_cell_msgs.msg import (
 
 from tapping_cell.configuration.cell import load_cell, load_other_objects
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
+from tapping_cell.logic.tapper_peers import TAPPING
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import from_message
-from tapping_cell.nodes.drivers.peer_watch import TAPPING
 from tapping_cell.nodes.planner.cell_monitor import CellMonitor
 from tapping_cell.nodes.planner.deferred_action_server import ActionDoor
 from tapping_cell.nodes.planner.goal_handling import GoalDesk, Request
@@ -80,6 +80,9 @@ class Parameters:
     )
     frames_needed: int = quantity(
         "pictures at rest that a look must be fused of", "", 1, 1000, default=10
+    )
+    goal_time_limit: float = quantity(
+        "longest time for a goal that gives none itself", "s", 1.0, 86400.0, default=900.0
     )
     ready_deadline: float = quantity(
         "longest wait for arm, tapper and camera", "s", 1.0, 3600.0, default=30.0
@@ -239,6 +242,7 @@ class TapPlanner(CellNode[Parameters]):
             asked.position_tolerance,
             asked.angle_tolerance,
             asked.max_taps,
+            asked.time_limit,
             handle,
         )
         refused = self._take(request)
@@ -274,6 +278,8 @@ class TapPlanner(CellNode[Parameters]):
         if fault is not None:
             code, sentence = fault
             return Refused(code, f"the cell is faulted: {sentence}")
+        asked_limit = asked.time_limit if isinstance(asked, Request) else 0.0
+        task.deadline = time.monotonic() + (asked_limit or self.settings.goal_time_limit)
         self._begin(task)
         return None
 
@@ -312,6 +318,13 @@ class TapPlanner(CellNode[Parameters]):
             if self._task.canceled:
                 self._abandon()
                 self._finish(PlanState.CANCELED, ErrorCode.GOAL_CANCELED, "the goal was canceled")
+            elif time.monotonic() > self._task.deadline:
+                self._abandon()
+                self._fail(
+                    ErrorCode.DEADLINE_EXCEEDED,
+                    "the goal's time limit is over; send it again, with a longer time_limit if the"
+                    " cell worked all the time",
+                )
             else:
                 {
                     PlanState.WAITING_FOR_CELL: self._wait_for_cell,
@@ -404,7 +417,10 @@ class TapPlanner(CellNode[Parameters]):
         assert self._task is not None and self._desk is not None
         # Whole seconds of the system clock: ids rise over restarts of every node, and fit the
         # tapper's 32 bits until 2106. Two taps are always more than a second apart.
-        self._last_tap_id = max(self._last_tap_id + 1, int(time.time()))
+        # A clock that was set back must not bring ids that the tapper has seen.
+        tapper = self._monitor.tapper
+        seen_last = tapper.tap_id if tapper is not None else 0
+        self._last_tap_id = max(self._last_tap_id, seen_last, int(time.time()) - 1) + 1
         self._shot = Shot(self._last_tap_id, strike, before)
         now = self.get_clock().now()
         allowance = self.settings.place_deadline + self.settings.fire_deadline
