@@ -35,9 +35,9 @@ class PeerLimits:
     """Greatest age of the arm's read-back, s."""
     silence: float = 0.45
     """Longest silence of planner and camera, s."""
-    unseen: float = 4.0
-    """Longest time for which the object may not be seen before the shot, s: on its way to some
-    strike poses the arm itself covers the object."""
+    unseen: float = 0.45
+    """Longest time for which the object may not be seen before the shot, s; longer where the arm
+    itself covers the object on its way to some strike poses."""
     moved: float = 0.002
     """Greatest distance of the object from where the tap was planned, m."""
     turned: float = math.radians(3)
@@ -172,7 +172,7 @@ class TapperPeers:
             return (
                 ErrorCode.OBJECT_NOT_SEEN,
                 f"the object has not been seen for {unseen:.2f} s (limit {limits.unseen:.2f} s);"
-                " uncover it",
+                " uncover it, or raise unseen_limit where the arm itself covers it",
             )
         pose = from_message(self._seen.pose.pose)
         moved, turned = planned.distance_to(pose), abs(planned.rotation_to(pose))

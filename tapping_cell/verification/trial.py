@@ -28,6 +28,7 @@ from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
+from tapping_cell.logic.tapper_peers import PeerLimits
 from tapping_cell.messages import (
     ArmState,
     Bool,
@@ -84,6 +85,8 @@ SERVES = {
 }
 CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
+UNSEEN_S = 4.0
+"""The simulated arm covers the object for up to 3.4 s on its way to a strike pose."""
 GOAL_TIME_LIMIT_S = 120.0
 GOAL_SLACK_S = 5.0
 """A goal must end so long after its time limit at the latest, its planner being there."""
@@ -223,7 +226,7 @@ class Trial:
             line.set_clock(self.clocks["tapper_trigger"].steady_offset)
             draw = np.random.default_rng([self.seed, 4, round(1e6 * self.scheduler.now)])
             driver = TapperDriver(line, draw_number=lambda below: int(draw.integers(below)))
-            return TapperLogic(TapperOptions()), driver
+            return TapperLogic(TapperOptions(limits=PeerLimits(unseen=UNSEEN_S))), driver
 
         settings = PlannerSettings(goal_time_limit=GOAL_TIME_LIMIT_S)
         programs: dict[

@@ -38,6 +38,14 @@ class Parameters:
         5.0,
         default=0.45,
     )
+    unseen_limit: float = quantity(
+        "longest time for which the object may not be seen before a tap is fired; raise it where "
+        "the arm covers the object on its way",
+        "s",
+        0.1,
+        10.0,
+        default=0.45,
+    )
     moved_limit: float = quantity(
         "distance by which the object may lie from where the tap was planned when it is fired",
         "m",
@@ -105,6 +113,7 @@ def make_logic(parameters: Parameters) -> TapperLogic:
     limits = PeerLimits(
         parameters.arm_freshness,
         parameters.silence_limit,
+        parameters.unseen_limit,
         parameters.moved_limit,
         parameters.turned_limit,
     )
