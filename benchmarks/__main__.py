@@ -23,6 +23,7 @@ LONG_SECTIONS = (
     "calibration",
     "demos",
     "disarm",
+    "idle",
     "node",
     "outline",
     "vision-calibrated",
@@ -50,7 +51,7 @@ def make_parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help="experiments of calibration, demos a truth, losses of disarm, scenes of outline, "
-        "scenes or frames of vision*, seconds of node",
+        "scenes or frames of vision*, seconds of node and idle",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     return parser
