@@ -10,13 +10,17 @@ SHELL := /bin/bash
 .SHELLFLAGS := -e -u -o pipefail -c
 ARGS ?=
 
-.PHONY: demo test lint clean lock
+.PHONY: demo test oldest lint clean lock
 
 demo:
 	@. ./env.sh; python -m tapping_cell demo $(ARGS)
 
 test:
 	@. ./env.sh; python environment/run_tests.py $(ARGS)
+
+# The versions of Ubuntu 24.04; on demand only, not part of `make test`.
+oldest:
+	@. ./env.sh; python environment/run_oldest.py $(ARGS)
 
 lint:
 	@. ./env.sh; ruff check .; ruff format --check .; mypy

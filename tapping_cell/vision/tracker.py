@@ -165,6 +165,7 @@ class PoseTracker:
             last is not None
             and stamp - self._measured_at < period
             and not self._search_next
+            and stamp - self._last_search < self.settings.audit_period
             and self._change.unchanged(image)
         ):
             return replace(last, stamp=stamp)

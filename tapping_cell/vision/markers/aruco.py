@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
+Quad = NDArray[Any]
 
 _aruco: Any = cv2.aruco
 _CLASSES = hasattr(_aruco, "ArucoDetector")
@@ -44,18 +45,51 @@ def detector_parameters() -> Any:
 
 def detect_markers(
     image: Image, book: cv2.aruco.Dictionary, parameters: Any
-) -> list[tuple[int, NDArray[np.float64]]]:
+) -> list[tuple[int, Quad]]:
     """Id and corners, shape (4, 2) in pixels, of every marker found."""
     if _CLASSES:
         corners, ids, _ = _aruco.ArucoDetector(book, parameters).detectMarkers(image)
     else:
-        corners, ids, _ = _aruco.detectMarkers(image, book, parameters=parameters)
+        corners, ids = _detect_with_functions(image, book, parameters)
     if ids is None:
         return []
-    return [
+    found: list[tuple[int, Quad]] = [
         (int(number), np.asarray(four, dtype=float).reshape(4, 2))
         for number, four in zip(np.ravel(ids), corners, strict=True)
     ]
+    return found if _CLASSES else _without_repeats(found, parameters.minMarkerDistanceRate)
+
+
+def _detect_with_functions(image: Image, book: cv2.aruco.Dictionary, parameters: Any) -> Any:
+    """Corners and ids by OpenCV 4.6, which keeps only the larger of two quads close to each other
+    before it reads them: a marker is lost to the rim around it. So every quad is read here."""
+    rate = parameters.minMarkerDistanceRate
+    parameters.minMarkerDistanceRate = 1e-3
+    try:
+        corners, ids, _ = _aruco.detectMarkers(image, book, parameters=parameters)
+    finally:
+        parameters.minMarkerDistanceRate = rate
+    return corners, ids
+
+
+def _without_repeats(found: list[tuple[int, Quad]], rate: float) -> list[tuple[int, Quad]]:
+    """One of the quads that read the same marker in the same place; ``rate``: how close they are,
+    as a share of the perimeter."""
+    kept: list[tuple[int, Quad]] = []
+    # The largest is the marker's rim itself; a smaller one lies within the rim.
+    for number, corners in sorted(found, key=lambda each: -_perimeter(each[1])):
+        limit = rate * _perimeter(corners)
+        middle = corners.mean(axis=0)
+        if not any(
+            number == other and np.abs(middle - quad.mean(axis=0)).max() < limit
+            for other, quad in kept
+        ):
+            kept.append((number, corners))
+    return kept
+
+
+def _perimeter(corners: Quad) -> float:
+    return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).sum())
 
 
 def detect_board(
@@ -74,9 +108,12 @@ def detect_board(
     if _CLASSES:
         corners, ids, _, seen = _aruco.CharucoDetector(board).detectBoard(image)
     else:
-        quads, seen, _ = _aruco.detectMarkers(image, book, parameters=detector_parameters())
+        parameters = detector_parameters()
+        markers_seen = detect_markers(image, book, parameters)
+        seen = np.array([number for number, _ in markers_seen], dtype=np.int32).reshape(-1, 1)
+        quads = [corners.astype(np.float32).reshape(1, 4, 2) for _, corners in markers_seen]
         corners = ids = None
-        if seen is not None and len(seen):
+        if len(seen):
             _, corners, ids = _aruco.interpolateCornersCharuco(quads, seen, image, board)
     markers = 0 if seen is None else len(seen)
     if ids is None or corners is None:
