@@ -1,7 +1,9 @@
 # make demo [ARGS="--seed 3"]   position a disk in the simulated world
 # make test [ARGS="-k name"]    every ring of the tests
+# make oldest [ARGS=test/pure]  pure and driver tests and a demo with the versions of Ubuntu 24.04
 # make lint                     style and types
 # make clean                    remove everything that was made here
+# make reference                write what is made from declarations: messages, reference pages
 # make lock                     choose the versions in requirements.lock again (needs Python 3.10 to 3.13)
 #
 # Each sets up what it needs first (see env.sh); there is nothing else to install or to call before.
@@ -10,7 +12,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -e -u -o pipefail -c
 ARGS ?=
 
-.PHONY: demo test oldest lint clean lock
+.PHONY: demo test oldest lint clean lock reference
 
 demo:
 	@. ./env.sh; python -m tapping_cell demo $(ARGS)
@@ -18,7 +20,6 @@ demo:
 test:
 	@. ./env.sh; python environment/run_tests.py $(ARGS)
 
-# The versions of Ubuntu 24.04; on demand only, not part of `make test`.
 oldest:
 	@. ./env.sh; python environment/run_oldest.py $(ARGS)
 
@@ -28,6 +29,9 @@ lint:
 clean:
 	@rm -rf .venv build install log runs .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	@find . -name .git -prune -o \( -name __pycache__ -o -name '*.egg-info' \) -type d -prune -exec rm -rf {} +
+
+reference:
+	@. ./env.sh; python environment/generate_messages.py; ruff format -q tapping_cell/messages; python environment/reference_pages.py
 
 lock:
 	@python3 environment/lock.py python3.10 python3.11 python3.12 python3.13

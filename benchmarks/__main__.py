@@ -3,6 +3,7 @@
 python -m benchmarks
 python -m benchmarks --section mechanics --json
 python -m benchmarks --section vision-robustness --count 10000
+python -m benchmarks --section vision --count 60 --write
 """
 
 from __future__ import annotations
@@ -10,8 +11,13 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import os
+import platform
+import re
 import sys
 from collections.abc import Sequence
+from datetime import date
+from pathlib import Path
 
 # A section is a module with ``measure() -> dict`` (what --json prints) and
 # ``lines(report) -> list[str]`` (the same for people). A module with a ``DEFAULT_COUNT`` takes how
@@ -24,12 +30,23 @@ LONG_SECTIONS = (
     "demos",
     "disarm",
     "idle",
+    "lack-of-fit",
     "node",
     "outline",
+    "page-stop",
     "vision-calibrated",
     "vision-covariance",
     "vision-robustness",
+    "world",
 )
+
+
+RESULTS = Path(__file__).with_name("RESULTS.md")
+_HEAD = """# Benchmark results
+
+`python -m benchmarks --section NAME --write` measures a section and replaces its results on this
+page. A peer is measured in the same run; times depend on the machine and its load, errors do not.
+"""
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -52,8 +69,13 @@ def make_parser() -> argparse.ArgumentParser:
         metavar="N",
         help="experiments of calibration, demos a truth, losses of disarm, scenes of outline, "
         "scenes or frames of vision*, seconds of node and idle",
+        help="experiments of calibration and lack-of-fit, demos a truth, losses of disarm, scenes "
+        "of outline, scenes or frames of vision*, seconds of node",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument(
+        "--write", action="store_true", help=f"write the results to benchmarks/{RESULTS.name}"
+    )
     return parser
 
 
@@ -70,12 +92,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
             reports[name] = section.measure(chosen.count or section.DEFAULT_COUNT)
         else:
             reports[name] = section.measure()
+        text = "\n".join(f"    {line}" for line in section.lines(reports[name]))
         if not chosen.json:
-            print(f"{name}:")
-            print("\n".join(f"  {line}" for line in section.lines(reports[name])), flush=True)
+            print(f"{name}:\n{text}", flush=True)
+        if chosen.write:
+            write_section(RESULTS, name, chosen.count, text)
     if chosen.json:
         print(json.dumps(reports))
     return 0
+
+
+def write_section(file: Path, name: str, count: int | None, text: str) -> None:
+    """Replace the results of a section in the page of results; the other sections stay."""
+    before = file.read_text(encoding="utf-8") if file.exists() else ""
+    sections = dict(re.findall(r"^## (\S+)\n(.*?)(?=^## |\Z)", before, re.MULTILINE | re.DOTALL))
+    command = f"python -m benchmarks --section {name}" + (f" --count {count}" if count else "")
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    sections[name] = (
+        f"\n`{command}`, {date.today()}, {machine}, load {os.getloadavg()[0]:.1f}:\n\n{text}\n\n"
+    )
+    body = "".join(f"\n## {each}\n{sections[each].rstrip()}\n" for each in sorted(sections))
+    file.write_text(_HEAD + body, encoding="utf-8")
 
 
 if __name__ == "__main__":

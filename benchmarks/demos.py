@@ -149,11 +149,7 @@ def _position(
     while isinstance(decision, Strike):
         tip = _true_tip(cell, decision.plan.strike_pose, arm, random)
         world.strike(tip, told.height / 2, decision.plan.striker_speed, now)
-        while True:
-            now += 0.1
-            world.advance(now)
-            if world.at_rest:
-                break
+        now = world.settle()
         before, seen = seen, look()
         session.observe(decision, before, seen, covariance)
         decision = session.decide(seen, covariance)

@@ -33,12 +33,14 @@ from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.spring_drive import SpringMechanism
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 
 DEFAULT_COUNT = 10
 """Losses of each kind."""
 START, GOAL = Pose(-0.05, 0.02, 0.0), Pose(-0.02, 0.01, 0.2)
-DRAW_S = 2.4
+SLOW_SPRING = SpringMechanism(step_rate=300.0)
+"""Some seconds to charge it."""
 """Below the driver's own limit of a draw."""
 LATEST_LOSS_S = 1.0
 """The loss comes at random within so long after the draw has begun."""
@@ -63,7 +65,7 @@ class DrawnCell:
             "tapper_trigger": {"port": tapper},
             "tap_planner": {"resume_within": 60.0},
         }
-        self.board = TapperEmulator(TapperMachine(draw_time=DRAW_S), now=time.monotonic())
+        self.board = TapperEmulator(TapperMachine(SLOW_SPRING), now=time.monotonic())
         self.terminal = PseudoTerminal(self.board, tapper)
         self.graph = Graph(NODES, parameters, folder / "logs", {"HOME": str(folder)})
         self.client = GoalClient("disarm_bench")
@@ -109,7 +111,7 @@ class DrawnCell:
         """Have a tap drawn; sends the goal (anew) where none is under way."""
         deadline = time.monotonic() + PATIENCE_S
         asked = 0.0
-        while self.board.state != "DRAWING":
+        while self.board.state != "CHARGING":
             self.graph.check()
             if time.monotonic() > deadline:
                 raise TimeoutError("no tap was drawn: " + "; ".join(self.client.missing()))
@@ -130,7 +132,7 @@ class DrawnCell:
             self.relaying = False
         else:
             os.kill(self._process_of(who), signal.SIGKILL if how == "kill" else signal.SIGSTOP)
-        while self.board.state == "DRAWING":
+        while self.board.state == "CHARGING":
             time.sleep(0.0005)
         return time.monotonic() - began
 

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from tapping_cell.cli.fault_trials import Dialect, TrialCell
+from tapping_cell.cli.fault_trials import WINDOW, Dialect, TrialCell
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.grbl import STOP
@@ -37,8 +37,10 @@ from tapping_cell.simulation.fault_layer import Direction
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.spring_drive import SETTLE_TIME
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 
+LANGUAGES = (Dialect.GRBL, Dialect.MARLIN)
 TAPS = 200
 BYTE_S = 10 / 115200
 STOPS = 500
@@ -46,9 +48,9 @@ RETURNS = 20
 
 
 def measure() -> dict[str, Any]:
-    """Overhead a tap in s for each dialect, stop to wire in s, reconnection in s."""
+    """Times and overhead of a tap in s for each dialect, stop to wire in s, reconnection in s."""
     return {
-        "overhead": {dialect.value: overhead(dialect, TAPS) for dialect in Dialect},
+        "overhead": {dialect.value: overhead(dialect, TAPS) for dialect in LANGUAGES},
         "stop": stop_to_wire(STOPS),
         "reconnect": reconnect(RETURNS),
     }
@@ -57,7 +59,9 @@ def measure() -> dict[str, Any]:
 def lines(report: dict[str, Any]) -> list[str]:
     """The report for people."""
     rows = [
-        f"{dialect}: {1e3 * figures['to_release']:.1f} ms a tap up to the release beyond motion,"
+        f"{dialect}: {figures['in_position']:.2f} s from command to in position and"
+        f" {figures['withdrawn']:.2f} s back to the park pose;"
+        f" {1e3 * figures['to_release']:.1f} ms a tap up to the release beyond motion,"
         f" settling and draw ({1e3 * figures['whole']:.1f} ms until parked again, and"
         f" {1e3 * figures['reading']:.1f} ms of reading the arm back before it withdraws, while the"
         " node waits for the release to end);"
@@ -79,15 +83,18 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
-    """Mean times of a tap beyond motion, settling and draw, s: up to the release, the whole, and of
-    the reading that the whole leaves out; and how many bytes the arm's board is sent."""
+    """Mean times of a tap in s: from command to in position, and back to the park pose; beyond
+    motion, settling and draw, up to the release, the whole, and of the reading that the whole
+    leaves out; and how many bytes the arm's board is sent."""
     cell = TrialCell(dialect, 3)
     cell.recover()
     before = cell.arm_line.count(Direction.TO_DEVICE)
+    in_position: list[float] = []
+    withdrawn: list[float] = []
     to_release: list[float] = []
     whole: list[float] = []
     readings: list[float] = []
-    machine = cell.tapper_device.machine
+    spring = cell.tapper_device.machine.spring
     for shot in range(1, taps + 1):
         began = cell.clock.now
         here = cell.arm.read_joints()
@@ -95,10 +102,11 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
         needed = path_duration(cell.geometry, here, path) + cell.arm.settings.settle_time
         cell.goal, cell.shot, cell.firing = path[-1].joints, shot, True
         cell.arm.follow(path)
+        in_position.append(cell.clock.now - began)
         energy = float(cell.rng.uniform(0.001, 0.2))
-        needed += machine.draw_time + machine.draw_time_per_root_joule * energy**0.5
-        cell.tapper.arm(shot, energy)
-        cell.tapper.fire(shot)
+        needed += spring.steps_for(energy) / spring.step_rate + SETTLE_TIME
+        cell.tapper.charge(shot, energy)
+        cell.tapper.fire(shot, WINDOW, cell.allowed)
         to_release.append(cell.tapper_device.fires[-1][2] - began - needed)
         # The node reads the arm while it waits for the release to end: counted by itself.
         reading = cell.clock.now
@@ -107,10 +115,14 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
         needed += readings[-1]
         back = withdraw_path(cell.geometry, here, cell.motion)
         needed += path_duration(cell.geometry, here, back)
+        leaving = cell.clock.now
         for waypoint in back:
             cell.arm.move_to(waypoint.joints, waypoint.speed, via=waypoint.via)
+        withdrawn.append(cell.clock.now - leaving)
         whole.append(cell.clock.now - began - needed)
     return {
+        "in_position": statistics.fmean(in_position),
+        "withdrawn": statistics.fmean(withdrawn),
         "to_release": statistics.fmean(to_release),
         "whole": statistics.fmean(whole),
         "reading": statistics.fmean(readings),

@@ -17,7 +17,9 @@ import cv2
 import numpy as np
 
 from benchmarks.vision_scenes import Cell, error_of, random_place, random_scene
-from tapping_cell.se2 import transform_points
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.se2 import Pose, transform_points
+from tapping_cell.simulation.arm_picture import arm_solids
 from tapping_cell.simulation.rendered_camera import Occluder, SceneRenderer
 from tapping_cell.vision import Observation, PoseTracker, Problem
 
@@ -180,6 +182,22 @@ def _grain(stage: Stage) -> Iterator[Shot]:
         yield Shot(np.clip(shot.image + noise, 0, 255).astype(np.uint8), shot.true)
 
 
+def _arm(stage: Stage) -> Iterator[Shot]:
+    """The arm reaches over the object for a tap, from any side, and withdraws."""
+    cell = load_cell()
+    arm, geometry = cell.file.arm, cell.file.arm.geometry()
+    aim = Pose(*stage.place) @ Pose(0.0, 0.0, stage.random.uniform(-math.pi, math.pi))
+    tip = cell.arm_base.inverse() @ (aim @ Pose(-0.07, 0.0, 0.0))
+    reached = geometry.inverse((tip.x, tip.y, arm.strike_height, tip.theta))
+    away = np.array(arm.park)
+    over = away if reached.joints is None else np.array(reached.joints)
+    for k in range(60):
+        share = min(k / 20.0, 1.0, (60 - k) / 20.0)
+        joints = away + share * (over - away)
+        solids = arm_solids(arm, cell.file.tapper, cell.arm_base, joints)
+        yield Shot(stage.scene.render(stage.place, occluders=solids), stage.place)
+
+
 def _away(stage: Stage) -> Iterator[Shot]:
     """The object is taken off the table and put down somewhere else."""
     away = np.array([5.0, 5.0, 0.0])
@@ -210,6 +228,7 @@ CASES = {
     "wrong size or encoding": Case(_wrong_kind, (Problem.WRONG_IMAGE,)),
     "sliding": Case(_slide),
     "creeping at 1 mm/s": Case(_creep),
+    "arm over the object": Case(_arm),
     "12 grey levels of noise": Case(_grain),
     "object taken away": Case(_away, (Problem.OBJECT_HIDDEN, Problem.WRONG_MARKER)),
 }

@@ -6,6 +6,7 @@
  *   PD4  release: latch magnet or striker coil, active high (D4)
  *   PD5  step, PD6 direction, PD7 enable (low)              (D5 to D7; spring build)
  *   PB1  carriage at its front end, switch to ground        (D9; spring build)
+ *   PB2  enabling switch to ground, pull-up                 (D10; set-up mode)
  *
  * TAPPER_DRIVE_SPRING: a stepper draws a spring against a latch, the latch is released by a pulse.
  * TAPPER_DRIVE_SOLENOID: a coil drives the striker; the energy is the width of its pulse.
@@ -30,6 +31,7 @@
 #define DISABLE PD7
 #define CLEAR_BUTTON PB0
 #define FRONT PB1
+#define ENABLING PB2
 
 #define RECEIVE_SIZE 128u /* a power of two */
 #define USED_SLOTS 32u
@@ -39,7 +41,7 @@ static struct tapper tapper;
 static volatile uint32_t milliseconds;
 static volatile uint8_t received[RECEIVE_SIZE];
 static volatile uint8_t head, tail;
-static volatile bool stop_seen;
+static volatile bool stop_seen, wire_seen;
 static volatile bool pulse_on;
 static uint8_t next_slot;
 
@@ -48,12 +50,14 @@ struct used_slot {
     uint16_t check;
 };
 
-/* Everything that may move lets go; from interrupts too. */
+/* The release lets go; from interrupts too. */
 static inline void let_go(void)
 {
     PORTD &= (uint8_t)~_BV(RELEASE);
     pulse_on = false;
 }
+
+static inline void halt_drive(void);
 
 ISR(USART_RX_vect)
 {
@@ -74,8 +78,9 @@ ISR(TIMER0_COMPA_vect)
 {
     milliseconds++;
     if (PIND & _BV(STOP_LOOP)) {
-        stop_seen = true;
+        stop_seen = wire_seen = true;
         let_go();
+        halt_drive();
     }
     if (PIND & _BV(INTERLOCK))
         let_go();
@@ -88,12 +93,14 @@ ISR(TIMER1_COMPA_vect)
     TCCR1B = 0;
 }
 
-static bool pulse(uint16_t microseconds)
+static enum tapper_release pulse(uint16_t microseconds, uint32_t deadline)
 {
-    bool started = false;
+    enum tapper_release outcome = RELEASE_STOPPED;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
-        if (!stop_seen && !(PIND & (_BV(STOP_LOOP) | _BV(INTERLOCK)))) {
+        if (!tapper_in_window(deadline, milliseconds)) {
+            outcome = RELEASE_LATE;
+        } else if (!stop_seen && !(PIND & (_BV(STOP_LOOP) | _BV(INTERLOCK)))) {
             TCCR1A = 0;
             TCCR1B = 0;
             TCNT1 = 0;
@@ -103,10 +110,15 @@ static bool pulse(uint16_t microseconds)
             pulse_on = true;
             PORTD |= _BV(RELEASE);
             TCCR1B = _BV(CS11);
-            started = true;
+            outcome = RELEASE_BEGUN;
         }
     }
-    return started;
+    return outcome;
+}
+
+bool board_enabled(void)
+{
+    return !(PINB & _BV(ENABLING));
 }
 
 bool board_interlock_closed(void)
@@ -121,39 +133,35 @@ bool board_interlock_closed(void)
 #define SPRING_N_PER_M 500ul
 #endif
 #ifndef NM_PER_STEP
-#define NM_PER_STEP 10000ul /* 8 mm lead, 200 steps, quarter steps */
-#endif
-#ifndef LONGEST_DRAW_STEPS
-#define LONGEST_DRAW_STEPS 6000u
+#define NM_PER_STEP 5000ul /* 8 mm lead, 200 steps, eighth steps */
 #endif
 #define LATCH_PULSE_US 20000u
 
-static volatile int16_t place, target;
-static volatile bool step_high;
+static struct drive drive; /* shared with the interrupts: touched in atomic blocks only */
 
-/* 4 kHz: every second call makes a step, so 2000 steps/s. */
+static inline void halt_drive(void)
+{
+    drive_halt(&drive);
+    PORTD |= _BV(DISABLE);
+}
+
+/* 8 kHz. */
 ISR(TIMER2_COMPA_vect)
 {
-    if (step_high) {
+    uint8_t outputs = drive_tick(&drive, !(PINB & _BV(FRONT)));
+    if (!(outputs & DRIVE_ENABLE))
+        PORTD |= _BV(DISABLE);
+    else
+        PORTD &= (uint8_t)~_BV(DISABLE);
+    if (!(outputs & DRIVE_STEP)) {
         PORTD &= (uint8_t)~_BV(STEP);
-        step_high = false;
         return;
     }
-    if (place == target || stop_seen)
-        return;
-    if (target > place) {
+    if (outputs & DRIVE_OUTWARD)
         PORTD |= _BV(DIRECTION);
-        place++;
-    } else {
+    else
         PORTD &= (uint8_t)~_BV(DIRECTION);
-        if (!(PINB & _BV(FRONT))) {
-            place = target = 0; /* the switch knows better than the count */
-            return;
-        }
-        place--;
-    }
     PORTD |= _BV(STEP);
-    step_high = true;
 }
 
 static uint32_t root(uint64_t value)
@@ -174,74 +182,78 @@ static uint32_t root(uint64_t value)
 static uint32_t steps_for(uint32_t energy_uj)
 {
     uint32_t nanometres = root(2000000ull * energy_uj / SPRING_N_PER_M * 1000000ull);
-    return nanometres / NM_PER_STEP;
+    return (nanometres + NM_PER_STEP / 2) / NM_PER_STEP;
 }
 
+/* What so many whole steps store must be within 3 % of what was asked. */
 bool board_can_store(uint32_t energy_uj)
 {
     uint32_t steps = steps_for(energy_uj);
-    return steps > 0 && steps <= LONGEST_DRAW_STEPS;
+    if (steps == 0 || steps > LONGEST_DRAW_STEPS)
+        return false;
+    uint64_t nanometres = (uint64_t)steps * NM_PER_STEP;
+    uint64_t stored = nanometres * nanometres / 1000000u * SPRING_N_PER_M / 2000000u;
+    uint64_t error = stored > energy_uj ? stored - energy_uj : energy_uj - stored;
+    return 100u * error <= 3ull * energy_uj;
 }
 
-static void go_to(int16_t steps)
+void board_home(void)
 {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
-        target = steps;
+        drive_home(&drive);
     }
 }
 
-static bool arrived(void)
+void board_charge(uint32_t energy_uj)
 {
-    bool there;
+    int16_t steps = (int16_t)steps_for(energy_uj);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
-        there = place == target;
+        drive_out(&drive, steps);
     }
-    return there;
 }
 
-void board_draw(uint32_t energy_uj)
-{
-    PORTD &= (uint8_t)~_BV(DISABLE);
-    go_to((int16_t)steps_for(energy_uj));
-}
-
-bool board_drawn(void)
-{
-    return arrived();
-}
-
-void board_relax(void)
+void board_discharge(void)
 {
     let_go();
-    go_to(0);
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        drive_back(&drive);
+    }
 }
 
-bool board_release(void)
+void board_halt(void)
 {
-    if (!pulse(LATCH_PULSE_US))
-        return false;
-    return true;
+    let_go();
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        halt_drive();
+    }
 }
 
-bool board_releasing(void)
+enum drive_status board_drive(void)
 {
-    if (pulse_on)
-        return true;
-    go_to(0); /* the carriage goes back for the striker */
-    return !arrived();
+    enum drive_status status = DRIVE_UNKNOWN;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        status = drive_status(&drive);
+    }
+    return status;
+}
+
+enum tapper_release board_release(uint32_t deadline)
+{
+    return pulse(LATCH_PULSE_US, deadline);
 }
 
 static void start_drive(void)
 {
     TCCR2A = _BV(WGM21);
-    TCCR2B = _BV(CS22); /* 16 MHz / 64 */
-    OCR2A = 61;         /* 4 kHz */
+    TCCR2B = _BV(CS21) | _BV(CS20); /* 16 MHz / 32 */
+    OCR2A = 61;                     /* 8 kHz */
     TIMSK2 = _BV(OCIE2A);
-    /* Where the carriage is, is not known: let it run to its switch. */
-    place = (int16_t)LONGEST_DRAW_STEPS;
-    target = 0;
+    drive_start(&drive);
 }
 
 #else
@@ -271,29 +283,37 @@ bool board_can_store(uint32_t energy_uj)
     return energy_uj >= TABLE[0][0] && energy_uj <= TABLE[ROWS - 1][0];
 }
 
-void board_draw(uint32_t energy_uj)
+void board_home(void)
+{
+}
+
+void board_charge(uint32_t energy_uj)
 {
     charged_uj = energy_uj;
 }
 
-bool board_drawn(void)
-{
-    return true;
-}
-
-void board_relax(void)
+void board_discharge(void)
 {
     let_go();
 }
 
-bool board_release(void)
+void board_halt(void)
 {
-    return pulse(width_for(charged_uj));
+    let_go();
 }
 
-bool board_releasing(void)
+enum drive_status board_drive(void)
 {
-    return pulse_on;
+    return DRIVE_THERE;
+}
+
+enum tapper_release board_release(uint32_t deadline)
+{
+    return pulse(width_for(charged_uj), deadline);
+}
+
+static inline void halt_drive(void)
+{
 }
 
 static void start_drive(void)
@@ -301,6 +321,11 @@ static void start_drive(void)
 }
 
 #endif
+
+bool board_releasing(void)
+{
+    return pulse_on;
+}
 
 static uint16_t slot_check(const struct used_slot *slot)
 {
@@ -343,6 +368,16 @@ static uint32_t count_boot(void)
     return boot;
 }
 
+uint32_t board_forget_used(void)
+{
+    static const struct used_slot EMPTY = {0, 0};
+    for (uint8_t index = 0; index < USED_SLOTS; index++) {
+        wdt_reset(); /* a slot takes 34 ms */
+        eeprom_update_block(&EMPTY, slot_place(index), sizeof EMPTY);
+    }
+    return count_boot();
+}
+
 void board_send(const char *text)
 {
     while (*text) {
@@ -365,10 +400,15 @@ static uint32_t now_ms(void)
 /* A stop that an interrupt saw; an open stop loop brings it back every millisecond. */
 static void take_stop(void)
 {
-    if (!stop_seen)
-        return;
-    stop_seen = false;
-    tapper_stop(&tapper);
+    bool seen, by_wire;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        seen = stop_seen;
+        by_wire = wire_seen;
+        stop_seen = wire_seen = false;
+    }
+    if (seen)
+        tapper_stop(&tapper, by_wire);
 }
 
 int main(void)
@@ -377,7 +417,7 @@ int main(void)
     wdt_enable(WDTO_250MS);
     DDRD = _BV(RELEASE) | _BV(STEP) | _BV(DIRECTION) | _BV(DISABLE);
     PORTD = _BV(INTERLOCK) | _BV(STOP_LOOP) | _BV(DISABLE);
-    PORTB = _BV(CLEAR_BUTTON) | _BV(FRONT);
+    PORTB = _BV(CLEAR_BUTTON) | _BV(FRONT) | _BV(ENABLING);
     TCCR0A = _BV(WGM01);
     TCCR0B = _BV(CS01) | _BV(CS00); /* 16 MHz / 64 */
     OCR0A = 249;                    /* 1 kHz */
@@ -394,8 +434,7 @@ int main(void)
         wdt_reset();
         uint32_t now = now_ms();
         take_stop();
-        if (!(PINB & _BV(CLEAR_BUTTON)))
-            tapper_press_clear(&tapper, now);
+        tapper_button(&tapper, !(PINB & _BV(CLEAR_BUTTON)), now);
         tapper_poll(&tapper, now);
         while (tail != head) {
             uint8_t byte = received[tail];

@@ -1,10 +1,19 @@
 /* The AVR binary of the firmware behind a pseudo-terminal, with the mechanism around it (libsimavr).
  *
- *     simavr_board tapper.elf
+ *     simavr_board tapper.elf [place [seed]]
  *
- * prints "PORT <path>", then "RELEASE <0|1> <microseconds>" at every edge of the release output; reads
- * "interlock 0|1", "stop 0|1" (1: pressed), "clear 0|1" and "reset" on its standard input. Keeps pace
- * with real time as far as the machine can.
+ * with the carriage `place` steps out at first. Prints "PORT <path>", then at every edge of the release
+ * output "RELEASE <0|1> <microseconds> <place>", and in answer to "time" "TIME <microseconds> <place>".
+ * Reads on its standard input
+ *
+ *     interlock 0|1      1: closed          motor 0|1        0: its supply is cut
+ *     stop 0|1           1: pressed, which  lose <steps>     so many steps to come move nothing
+ *                        cuts the motor's   switch -1|0|1    front: stuck open, works, stuck closed
+ *                        supply too         push <steps/s>   how the spring pushes back, motor off
+ *     clear 0|1          1: pressed         reset, time
+ *     enabling 0|1       1: held
+ *
+ * Keeps pace with real time as far as the machine can.
  */
 #define _GNU_SOURCE
 #include <fcntl.h>
@@ -21,12 +30,14 @@
 #include <simavr/sim_avr.h>
 #include <simavr/sim_elf.h>
 
+#include "carriage.h"
+
 #define BYTE_CYCLES 1389 /* ten bits at 115200 baud and 16 MHz */
 
 static avr_t *avr;
 static int master;
-static int carriage = 1500; /* steps in front of its switch */
-static int direction;
+static struct carriage carriage;
+static int direction, front = -1;
 
 /* Drives an input from outside: against its pull-up, and again whenever the firmware sets that. */
 static void set_pin(char port, int pin, int high)
@@ -38,7 +49,9 @@ static void set_pin(char port, int pin, int high)
     avr_ioport_external_t external = {
         .name = (unsigned char)port, .mask = masks[which], .value = values[which]};
     avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL(port), &external);
-    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), pin), (uint32_t)high);
+    avr_irq_t *irq = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), pin);
+    avr_raise_irq(irq, (uint32_t)!high); /* a level that it has already would be ignored */
+    avr_raise_irq(irq, (uint32_t)high);
 }
 
 static void on_uart(struct avr_irq_t *irq, uint32_t value, void *param)
@@ -54,7 +67,7 @@ static void on_release(struct avr_irq_t *irq, uint32_t value, void *param)
 {
     (void)irq;
     (void)param;
-    printf("RELEASE %u %llu\n", value, (unsigned long long)(avr->cycle / 16));
+    printf("RELEASE %u %llu %g\n", value, (unsigned long long)(avr->cycle / 16), carriage.place);
     fflush(stdout);
 }
 
@@ -65,14 +78,29 @@ static void on_direction(struct avr_irq_t *irq, uint32_t value, void *param)
     direction = (int)value;
 }
 
+static void on_disable(struct avr_irq_t *irq, uint32_t value, void *param)
+{
+    (void)irq;
+    (void)param;
+    carriage.enabled = !value;
+}
+
 static void on_step(struct avr_irq_t *irq, uint32_t value, void *param)
 {
     (void)irq;
     (void)param;
-    if (value) {
-        carriage += direction ? 1 : -1;
-        set_pin('B', 1, carriage > 0);
-    }
+    if (value)
+        carriage_step(&carriage, direction);
+}
+
+/* 50 us of the mechanism. */
+static void move(void)
+{
+    carriage_wait(&carriage, 50);
+    int closed = carriage_at_front(&carriage);
+    if (closed != front)
+        set_pin('B', 1, !closed);
+    front = closed;
 }
 
 static void inputs(void)
@@ -80,7 +108,8 @@ static void inputs(void)
     set_pin('D', 2, 0);
     set_pin('D', 3, 0);
     set_pin('B', 0, 1);
-    set_pin('B', 1, carriage > 0);
+    set_pin('B', 1, !carriage_at_front(&carriage));
+    set_pin('B', 2, 1);
 }
 
 static void obey(const char *line)
@@ -88,14 +117,26 @@ static void obey(const char *line)
     int value;
     if (sscanf(line, "interlock %d", &value) == 1)
         set_pin('D', 2, !value);
-    else if (sscanf(line, "stop %d", &value) == 1)
+    else if (sscanf(line, "stop %d", &value) == 1) {
         set_pin('D', 3, value);
-    else if (sscanf(line, "clear %d", &value) == 1)
+        carriage.powered = !value;
+    } else if (sscanf(line, "clear %d", &value) == 1)
         set_pin('B', 0, !value);
+    else if (sscanf(line, "enabling %d", &value) == 1)
+        set_pin('B', 2, !value);
+    else if (sscanf(line, "motor %d", &value) == 1)
+        carriage.powered = value;
+    else if (sscanf(line, "lose %d", &value) == 1)
+        carriage.lose = (uint32_t)value;
+    else if (sscanf(line, "switch %d", &value) == 1)
+        carriage.stuck = value;
+    else if (sscanf(line, "push %d", &value) == 1)
+        carriage.back_drive = value;
     else if (strncmp(line, "time", 4) == 0) {
-        printf("TIME %llu\n", (unsigned long long)(avr->cycle / 16));
+        printf("TIME %llu %g\n", (unsigned long long)(avr->cycle / 16), carriage.place);
         fflush(stdout);
     } else if (strncmp(line, "reset", 5) == 0) {
+        carriage.enabled = false; /* the pull-up at the motor's driver */
         avr_reset(avr);
         inputs();
     }
@@ -107,10 +148,13 @@ int main(int count, char **words)
     struct termios raw;
     uint32_t flags = 0;
     memset(&firmware, 0, sizeof firmware);
-    if (count != 2 || elf_read_firmware(words[1], &firmware) != 0) {
-        fprintf(stderr, "usage: simavr_board tapper.elf\n");
+    setvbuf(stdin, NULL, _IONBF, 0); /* for poll() sees only what has not been read */
+    if (count < 2 || count > 4 || elf_read_firmware(words[1], &firmware) != 0) {
+        fprintf(stderr, "usage: simavr_board tapper.elf [place [seed]]\n");
         return 2;
     }
+    carriage_start(&carriage, count > 2 ? atof(words[2]) : 0.0,
+                   count > 3 ? (uint32_t)atol(words[3]) : 1u);
     avr = avr_make_mcu_by_name("atmega328p");
     if (!avr)
         return 1;
@@ -135,9 +179,10 @@ int main(int count, char **words)
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 4), on_release, NULL);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 5), on_step, NULL);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 6), on_direction, NULL);
+    avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 7), on_disable, NULL);
     inputs();
     avr_irq_t *uart = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
-    avr_cycle_count_t next_byte = 0;
+    avr_cycle_count_t next_byte = 0, next_move = 0;
     printf("PORT %s\n", ptsname(master));
     fflush(stdout);
 
@@ -152,6 +197,10 @@ int main(int count, char **words)
                 return 1;
             }
             uint8_t byte;
+            while (avr->cycle >= next_move) {
+                next_move += 800;
+                move();
+            }
             if (avr->cycle >= next_byte) {
                 next_byte = avr->cycle + BYTE_CYCLES;
                 if (read(master, &byte, 1) == 1)

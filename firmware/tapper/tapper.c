@@ -2,7 +2,8 @@
 
 #include <string.h>
 
-static const char *const STATE_NAMES[] = {"SAFE", "DRAWING", "DRAWN", "RELEASING", "STOPPED"};
+static const char *const STATE_NAMES[] = {"UNHOMED",  "HOMING",    "SAFE",        "CHARGING",
+                                          "CHARGED", "RELEASING", "DISCHARGING", "STOPPED"};
 
 uint16_t tapper_crc(const char *data, uint8_t length)
 {
@@ -61,35 +62,84 @@ static bool take_number(const char **from, uint8_t digits, uint64_t *value)
     return count > 0;
 }
 
-static void disarm(struct tapper *t)
+static bool holds_energy(const struct tapper *t)
 {
-    if (t->state == TAPPER_DRAWING || t->state == TAPPER_DRAWN) {
-        board_relax();
-        t->state = TAPPER_SAFE;
+    return t->state == TAPPER_CHARGING || t->state == TAPPER_CHARGED;
+}
+
+static void discharge(struct tapper *t)
+{
+    if (holds_energy(t)) {
+        board_discharge();
+        t->state = TAPPER_DISCHARGING;
+    } else if (t->state == TAPPER_HOMING) {
+        board_halt();
+        t->state = TAPPER_UNHOMED;
+    }
+}
+
+/* Where a movement has led to, or is leading. */
+static void settle(struct tapper *t, enum tapper_state there, enum tapper_state moving)
+{
+    switch (board_drive()) {
+    case DRIVE_THERE:
+        t->state = there;
+        break;
+    case DRIVE_MOVING:
+        t->state = moving;
+        break;
+    default:
+        t->state = TAPPER_UNHOMED;
     }
 }
 
 void tapper_start(struct tapper *t, uint32_t boot, uint64_t used, uint32_t now)
 {
     memset(t, 0, sizeof *t);
-    t->state = TAPPER_SAFE;
     t->boot = boot;
-    t->used = used;
+    t->shot = used;
+    t->setup = true;
     t->heard_at = now;
-    board_relax();
+    t->button = true; /* one that is stuck is for nothing */
+    /* Nothing moves by itself after a start: the spring's carriage is homed when the host asks. */
+    board_halt();
+    settle(t, TAPPER_SAFE, TAPPER_SAFE);
 }
 
-void tapper_stop(struct tapper *t)
+void tapper_stop(struct tapper *t, bool by_wire)
 {
-    board_relax();
+    if (by_wire || t->state == TAPPER_HOMING)
+        board_halt();
+    else
+        board_discharge();
     t->state = TAPPER_STOPPED;
-    t->inside = false;
+    t->press = PRESS_FOR_NOTHING;
+    t->acknowledged = false;
+    if (!by_wire) /* an open stop loop stops again every millisecond, and the host may ask meanwhile */
+        t->inside = false;
 }
 
-void tapper_press_clear(struct tapper *t, uint32_t now)
+/* A press counts when the button is let go: one that is held down or stuck never does. */
+void tapper_button(struct tapper *t, bool pressed, uint32_t now)
 {
-    t->pressed = true;
-    t->pressed_at = now;
+    if (pressed == t->button)
+        return;
+    t->button = pressed;
+    if (pressed) {
+        t->pressed_at = now;
+        t->press = t->state == TAPPER_STOPPED                                    ? PRESS_TO_CLEAR
+                   : t->state == TAPPER_SAFE || t->state == TAPPER_UNHOMED ? PRESS_TO_FORGET
+                                                                                 : PRESS_FOR_NOTHING;
+    } else if (t->press == PRESS_TO_CLEAR && now - t->pressed_at >= TAPPER_PRESS_MS) {
+        t->acknowledged = true;
+        t->acknowledged_at = now;
+    } else if (t->press == PRESS_TO_FORGET && now - t->pressed_at >= TAPPER_FORGET_MS) {
+        /* As after a start: whoever waits for an answer about an old shot must not get one. */
+        t->boot = board_forget_used();
+        t->shot = t->fired = 0;
+        t->session = 0;
+        t->setup = true;
+    }
 }
 
 void tapper_measured(struct tapper *t, uint32_t speed_um_s)
@@ -97,23 +147,51 @@ void tapper_measured(struct tapper *t, uint32_t speed_um_s)
     t->speed_um_s = speed_um_s;
 }
 
+static bool silent(const struct tapper *t, uint32_t now)
+{
+    return now - t->heard_at >= TAPPER_SILENCE_MS;
+}
+
+static bool too_much_for_setup(const struct tapper *t, uint64_t energy_uj)
+{
+    return t->setup && energy_uj > TAPPER_SETUP_ENERGY_UJ && !board_enabled();
+}
+
 void tapper_poll(struct tapper *t, uint32_t now)
 {
-    if (t->pressed && now - t->pressed_at > TAPPER_CLEAR_WINDOW_MS)
-        t->pressed = false;
-    if (t->state == TAPPER_RELEASING && !board_releasing())
-        t->state = TAPPER_SAFE;
-    if (t->state == TAPPER_DRAWING || t->state == TAPPER_DRAWN) {
-        if (!board_interlock_closed() || now - t->heard_at >= TAPPER_SILENCE_MS ||
-            now - t->armed_at >= t->timeout_ms)
-            disarm(t);
-        else if (t->state == TAPPER_DRAWING && board_drawn())
-            t->state = TAPPER_DRAWN;
+    if (t->acknowledged && now - t->acknowledged_at > TAPPER_CLEAR_WINDOW_MS)
+        t->acknowledged = false;
+    switch (t->state) {
+    case TAPPER_HOMING:
+        if (!board_interlock_closed() || silent(t, now))
+            discharge(t);
+        else
+            settle(t, TAPPER_SAFE, TAPPER_HOMING);
+        break;
+    case TAPPER_CHARGING:
+    case TAPPER_CHARGED:
+        if (!board_interlock_closed() || silent(t, now) || now - t->charged_at >= t->timeout_ms ||
+            too_much_for_setup(t, t->energy_uj))
+            discharge(t);
+        else
+            settle(t, TAPPER_CHARGED, TAPPER_CHARGING);
+        break;
+    case TAPPER_RELEASING:
+        if (board_releasing())
+            break;
+        board_discharge(); /* the carriage goes back for the striker */
+        t->state = TAPPER_DISCHARGING;
+        /* fall through */
+    case TAPPER_DISCHARGING:
+        settle(t, TAPPER_SAFE, TAPPER_DISCHARGING);
+        break;
+    default:
+        break;
     }
 }
 
 static void reply(struct tapper *t, char *to, uint16_t session, uint16_t sequence,
-                  const char *result)
+                  const char *result, uint32_t now)
 {
     char *at = to;
     *at++ = '@';
@@ -135,6 +213,10 @@ static void reply(struct tapper *t, char *to, uint16_t session, uint16_t sequenc
     at = put_number(at, t->speed_um_s);
     *at++ = ',';
     at = put_number(at, t->boot);
+    *at++ = ',';
+    at = put_number(at, now);
+    at = put_text(at, t->setup ? ",SETUP," : ",RUN,");
+    *at++ = board_enabled() ? '1' : '0';
     if (strcmp(result, "WELCOME") == 0) {
         *at++ = ',';
         at = put_text(at, TAPPER_VERSION);
@@ -147,45 +229,78 @@ static void reply(struct tapper *t, char *to, uint16_t session, uint16_t sequenc
     board_send(to);
 }
 
-static const char *arm(struct tapper *t, uint64_t shot, uint64_t energy, uint64_t timeout,
-                       uint32_t now)
+static const char *home(struct tapper *t)
 {
     if (t->state == TAPPER_STOPPED)
         return "STOPPED";
     if (!board_interlock_closed())
         return "INTERLOCK";
-    if (shot <= t->fired || shot <= t->used)
+    if (t->state != TAPPER_UNHOMED && t->state != TAPPER_SAFE)
+        return "BUSY";
+    board_home();
+    settle(t, TAPPER_SAFE, TAPPER_HOMING);
+    return "OK";
+}
+
+static const char *charge(struct tapper *t, uint64_t shot, uint64_t energy, uint64_t timeout,
+                          uint32_t now)
+{
+    if (t->state == TAPPER_STOPPED)
+        return "STOPPED";
+    if (!board_interlock_closed())
+        return "INTERLOCK";
+    if (shot <= t->shot)
         return "SPENT";
+    if (shot - t->shot > TAPPER_MAX_JUMP)
+        return "JUMP";
+    if (t->state == TAPPER_UNHOMED)
+        return "NOT_HOMED";
     if (t->state != TAPPER_SAFE)
         return "BUSY";
     if (energy == 0 || energy > TAPPER_MAX_ENERGY_UJ || timeout == 0 ||
         timeout > TAPPER_MAX_TIMEOUT_MS || !board_can_store((uint32_t)energy))
         return "RANGE";
+    if (too_much_for_setup(t, energy))
+        return "NOT_ENABLED";
     t->shot = shot;
     t->energy_uj = (uint32_t)energy;
     t->timeout_ms = (uint32_t)timeout;
-    t->armed_at = now;
-    /* Kept while drawing, when there is time: after a reset this shot may have been fired. */
+    t->charged_at = now;
+    t->press = PRESS_FOR_NOTHING;
+    /* Kept before it is charged: after a reset this shot may have been fired. */
     board_keep_used(shot);
-    t->state = TAPPER_DRAWING;
-    board_draw(t->energy_uj);
+    t->state = TAPPER_CHARGING;
+    board_charge(t->energy_uj);
     return "OK";
 }
 
-static const char *fire(struct tapper *t, uint64_t shot)
+bool tapper_in_window(uint32_t deadline, uint32_t now)
+{
+    uint32_t ahead = deadline - now;
+    return ahead != 0 && ahead <= TAPPER_LONGEST_WINDOW_MS;
+}
+
+static const char *fire(struct tapper *t, uint64_t shot, uint64_t deadline)
 {
     if (shot != 0 && shot == t->fired)
         return "FIRED";
-    if (shot <= t->used || shot < t->fired)
-        return "SPENT";
     if (t->state == TAPPER_STOPPED)
         return "STOPPED";
     if (!board_interlock_closed())
         return "INTERLOCK";
-    if (t->state != TAPPER_DRAWN || shot != t->shot)
-        return "NOT_DRAWN";
-    if (!board_release())
+    if (shot != t->shot || t->state != TAPPER_CHARGED)
+        return shot < t->shot ? "SPENT" : "NOT_CHARGED";
+    if (deadline > UINT32_MAX)
+        return "UNKNOWN";
+    switch (board_release((uint32_t)deadline)) {
+    case RELEASE_STOPPED:
         return "STOPPED";
+    case RELEASE_LATE:
+        discharge(t);
+        return "LATE";
+    default:
+        break;
+    }
     t->fired = shot;
     t->speed_um_s = 0;
     t->state = TAPPER_RELEASING;
@@ -196,10 +311,10 @@ static const char *clear(struct tapper *t)
 {
     if (t->state != TAPPER_STOPPED)
         return "OK";
-    if (!t->pressed)
+    if (!t->acknowledged)
         return "NEEDS_PERSON";
-    t->pressed = false;
-    t->state = TAPPER_SAFE;
+    t->acknowledged = false;
+    settle(t, TAPPER_SAFE, TAPPER_DISCHARGING);
     return "OK";
 }
 
@@ -220,14 +335,22 @@ static const char *act(struct tapper *t, const char *at, uint32_t now)
     uint64_t numbers[3];
     uint8_t count = 0;
     uint8_t command;
-    static const char *const WORDS[] = {"HELLO", "STATUS", "DISARM", "CLEAR", "FIRE", "ARM"};
-    static const uint8_t ARGUMENTS[] = {0, 0, 0, 0, 1, 3};
+    static const char *const WORDS[] = {"HELLO", "STATUS",    "HOME", "DISCHARGE", "CLEAR",
+                                        "FIRE",  "CHARGE", "MODE"};
+    static const uint8_t ARGUMENTS[] = {0, 0, 0, 0, 0, 2, 3, 0};
 
     for (command = 0; command < sizeof ARGUMENTS; command++)
         if (is_word(&at, WORDS[command]))
             break;
     if (command == sizeof ARGUMENTS)
         return "UNKNOWN";
+    if (command == 7) {
+        bool setup = strcmp(at, ",SETUP") == 0;
+        if (!setup && strcmp(at, ",RUN") != 0)
+            return "UNKNOWN";
+        t->setup = setup;
+        return "OK";
+    }
     while (*at == ',') {
         at++;
         if (count == 3 || !take_number(&at, 20, &numbers[count++]))
@@ -239,14 +362,16 @@ static const char *act(struct tapper *t, const char *at, uint32_t now)
     case 0:
         return "WELCOME";
     case 2:
-        disarm(t);
-        return "OK";
+        return home(t);
     case 3:
-        return clear(t);
+        discharge(t);
+        return "OK";
     case 4:
-        return fire(t, numbers[0]);
+        return clear(t);
     case 5:
-        return arm(t, numbers[0], numbers[1], numbers[2], now);
+        return fire(t, numbers[0], numbers[1]);
+    case 6:
+        return charge(t, numbers[0], numbers[1], numbers[2], now);
     default:
         return "OK";
     }
@@ -278,10 +403,11 @@ static void frame(struct tapper *t, uint32_t now)
     const char *word = at;
     if (is_word(&word, "HELLO") && (session != t->session || is_newer(t, (uint16_t)sequence))) {
         t->session = (uint16_t)session;
-        disarm(t);
+        t->setup = true;
+        discharge(t);
     } else if (session != t->session) {
         char answer[TAPPER_REPLY];
-        reply(t, answer, (uint16_t)session, (uint16_t)sequence, "SESSION");
+        reply(t, answer, (uint16_t)session, (uint16_t)sequence, "SESSION", now);
         return;
     } else if (t->has_sequence && sequence == t->sequence) {
         if (strcmp(t->line, t->last_body) == 0) {
@@ -297,7 +423,7 @@ static void frame(struct tapper *t, uint32_t now)
     t->has_sequence = true;
     strcpy(t->last_body, t->line);
     const char *result = act(t, at, now);
-    reply(t, t->last_reply, (uint16_t)session, (uint16_t)sequence, result);
+    reply(t, t->last_reply, (uint16_t)session, (uint16_t)sequence, result, now);
 }
 
 void tapper_byte(struct tapper *t, uint8_t byte, uint32_t now)

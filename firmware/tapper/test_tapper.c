@@ -1,20 +1,25 @@
 /* The firmware's logic on the host: `make test`. */
+#include <math.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "carriage.h"
 #include "tapper.h"
 
-void host_start(uint32_t boot, uint64_t used, uint32_t now);
+void host_start(uint32_t boot, uint64_t used, uint32_t now, double place, uint32_t seed);
+void host_reset(uint32_t boot, uint64_t used, uint32_t now);
+void host_run(uint32_t now);
 void host_receive(const uint8_t *data, uint32_t length, uint32_t now);
-void host_poll(uint32_t now);
-void host_press_clear(uint32_t now);
 void host_measured(uint32_t speed);
-void host_set_interlock(int closed, uint32_t now);
-void host_set_drawn(uint32_t now);
-void host_end_release(uint32_t now);
+void host_interlock(int closed);
+void host_enabling(int held);
+void host_wire(int open);
+void host_button(int pressed);
 void host_stop_wins(int wins);
+struct carriage *host_carriage(void);
+double host_released_from(void);
 int host_state(void);
 uint32_t host_releases(void);
 uint64_t host_kept(void);
@@ -22,6 +27,8 @@ const char *host_output(void);
 void host_forget_output(void);
 
 static int checks;
+static uint32_t now;
+static uint16_t sequence;
 
 #define CHECK(condition)                                                                           \
     do {                                                                                           \
@@ -33,7 +40,7 @@ static int checks;
     } while (0)
 
 /* Sends a body with its frame; returns what came back. */
-static const char *ask(const char *body, uint32_t now)
+static const char *send(const char *body)
 {
     char line[120];
     snprintf(line, sizeof line, "@%s*%04X\n", body, tapper_crc(body, (uint8_t)strlen(body)));
@@ -42,136 +49,545 @@ static const char *ask(const char *body, uint32_t now)
     return host_output();
 }
 
-static void drawn(uint64_t shot)
+/* The next request of session 7. */
+static const char *ask(const char *words)
 {
-    char body[80];
-    host_start(3, 0, 0);
-    CHECK(strstr(ask("7,0,HELLO", 0), "@7,0,WELCOME,SAFE,0,0,1,0,0,0,3,1.0.0*"));
-    snprintf(body, sizeof body, "7,1,ARM,%llu,12500,3000", (unsigned long long)shot);
-    CHECK(strstr(ask(body, 10), ",OK,DRAWING,"));
-    CHECK(host_kept() == shot);
-    host_set_drawn(100);
-    CHECK(host_state() == TAPPER_DRAWN);
+    char body[100];
+    snprintf(body, sizeof body, "7,%u,%s", (unsigned)++sequence, words);
+    return send(body);
 }
 
-int main(void)
+static const char *fire(unsigned long long shot, uint32_t window)
 {
-    uint32_t before;
+    char words[60];
+    snprintf(words, sizeof words, "FIRE,%llu,%lu", shot, (unsigned long)(uint32_t)(now + window));
+    return ask(words);
+}
 
-    CHECK(tapper_crc("123456789", 9) == 0x29B1);
+static void pass(uint32_t milliseconds)
+{
+    now += milliseconds;
+    host_run(now);
+}
 
-    /* One shot, asked for three times, is released once. */
-    drawn(9);
-    before = host_releases();
-    CHECK(strstr(ask("7,2,FIRE,9", 110), "@7,2,FIRED,RELEASING,9,12500,1,0,9,0,3*"));
-    CHECK(strstr(ask("7,2,FIRE,9", 120), "@7,2,FIRED,RELEASING,"));
-    CHECK(strstr(ask("7,3,FIRE,9", 130), "@7,3,FIRED,"));
-    CHECK(host_releases() == before + 1);
-    host_end_release(140);
-    host_measured(350000);
-    CHECK(strstr(ask("7,4,STATUS", 150), ",OK,SAFE,9,12500,1,0,9,350000,3*"));
-    CHECK(strstr(ask("7,5,ARM,9,12500,3000", 160), ",SPENT,"));
-    CHECK(strstr(ask("7,6,ARM,8,12500,3000", 170), ",SPENT,"));
-
-    /* An older sequence number is not acted on, the same number with other words neither. */
-    drawn(9);
-    before = host_releases();
-    CHECK(strstr(ask("7,5,STATUS", 110), ",OK,DRAWN,"));
-    CHECK(*ask("7,4,FIRE,9", 120) == 0);
-    CHECK(*ask("7,5,FIRE,9", 130) == 0);
-    CHECK(host_releases() == before);
-    /* A foreign session is told so. */
-    CHECK(strstr(ask("8,6,FIRE,9", 140), "@8,6,SESSION,"));
-    CHECK(host_releases() == before);
-    /* A wrong shot, then the right one. */
-    CHECK(strstr(ask("7,6,FIRE,10", 150), ",NOT_DRAWN,"));
-    CHECK(strstr(ask("7,7,FIRE,9", 160), ",FIRED,"));
-
-    /* Disarming: silence, time-out, interlock, session, stop. */
-    drawn(9);
-    host_poll(510);
-    CHECK(host_state() == TAPPER_SAFE); /* 500 ms after the ARM at 10 */
-    drawn(9);
-    for (uint32_t now = 100, i = 10; now < 3010; now += 100, i++) {
-        char body[40];
-        CHECK(host_state() == TAPPER_DRAWN);
-        snprintf(body, sizeof body, "7,%u,STATUS", (unsigned)i);
-        CHECK(*ask(body, now));
+/* Lets time pass with a host that goes on asking. */
+static void keep(uint32_t milliseconds)
+{
+    for (uint32_t end = now + milliseconds; now != end;) {
+        pass(end - now < 100 ? end - now : 100);
+        CHECK(*ask("STATUS"));
     }
-    host_poll(3010);
+}
+
+static void greet(void)
+{
+    CHECK(strstr(ask("HELLO"), ",WELCOME,"));
+    CHECK(strstr(ask("MODE,RUN"), ",OK,"));
+}
+
+/* A board in run mode whose carriage has been homed. */
+static void homed(void)
+{
+    host_start(3, 0, now, 600.0, 1);
+    greet();
+    CHECK(strstr(ask("HOME"), ",OK,HOMING,"));
+    keep(400);
     CHECK(host_state() == TAPPER_SAFE);
-    drawn(9);
-    host_set_interlock(0, 110);
-    CHECK(host_state() == TAPPER_SAFE);
-    CHECK(strstr(ask("7,2,ARM,10,100,3000", 120), ",INTERLOCK,"));
-    drawn(9);
-    CHECK(strstr(ask("11,0,HELLO", 110), "@11,0,WELCOME,SAFE,"));
-    drawn(9);
-    host_receive((const uint8_t *)"@7,2,FI!RE,9", 12, 110);
+}
+
+static void charged(unsigned long long shot)
+{
+    char words[60];
+    homed();
+    snprintf(words, sizeof words, "CHARGE,%llu,12500,3000", shot);
+    CHECK(strstr(ask(words), ",OK,CHARGING,"));
+    CHECK(host_kept() == shot);
+    keep(400);
+    CHECK(host_state() == TAPPER_CHARGED);
+    CHECK(fabs(host_carriage()->place - 1414.0) < 1.5);
+}
+
+static void press_button(uint32_t milliseconds)
+{
+    host_button(1);
+    pass(milliseconds);
+    host_button(0);
+    pass(2);
+}
+
+static void test_one_shot(void)
+{
+    char first[200], again[80];
+    homed();
+    CHECK(strstr(ask("HELLO"), ",WELCOME,SAFE,0,0,1,0,0,0,3,"));
+    CHECK(strstr(ask("STATUS"), ",SETUP,0*"));
+    charged(9);
+    uint32_t before = host_releases();
+    snprintf(again, sizeof again, "7,%u,FIRE,9,%lu", sequence + 1u, (unsigned long)(now + 40));
+    strcpy(first, fire(9, 40));
+    CHECK(strstr(first, ",FIRED,RELEASING,9,12500,1,0,9,0,3,"));
+    pass(200);
+    CHECK(strcmp(send(again), first) == 0); /* from memory, though the deadline has passed */
+    CHECK(strstr(fire(9, 40), ",FIRED,"));
+    CHECK(host_releases() == before + 1);
+    host_measured(350000);
+    keep(600);
+    CHECK(strstr(ask("STATUS"), ",OK,SAFE,9,12500,1,0,9,350000,3,"));
+    CHECK(fabs(host_carriage()->place) < 1.5);
+    CHECK(strstr(ask("CHARGE,9,12500,3000"), ",SPENT,"));
+    CHECK(strstr(ask("CHARGE,8,12500,3000"), ",SPENT,"));
+}
+
+static void test_window(void)
+{
+    static const uint32_t REFUSED[] = {0, 101, 1000, 0x7FFFFFFF, 0x80000000u, (uint32_t)-1,
+                                       (uint32_t)-40};
+    for (unsigned i = 0; i < sizeof REFUSED / sizeof REFUSED[0]; i++) {
+        charged(9);
+        uint32_t before = host_releases();
+        CHECK(strstr(fire(9, REFUSED[i]), ",LATE,DISCHARGING,9,"));
+        /* The shot is over, whatever comes after. */
+        CHECK(strstr(fire(9, 50), ",NOT_CHARGED,"));
+        keep(600);
+        CHECK(host_state() == TAPPER_SAFE && fabs(host_carriage()->place) < 1.5);
+        CHECK(strstr(ask("CHARGE,9,12500,3000"), ",SPENT,"));
+        CHECK(host_releases() == before);
+    }
+    charged(9);
+    CHECK(strstr(fire(9, 1), ",FIRED,"));
+    charged(9);
+    CHECK(strstr(fire(9, 100), ",FIRED,"));
+    /* A repeated request does not move the deadline: the same words, late. */
+    charged(9);
+    char body[80];
+    snprintf(body, sizeof body, "7,%u,FIRE,9,%lu", (unsigned)++sequence, (unsigned long)(now + 30));
+    pass(30);
+    CHECK(strstr(send(body), ",LATE,"));
+    CHECK(strstr(send(body), ",LATE,"));
+    /* Board time wraps between charging and the deadline. */
+    now = 0xFFFFFFFFu - 900u;
+    charged(9); /* homing and charging take 800 ms */
+    pass(0xFFFFFFFFu - 20u - now);
+    ask("STATUS");
+    CHECK(strstr(fire(9, 60), ",FIRED,"));
+    now = 0xFFFFFFFFu - 900u;
+    charged(9);
+    pass(0xFFFFFFFFu - 20u - now);
+    snprintf(body, sizeof body, "7,%u,FIRE,9,%lu", (unsigned)++sequence, 19ul);
+    pass(60);
+    CHECK(strstr(send(body), ",LATE,"));
+    now = 0;
+}
+
+static void test_sequence(void)
+{
+    char body[80];
+    charged(9);
+    uint32_t before = host_releases();
+    snprintf(body, sizeof body, "7,%u,FIRE,9,%lu", (unsigned)sequence, (unsigned long)(now + 50));
+    CHECK(*send(body) == 0); /* the number of the last STATUS, other words */
+    snprintf(body, sizeof body, "7,%u,FIRE,9,%lu", sequence - 1u, (unsigned long)(now + 50));
+    CHECK(*send(body) == 0); /* older */
+    snprintf(body, sizeof body, "8,%u,FIRE,9,%lu", sequence + 1u, (unsigned long)(now + 50));
+    CHECK(strstr(send(body), ",SESSION,"));
+    CHECK(host_releases() == before);
+    CHECK(strstr(fire(10, 50), ",NOT_CHARGED,"));
+    CHECK(strstr(fire(8, 50), ",SPENT,"));
+    CHECK(host_releases() == before);
+    CHECK(strstr(fire(9, 50), ",FIRED,"));
+}
+
+static void test_discharging(void)
+{
+    charged(9); /* silence */
+    pass(499);
+    CHECK(host_state() == TAPPER_CHARGED);
+    pass(1);
+    CHECK(host_state() == TAPPER_DISCHARGING);
+    pass(600);
+    CHECK(host_state() == TAPPER_SAFE && fabs(host_carriage()->place) < 1.5);
+
+    charged(9); /* time-out */
+    keep(2590);
+    CHECK(host_state() == TAPPER_CHARGED);
+    keep(20);
+    CHECK(host_state() == TAPPER_DISCHARGING);
+
+    charged(9); /* interlock */
+    host_interlock(0);
+    pass(2);
+    CHECK(host_state() == TAPPER_DISCHARGING);
+    CHECK(strstr(ask("CHARGE,10,1000,3000"), ",INTERLOCK,"));
+    CHECK(strstr(ask("HOME"), ",INTERLOCK,"));
+
+    charged(9); /* the host's word */
+    CHECK(strstr(ask("DISCHARGE"), ",OK,DISCHARGING,"));
+    CHECK(strstr(ask("CHARGE,10,1000,3000"), ",BUSY,DISCHARGING,9,"));
+
+    charged(9); /* another session */
+    CHECK(strstr(send("11,0,HELLO"), "@11,0,WELCOME,DISCHARGING,"));
+
+    homed(); /* in mid-charge */
+    CHECK(strstr(ask("CHARGE,9,800000,3000"), ",CHARGING,"));
+    pass(300);
+    CHECK(strstr(ask("DISCHARGE"), ",OK,DISCHARGING,"));
+    keep(700);
+    CHECK(host_state() == TAPPER_SAFE && fabs(host_carriage()->place) < 1.5);
+}
+
+static void test_stop_and_clear(void)
+{
+    /* By byte, wherever it stands: the motor lets the spring down. */
+    charged(9);
+    host_receive((const uint8_t *)"@7,2,FI!RE,9", 12, now);
     CHECK(host_state() == TAPPER_STOPPED);
-    CHECK(strstr(ask("7,2,FIRE,9", 120), ",STOPPED,"));
-    CHECK(strstr(ask("7,3,CLEAR", 130), ",NEEDS_PERSON,STOPPED,"));
-    host_press_clear(140);
-    host_poll(10141);
-    CHECK(strstr(ask("7,4,CLEAR", 10150), ",NEEDS_PERSON,"));
-    host_press_clear(10160);
-    CHECK(strstr(ask("7,5,CLEAR", 10170), ",OK,SAFE,"));
+    CHECK(strstr(fire(9, 50), ",STOPPED,"));
+    CHECK(strstr(ask("CHARGE,10,1000,3000"), ",STOPPED,"));
+    CHECK(strstr(ask("HOME"), ",STOPPED,"));
+    CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,STOPPED,"));
+    pass(600);
+    CHECK(fabs(host_carriage()->place) < 1.5);
+    /* A short press, a press that lasts, and one that is too old do not count. */
+    press_button(300);
+    CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,"));
+    host_button(1);
+    pass(3000);
+    CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,"));
+    host_button(0);
+    pass(2);
+    pass(10001);
+    CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,"));
+    press_button(510);
+    CHECK(strstr(ask("CLEAR"), ",OK,SAFE,"));
+
+    /* A press before the stop does not clear it, nor one that began before it. */
+    charged(9);
+    press_button(510);
+    host_receive((const uint8_t *)"!", 1, now);
+    CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,"));
+    press_button(510);
+    CHECK(strstr(ask("CLEAR"), ",OK,"));
+    host_button(1);
+    pass(1000);
+    host_receive((const uint8_t *)"!", 1, now);
+    pass(1000);
+    host_button(0);
+    pass(2);
+    CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,"));
+    /* A press counts once. */
+    press_button(510);
+    host_receive((const uint8_t *)"!", 1, now);
+    CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,"));
+
+    /* By wire: the motor is off, nothing counts until it has been homed again. */
+    charged(9);
+    host_wire(1);
+    pass(5);
+    CHECK(host_state() == TAPPER_STOPPED);
+    press_button(510);
+    CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,")); /* while the loop is open */
+    host_wire(0);
+    press_button(510);
+    CHECK(strstr(ask("CLEAR"), ",OK,UNHOMED,"));
+    double place = host_carriage()->place;
+    keep(1000);
+    CHECK(host_state() == TAPPER_UNHOMED && host_carriage()->place <= place);
+    CHECK(strstr(ask("CHARGE,10,1000,3000"), ",NOT_HOMED,UNHOMED,9,"));
+    CHECK(strstr(ask("HOME"), ",OK,HOMING,"));
+    keep(500);
+    CHECK(strstr(ask("CHARGE,10,1000,3000"), ",OK,CHARGING,"));
 
     /* A stop that comes between the decision and the pulse: not fired, and not said to be. */
-    drawn(9);
+    charged(9);
     host_stop_wins(1);
-    CHECK(strstr(ask("7,2,FIRE,9", 110), ",STOPPED,DRAWN,9,12500,1,0,0,"));
+    CHECK(strstr(fire(9, 50), ",STOPPED,CHARGED,9,12500,1,0,0,"));
+}
 
-    /* The clock wraps. */
-    host_start(3, 0, 0xFFFFFF00u);
-    ask("7,0,HELLO", 0xFFFFFF00u);
-    ask("7,1,ARM,9,12500,3000", 0xFFFFFF10u);
-    host_set_drawn(0x00000010u);
-    CHECK(host_state() == TAPPER_DRAWN);
-    host_poll(0xFFFFFF10u + 500u);
-    CHECK(host_state() == TAPPER_SAFE);
+static void test_shot_numbers(void)
+{
+    /* One that is refused changes nothing for the next. */
+    homed();
+    CHECK(strstr(ask("CHARGE,18446744073709551615,1000,3000"), ",JUMP,SAFE,0,"));
+    CHECK(strstr(ask("CHARGE,4294967297,1000,3000"), ",JUMP,"));
+    CHECK(strstr(ask("CHARGE,5,0,3000"), ",RANGE,SAFE,0,"));
+    CHECK(strstr(ask("CHARGE,4294967296,1000,3000"), ",OK,"));
+    CHECK(strstr(ask("CHARGE,18446744073709551616,1000,3000"), ",UNKNOWN,"));
 
-    /* A shot drawn before a reset may have been fired: it is spent. */
-    host_start(4, 9, 0);
-    ask("7,0,HELLO", 0);
-    CHECK(strstr(ask("7,1,ARM,9,12500,3000", 10), ",SPENT,SAFE,"));
-    CHECK(strstr(ask("7,2,FIRE,9", 10), ",SPENT,SAFE,"));
-    CHECK(strstr(ask("7,3,ARM,10,12500,3000", 10), ",OK,DRAWING,"));
-    CHECK(strstr(ask("7,4,ARM,11,12500,3000", 20), ",BUSY,"));
+    /* A shot charged before a reset may have been fired: it is spent. */
+    host_start(4, 9, now, 0.0, 1);
+    greet();
+    CHECK(strstr(ask("CHARGE,9,12500,3000"), ",SPENT,UNHOMED,9,"));
+    CHECK(strstr(fire(9, 50), ",NOT_CHARGED,"));
+    CHECK(strstr(ask("HOME"), ",OK,"));
+    keep(400);
+    CHECK(strstr(ask("CHARGE,10,12500,3000"), ",OK,CHARGING,"));
+    CHECK(strstr(ask("CHARGE,11,12500,3000"), ",BUSY,"));
 
-    /* What is not a frame, is not taken. */
-    host_start(5, 0, 0);
-    ask("7,0,HELLO", 0);
-    {
-        static const char *const BODIES[] = {
-            "7,1,ARM,9,12500", "7,2,ARM,9,12500,3000,1", "7,3,ARM,9,,3000", "7,4,ARM,x,1,1",
-            "7,5,FIRE", "7,6,FIRE,99999999999999999999", "7,7,FIREX,1", "7,8,", "7,9,STATUS,",
-        };
-        for (unsigned i = 0; i < sizeof BODIES / sizeof BODIES[0]; i++) {
-            CHECK(strstr(ask(BODIES[i], 10), ",UNKNOWN,"));
-            CHECK(host_state() == TAPPER_SAFE);
+    /* Only a person gets back from there: who holds the button for 5 s while the board is at rest. */
+    CHECK(strstr(ask("DISCHARGE"), ",OK,"));
+    keep(600);
+    press_button(4900);
+    CHECK(host_kept() == 10);
+    press_button(5100);
+    CHECK(host_kept() == 0);
+    CHECK(strstr(ask("STATUS"), ",SESSION,SAFE,0,"));
+    CHECK(strstr(ask("HELLO"), ",WELCOME,SAFE,0,12500,1,0,0,0,5,")); /* counts as another boot */
+    ask("MODE,RUN");
+    CHECK(strstr(ask("CHARGE,1,12500,3000"), ",OK,CHARGING,1,"));
+    /* Not while something is charged, nor after a stop. */
+    host_button(1);
+    keep(5200);
+    host_button(0);
+    pass(2);
+    CHECK(host_kept() == 1);
+    host_receive((const uint8_t *)"!", 1, now);
+    press_button(5200);
+    CHECK(host_kept() == 1);
+    CHECK(strstr(ask("CLEAR"), ",OK,"));
+    /* A button that is stuck when the board starts is for nothing. */
+    host_button(1);
+    pass(10);
+    host_reset(6, 9, now);
+    pass(6000);
+    host_button(0);
+    pass(2);
+    CHECK(host_kept() == 9);
+}
+
+static void test_homing(void)
+{
+    /* Nothing moves after a start, and nothing is charged. */
+    host_start(3, 0, now, 4000.0, 1);
+    host_carriage()->back_drive = 0.0;
+    greet();
+    keep(500);
+    CHECK(host_state() == TAPPER_UNHOMED && host_carriage()->place == 4000.0);
+    CHECK(strstr(ask("CHARGE,1,1000,3000"), ",NOT_HOMED,UNHOMED,0,"));
+    /* From outside and from the closed switch. */
+    CHECK(strstr(ask("HOME"), ",OK,HOMING,"));
+    CHECK(strstr(ask("CHARGE,1,1000,3000"), ",BUSY,HOMING,"));
+    keep(1200);
+    CHECK(host_state() == TAPPER_SAFE && fabs(host_carriage()->place) < 1.5);
+    CHECK(strstr(ask("HOME"), ",OK,HOMING,"));
+    keep(300);
+    CHECK(host_state() == TAPPER_SAFE && fabs(host_carriage()->place) < 1.5);
+    /* Given up: by the host, by its silence, by the interlock. */
+    for (int how = 0; how < 3; how++) {
+        host_start(3, 0, now, 6000.0, 1);
+        greet();
+        CHECK(strstr(ask("HOME"), ",OK,HOMING,"));
+        keep(100);
+        if (how == 0) {
+            CHECK(strstr(ask("DISCHARGE"), ",OK,UNHOMED,"));
+        } else if (how == 1) {
+            pass(500);
+        } else {
+            host_interlock(0);
+            pass(2);
         }
-        CHECK(strstr(ask("7,20,ARM,1,0,3000", 10), ",RANGE,"));
-        CHECK(strstr(ask("7,21,ARM,1,1000001,3000", 10), ",RANGE,"));
-        CHECK(strstr(ask("7,22,ARM,1,1,10001", 10), ",RANGE,"));
-        CHECK(*ask("0,1,HELLO", 10) == 0);
-        CHECK(*ask("70000,1,HELLO", 10) == 0);
+        CHECK(host_state() == TAPPER_UNHOMED);
     }
+    /* A motor without power, a switch that is stuck. */
+    static const double PLACES[] = {0.0, 2000.0};
+    for (int fault = 0; fault < 3; fault++)
+        for (int place = 0; place < 2; place++) {
+            host_start(3, 0, now, PLACES[place], 1);
+            host_carriage()->back_drive = 0.0;
+            if (fault == 0)
+                host_carriage()->powered = false;
+            else
+                host_carriage()->stuck = fault == 1 ? 1 : -1;
+            greet();
+            CHECK(strstr(ask("HOME"), ",OK,HOMING,"));
+            keep(4000);
+            CHECK(host_state() == TAPPER_UNHOMED);
+        }
+}
+
+static void test_missed_steps(void)
+{
+    /* None moves: seen while charging, because the switch stays closed. */
+    homed();
+    host_carriage()->lose = 100000;
+    CHECK(strstr(ask("CHARGE,1,12500,3000"), ",OK,CHARGING,"));
+    keep(100);
+    CHECK(host_state() == TAPPER_UNHOMED);
+    CHECK(strstr(fire(1, 50), ",NOT_CHARGED,UNHOMED,"));
+    /* Some, on the way out or back: seen at the switch. */
+    for (int back = 0; back < 2; back++) {
+        homed();
+        CHECK(strstr(ask("CHARGE,1,12500,3000"), ",OK,CHARGING,"));
+        pass(50);
+        if (!back)
+            host_carriage()->lose = 16;
+        keep(400);
+        CHECK(host_state() == TAPPER_CHARGED);
+        if (back)
+            host_carriage()->lose = 16;
+        CHECK(strstr(ask("DISCHARGE"), ",OK,"));
+        keep(600);
+        CHECK(host_state() == TAPPER_UNHOMED);
+        host_carriage()->lose = 0;
+        CHECK(strstr(ask("HOME"), ",OK,"));
+        keep(600);
+        CHECK(host_state() == TAPPER_SAFE);
+    }
+}
+
+static void test_setup_mode(void)
+{
+    homed();
+    CHECK(strstr(ask("MODE,SETUP"), ",OK,"));
+    CHECK(strstr(ask("STATUS"), ",SETUP,0*"));
+    CHECK(strstr(ask("CHARGE,1,5001,3000"), ",NOT_ENABLED,SAFE,0,"));
+    CHECK(strstr(ask("CHARGE,1,5000,3000"), ",OK,CHARGING,"));
+    CHECK(strstr(ask("DISCHARGE"), ",OK,"));
+    keep(600);
+    host_enabling(1);
+    CHECK(strstr(ask("CHARGE,2,12500,3000"), ",OK,CHARGING,"));
+    keep(400);
+    CHECK(strstr(ask("STATUS"), ",CHARGED,2,12500,1,0,0,0,3,") && strstr(host_output(), ",SETUP,1*"));
+    host_enabling(0);
+    pass(2);
+    CHECK(host_state() == TAPPER_DISCHARGING);
+    CHECK(strstr(fire(2, 50), ",NOT_CHARGED,"));
+    keep(600);
+    CHECK(strstr(ask("MODE,RUN"), ",OK,"));
+    CHECK(strstr(ask("CHARGE,3,12500,3000"), ",OK,CHARGING,"));
+    keep(400);
+    CHECK(strstr(ask("MODE,SETUP"), ",OK,")); /* what is charged is too much now */
+    pass(2);
+    CHECK(host_state() == TAPPER_DISCHARGING);
+    CHECK(strstr(ask("MODE"), ",UNKNOWN,"));
+    CHECK(strstr(ask("MODE,RUN,1"), ",UNKNOWN,"));
+}
+
+static uint32_t draw(uint32_t below)
+{
+    return (uint32_t)rand() % below;
+}
+
+/* Resets at random moments of anything: what is released afterwards is what was asked for. */
+static void test_random_resets(void)
+{
+    double worst = 0.0;
+    unsigned shots = 0;
+    uint64_t shot = 0;
+    host_start(1, 0, now, 0.0, 5);
+    for (uint32_t reset = 0; reset < 1000; reset++) {
+        /* Whatever the board is at, it is reset; the spring may push the carriage back, in part. */
+        host_carriage()->back_drive = draw(2) ? 0.0 : (double)draw(8000);
+        host_reset(reset + 1, shot, now);
+        pass(draw(300));
+        greet();
+        for (int step = 0; step < 2; step++) {
+            char words[80];
+            uint32_t energy = 20 + draw(draw(2) ? 900000 : 5000);
+            if (host_state() == TAPPER_UNHOMED)
+                CHECK(strstr(ask("HOME"), ",OK,"));
+            if (!step && draw(3) == 0)
+                break; /* the next reset comes in mid-homing */
+            for (int wait = 0; wait < 100 && host_state() != TAPPER_SAFE; wait++)
+                keep(50);
+            CHECK(host_state() == TAPPER_SAFE);
+            snprintf(words, sizeof words, "CHARGE,%llu,%lu,10000", (unsigned long long)++shot,
+                     (unsigned long)energy);
+            CHECK(strstr(ask(words), ",OK,CHARGING,"));
+            if (step)
+                break; /* or in mid-charge */
+            for (int wait = 0; wait < 100 && host_state() != TAPPER_CHARGED; wait++)
+                keep(50);
+            CHECK(strstr(fire(shot, 50), ",FIRED,"));
+            double place = host_released_from();
+            double stored = 1e6 * 0.5 * 500.0 * (place * 5e-6) * (place * 5e-6);
+            double error = fabs(stored - energy) / energy;
+            worst = error > worst ? error : worst;
+            shots++;
+            CHECK(error <= 0.03);
+        }
+        pass(draw(3000));
+    }
+    printf("after 1000 random resets: %u shots, energy within %.2f %% of asked\n", shots,
+           100.0 * worst);
+}
+
+/* A FIRE that was held up for any time is released before its deadline or not at all. */
+static void test_random_delays(void)
+{
+    unsigned released = 0;
+    uint64_t shot = 0;
+    homed();
+    for (int trial = 0; trial < 2000; trial++) {
+        char words[80];
+        snprintf(words, sizeof words, "CHARGE,%llu,1000,10000", (unsigned long long)++shot);
+        CHECK(strstr(ask(words), ",OK,"));
+        keep(150);
+        CHECK(host_state() == TAPPER_CHARGED);
+        uint32_t window = 1 + draw(100), delay = draw(4) ? draw(120) : draw(450);
+        uint32_t deadline = now + window, before = host_releases();
+        pass(delay);
+        snprintf(words, sizeof words, "FIRE,%llu,%lu", (unsigned long long)shot,
+                 (unsigned long)deadline);
+        bool fired = strstr(ask(words), ",FIRED,") != 0;
+        CHECK(fired == (delay < window));
+        CHECK(host_releases() == before + fired);
+        released += fired;
+        pass(200);
+        CHECK(host_releases() == before + fired);
+    }
+    printf("2000 delayed FIREs: %u released, none after its deadline\n", released);
+}
+
+static void test_frames(void)
+{
+    host_start(5, 0, now, 0.0, 1);
+    greet();
+    static const char *const BODIES[] = {
+        "CHARGE,9,12500", "CHARGE,9,12500,3000,1", "CHARGE,9,,3000", "CHARGE,x,1,1", "FIRE",
+        "FIRE,9", "FIRE,99999999999999999999,1", "FIREX,1,1", "", "STATUS,", "ARM,9,12500,3000",
+    };
+    for (unsigned i = 0; i < sizeof BODIES / sizeof BODIES[0]; i++) {
+        CHECK(strstr(ask(BODIES[i]), ",UNKNOWN,"));
+        CHECK(host_state() == TAPPER_UNHOMED);
+    }
+    homed();
+    CHECK(strstr(ask("CHARGE,1,0,3000"), ",RANGE,"));
+    CHECK(strstr(ask("CHARGE,1,1000001,3000"), ",RANGE,"));
+    CHECK(strstr(ask("CHARGE,1,1,10001"), ",RANGE,"));
+    CHECK(*send("0,1,HELLO") == 0);
+    CHECK(*send("70000,1,HELLO") == 0);
     /* Noise of every kind leaves it listening and safe. */
-    srand(1);
     for (uint32_t i = 0; i < 3000000; i++) {
         uint8_t byte = (uint8_t)(rand() >> 7);
         if (i % 7 == 0)
             byte = (uint8_t)"@*,\nA0"[rand() % 6];
+        if (i % 100 == 0)
+            pass(1);
         if (byte != '!')
-            host_receive(&byte, 1, 20 + i / 100);
+            host_receive(&byte, 1, now);
         if (i % 1000 == 0)
             host_forget_output();
-        (void)host_output();
     }
     CHECK(host_state() == TAPPER_SAFE);
-    CHECK(strstr(ask("12,1,HELLO", 40000), ",WELCOME,"));
+    CHECK(strstr(send("12,1,HELLO"), ",WELCOME,"));
+}
 
+int main(void)
+{
+    CHECK(tapper_crc("123456789", 9) == 0x29B1);
+    srand(1);
+    test_one_shot();
+    test_window();
+    test_sequence();
+    test_discharging();
+    test_stop_and_clear();
+    test_shot_numbers();
+    test_homing();
+    test_missed_steps();
+    test_setup_mode();
+    test_random_resets();
+    test_random_delays();
+    test_frames();
     printf("tapper firmware: %d checks passed\n", checks);
     return 0;
 }

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tapping_cell.calibration.bootstrap import spread
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.impact_fit import ImpactFit
+from tapping_cell.calibration.model_error import ModelError
 from tapping_cell.calibration.prediction import Launches
 from tapping_cell.calibration.sliding_fit import SlideFit
 from tapping_cell.configuration.objects import ObjectFile
@@ -76,9 +77,16 @@ def slide_estimates(
 
 
 def impact_estimates(
-    impact: ImpactFit, runs: Sequence[int], content: ObjectFile, seed: int
+    impact: ImpactFit,
+    runs: Sequence[int],
+    content: ObjectFile,
+    seed: int,
+    inflation: float = 1.0,
 ) -> list[Estimate]:
-    """All parameters of the impact, those that were not fitted as well."""
+    """All parameters of the impact, those that were not fitted as well.
+
+    ``inflation`` widens the intervals of a model that does not fit.
+    """
     old = {
         "restitution": content.restitution,
         "contact_friction": content.contact_friction,
@@ -92,19 +100,22 @@ def impact_estimates(
         width = None
     estimates = []
     for name, value in impact.values.items():
+        kept = Estimate(name, value, *(math.nan,) * 3, old[name], fitted=False)
         if name not in impact.free or width is None:
-            kept = Estimate(name, value, *(math.nan,) * 3, old[name], fitted=False)
             estimates.append(kept)
             continue
         k = impact.free.index(name)
+        if inflation * float(width.std[k]) > _UNKNOWN:
+            estimates.append(kept)
+            continue
         shift = 1.0 if name == "restitution" else 0.0  # fitted as ln(1 + e)
         ends = [
             (value + shift) * math.exp(offset) - shift
-            for offset in (float(width.low[k]), float(width.high[k]))
+            for offset in (inflation * float(width.low[k]), inflation * float(width.high[k]))
         ]
         if name == "restitution":
             ends = [min(max(end, 0.0), 1.0) for end in ends]
-        std = (value + shift) * float(width.std[k])
+        std = inflation * (value + shift) * float(width.std[k])
         estimates.append(Estimate(name, value, ends[0], ends[1], std, old[name]))
     return estimates
 
@@ -116,8 +127,13 @@ def scatter_estimates(
     runs: Sequence[int],
     content: ObjectFile,
     seed: int,
+    errors: Sequence[ModelError],
 ) -> list[Estimate]:
-    """Scatter of launches (speed, spin, direction) and of displacements (distance, rotation)."""
+    """Scatter of launches (speed, spin, direction) and of displacements (distance, rotation).
+
+    The latter two are what a planner should expect of a tap: with the model's ``errors``.
+    """
+    expected = {entry.quantity: entry.total for entry in errors}
     # Of taps that hardly turn the object a relative scatter of the rotation says nothing.
     clear = np.abs(tapped.rotation) > 0.2 * tapped.distance
     rotation = np.where(clear, tapped.rotation, 1.0)
@@ -136,12 +152,12 @@ def scatter_estimates(
         "scatter_distance": (
             measured.distance / tapped.distance - 1,
             content.scatter.distance,
-            math.nan,
+            expected.get("distance", math.nan),
         ),
         "scatter_rotation": (
             np.where(clear, measured.rotation / rotation - 1, math.nan),
             content.scatter.rotation,
-            math.nan,
+            expected.get("rotation", math.nan),
         ),
     }
     found = []

@@ -38,34 +38,40 @@ class ExperimentFile:
 
     format: int = quantity("version of the format", "", 1, 1)
     made: str = text("date and time, ISO 8601")
-    source: str = choice("what answered the taps", "simulated", "hardware", "other")
-    description: str = text("for people", default="")
+    source: str = choice("origin of the records", "simulated", "hardware", "other")
+    description: str = text("free text", default="")
     striker: StrikerSection | None = section(
-        "the striker; without it the impact is not fitted", default=None
+        "the striker; without it, the impact is not fitted", default=None
     )
     object: ObjectFile | None = section(
         "the object as the planner knew it; without it fit needs --object", default=None
     )
     camera_rate_hz: float | None = quantity(
-        "poses a second, where a row gives none; else by the tracks' own times",
+        "poses per second for rows that give none; default: from the times of the tracks",
         "Hz",
         1.0,
         1e5,
         default=None,
     )
-    exposure: float = quantity("time of exposure of a frame", "s", 0.0, 0.1, default=0.0)
+    exposure: float = quantity("exposure time of a frame", "s", 0.0, 0.1, default=0.0)
     rest_position_std: float = quantity(
-        "of one axis of the position at rest", "m", 0.0, 0.1, default=0.00005
+        "standard deviation of the position at rest along one axis", "m", 0.0, 0.1, default=0.00005
     )
-    rest_rotation_std: float = quantity("of the angle at rest", "rad", 0.0, 1.0, default=0.0009)
+    rest_rotation_std: float = quantity(
+        "standard deviation of the angle at rest", "rad", 0.0, 1.0, default=0.0009
+    )
     track_position_std: float = quantity(
-        "of one axis of one sample of a track", "m", 0.0, 0.1, default=0.0001
+        "standard deviation of the position of a track sample along one axis",
+        "m",
+        0.0,
+        0.1,
+        default=0.0001,
     )
     track_rotation_std: float = quantity(
-        "of the angle of one sample of a track", "rad", 0.0, 1.0, default=0.002
+        "standard deviation of the angle of a track sample", "rad", 0.0, 1.0, default=0.002
     )
     striker_speed_std: float = quantity(
-        "of a measured striker speed, relative", "", 0.0, 0.5, default=0.01
+        "standard deviation of a measured striker speed, relative", "", 0.0, 0.5, default=0.01
     )
 
 

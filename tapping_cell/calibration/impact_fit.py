@@ -97,7 +97,7 @@ def fit_impact(model: ImpactModel) -> ImpactFit:
     slid = int(np.sum(model.sliding(base.values)))
     stuck = _fit(model.with_known(contact_friction=_STICKS), ("restitution",))
     if slid < _LEAST_SLIDING or stuck.criterion < base.criterion + _TELLING:
-        model = _without_friction(model, stuck, notes)
+        model = _without_friction(model, base, stuck, notes)
         free, slid = ("restitution",), 0
         base = _fit(model, free)
     at_limit = base.values["restitution"] > 1 - 1e-6 or base.values["restitution"] < 1e-6
@@ -280,17 +280,25 @@ def _scatter(
     return values[0], values[1], values[2]
 
 
-def _without_friction(model: ImpactModel, stuck: _Fit, notes: list[str]) -> ImpactModel:
-    """Contacts that stick as well explain the launches: the file's friction stays, if it is high
-    enough to hold them."""
+def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[str]) -> ImpactModel:
+    """Contacts that stick as well explain the launches: the file's friction stays, unless with it
+    they are explained worse. No bound follows from that: a model that is wrong elsewhere lets
+    contacts seem to stick which slid."""
+    known = model.known["contact_friction"]
+    said = (
+        "contacts that stick explain the launches as well: the contact friction is not determined"
+    )
+    held = _fit(model, ("restitution",))
+    if held.criterion <= stuck.criterion + _TELLING:
+        notes.append(f"{said}; it is left at {known:.3g}")
+        return model
     s = model.strikes
     hits = model.impact(stuck.values).strike(1.0, s.incidence, s.contact)
     needed = float(np.max(np.abs(hits.tangential_impulse / hits.normal_impulse)))
-    known = model.known["contact_friction"]
-    kept = max(known, min(1.01 * needed, _STICKS))
+    kept = min(base.values["contact_friction"], 1.01 * needed)
     notes.append(
-        "contacts that stick explain the launches as well: the contact friction is not determined, "
-        f"it is at least {needed:.3f}; it is left at {kept:.3g}"
+        f"{said}, but with the file's {known:.3g} they are explained worse; {kept:.3g} is taken, "
+        "which is no measurement of it"
     )
     return model.with_known(contact_friction=kept)
 

@@ -27,6 +27,13 @@ from tapping_cell.calibration.impact_fit import (
     contact_frame,
     fit_impact,
 )
+from tapping_cell.calibration.model_error import (
+    Misfit,
+    ModelError,
+    Taps,
+    lack_of_fit,
+    model_errors,
+)
 from tapping_cell.calibration.paper_criterion import PaperFit, paper_fit
 from tapping_cell.calibration.prediction import Launches, RunErrors, run_errors
 from tapping_cell.calibration.screening import LEAST_TRIALS, Used, enough, run_of, screen
@@ -73,6 +80,8 @@ class ObjectFit:
     by_tapping: Launches
     runs: tuple[RunErrors, ...]
     identifiability: Identifiability | None
+    misfits: tuple[Misfit, ...]
+    model_errors: tuple[ModelError, ...]
     tapper: tuple[SpeedPoint, ...]
     sentences: tuple[str, ...]
 
@@ -108,17 +117,29 @@ def fit_object(experiments: Sequence[Experiment], content: ObjectFile, seed: int
     impacts = _fit_impact(used, slide, content, striker, sentences)
     by_tapping = _tapped(used, slide, impacts, body)
     found = None
+    misfits: tuple[Misfit, ...] = ()
+    errors: tuple[ModelError, ...] = ()
     if impacts is not None:
         impact = impacts.fit
         struck = [numbers[row] for row in impacts.rows]
-        estimates += impact_estimates(impact, struck, content, seed)
+        taps = _taps(used, labels, measured, by_tapping, impacts.rows)
+        misfits, errors = lack_of_fit(taps), model_errors(taps)
+        estimates += impact_estimates(impact, struck, content, seed, _inflation(misfits))
+        sentences.extend(misfit.sentence() for misfit in misfits)
         sentences.extend(f"{note[0].upper()}{note[1:]}." for note in impact.notes)
         known = _speed_known([used[row] for row in impacts.rows])
         found = identifiability(impacts.model, impact.values, impact.scatter, known)
         sentences.extend(found.sentences)
         estimates += scatter_estimates(
-            measured.of(impacts.rows), by_tapping.of(impacts.rows), impact, struck, content, seed
+            measured.of(impacts.rows),
+            by_tapping.of(impacts.rows),
+            impact,
+            struck,
+            content,
+            seed,
+            errors,
         )
+        sentences.extend(_prediction_sentence(errors))
     by_sliding = _slid(measured, slide, body)
     sentences.extend(_tapper_sentences(used))
     sentences.extend(_slide_sentences(slide, estimates, labels, body.support_radius))
@@ -136,6 +157,8 @@ def fit_object(experiments: Sequence[Experiment], content: ObjectFile, seed: int
         by_tapping=by_tapping,
         runs=run_errors(labels, measured, by_sliding, by_tapping),
         identifiability=found,
+        misfits=misfits,
+        model_errors=errors,
         tapper=_tapper(used),
         sentences=tuple(sentences),
     )
@@ -213,19 +236,43 @@ def predict(fit: ObjectFit, experiments: Sequence[Experiment]) -> tuple[RunError
     used, _ = screen(experiments, body, GRAVITY)
     own = _fit_slides(used, body)
     measured = _measured(used, own)
-    impacts = None
-    striker = _striker(experiments)
-    if fit.impact is not None and striker is not None:
-        strikes, known = _strikes(used, own, body)
-        rows = np.flatnonzero(known)
-        model = ImpactModel(strikes.of(rows), body, striker, dict(fit.impact.values))
-        impacts = _Impacts(fit.impact, model, rows)
+    impacts = _others(fit, used, own, experiments)
     return run_errors(
         _labels(used),
         measured,
         _slid(measured, fit.slide, body),
         _tapped(used, fit.slide, impacts, body),
     )
+
+
+def predicted_taps(fit: ObjectFit, experiments: Sequence[Experiment]) -> Taps:
+    """Other taps beside what a fit says of them.
+
+    Raises:
+        RecordError: the records cannot be used, or the impact was not fitted.
+    """
+    body = fit.content.body()
+    used, _ = screen(experiments, body, GRAVITY)
+    own = _fit_slides(used, body)
+    impacts = _others(fit, used, own, experiments)
+    if impacts is None:
+        raise RecordError("the impact was not fitted, or no header gives the striker")
+    tapped = _tapped(used, fit.slide, impacts, body)
+    return _taps(used, _labels(used), _measured(used, own), tapped, impacts.rows)
+
+
+def _others(
+    fit: ObjectFit, used: Sequence[Used], own: SlideFit, experiments: Sequence[Experiment]
+) -> _Impacts | None:
+    """The fitted impact on other strikes."""
+    striker = _striker(experiments)
+    if fit.impact is None or striker is None:
+        return None
+    body = fit.content.body()
+    strikes, known = _strikes(used, own, body)
+    rows = np.flatnonzero(known)
+    model = ImpactModel(strikes.of(rows), body, striker, dict(fit.impact.values))
+    return _Impacts(fit.impact, model, rows)
 
 
 def _measured(used: Sequence[Used], slide: SlideFit) -> Launches:
@@ -349,6 +396,39 @@ def _tapped(
         curves = SlideCurves(body.support, body.support_radius, body.gamma, GRAVITY)
         columns[:, impacts.rows] = speed, spin, *_rest(curves, slide, speed, spin)
     return Launches(*columns)
+
+
+def _taps(
+    used: Sequence[Used],
+    labels: Sequence[str],
+    measured: Launches,
+    tapped: Launches,
+    rows: NDArray[np.intp],
+) -> Taps:
+    trials = [used[row].trial for row in rows]
+    return Taps(
+        measured.of(rows),
+        tapped.of(rows),
+        [labels[row] for row in rows],
+        np.array([trial.contact_angle for trial in trials]),
+        np.array([trial.direction for trial in trials]),
+    )
+
+
+def _inflation(misfits: Sequence[Misfit]) -> float:
+    """By how much the intervals widen where the runs do not agree with the model: they are then
+    what varies, and not the taps (Birge 1932)."""
+    ratios = [misfit.inflation for misfit in misfits if misfit.cause == "setting"]
+    return math.sqrt(max([1.0, *ratios]))
+
+
+def _prediction_sentence(errors: Sequence[ModelError]) -> list[str]:
+    if not errors:
+        return []
+    widths = " and ".join(
+        f"{100 * entry.half_width:.0f} % of the predicted {entry.quantity}" for entry in errors
+    )
+    return [f"Of new taps with settings within those of these runs 95 % come within {widths}."]
 
 
 def _slide_sentences(

@@ -29,6 +29,7 @@ VERBS = {
     "faults": "taps over bad serial lines: is anything unsafe, hanging or untrue?",
     "report": "make run folders again, and compare runs",
     "check-config": "what is wrong with configuration files, without starting anything",
+    "doctor": "connect to arm and tapper, compare their settings, move nothing",
     "urdf": "the arm of a cell file, for RViz and Foxglove",
     "completion": "shell code that completes verbs and options",
 }

@@ -29,6 +29,7 @@ COMMON = {
     "page": ("false", "serve the operator's web page"),
     "page_address": ("localhost", "where: 0.0.0.0 for the whole network, with a token"),
     "page_port": ("8010", "port of the page"),
+    "page_stop_port": ("9010", "port of the page's STOP"),
     "description": ("true", "describe the arm for RViz (robot_state_publisher, where installed)"),
 }
 """Arguments of every launch file: default and description."""
@@ -51,6 +52,8 @@ PAGE = LaunchedNode(
         "object_file": "object_file",
         "page_address": "address",
         "page_port": "port",
+        "page_stop_port": "stop_port",
+        "runs": "runs",
     },
     respawn=True,
 )

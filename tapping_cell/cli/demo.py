@@ -37,6 +37,7 @@ from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.nodes.conversions import from_message
+from tapping_cell.planning import UnknownPlannerError, require_planner
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_folder import (
     SUMMARY,
@@ -100,6 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
     parameters[RECORDER] |= {"folder": folder.parent, "name": folder.name}
     nodes = (*SIMULATED, RECORDER)
     try:
+        require_planner(arguments.planner or cell.file.goal.planner)
         with (
             tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports,
             Graph(nodes, with_own_ports(parameters, Path(ports)), folder / "logs") as graph,
@@ -112,6 +114,11 @@ def run(arguments: argparse.Namespace) -> int:
         code = ErrorCode.NOT_READY if not_ready else ErrorCode.INTERNAL
         write_failure(folder, code, str(error), arguments.seed, time.monotonic() - began)
         return 1
+    except UnknownPlannerError as error:
+        session.tell_error(console, str(error), "error")
+        elapsed = time.monotonic() - began
+        write_failure(folder, ErrorCode.PLANNER_UNKNOWN, str(error), arguments.seed, elapsed)
+        return 2
     except KeyboardInterrupt:
         console.print("interrupted; every node has ended")
         elapsed = time.monotonic() - began

@@ -89,6 +89,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("D", "R"),
         help="steady errors of distance and rotation in percent, signs random in each trial (0 0)",
     )
+    numbers(
+        "--unknown",
+        type=float,
+        nargs=2,
+        default=(1.0, 1.0),
+        metavar=("D", "R"),
+        help="factors by which distance and rotation per distance may be wrong either way, drawn "
+        "anew for each trial (1 1)",
+    )
+    numbers(
+        "--off-centre",
+        type=float,
+        default=0.0,
+        metavar="DEG_PER_MM",
+        help="standard deviation of how much an object off its middle turns per distance (0)",
+    )
+    parser.add_argument(
+        "--probe",
+        action="store_true",
+        help="begin with tiny taps that measure the object (--table)",
+    )
     parser.add_argument("--adapt", action="store_true", help="learn the gains tap by tap")
     numbers(
         "--box",
@@ -210,7 +231,10 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
         random_tasks=None if tasks is None else (1e-3 * tasks[0], math.radians(tasks[1])),
         world=world,
         gain_bias=(arguments.gain_bias[0] / 100.0, arguments.gain_bias[1] / 100.0),
+        unknown=(arguments.unknown[0], arguments.unknown[1]),
+        off_centre=1e3 * math.radians(arguments.off_centre),
         adapt=arguments.adapt,
+        probe=arguments.probe,
         seed=arguments.seed,
         most_taps=arguments.most_taps,
         space=space,
@@ -357,6 +381,7 @@ def _text(planner: str, figures: dict[str, Any]) -> str:
     for key, label in (
         ("refused_before", "refused at once"),
         ("refused_later", "refused later"),
+        ("over_edge", "over the edge"),
         ("endless", "endless"),
     ):
         if figures[key]:

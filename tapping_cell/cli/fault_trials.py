@@ -21,11 +21,12 @@ from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import ArmReading, ArmSettings, HomingStrategy
 from tapping_cell.hardware.dialect import ArmDialect
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.grbl_dialect import GrblDialect
+from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
 from tapping_cell.hardware.marlin_dialect import MarlinDialect
 from tapping_cell.hardware.motion import MotionSettings, strike_path, withdraw_path
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
 from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
+from tapping_cell.hardware.tapper_protocol import State
 from tapping_cell.hardware.transport import Transport
 from tapping_cell.simulation.fault_layer import (
     Direction,
@@ -36,6 +37,7 @@ from tapping_cell.simulation.fault_layer import (
 )
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.grbl_machine import GrblMachine
+from tapping_cell.simulation.grbl_variants import VARIANTS
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.virtual_line import HangError, VirtualClock, VirtualTransport
@@ -44,6 +46,8 @@ HOME = (0.0, np.pi / 2, 0.0, 0.0)
 PARK = (0.6, 1.2, -0.020, 0.0)
 TRUE_TOLERANCE = np.array([2e-3, 2e-3, 2e-4, 2e-3])
 """How far the true joints may be from the strike pose at a release: rad, rad, m, rad."""
+WINDOW = 0.05
+"""How long after the last check the tapper may release, s."""
 CALL_LIMIT = 600.0
 """A tap with its recoveries that takes longer counts as hanging, s of the cell's time."""
 RECOVERIES = 40
@@ -57,6 +61,10 @@ class Dialect(Enum):
 
     GRBL = "grbl"
     MARLIN = "marlin"
+    GRBL_MEGA_5X = "grbl-mega-5x"
+    GRBL_HAL = "grblhal"
+    FLUID_NC_3 = "fluidnc3"
+    FLUID_NC_4 = "fluidnc4"
 
 
 @dataclass
@@ -131,27 +139,32 @@ class TrialCell:
         self.motion = MotionSettings(park=PARK)
         self.tapper_device = TapperEmulator(on_fire=self._witness, now=now)
         self.arm_device: GrblEmulator | MarlinEmulator
-        if dialect is Dialect.GRBL:
-            self.arm_device = GrblEmulator(
-                GrblMachine(start_joints=PARK, home_joints=HOME), seed, now
-            )
-        else:
+        if dialect is Dialect.MARLIN:
             self.arm_device = MarlinEmulator(
                 MarlinMachine(start_joints=PARK, home_joints=HOME), seed, now
             )
+        else:
+            machine = GrblMachine(
+                start_joints=PARK, home_joints=HOME, variant=VARIANTS[dialect.value]
+            )
+            self.arm_device = GrblEmulator(machine, seed, now)
         self.arm_line = FaultLayer(self.arm_device)
         self.tapper_line = FaultLayer(self.tapper_device)
         arm_port, tapper_port = self._ports()
         language: ArmDialect
-        if dialect is Dialect.GRBL:
-            language = GrblDialect(arm_port)
-        else:
+        if dialect is Dialect.MARLIN:
             language = MarlinDialect(arm_port, draw_number=self._draw)
+        else:
+            without = tuple(sorted(VARIANTS[dialect.value].unhomed_axes))
+            language = GrblDialect(
+                arm_port, GrblSettings(without_switch=without, needs_homing=True)
+            )
         self.arm = ArmDriver(arm_port, language, self.geometry, ArmSettings(home_joints=HOME))
         self.tapper = TapperDriver(tapper_port, draw_number=self._draw)
         self.goal: Joints | None = None
         self.shot = 0
         self.firing = False
+        self.release_by = 0.0
         self.reported: dict[int, FireOutcome] = {}
         self.tally = Tally()
         self._seen = [0, 0]
@@ -219,17 +232,22 @@ class TrialCell:
         goal = path[-1].joints if path else self.arm.read_joints()
         self._check_place(self.arm.follow(path), goal)
         self.goal = goal
-        self.tapper.arm(self.shot, float(self.rng.uniform(0.001, 0.2)))
+        self.tapper.charge(self.shot, float(self.rng.uniform(0.001, 0.2)))
         reading = self.arm.read()
         self._check_place(reading, goal)
         if reading.alarm or reading.moving or not self._near(reading.joints, goal):
-            self.tapper.disarm()
+            self.tapper.discharge()
             return FireOutcome.NOT_FIRED
         self.firing = True
         try:
-            return self.tapper.fire(self.shot).outcome
+            return self.tapper.fire(self.shot, WINDOW, self.allowed).outcome
         finally:
             self.firing = False
+
+    def allowed(self, release_by: float) -> bool:
+        """The last check before FIRE, which notes when a release must be over."""
+        self.release_by = release_by
+        return True
 
     def recover(self) -> None:
         """Bring both devices back to where they take orders, with a person's help at the button."""
@@ -257,15 +275,29 @@ class TrialCell:
                     self.arm_device.power_cycle(self.clock.now)
             raise
         if not self.arm.homed:
+            if self.dialect is Dialect.GRBL_MEGA_5X:
+                self._turn_tool_to_its_mark()
             self.arm.home(HomingStrategy.FIRMWARE)
+
+    def _turn_tool_to_its_mark(self) -> None:
+        """What a person does before homing to an axis that has no switch."""
+        assert isinstance(self.arm_device, GrblEmulator)
+        with self._arm_held():
+            now = self.clock.now
+            if not self.arm_device.moving(now):
+                here = Joints(*self.arm_device.joints(now))
+                self.arm_device.push(here._replace(tool=HOME[3]), now)
 
     def _recover_tapper(self) -> None:
         if not self.tapper.connected:
             self.tapper.connect()
-        if self.tapper.status().stop_latched:
+        reply = self.tapper.status()
+        if reply.stop_latched:
             with self._tapper_held():
                 self.tapper_device.press_clear_button(self.clock.now)
-            self.tapper.clear()
+            reply = self.tapper.clear()
+        if reply.state is State.UNHOMED:
+            self.tapper.home()
 
     def random_tip(self) -> TipPose:
         """Somewhere on the table that the arm reaches, in ``arm_base``."""
@@ -302,6 +334,8 @@ class TrialCell:
         why = ""
         if not self.firing or shot != self.shot:
             why = f"shot {shot} while shot {self.shot} was under way"
+        elif now > self.release_by:
+            why = f"{1e3 * (now - self.release_by):.1f} ms after the window"
         elif moving:
             why = "the arm was moving"
         elif self.goal is None or not self._near(truth, self.goal):

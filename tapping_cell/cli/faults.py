@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dialect",
         choices=[dialect.value for dialect in Dialect],
-        help="the arm's controller; both by turns when left out",
+        help="the arm's controller; all by turns when left out",
     )
     parser.add_argument("--seed", type=int, default=0, help="default: %(default)s")
     parser.add_argument(

@@ -12,7 +12,7 @@ import math
 
 from tapping_cell.cli import session
 from tapping_cell.nodes.clients.goal_client import Finished, GoalClient
-from tapping_cell.report.hints import hint
+from tapping_cell.report.error_codes import hint
 from tapping_cell.report.run_folder import for_people
 from tapping_cell.se2 import Pose
 

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from tapping_cell.nodes.clients.goal_client import Finished, GoalClient, PhaseChanged, TapDone
 from tapping_cell.nodes.conversions import from_message
-from tapping_cell.report.hints import hint
+from tapping_cell.report.error_codes import hint
 from tapping_cell.se2 import Pose
 
 

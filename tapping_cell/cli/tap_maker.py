@@ -13,11 +13,11 @@ from tapping_cell_msgs.msg import ErrorCode, TapperState, TapRecord
 
 from tapping_cell.calibration.design import contact_of, travel_direction
 from tapping_cell.calibration.trials import Trial
-from tapping_cell.logic.error_codes import NAMES
 from tapping_cell.mechanics import Tap
 from tapping_cell.nodes.clients.goal_client import Finished
 from tapping_cell.nodes.clients.single_tap_client import SingleTapClient
 from tapping_cell.nodes.conversions import covariance_from_message, from_message
+from tapping_cell.report import error_codes
 from tapping_cell.se2 import Pose
 
 READY_PATIENCE_S = 60.0
@@ -75,7 +75,7 @@ class TapMaker:
     def _untapped(self, code: int, sentence: str) -> None:
         """What to do about a tap that never began."""
         self._failures += 1
-        name = NAMES.get(code, str(code))
+        name = error_codes.name(code)
         if self._failures >= IN_A_ROW or code not in (*NO_ROOM, *PASSING):
             raise SeriesStopped(code, f"{name}: {sentence}")
         if code in NO_ROOM:
@@ -85,7 +85,7 @@ class TapMaker:
         """Bring the object to the middle of the table by an ordinary goal."""
         middle = Pose(0.0, 0.0, self.client.object_pose().theta)
         if self.client.object_pose().distance_to(middle) <= BACK_TOLERANCE[0]:
-            raise SeriesStopped(code, f"{NAMES.get(code, code)}: {sentence}")
+            raise SeriesStopped(code, f"{error_codes.name(code)}: {sentence}")
         self.client.send(middle, BACK_TOLERANCE)
         try:
             for event in self.client.events():

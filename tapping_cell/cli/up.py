@@ -36,7 +36,10 @@ from tapping_cell.configuration.cell import (
 )
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
 from tapping_cell.nodes.cell_identity import cell_key
+from tapping_cell.planning import UnknownPlannerError, require_planner
 
+STOP_PORT_OFFSET = 1000
+"""From the port of the page to that of its STOP."""
 LOOK_PERIOD_S = 0.2
 
 
@@ -85,9 +88,10 @@ def run(arguments: argparse.Namespace) -> int:
     end_on_signals()
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)
+        require_planner(arguments.planner or cell.file.goal.planner)
         if arguments.params is not None:
             read_yaml(arguments.params)
-    except ConfigurationError as error:
+    except (ConfigurationError, UnknownPlannerError) as error:
         console.print(f"[red]error:[/red] {error}", highlight=False)
         return 2
     nodes = HARDWARE if arguments.hardware else SIMULATED
@@ -191,7 +195,14 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
         parameters[RECORDER]["folder"] = arguments.runs.resolve()
     if getattr(arguments, "page", None):
         address, port = arguments.page
-        parameters["operator_page"] = {**files, "address": address, "port": port}
+        stop_port = port + STOP_PORT_OFFSET if 0 < port <= 65535 - STOP_PORT_OFFSET else 0
+        parameters["operator_page"] = {
+            **files,
+            "address": address,
+            "port": port,
+            "stop_port": stop_port,
+            "runs": parameters[RECORDER].get("folder", Path("runs").resolve()),
+        }
     if getattr(arguments, "camera", None):
         parameters["overhead_camera"]["source"] = arguments.camera
     return parameters

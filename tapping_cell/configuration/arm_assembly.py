@@ -7,6 +7,7 @@ from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.dialect import ArmDialect
 from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
 from tapping_cell.hardware.marlin_dialect import MarlinDialect, MarlinSettings
+from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.transport import Transport
 
 
@@ -29,5 +30,7 @@ def make_dialect(arm: ArmSection, transport: Transport) -> ArmDialect:
             expected=expected,
             needs=needs,
             home_place=arm.home_place,
+            without_switch=tuple(Joints._fields.index(name) for name in arm.axes_without_switch),
+            needs_homing=arm.homing == "firmware",
         ),
     )

@@ -26,13 +26,14 @@ from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.controller_needs import ControllerNeeds, needs_of
 from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.motion import MotionSettings
-from tapping_cell.hardware.scara import ScaraGeometry
+from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.mechanics import Striker
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraModel, ReferenceMap, marker_ids
 
 FourNumbers = tuple[float, float, float, float]
 Constraint = Literal["linear_bearings", "free"]
+JointName = Literal["shoulder", "elbow", "quill", "tool"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,25 +43,25 @@ class TableSection:
     length: float = quantity("size along x, centred on the table's origin", "m", 0.05, 10.0)
     width: float = quantity("size along y, centred on the table's origin", "m", 0.05, 10.0)
     edge_margin: float = quantity(
-        "least distance of the object from an edge", "m", 0.0, 0.5, default=0.005
+        "minimum distance of the object from an edge", "m", 0.0, 0.5, default=0.005
     )
     keep_out_margin: float = quantity(
-        "least distance of object and striker from a keep-out", "m", 0.0, 0.5, default=0.005
+        "minimum distance of object and striker from a keep-out zone", "m", 0.0, 0.5, default=0.005
     )
     overhang: float = quantity(
-        "how far beyond the edges the striker may stand", "m", 0.0, 2.0, default=0.15
+        "how far beyond the edges the striker may reach", "m", 0.0, 2.0, default=0.15
     )
 
 
 @dataclass(frozen=True, slots=True)
 class KeepOutSection:
-    """Places that neither the object nor the striker may enter."""
+    """Zones that neither the object nor the striker may enter."""
 
     circles: tuple[tuple[float, float, float], ...] = quantity(
-        "x, y and radius of circles in table", "m", -5.0, 5.0, default=()
+        "circles: x, y and radius, in the frame table", "m", -5.0, 5.0, default=()
     )
     polygons: tuple[tuple[tuple[float, float], ...], ...] = quantity(
-        "corners of convex polygons in table", "m", -5.0, 5.0, default=()
+        "convex polygons: corners x, y in the frame table", "m", -5.0, 5.0, default=()
     )
 
 
@@ -104,6 +105,11 @@ class ArmSection:
     home: FourNumbers = quantity(
         "joints where homing ends: rad, rad, m, rad", "", -20.0, 20.0, default=(0.0,) * 4
     )
+    axes_without_switch: tuple[JointName, ...] = choice(
+        "joints that homing does not move: a person turns them to their home before it",
+        *Joints._fields,
+        default=(),
+    )
     home_place: FourNumbers | None = quantity(
         "what a Grbl-family controller calls the four axes after its homing, in degrees and mm; "
         "left out: computed from its settings",
@@ -139,6 +145,10 @@ class ArmSection:
         0.0,
         5.0,
         default=0.15,
+    )
+    quill_brake: bool = text(
+        "whether a brake or a counterweight holds the quill while its motor has no power",
+        default=False,
     )
     joint_offset: FourNumbers = quantity(
         "true joints minus the controller's, as calibrated: rad, rad, m, rad",
@@ -183,7 +193,7 @@ class ArmSection:
     @property
     def homes_alone(self) -> bool:
         """Whether homing needs no person at the arm."""
-        return self.homing != "manual_pose"
+        return self.homing != "manual_pose" and not self.axes_without_switch
 
     def driver_settings(self) -> ArmSettings:
         """Wiring, homing and tolerances for the arm's driver.
@@ -199,6 +209,7 @@ class ArmSection:
             tolerance_angle=self.tolerance_angle,
             tolerance_quill=self.tolerance_quill,
             settle_time=self.settle_time,
+            quill_brake=self.quill_brake,
         )
 
     def controller_needs(self) -> ControllerNeeds:
@@ -226,27 +237,25 @@ class ArmSection:
 
 @dataclass(frozen=True, slots=True)
 class TapperSection:
-    """The striker and the device that draws and releases it."""
+    """The striker and the device that charges and fires it."""
 
-    port: str = text("path of the tapper's serial port; as that of the arm")
+    port: str = text("path of the tapper's serial port; placeholders as in arm.port")
     baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000)
     mass: float = quantity("mass of the striker", "kg", 0.001, 10.0)
     tip_radius: float = quantity("radius of the ball at the tip", "m", 0.0005, 0.1)
     constraint: Constraint = choice("how the striker is held", "linear_bearings", "free")
-    standoff: float = quantity(
-        "free flight of the tip from its rest to the object", "m", 0.001, 0.2
-    )
-    stroke: float = quantity("how far the tip travels at most", "m", 0.001, 0.3)
+    standoff: float = quantity("distance from the tip at rest to the object", "m", 0.001, 0.2)
+    stroke: float = quantity("maximum travel of the tip", "m", 0.001, 0.3)
     tool_radius: float = quantity("half width of the bar behind the tip", "m", 0.0005, 0.1)
-    tool_start: float = quantity("beginning of the bar behind the tip's centre", "m", 0.0, 0.2)
-    tool_length: float = quantity("end of the bar behind the tip's centre", "m", 0.0, 1.0)
+    tool_start: float = quantity("start of the bar behind the centre of the tip", "m", 0.0, 0.2)
+    tool_length: float = quantity("end of the bar behind the centre of the tip", "m", 0.0, 1.0)
     energies: tuple[float, ...] = quantity(
-        "energies of the calibration curve, rising", "J", 0.0, 1000.0
+        "energies of the calibration curve, increasing", "J", 0.0, 1000.0
     )
     speeds: tuple[float, ...] = quantity(
-        "striker speeds at those energies, rising", "m/s", 0.0, 100.0
+        "striker speeds at these energies, increasing", "m/s", 0.0, 100.0
     )
-    calibration: Provenance | None = section("what the curve was made from", default=None)
+    calibration: Provenance | None = section("record of the calibration of the curve", default=None)
 
     def curve(self) -> EnergyCurve:
         """Striker speed against energy.
@@ -263,36 +272,42 @@ class TapperSection:
 
 @dataclass(frozen=True, slots=True)
 class CameraSection:
-    """What the planner expects of a look at the object at rest, one standard deviation."""
+    """Accuracy of a pose measured at rest, as the planner assumes it."""
 
-    position_noise: float = quantity("of the position, each axis", "m", 0.0, 0.1)
-    angle_noise: float = quantity("of the angle", "rad", 0.0, 1.0)
+    position_noise: float = quantity(
+        "standard deviation of the position along each axis", "m", 0.0, 0.1
+    )
+    angle_noise: float = quantity("standard deviation of the angle", "rad", 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class GoalSection:
     """When a goal is reached and when it is given up."""
 
-    position_tolerance: float = quantity("largest distance to the goal", "m", 0.0001, 0.1)
-    angle_tolerance: float = quantity("largest rotation to the goal", "rad", 0.001, 1.0)
+    position_tolerance: float = quantity(
+        "maximum distance from the goal at which it counts as reached", "m", 0.0001, 0.1
+    )
+    angle_tolerance: float = quantity(
+        "maximum rotation from the goal at which it counts as reached", "rad", 0.001, 1.0
+    )
     planner: str = text("name of the planning method")
-    max_taps: int = quantity("taps after which a goal is given up", "", 1, 1000)
+    max_taps: int = quantity("maximum number of taps for a goal", "", 1, 1000)
 
 
 @dataclass(frozen=True, slots=True)
 class CellFile:
     """One cell."""
 
-    name: str = text("name of the cell, for people")
+    name: str = text("display name of the cell", longest=100)
     reference_markers: str = text("table file, relative to this file")
     camera_info: str = text("camera_info file, relative to this file")
     object: str = text("object file, relative to this file")
-    table: TableSection = section("usable area")
+    table: TableSection = section("usable area of the table")
     arm: ArmSection = section("the arm")
     tapper: TapperSection = section("the tapper")
     camera: CameraSection = section("the camera")
     goal: GoalSection = section("goals")
-    keep_outs: KeepOutSection = section("forbidden places", default=KeepOutSection())
+    keep_outs: KeepOutSection = section("keep-out zones", default=KeepOutSection())
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ NOISE_ROOM = 3.0
 def conflicts(cell: Cell) -> tuple[list[str], list[str]]:
     """Errors (a goal would fail) and warnings (it may, or something is not there yet)."""
     errors = [*_markers(cell), *_heights(cell), *_joints(cell), *_curve(cell), *_planner(cell)]
-    warnings = [*_lens(cell), *_noise(cell), *_ports(cell)]
+    warnings = [*_lens(cell), *_noise(cell), *_ports(cell), *_brake(cell)]
     reach_errors, reach_warnings = _reach(cell)
     return errors + reach_errors, warnings + reach_warnings
 
@@ -182,6 +182,15 @@ def _noise(cell: Cell) -> Iterator[str]:
                 f"('camera.{name}_noise', {factor * spread:.3g} {unit}): goals may never be seen "
                 "as reached"
             )
+
+
+def _brake(cell: Cell) -> Iterator[str]:
+    if not cell.file.arm.quill_brake:
+        yield (
+            f"{cell.path}: key 'arm.quill_brake' is false: whenever the quill's motor loses its "
+            "power (emergency stop, alarm, M112) the quill sinks onto whatever lies below it; fit "
+            "a brake or a counterweight and set the key to true"
+        )
 
 
 def _ports(cell: Cell) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The object file: shape, support, impact, scatter of a tap and looks of one object."""
+"""The object file: shape, friction, impact, scatter of a tap and appearance of one object."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class MarkerSection:
     id: int = quantity("number of the marker in its dictionary", "", 0, 1_000_000)
     size: float = quantity("side of the marker's black square", "m", 0.005, 0.5)
     offset: tuple[float, float, float] = quantity(
-        "x and y in m and angle in rad of the marker in the object's frame",
+        "pose of the marker in the object's frame: x and y in m, angle in rad",
         "",
         -7.0,
         7.0,
@@ -70,18 +70,22 @@ class DotSection:
 
     radius: float = quantity("radius of the dot", "m", 0.002, 0.2)
     offset: tuple[float, float] = quantity(
-        "x and y of the dot's middle in the object's frame", "m", -0.5, 0.5
+        "centre of the dot in the object's frame: x, y", "m", -0.5, 0.5
     )
-    shade: str = choice("the dot beside the top around it", "darker", "brighter")
+    shade: str = choice(
+        "brightness of the dot compared with the top around it", "darker", "brighter"
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class OutlineSection:
-    """How an object without a marker is seen: by its outline."""
+    """Appearance of an object without a marker, detected by its outline."""
 
-    shade: str = choice("the object's top beside the table", "darker", "brighter")
+    shade: str = choice(
+        "brightness of the object's top compared with the table", "darker", "brighter"
+    )
     dot: DotSection | None = section(
-        "a dot off the middle; needed where the outline does not show the angle", default=None
+        "a dot off the centre; needed if the outline does not determine the angle", default=None
     )
 
 
@@ -113,10 +117,10 @@ def seen_as(
 
 @dataclass(frozen=True, slots=True)
 class ScatterSection:
-    """One standard deviation of a tap's result, as the planner expects it."""
+    """Scatter of the result of a tap, as the planner assumes it: standard deviations."""
 
-    distance: float = quantity("of the distance, relative to it", "", 0.0, 0.5, default=0.05)
-    rotation: float = quantity("of the rotation, relative to it", "", 0.0, 1.0, default=0.15)
+    distance: float = quantity("of the distance, as a fraction of it", "", 0.0, 0.5, default=0.05)
+    rotation: float = quantity("of the rotation, as a fraction of it", "", 0.0, 1.0, default=0.15)
     direction: float = quantity("of the direction", "rad", 0.0, 0.5, default=math.radians(1.0))
 
 
@@ -124,31 +128,33 @@ class ScatterSection:
 class ObjectFile:
     """What the planner and the camera know about one object."""
 
-    name: str = text("name of the object, for people")
+    name: str = text("display name of the object", longest=100)
     shape: ShapeSection = section("outline of the object")
     mass: float = quantity("mass", "kg", 0.001, 100.0)
     height: float = quantity("height of the top above the table", "m", 0.0005, 0.5)
     friction: float = quantity("coefficient of friction with the table", "", 0.01, 2.0)
     torque_factor: float = quantity(
-        "factor of the friction torque (the paper's scaling factor)", "", 0.05, 20.0
+        "scaling factor of the friction torque (Huang and Mason)", "", 0.05, 20.0
     )
     restitution: float = quantity("coefficient of restitution with the striker", "", 0.0, 1.0)
     contact_friction: float = quantity("coefficient of friction with the striker", "", 0.001, 2.0)
     marker: MarkerSection | None = section("marker on the top", default=None)
-    outline: OutlineSection | None = section("looks of an object without a marker", default=None)
+    outline: OutlineSection | None = section(
+        "appearance of an object without a marker", default=None
+    )
     impact_scale: tuple[float, float, float] = quantity(
-        "calibrated factors of the impact constants B1, B2, B3",
+        "calibrated factors of the impact constants B1, B2 and B3",
         "",
         0.01,
         100.0,
         default=(1.0, 1.0, 1.0),
     )
     smallest_tap: float = quantity(
-        "smallest distance that the tapper makes reliably", "m", 0.0001, 0.1, default=0.0017
+        "minimum distance that the tapper produces reliably", "m", 0.0001, 0.1, default=0.0017
     )
     scatter: ScatterSection = section("scatter of a tap", default=ScatterSection())
     calibration: Provenance | None = section(
-        "where fitted values come from (written by fit)", default=None
+        "record of the fit, written by the verb fit", default=None
     )
 
     def body(self) -> Disk | Ring | Polygon:

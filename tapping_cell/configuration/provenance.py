@@ -1,4 +1,4 @@
-"""Where the numbers of a calibrated file come from: the section ``calibration`` of such a file."""
+"""The record of a calibration: the section ``calibration`` of the files that it writes."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from tapping_cell.configuration.schema import build, quantity, read_yaml, text
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """What a calibration was made from and how good it is.
+    """Inputs, residual and uncertainty of a calibration.
 
     ``residual`` and ``uncertainty`` are the two numbers by which a later calibration is compared
     with this one (see calibration/keep.py): what the fit leaves, and how well its result is known.
     """
 
-    by: str = text("verb that wrote it, such as 'calibrate arm'")
+    by: str = text("verb that wrote the record, such as 'calibrate arm'")
     made: str = text("date and time, ISO 8601")
-    inputs: tuple[str, ...] = text("files that it was made from, with the first digits of SHA-256")
-    observations: int = quantity("observations used", "", 0, 1_000_000_000)
-    left_out: int = quantity("observations left out", "", 0, 1_000_000_000)
-    residual: float = quantity("root mean square of what the fit leaves", "", 0.0, 1e12)
-    residual_of: str = text("what the residual is of, with its unit")
+    inputs: tuple[str, ...] = text("input files, with the first digits of their SHA-256")
+    observations: int = quantity("number of observations used", "", 0, 1_000_000_000)
+    left_out: int = quantity("number of observations rejected", "", 0, 1_000_000_000)
+    residual: float = quantity("root mean square of the residual", "", 0.0, 1e12)
+    residual_of: str = text("quantity and unit of the residual")
     uncertainty: float = quantity("standard deviation of the result", "", 0.0, 1e12)
-    uncertainty_of: str = text("what the uncertainty is of, with its unit")
+    uncertainty_of: str = text("quantity and unit of the uncertainty")
     deviations: Mapping[str, float] = quantity(
-        "standard deviations of the values, by name, in the file's units", "", 0.0, 1e12
+        "standard deviations of the values by name, in the units of the file", "", 0.0, 1e12
     )
-    notes: tuple[str, ...] = text("what a reader should know", default=())
+    notes: tuple[str, ...] = text("remarks", default=())
 
 
 def provenance_yaml(record: Provenance, indent: int = 0) -> str:

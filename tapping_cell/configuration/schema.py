@@ -27,6 +27,10 @@ class ConfigurationError(ValueError):
     """A configuration file that cannot be used; the message names file, key, value and range."""
 
 
+LONGEST_SHOWN = 60
+"""Characters of a wrong text that an error shows."""
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """What a field accepts: description, unit and the closed range [minimum, maximum]."""
@@ -37,6 +41,8 @@ class Limits:
     maximum: float = math.inf
     choices: tuple[str, ...] = ()
     numeric: bool = True
+    longest: int = 4096
+    """Characters of a text."""
 
     def range_text(self) -> str:
         """The range in words, with the unit; empty where there is none, as for a free text."""
@@ -71,9 +77,10 @@ def choice(description: str, *choices: str, default: Any = MISSING) -> Any:
     return field(default=default, metadata={"limits": Limits(description, choices=choices)})
 
 
-def text(description: str, default: Any = MISSING) -> Any:
-    """A text or a truth value without a range."""
-    return field(default=default, metadata={"limits": Limits(description, numeric=False)})
+def text(description: str, default: Any = MISSING, longest: int = 4096) -> Any:
+    """A text of at most ``longest`` characters, or a truth value."""
+    limits = Limits(description, numeric=False, longest=longest)
+    return field(default=default, metadata={"limits": limits})
 
 
 def section(description: str, default: Any = MISSING) -> Any:
@@ -236,6 +243,9 @@ def _value(hint: Any, value: Any, limits: Limits, source: str, key: str) -> Any:
     if hint is str or origin is typing.Literal:
         if not isinstance(value, str):
             raise _wrong(source, key, value, "a text", limits)
+        if len(value) > limits.longest or "\0" in value:
+            wanted = f"a text of at most {limits.longest} characters without a NUL"
+            raise _wrong(source, key, value, wanted, limits)
         if limits.choices and value not in limits.choices:
             raise _wrong(source, key, value, limits.range_text(), limits)
         return value
@@ -282,6 +292,8 @@ def _number(value: Any, limits: Limits, source: str, key: str) -> float:
 
 def _wrong(source: str, key: str, value: Any, wanted: str, limits: Limits) -> ConfigurationError:
     shown = repr(value) if isinstance(value, (str, int, float, bool)) else _kind_name(value)
+    if isinstance(value, str) and len(value) > LONGEST_SHOWN:
+        shown = f"{value[:LONGEST_SHOWN]!r}... ({len(value)} characters)"
     return ConfigurationError(
         f"{source}: key '{key}' is {shown}, but must be {wanted}: {limits.description}"
     )

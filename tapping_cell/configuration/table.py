@@ -25,9 +25,9 @@ class ReferenceSection:
 
     id: int = quantity("number of the marker in its dictionary", "", 0, 1_000_000)
     size: float = quantity("side of the black square", "m", 0.005, 1.0)
-    x: float = quantity("middle of the marker in table", "m", -10.0, 10.0)
-    y: float = quantity("middle of the marker in table", "m", -10.0, 10.0)
-    theta: float = quantity("angle of the marker in table", "rad", -7.0, 7.0, default=0.0)
+    x: float = quantity("x of the marker's centre in the frame table", "m", -10.0, 10.0)
+    y: float = quantity("y of the marker's centre in the frame table", "m", -10.0, 10.0)
+    theta: float = quantity("angle of the marker in the frame table", "rad", -7.0, 7.0, default=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class TableFile:
 
     dictionary: str = text("OpenCV name of the marker dictionary, such as APRILTAG_36h11")
     markers: tuple[ReferenceSection, ...] = section("the reference markers")
-    calibration: Provenance | None = section("what the file was made from", default=None)
+    calibration: Provenance | None = section("record of the calibration", default=None)
 
 
 def load_reference_map(path: Path | str) -> ReferenceMap:

@@ -44,6 +44,10 @@ UNHOMING = frozenset(
 """Faults after which the arm's position is not trusted."""
 
 
+OF_A_STOP = (FaultReason.STOPPED, FaultReason.ALARM, FaultReason.BOARD_RESET)
+"""What a call can end with because somebody stopped the arm."""
+
+
 class ArmDriver:
     """One arm on one line. All calls block and belong to one thread; ``stop`` to any."""
 
@@ -86,7 +90,7 @@ class ArmDriver:
     def fault(self) -> HardwareFault | None:
         """The latched fault or stop that ``clear_fault`` ends; None when the arm may move."""
         if self._fault is None and self._stopped.is_set():
-            return _stop_fault()
+            return self._stop_fault()
         return self._fault
 
     def now(self) -> float:
@@ -115,7 +119,7 @@ class ArmDriver:
             firmware = self._dialect.connect(self._transport.now() + timeout)
             self._firmware = firmware
             self._connected = True
-            reading = self._read()
+            reading = self._converted(self._dialect.read(self._reply_deadline()))
         except HardwareFault as fault:
             if fault.reason is not FaultReason.STOPPED:
                 self.close()
@@ -145,6 +149,8 @@ class ArmDriver:
             else:
                 joints = self._declare(strategy)
         except HardwareFault as fault:
+            if fault.reason is FaultReason.TIMEOUT:
+                raise self._halted(fault) from fault
             raise self._noted(fault) from fault.__cause__
         self._confirmed = joints
         self._homed = True
@@ -231,13 +237,15 @@ class ArmDriver:
 
         After a stop, an alarm or a reset the arm must be homed again.
         """
-        must_unlock = self._stopped.is_set() or self._fault is not None
+        first = self._fault
+        must_unlock = self._stopped.is_set() or first is not None
+        self._fault = None
         self._transport.release()
         self._stopped.clear()
         try:
             if not self.connected:
                 self.connect(timeout)
-            if must_unlock or self._read().alarm:
+            if must_unlock or self._dialect.read(self._reply_deadline()).alarm:
                 self._homed = False
                 self._confirmed = None
                 self._dialect.clear(self._transport.now() + timeout)
@@ -247,7 +255,7 @@ class ArmDriver:
             noted = self._noted(fault)
             if must_unlock:
                 # What could not be cleared stays latched.
-                self._fault = self._fault or noted
+                self._fault = first or noted
             raise noted from fault.__cause__
         self._fault = None
 
@@ -282,6 +290,7 @@ class ArmDriver:
                 + self.settings.move_margin
             )
         reading = start
+        began = self._transport.now()
         try:
             for attempt in range(MOVE_ATTEMPTS):
                 self.counters.retries += attempt > 0
@@ -308,20 +317,23 @@ class ArmDriver:
                 if reading.moving or not stands:
                     break
                 places = places[stands[-1] :]
-            if refusal is not None:
-                self._confirmed = None if reading.moving else reading.joints
-                raise refusal
         except HardwareFault as fault:
             if fault.reason is FaultReason.TIMEOUT:
-                self.stop()
-                raise HardwareFault(
-                    FaultReason.TIMEOUT,
-                    f"a move of {duration:.2f} s was not finished in time ({fault}); the arm was"
-                    " stopped: clear the fault and home again",
+                raise self._halted(
+                    HardwareFault(
+                        FaultReason.TIMEOUT,
+                        f"a move that takes {duration:.2f} s had not ended"
+                        f" {self._transport.now() - began:.2f} s after it was sent ({fault})",
+                    )
                 ) from fault
+            if fault.reason is FaultReason.REJECTED:
+                raise self._halted(fault) from fault
             raise
+        outcome = refusal or self._mismatch(goal, reading.joints)
+        if reading.moving:
+            raise self._halted(outcome)
         self._confirmed = reading.joints
-        raise self._mismatch(goal, reading.joints)
+        raise outcome
 
     def _duration(self, places: Sequence[Joints], speed: float) -> float:
         return sum(move_duration(self.geometry, a, b, speed) for a, b in pairwise(places))
@@ -392,6 +404,16 @@ class ArmDriver:
         return self._in_joints(self._dialect.read(self._reply_deadline()))
 
     def _in_joints(self, reading: AxisReading) -> ArmReading:
+        if reading.powerless and self._homed:
+            raise HardwareFault(
+                FaultReason.POSITION_LOST,
+                f"the arm's controller is {reading.alarm}: its motors may have been without power,"
+                " so that its position is not known: clear the fault and home again",
+            )
+        return self._converted(reading)
+
+    def _converted(self, reading: AxisReading) -> ArmReading:
+        """In joint values, believed or not."""
         return ArmReading(
             to_joints(self.settings.axis_sign, reading.axes),
             reading.moving,
@@ -424,7 +446,7 @@ class ArmDriver:
 
     def _require_line(self) -> None:
         if self._stopped.is_set():
-            raise _stop_fault()
+            raise self._fault or self._stop_fault()
         if not self.connected:
             raise HardwareFault(
                 FaultReason.DISCONNECTED,
@@ -439,22 +461,42 @@ class ArmDriver:
             raise HardwareFault(FaultReason.NOT_HOMED, "the arm is not homed: home it first")
 
     def _noted(self, fault: HardwareFault) -> HardwareFault:
-        """Draw the consequences of a fault; returns the one to raise."""
-        if self._stopped.is_set() and fault.reason in (FaultReason.ALARM, FaultReason.BOARD_RESET):
+        """Draw the consequences of a fault; returns the one to raise: the first cause, once one is
+        latched, for a controller that raises an alarm then restarts, and a stop ends in an alarm.
+        """
+        if self._stopped.is_set() and fault.reason in OF_A_STOP:
             # What a stop does to the controller is no fault of its own.
-            fault = _stop_fault()
+            fault = self._fault or self._stop_fault()
+        if fault is self._fault:
+            return fault
         self.counters.last_error = fault.sentence
         if fault.reason is FaultReason.DISCONNECTED:
             self._connected = False
         if fault.reason in UNHOMING:
-            self._homed = False
-            self._confirmed = None
-            self._fault = fault
+            fault = self._latch(fault)
         return fault
 
+    def _latch(self, fault: HardwareFault) -> HardwareFault:
+        """Keep the first fault until it is cleared; the position is not trusted from here on."""
+        self._homed = False
+        self._confirmed = None
+        self._fault = self._fault or fault
+        return self._fault
 
-def _stop_fault() -> HardwareFault:
-    return HardwareFault(
-        FaultReason.STOPPED,
-        "the arm was stopped: make the cell safe, clear the fault and home again",
-    )
+    def _halted(self, fault: HardwareFault) -> HardwareFault:
+        """Stop an arm whose motion has not ended, and latch why."""
+        said = "the arm was stopped" if self.stop() else "a stop could not be sent to it"
+        return self._latch(
+            HardwareFault(fault.reason, f"{fault}; {said}: clear the fault and home again")
+        )
+
+    def _stop_fault(self) -> HardwareFault:
+        quill = (
+            ""
+            if self.settings.quill_brake
+            else "; a stop can cut the motors' power, and a quill without a brake sinks then"
+        )
+        return HardwareFault(
+            FaultReason.STOPPED,
+            f"the arm was stopped: make the cell safe, clear the fault and home again{quill}",
+        )

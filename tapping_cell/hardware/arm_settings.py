@@ -41,6 +41,8 @@ class ArmSettings:
     """The same for the quill, m."""
     settle_time: float = 0.15
     """Rest after the last waypoint of a path before it counts as reached, s."""
+    quill_brake: bool = False
+    """Whether a brake or a counterweight holds the quill while its motor has no power."""
 
     def __post_init__(self) -> None:
         if any(sign not in (1, -1) for sign in self.axis_sign):

@@ -1,4 +1,4 @@
-"""What the arm's configuration asks of its controller's own settings, and the differences in words.
+"""What the arm's configuration asks of its controller's own settings, and what was found there.
 
 All in the controller's units: degrees for the revolute axes, mm for the quill, and seconds.
 """
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from tapping_cell.hardware.axis_units import TO_UNITS
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.finding import Finding
 from tapping_cell.hardware.scara import ScaraGeometry
 
 TOLERANCE = 1e-3
@@ -49,30 +50,48 @@ def needs_of(geometry: ScaraGeometry, steps_per_unit: Sequence[float] = ()) -> C
     )
 
 
-def at_least(names: Sequence[str], found: Sequence[float], needed: Four | None) -> list[str]:
-    """A sentence for each setting that is smaller than needed."""
+def at_least(
+    names: Sequence[str], found: Sequence[float], needed: Four | None, command: str = ""
+) -> list[Finding]:
+    """A finding for each setting that must not be smaller than needed.
+
+    ``command``: how it is set, with ``{name}`` and ``{value}``.
+    """
     return [
-        f"{name} is {value:g}, must be at least {least:g}"
+        Finding(
+            name,
+            f"{value:g}",
+            f"must be at least {least:g}",
+            value >= least * (1 - TOLERANCE),
+            command.format(name=name, value=f"{least:g}"),
+        )
         for name, value, least in zip(names, found, needed or (), strict=False)
-        if value < least * (1 - TOLERANCE)
     ]
 
 
-def exactly(names: Sequence[str], found: Sequence[float], needed: Four | None) -> list[str]:
-    """A sentence for each setting that is another than needed."""
+def exactly(
+    names: Sequence[str], found: Sequence[float], needed: Four | None, command: str = ""
+) -> list[Finding]:
+    """A finding for each setting that must be just what is needed; ``command`` as above."""
     return [
-        f"{name} is {value:g}, must be {wanted:g}"
+        Finding(
+            name,
+            f"{value:g}",
+            f"must be {wanted:g}",
+            abs(value - wanted) <= TOLERANCE * max(abs(wanted), 1.0),
+            command.format(name=name, value=f"{wanted:g}"),
+        )
         for name, value, wanted in zip(names, found, needed or (), strict=False)
-        if abs(value - wanted) > TOLERANCE * max(abs(wanted), 1.0)
     ]
 
 
-def refuse(differences: Sequence[str]) -> None:
-    """Raise HardwareFault (SETTINGS_MISMATCH) where there is a difference."""
+def refuse(findings: Sequence[Finding]) -> None:
+    """Raise HardwareFault (SETTINGS_MISMATCH) where a need is not met."""
+    differences = [finding.sentence for finding in findings if not finding.met]
     if differences:
         raise HardwareFault(
             FaultReason.SETTINGS_MISMATCH,
-            "the controller's settings differ from the configuration: "
+            "the controller's settings differ from what is needed: "
             + "; ".join(differences)
             + ": set them on the controller or correct the configuration",
         )

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+from tapping_cell.hardware.finding import Finding
+
 AXIS_COUNT = 4
 
 
@@ -41,6 +43,8 @@ class AxisReading:
     """False where the controller can only say what it was commanded (Marlin's ``M114``)."""
     asked: float
     """Time of the transport's clock just before the question was sent, s."""
+    powerless: bool = False
+    """The motors may be, or have been, without power: the position is not known."""
 
 
 @dataclass(slots=True)
@@ -66,7 +70,16 @@ class ArmDialect(Protocol):
         """What stops the motion at once, sent outside the queue."""
 
     def connect(self, deadline: float) -> Firmware:
-        """Talk to the controller on a line just opened; raises UNKNOWN_FIRMWARE as well."""
+        """Talk to the controller on a line just opened.
+
+        Raises UNKNOWN_FIRMWARE and SETTINGS_MISMATCH as well.
+        """
+
+    def inspect(self, deadline: float) -> tuple[Firmware, list[Finding]]:
+        """Who is on the line and how its settings compare with what is needed; nothing moves."""
+
+    def store(self, finding: Finding, deadline: float) -> None:
+        """Send the command of a finding; ValueError for one that only a person may mend."""
 
     def read(self, deadline: float) -> AxisReading:
         """Ask where the axes are."""

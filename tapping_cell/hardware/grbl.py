@@ -1,7 +1,8 @@
 """Codec of the Grbl 1.1 family: bytes from the controller to frames, axis values to lines.
 
 Source: Grbl 1.1 documentation, "Interface" and "Commands" (status reports, responses, settings);
-grblHAL, FluidNC and uCNC keep the same forms. Values stay in the controller's units: mm, degrees.
+grblHAL, grbl-Mega-5X, FluidNC and uCNC keep the same forms. Values stay in the controller's units:
+mm, degrees.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ STATUS_QUERY = b"?"
 FEED_HOLD = b"!"
 RESUME = b"~"
 SOFT_RESET = b"\x18"
+FULL_FEED = b"\x90"
+"""Sets the feed override back to 100 %."""
 STOP = FEED_HOLD + SOFT_RESET
 """Feed hold, then soft reset: real-time bytes that the controller takes ahead of its queue."""
 
@@ -85,6 +88,14 @@ class Setting:
 
 
 @dataclass(frozen=True, slots=True)
+class NamedSetting:
+    """A setting with a name or a value that is no number, such as ``$/stepping/idle_ms=255``."""
+
+    name: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class Message:
     """A bracketed line such as ``[VER:1.1h:]`` or ``[MSG:...]``."""
 
@@ -104,6 +115,8 @@ class Status:
     """WPos."""
     offset: tuple[float, ...] | None
     """WCO, which the controller sends only now and then."""
+    feed_override: int | None = None
+    """First figure of Ov in percent, sent only now and then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +127,7 @@ class Bad:
     why: str
 
 
-Frame = Ok | Error | Alarm | Banner | Setting | Message | Status | Bad
+Frame = Ok | Error | Alarm | Banner | Setting | NamedSetting | Message | Status | Bad
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +141,10 @@ class Decoded:
 _NUMBER = r"-?\d{1,7}(?:\.\d{1,6})?"
 _BANNER = re.compile(r"^(Grbl|GrblHAL|grblHAL|FluidNC|uCNC|µCNC)\s+v?(\d+\.\d+\S*)")
 _SETTING = re.compile(rf"^\$(\d{{1,3}})=({_NUMBER})$")
-_MESSAGE = re.compile(r"^\[([A-Za-z0-9]{1,8}):(.*)\]$")
+_NAMED_SETTING = re.compile(r"^\$(/?[A-Za-z0-9_/]{1,64})=(.{0,200})$")
+_MESSAGE = re.compile(r"^\[([A-Z][A-Za-z0-9 ]{0,19}):(.*)\]$")
+_OVERRIDES = re.compile(r"^(\d{1,3}),\d{1,3},\d{1,3}$")
+_FEED = re.compile(r"(?:^| )F(\d{1,7})(?:\.0*)?(?= |$)")
 _POSITION = re.compile(rf"^{_NUMBER}(?:,{_NUMBER}){{2,7}}$")
 
 
@@ -162,6 +178,9 @@ def decode_line(line: bytes) -> Frame:
     found = _SETTING.match(text)
     if found:
         return Setting(int(found[1]), float(found[2]))
+    found = _NAMED_SETTING.match(text)
+    if found:
+        return NamedSetting(found[1], found[2])
     found = _MESSAGE.match(text)
     if found:
         return Message(found[1], found[2])
@@ -183,8 +202,11 @@ def _status(line: bytes, text: str) -> Frame:
     if name not in STATES or (sub and not _short_number(sub)):
         return Bad(line, f"unknown state {state!r}")
     positions: dict[str, tuple[float, ...]] = {}
+    override: int | None = None
     for field in fields:
         key, _, value = field.partition(":")
+        if key == "Ov" and (percents := _OVERRIDES.match(value)):
+            override = int(percents[1])
         if key in ("MPos", "WPos", "WCO"):
             if not _POSITION.match(value) or key in positions:
                 return Bad(line, f"unreadable {key}")
@@ -199,6 +221,7 @@ def _status(line: bytes, text: str) -> Frame:
         positions.get("MPos"),
         positions.get("WPos"),
         positions.get("WCO"),
+        override,
     )
 
 
@@ -209,6 +232,20 @@ def move_line(letters: str, target: Sequence[float], feed: float) -> bytes:
     Raises ValueError for values that are not finite or a feed that is not above 0.
     """
     return f"G21G90G94G1{_axes(letters, target)}F{_number(feed, positive=True)}\n".encode()
+
+
+def marker_lines(number: int) -> bytes:
+    """Set the feed to ``number`` and ask for the modes, which then name it; nothing moves.
+
+    The modes that carry this number prove that every line before has been dealt with.
+    """
+    return b"F%d\n$G\n" % number
+
+
+def modal_feed(modes: str) -> int | None:
+    """The feed that a ``[GC:...]`` message names, where it is a whole number."""
+    found = _FEED.search(modes)
+    return int(found[1]) if found else None
 
 
 def set_position_line(letters: str, position: Sequence[float]) -> bytes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from tapping_cell.hardware import controller_needs, grbl
@@ -17,6 +17,8 @@ from tapping_cell.hardware.dialect import (
     LineCounters,
 )
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.finding import Finding
+from tapping_cell.hardware.grbl_controllers import GRBL, ORIGIN_BIT, GrblController, identify
 from tapping_cell.hardware.transport import Transport
 
 REPLY_TIMEOUT = 0.5
@@ -38,12 +40,18 @@ LOCKED = {
     "Check": "in check mode",
 }
 """States in which no motion is taken until the controller is cleared."""
-HOMING_SETTINGS = (23, 27, 130, 131, 132, 133)
-"""What says where a homing ends: directions, pull-off, travels."""
+POWERLESS = ("Alarm", "Sleep")
+"""States in which the motors may be, or have been, without power."""
+DEFAULT_LETTERS = "XYZABCUVW"
+"""Order of the axes in reports of controllers that do not tell it."""
 HOMED_TOLERANCE = 0.05
 """Difference forgiven between the machine position after homing and the expected one, units."""
 RESETS = 3
 """Soft resets sent until the banner comes."""
+RESET_TIME = 1.5
+"""Longest wait for the banner after a soft reset, s: FluidNC takes 0.5 s after an alarm."""
+MARKERS = (1001, 9999)
+"""Range of the numbers by which answers to one resynchronisation are told from those to others."""
 DRAIN_SILENCE = 0.05
 """Silence after which nothing more is expected to be on the line, s."""
 DRAIN_ROUNDS = 100
@@ -64,7 +72,11 @@ class GrblSettings:
     needs: ControllerNeeds = field(default_factory=ControllerNeeds)
     """What ``$100`` to ``$133`` must allow."""
     home_place: tuple[float, float, float, float] | None = None
-    """Machine position after homing, in degrees and mm; None: as Grbl computes it from ``$$``."""
+    """Machine position after homing, in degrees and mm; None: as the firmware computes it."""
+    without_switch: tuple[int, ...] = ()
+    """Axes, 0 to 3, that homing does not move: a person has set them to their mark before."""
+    needs_homing: bool = False
+    """Whether the controller's homing must be enabled."""
 
     def __post_init__(self) -> None:
         check_letters(self.letters)
@@ -83,8 +95,17 @@ class GrblDialect:
         self._known = False
         self._marked = False
         self._frozen = False
-        self._homed_place: tuple[float, ...] = ()
+        self._controller: GrblController = GRBL
+        self._forces_origin = False
+        self._columns = list(range(AXIS_COUNT))
+        self._homed_place: list[float | None] = []
+        self._count = 0
+        self._homed_unknown = ""
+        self._feed_override = 100
+        self._unanswered = False
+        self._marker = MARKERS[0]
         self._asked = 0.0
+        self._since = 0.0
 
     @property
     def stop_bytes(self) -> bytes:
@@ -93,20 +114,33 @@ class GrblDialect:
 
     def connect(self, deadline: float) -> Firmware:
         """Find out who is there: status, version, settings; refuses what it does not understand."""
+        firmware, findings = self.inspect(deadline)
+        controller_needs.refuse(findings)
+        self._known = True
+        return firmware
+
+    def inspect(self, deadline: float) -> tuple[Firmware, list[Finding]]:
+        """Who is there, and how its settings compare with what is needed; nothing moves."""
         offset = self._offset if self._frozen else None
         self._forget()
         self._known = False
         banner = self._drain() or self._await_first_status(deadline)
         if banner is not None:
             self._await_first_status(deadline)
-        version = self._version(deadline, banner)
-        self._check_settings(deadline)
+        version = self._identify(deadline, banner)
+        self._transport.write(grbl.FULL_FEED)
+        findings = self._compared(deadline)
         continued = self._marked and banner is None and self._mark_is_there(deadline)
         self._marked = continued
         if continued and offset is not None:
             self._offset, self._frozen = offset, True
-        self._known = True
-        return Firmware("Grbl", version, continued)
+        return Firmware(self._controller.name, version, continued), findings
+
+    def store(self, finding: Finding, deadline: float) -> None:
+        """Send the command of a finding that may be stored without a person at the arm."""
+        if not finding.storable:
+            raise ValueError(f"{finding.setting} must be set by a person")
+        self._command(finding.command.partition(";")[0].encode() + b"\n", deadline)
 
     def read(self, deadline: float) -> AxisReading:
         """Ask for status until two reports in a row agree on the state and the position.
@@ -129,7 +163,10 @@ class GrblDialect:
         except HardwareFault as fault:
             if fault.reason is not FaultReason.TIMEOUT:
                 raise
+            # Its `ok` is late or lost. Until the controller has dealt with every line before, its
+            # report "Idle" may be that of an arm which has yet to move.
             self.counters.retries += 1
+            self._resynchronise(deadline)
 
     def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
         """Listen until ``expected_end``, then poll until a report says that the axes rest."""
@@ -137,7 +174,8 @@ class GrblDialect:
             self._pump(left)
         pause, longest = POLL_PERIODS
         while True:
-            status = self._ask_status(deadline)
+            # An answer has its own patience: a move that is late is not a silent controller.
+            status = self._ask_status(max(deadline, self._transport.now() + REPLY_TIMEOUT))
             if status.state == "Alarm":
                 raise self._alarm_fault("the controller is in alarm")
             if status.state in LOCKED:
@@ -148,6 +186,11 @@ class GrblDialect:
                 )
             if not _moving(status) and self._work_position(status) is not None:
                 return self._reading(status)
+            if self._transport.now() >= deadline:
+                raise HardwareFault(
+                    FaultReason.TIMEOUT,
+                    f"the controller still reports {status.state}" + self._override_words(),
+                )
             self._pump(pause)
             pause = min(2 * pause, longest)
 
@@ -166,9 +209,20 @@ class GrblDialect:
         patience = min(deadline, self._transport.now() + REST_PATIENCE)
         while _moving(self._ask_status(deadline)) and self._transport.now() < patience:
             self._pump(POLL_PERIODS[1])
+        # Somebody may have changed a setting since the connect.
+        controller_needs.refuse(self._compared(deadline))
+        if self._homed_unknown:
+            raise HardwareFault(FaultReason.HOMING_FAILED, self._homed_unknown)
+        began = self._transport.now()
         try:
             self._command(b"$H\n", deadline)
         except HardwareFault as fault:
+            if fault.reason is FaultReason.TIMEOUT:
+                raise HardwareFault(
+                    FaultReason.TIMEOUT,
+                    f"homing has not ended within {self._transport.now() - began:.0f} s"
+                    " (arm.homing_timeout): look for an axis that does not reach its switch",
+                ) from fault
             if fault.reason in (FaultReason.ALARM, FaultReason.REJECTED):
                 raise HardwareFault(
                     FaultReason.HOMING_FAILED,
@@ -178,17 +232,7 @@ class GrblDialect:
         self._offset, self._frozen = None, False
         while _moving(status := self._ask_status(deadline)):
             self._pump(POLL_PERIODS[1])
-        place = status.machine or ()
-        if len(place) < AXIS_COUNT or any(
-            abs(found - wanted) > HOMED_TOLERANCE
-            for found, wanted in zip(place, self._homed_place, strict=False)
-        ):
-            raise HardwareFault(
-                FaultReason.HOMING_FAILED,
-                f"after homing the controller stands at {place}, not at {self._homed_place}, where"
-                " its settings $23, $27 and $130 to $133 end a homing: home again; if it stays so,"
-                " set arm.home_place",
-            )
+        self._check_homed(status)
         if axes is not None:
             self.set_position(axes, deadline)
 
@@ -212,7 +256,7 @@ class GrblDialect:
         for _ in range(RESETS):
             self._transport.write(grbl.SOFT_RESET)
             # What the board said before it was reset may still be on the line: wait for the banner.
-            if self._await_banner(min(deadline, self._transport.now() + REPLY_TIMEOUT)):
+            if self._await_banner(min(deadline, self._transport.now() + RESET_TIME)):
                 break
             self.counters.retries += 1
         self._drain()
@@ -225,6 +269,8 @@ class GrblDialect:
         self._buffer = b""
         self._frames.clear()
         self._offset, self._frozen = None, False
+        self._unanswered = False
+        self._count = 0
 
     def _pump(self, wait: float) -> bool:
         """Read for up to ``wait`` s and decode what came; False when nothing came."""
@@ -241,8 +287,14 @@ class GrblDialect:
         if isinstance(frame, grbl.Bad):
             self.counters.bad_lines += 1
             return
-        if isinstance(frame, grbl.Status) and frame.offset is not None and not self._frozen:
-            self._offset = frame.offset
+        if isinstance(frame, grbl.Status):
+            if self._count and len(frame.machine or frame.work or ()) != self._count:
+                self.counters.bad_lines += 1
+                return
+            if frame.offset is not None and not self._frozen:
+                self._offset = frame.offset
+            if frame.feed_override is not None:
+                self._feed_override = frame.feed_override
         if self._known and isinstance(frame, grbl.Banner):
             self._known = False
             self._marked = False
@@ -252,9 +304,8 @@ class GrblDialect:
                 " clear the fault and home again",
             )
         if self._known and isinstance(frame, grbl.Alarm):
-            raise self._alarm_fault(
-                grbl.ALARMS.get(frame.code, "unknown to this driver"), frame.code
-            )
+            meanings = {**grbl.ALARMS, **self._controller.alarms}
+            raise self._alarm_fault(meanings.get(frame.code, "unknown to this driver"), frame.code)
         self._frames.append(frame)
 
     def _next(self, deadline: float, waiting_for: str) -> grbl.Frame:
@@ -264,8 +315,9 @@ class GrblDialect:
                 self.counters.timeouts += 1
                 raise HardwareFault(
                     FaultReason.TIMEOUT,
-                    f"no {waiting_for} from the arm's controller on {self._transport.name} in time:"
-                    " check power, cable and baud rate",
+                    f"no {waiting_for} from the arm's controller on {self._transport.name} within"
+                    f" {self._transport.now() - self._since:.1f} s: check power, cable and baud"
+                    " rate",
                 )
             self._pump(left)
         return self._frames.popleft()
@@ -274,6 +326,7 @@ class GrblDialect:
         """One report, asked for as often as reports get lost; older answers are dropped first."""
         self._pump(0.0)
         self._frames.clear()
+        self._since = self._transport.now()
         while True:
             self._asked = self._transport.now()
             self._transport.write(grbl.STATUS_QUERY)
@@ -289,16 +342,26 @@ class GrblDialect:
                 self.counters.retries += 1
 
     def _command(self, line: bytes, deadline: float) -> list[grbl.Frame]:
-        """Send one line, wait for its ``ok``, return what came before it."""
+        """Send one line, wait for its ``ok``, return what came before it.
+
+        An ``ok`` names no line. Where one is still owed to an earlier line, the two ends are
+        brought into step first, so that it cannot be taken for the answer to this one.
+        """
+        if self._unanswered:
+            self._resynchronise(deadline)
         self._pump(0.0)
         self._frames.clear()
+        self._since = self._transport.now()
+        self._unanswered = True
         self._transport.write(line)
         heard: list[grbl.Frame] = []
         while True:
             frame = self._next(deadline, f"answer to {line.decode().strip()!r}")
             if isinstance(frame, grbl.Ok):
+                self._unanswered = False
                 return heard
             if isinstance(frame, grbl.Error):
+                self._unanswered = False
                 meaning = grbl.ERRORS.get(frame.code, "see the controller's documentation")
                 reason = FaultReason.ALARM if frame.code == 9 else FaultReason.REJECTED
                 raise HardwareFault(
@@ -307,6 +370,39 @@ class GrblDialect:
                     f" {meaning}",
                 )
             heard.append(frame)
+
+    def _resynchronise(self, deadline: float) -> None:
+        """Wait until the controller has dealt with every line sent before, whatever was lost.
+
+        A number that was never used before is set as the feed and read back with the modes: the
+        ``ok`` that follows it is the last one owed. Raises ALARM where no feed is taken.
+        """
+        self._since = self._transport.now()
+        while True:
+            first, last = MARKERS
+            self._marker = self._marker + 1 if self._marker < last else first
+            self._transport.write(grbl.marker_lines(self._marker))
+            until = min(deadline, self._transport.now() + REPLY_TIMEOUT)
+            locked = False
+            try:
+                while True:
+                    frame = self._next(until, "answer to its lines")
+                    if isinstance(frame, grbl.Error):
+                        locked = locked or frame.code == 9
+                    elif isinstance(frame, grbl.Message) and frame.kind == "GC":
+                        if locked:
+                            raise self._alarm_fault("it takes no lines")
+                        if grbl.modal_feed(frame.text) == self._marker:
+                            break
+                while not isinstance(self._next(until, "answer to its lines"), grbl.Ok):
+                    pass
+            except HardwareFault as fault:
+                if fault.reason is not FaultReason.TIMEOUT or until >= deadline:
+                    raise
+                self.counters.retries += 1
+            else:
+                self._unanswered = False
+                return
 
     def _await_first_status(self, deadline: float) -> grbl.Banner | None:
         """Ask until a report comes; a banner on the way is kept: it says the board was reset."""
@@ -367,67 +463,245 @@ class GrblDialect:
                 self.counters.retries += 1
         raise AssertionError("unreachable")
 
-    def _version(self, deadline: float, banner: grbl.Banner | None) -> str:
+    def _identify(self, deadline: float, banner: grbl.Banner | None) -> str:
+        """Recognise the controller and count its axes; returns its version."""
         heard = self._retried(b"$I\n", deadline)
-        for frame in heard:
-            if isinstance(frame, grbl.Message) and frame.kind == "VER":
-                version = frame.text.split(":")[0]
-                if not version.startswith("1.1") and not version.startswith("3."):
-                    raise HardwareFault(
-                        FaultReason.UNKNOWN_FIRMWARE,
-                        f"Grbl version {version!r} is not understood: this driver speaks 1.1 (and"
-                        " FluidNC 3)",
-                    )
-                return version
-        if banner is not None:
-            return banner.version
-        raise HardwareFault(
-            FaultReason.UNKNOWN_FIRMWARE,
-            f"the controller on {self._transport.name} answers but names no Grbl version: check the"
-            " dialect parameter",
-        )
+        messages = [frame for frame in heard if isinstance(frame, grbl.Message)]
+        identity = identify(messages)
+        letters = DEFAULT_LETTERS
+        if identity is not None:
+            self._controller = identity.controller
+            self._forces_origin = identity.forces_origin
+            letters = identity.letters or letters
+            version = identity.version
+        else:
+            told = next((m.text.strip() for m in messages if m.kind == "VER"), "")
+            if told:
+                raise HardwareFault(
+                    FaultReason.UNKNOWN_FIRMWARE,
+                    f"Grbl version {told!r} is not understood: this driver speaks Grbl 1.1,"
+                    " grbl-Mega-5X, grblHAL and FluidNC 3 and 4",
+                )
+            if banner is None:
+                raise HardwareFault(
+                    FaultReason.UNKNOWN_FIRMWARE,
+                    f"the controller on {self._transport.name} answers but names no Grbl version:"
+                    " check the dialect parameter",
+                )
+            self._controller, self._forces_origin = GRBL, False
+            version = banner.version
+        status = self._ask_status(deadline)
+        count = len(status.machine or status.work or ())
+        known = letters[:count]
+        missing = [letter for letter in self._settings.letters if letter not in known]
+        if count < AXIS_COUNT or missing:
+            raise HardwareFault(
+                FaultReason.UNKNOWN_FIRMWARE,
+                f"{self._controller.name} {version} on {self._transport.name} has {count} axes"
+                f" ({known}), {AXIS_COUNT} are needed ({self._settings.letters}): build its"
+                f" firmware with {AXIS_COUNT} axes, take another controller, or correct"
+                " arm.axis_letters",
+            )
+        self._columns = [letters.index(letter) for letter in self._settings.letters]
+        self._count = count
+        return version
 
-    def _check_settings(self, deadline: float) -> None:
+    def _compared(self, deadline: float) -> list[Finding]:
+        """The findings; asked for twice where one is not met, for a line may have been bad."""
+        findings = self._compare(deadline)
+        if self._homed_unknown or not all(finding.met for finding in findings):
+            self.counters.retries += 1
+            findings = self._compare(deadline)
+        return findings
+
+    def _compare(self, deadline: float) -> list[Finding]:
+        """Hold the controller's settings against what is needed."""
         heard = self._retried(b"$$\n", deadline)
         found = {frame.number: frame.value for frame in heard if isinstance(frame, grbl.Setting)}
-        missing = [f"${number}" for number in HOMING_SETTINGS if number not in found]
-        if self._settings.home_place is None and missing:
-            raise HardwareFault(
-                FaultReason.SETTINGS_MISMATCH,
-                f"the controller does not list {', '.join(missing)} in its $$: connect again; if it"
-                " stays so, set arm.home_place",
+        controller, settings = self._controller, self._settings
+        findings: list[Finding] = []
+        if controller.has_files:
+            self._learn_homed_place_by_name(deadline)
+            held = self._named(controller.hold_setting, deadline)
+            inches = self._named("$/report_inches", deadline)
+            findings.append(
+                Finding(
+                    "$/report_inches",
+                    inches,
+                    "must be false: reports in degrees and mm",
+                    inches.lower() == "false",
+                    "$/report_inches=false",
+                    storable=True,
+                )
             )
-        self._homed_place = self._settings.home_place or _homed_place(found)
-        wrong = [
-            f"${number} is {found[number]:g}, must be {value:g}"
-            if number in found
-            else f"${number} is missing, must be {value:g}"
-            for number, value in self._settings.expected.items()
-            if number not in found
-            or abs(found[number] - value) > controller_needs.TOLERANCE * max(abs(value), 1.0)
-        ]
-        controller_needs.refuse(wrong + self._unmet(found))
+        else:
+            self._learn_homed_place(found)
+            held = f"{found[1]:g}" if 1 in found else "missing"
+        findings.append(
+            Finding(
+                controller.hold_setting,
+                held,
+                "must be 255: else the motors lose their torque when they stand and the arm sinks"
+                " unseen",
+                held == "255",
+                f"{controller.hold_setting}=255{controller.store_words}",
+                storable=True,
+            )
+        )
+        mask = found.get(10)
+        findings.append(
+            Finding(
+                "$10",
+                "missing" if mask is None else f"{mask:g}",
+                "must be odd: reports of the machine position",
+                mask is not None and int(mask) % 2 == 1,
+                f"$10={int(mask or 0) | 1}",
+                storable=True,
+            )
+        )
+        if settings.needs_homing:
+            findings.append(
+                Finding(
+                    "$22",
+                    f"{found[22]:g}" if 22 in found else "missing",
+                    "must be 1: homing is how this arm finds its position",
+                    int(found.get(22, 0)) % 2 == 1,
+                    "" if controller.has_files else f"$22={int(found.get(22, 0)) | 1}",
+                )
+            )
+            if self._homed_unknown:
+                findings.append(Finding("homing", "incomplete", self._homed_unknown, False))
+        for number, value in settings.expected.items():
+            if number not in found and controller.has_files and number == 13:
+                continue
+            told = found.get(number)
+            findings.append(
+                Finding(
+                    f"${number}",
+                    "missing" if told is None else f"{told:g}",
+                    f"must be {value:g}",
+                    told is not None
+                    and abs(told - value) <= controller_needs.TOLERANCE * max(abs(value), 1.0),
+                    "" if told is None else f"${number}={value:g}",
+                    storable=number == 13,
+                )
+            )
+        return findings + self._limits(found)
 
-    def _unmet(self, found: Mapping[int, float]) -> list[str]:
-        """What the controller's steps, rates, accelerations and travels do not allow."""
-        needs = self._settings.needs
+    def _named(self, name: str, deadline: float) -> str:
+        """A setting that has a name; "missing" where the controller has none of that name."""
+        try:
+            heard = self._retried(name.encode() + b"\n", deadline)
+        except HardwareFault as fault:
+            if fault.reason is not FaultReason.REJECTED:
+                raise
+            return "missing"
+        told = {frame.name: frame.text for frame in heard if isinstance(frame, grbl.NamedSetting)}
+        return told.get(name[1:], "missing").strip()
+
+    def _limits(self, found: Mapping[int, float]) -> list[Finding]:
+        """The controller's steps, rates, accelerations and travels."""
+        needs, columns = self._settings.needs, self._columns
 
         def four(first: int) -> tuple[list[str], list[float]]:
-            numbers = [first + axis for axis in range(AXIS_COUNT)]
+            numbers = [first + column for column in columns]
             listed = all(number in found for number in numbers)
             return [f"${n}" for n in numbers], [found[n] for n in numbers] if listed else []
 
-        unmet = controller_needs.exactly(*four(100), needs.steps)
+        command = "{name}={value}"
+        findings = controller_needs.exactly(*four(100), needs.steps, command)
         # Grbl's rates are in units/min.
         per_minute = None
         if needs.speed is not None:
             a, b, c, d = needs.speed
             per_minute = (60 * a, 60 * b, 60 * c, 60 * d)
-        unmet += controller_needs.at_least(*four(110), per_minute)
-        unmet += controller_needs.at_least(*four(120), needs.acceleration)
+        findings += controller_needs.at_least(*four(110), per_minute, command)
+        findings += controller_needs.at_least(*four(120), needs.acceleration, command)
         if found.get(20, 0.0):
-            unmet += controller_needs.at_least(*four(130), needs.travel)
-        return unmet
+            findings += controller_needs.at_least(*four(130), needs.travel, command)
+        return findings
+
+    # Where homing ends.
+
+    def _learn_homed_place(self, found: Mapping[int, float]) -> None:
+        """From ``$$``: pulled off ($27) from the end that $23 names, or zero where so built."""
+        self._homed_unknown = ""
+        self._homed_place = list(self._settings.home_place or ())
+        needed = [23, 27, *(130 + column for column in self._columns)]
+        missing = [f"${number}" for number in needed if number not in found]
+        if not self._homed_place:
+            if missing:
+                self._homed_unknown = (
+                    f"the controller does not list {', '.join(missing)}, so that nobody knows where"
+                    " its homing ends: connect again; if it stays so, set arm.home_place"
+                )
+                return
+            forced = self._forces_origin or (
+                bool(self._controller.homing_masks) and bool(int(found.get(22, 0)) & ORIGIN_BIT)
+            )
+            towards_low, pull_off = int(found[23]), found[27]
+            self._homed_place = [
+                0.0
+                if forced
+                else pull_off - found[130 + column]
+                if towards_low >> column & 1
+                else -pull_off
+                for column in self._columns
+            ]
+        masks = [int(found[n]) for n in self._controller.homing_masks if n in found]
+        for axis, column in enumerate(self._columns):
+            if axis in self._settings.without_switch:
+                self._homed_place[axis] = None
+            elif masks and not any(mask >> column & 1 for mask in masks):
+                first = self._controller.homing_masks[0]
+                self._homed_unknown = (
+                    f"the controller's homing leaves out axis {self._settings.letters[axis]}"
+                    f" (${first} to ${first + 3}): add it there, or name its joint in"
+                    " arm.axes_without_switch"
+                )
+
+    def _learn_homed_place_by_name(self, deadline: float) -> None:
+        """From the settings that a controller keeps under names."""
+        self._homed_unknown = ""
+        self._homed_place = list(self._settings.home_place or (None,) * AXIS_COUNT)
+        for axis, letter in enumerate(self._settings.letters):
+            if axis in self._settings.without_switch:
+                self._homed_place[axis] = None
+                continue
+            section = f"$/axes/{letter.lower()}/homing"
+            cycle = self._named(f"{section}/cycle", deadline)
+            if not cycle.lstrip("-").isdigit() or int(cycle) < 1:
+                self._homed_unknown = (
+                    f"the controller's homing leaves out axis {letter} ({section}/cycle is"
+                    f" {cycle}): give it a cycle, or name its joint in arm.axes_without_switch"
+                )
+            elif self._settings.home_place is None:
+                told = self._named(f"{section}/mpos_mm", deadline)
+                try:
+                    self._homed_place[axis] = float(told)
+                except ValueError:
+                    self._homed_unknown = (
+                        f"the controller does not tell {section}/mpos_mm, so that nobody knows"
+                        " where its homing ends: connect again; if it stays so, set arm.home_place"
+                    )
+
+    def _check_homed(self, status: grbl.Status) -> None:
+        """Raise HOMING_FAILED unless every axis that homes stands where homing ends."""
+        place = self._in_order(status.machine or ())
+        wrong = [
+            f"{letter} at {found:g} instead of {wanted:g}"
+            for letter, found, wanted in zip(
+                self._settings.letters, place, self._homed_place, strict=False
+            )
+            if wanted is not None and abs(found - wanted) > HOMED_TOLERANCE
+        ]
+        if wrong or len(place) < AXIS_COUNT:
+            raise HardwareFault(
+                FaultReason.HOMING_FAILED,
+                f"after homing the controller stands with {', '.join(wrong) or 'no position'},"
+                " where its settings do not end a homing: home again; if it stays so, set"
+                " arm.home_place, or name joints that have no switch in arm.axes_without_switch",
+            )
 
     def _mark_is_there(self, deadline: float) -> bool:
         heard = self._retried(b"$G\n", deadline)
@@ -437,16 +711,27 @@ class GrblDialect:
         )
 
     def _reading(self, status: grbl.Status) -> AxisReading:
-        position = self._work_position(status) or ()
-        if len(position) < AXIS_COUNT:
-            raise HardwareFault(
-                FaultReason.UNKNOWN_FIRMWARE,
-                f"the controller reports {len(position)} axes, {AXIS_COUNT} are needed: build its"
-                f" firmware with {AXIS_COUNT} axes",
-            )
-        alarm = LOCKED.get(status.state, "")
-        axes = AxisValues(*position[:AXIS_COUNT])
-        return AxisReading(axes, _moving(status), alarm, True, self._asked)
+        axes = AxisValues(*self._in_order(self._work_position(status) or ()))
+        return AxisReading(
+            axes,
+            _moving(status),
+            LOCKED.get(status.state, ""),
+            True,
+            self._asked,
+            status.state in POWERLESS,
+        )
+
+    def _in_order(self, position: Sequence[float]) -> tuple[float, ...]:
+        """The four axes of a reported position."""
+        return tuple(position[column] for column in self._columns)
+
+    def _override_words(self) -> str:
+        if self._feed_override == 100:
+            return ""
+        return (
+            f" with a feed override of {self._feed_override} %: set it back to 100 % at the"
+            " controller"
+        )
 
     def _agree(self, first: grbl.Status, second: grbl.Status) -> bool:
         """Whether two reports confirm each other: on the move, or at rest in the same place."""
@@ -475,17 +760,6 @@ class GrblDialect:
             f"alarm{number} of the arm's controller: {meaning}: make the cell safe, clear the fault"
             " and home again",
         )
-
-
-def _homed_place(settings: Mapping[int, float]) -> tuple[float, ...]:
-    """Where Grbl says the axes are after homing: pulled off ($27) from the end that $23 names."""
-    if any(number not in settings for number in HOMING_SETTINGS):
-        return ()
-    mask, pull_off = int(settings[23]), settings[27]
-    return tuple(
-        pull_off - settings[130 + axis] if mask >> axis & 1 else -pull_off
-        for axis in range(AXIS_COUNT)
-    )
 
 
 def _moving(status: grbl.Status) -> bool:

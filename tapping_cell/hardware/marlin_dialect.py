@@ -18,6 +18,7 @@ from tapping_cell.hardware.dialect import (
     LineCounters,
 )
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.finding import Finding
 from tapping_cell.hardware.transport import Transport
 
 SILENCE = 2.5
@@ -42,6 +43,11 @@ RESET_PAUSE = 0.5
 NO_EMERGENCY_PARSER = (
     "this Marlin is built without EMERGENCY_PARSER: a stop halts it (M112) until its board is reset"
 )
+SET = "{name}{value}, then M500"
+"""How a figure is set and kept."""
+PREPARATION = ("G21", "G90", "M220 S100", "M84 S0", "M17")
+"""Sent at every connect: mm, absolute, no speed override, no idle time after which the motors lose
+their torque, torque on."""
 RECOVERIES = 8
 """Rounds of sending again before a line counts as dead."""
 IDENTIFICATIONS = 6
@@ -81,6 +87,7 @@ class MarlinDialect:
         self._beginnings = 0
         self._sent: dict[int, bytes] = {}
         self._known = False
+        self._halted_why = ""
         self._emergency_parser = False
         self._steps: dict[str, float] = {}
 
@@ -95,9 +102,18 @@ class MarlinDialect:
 
         A board that answered before and is mute on a port just opened is halted: NEEDS_PERSON.
         """
+        firmware, findings = self.inspect(deadline)
+        controller_needs.refuse(findings)
+        self._prepare(deadline)
+        self._known = True
+        return firmware
+
+    def inspect(self, deadline: float) -> tuple[Firmware, list[Finding]]:
+        """Who is there, and how its settings compare with what is needed; nothing moves."""
         self._buffer = b""
         self._frames.clear()
         self._known = False
+        self._halted_why = ""
         continued = self._number > 0 and self._counts_on(deadline)
         try:
             self._begin_numbers(deadline)
@@ -108,12 +124,18 @@ class MarlinDialect:
         name = self._identify(deadline)
         self._met = True
         self._steps = self._figures("M92", deadline)
-        self._check_settings(deadline)
-        for mode in ("G21", "G90"):
-            self._command(mode, deadline)
-        self._known = True
+        findings = self._compare(deadline)
         remarks = () if self._emergency_parser else (NO_EMERGENCY_PARSER,)
-        return Firmware("Marlin", name, continued, remarks)
+        return Firmware("Marlin", name, continued, remarks), findings
+
+    def store(self, finding: Finding, deadline: float) -> None:
+        """No setting of Marlin is stored: what holds the motors is said at every connect."""
+        raise ValueError(f"{finding.setting} must be set by a person")
+
+    def _prepare(self, deadline: float) -> None:
+        """Absolute mm, full speed, and motors that keep their torque however long they stand."""
+        for code in PREPARATION:
+            self._order(code, deadline)
 
     def read(self, deadline: float) -> AxisReading:
         """``M114``: the step counts where the firmware gives them, else what was commanded."""
@@ -157,13 +179,20 @@ class MarlinDialect:
         So the position that is read at the end proves that ``G28`` ran, unless the counting had to
         begin anew meanwhile.
         """
-        beginnings = self._beginnings
+        beginnings, began = self._beginnings, self._transport.now()
         try:
             self._order("G28", deadline)
             if axes is not None:
                 self.set_position(axes, deadline)
             self.read(deadline)
         except HardwareFault as fault:
+            if fault.reason is FaultReason.TIMEOUT:
+                raise HardwareFault(
+                    FaultReason.TIMEOUT,
+                    f"homing has not ended within {self._transport.now() - began:.0f} s"
+                    f" (arm.homing_timeout; {fault}): look for an axis that does not reach its end"
+                    " stop",
+                ) from fault
             if fault.reason in (FaultReason.ALARM, FaultReason.REJECTED):
                 raise HardwareFault(
                     FaultReason.HOMING_FAILED, f"homing failed: {fault}: check the end stops"
@@ -184,6 +213,7 @@ class MarlinDialect:
         """Start over; a halted board is reset by opening the port anew, where its wiring does
         that."""
         self._known = False
+        self._halted_why = ""
         self._pump(0.0)
         self._frames.clear()
         try:
@@ -199,8 +229,7 @@ class MarlinDialect:
                 self._begin_numbers(deadline)
             except HardwareFault as still:
                 raise self._halted() from still
-        for mode in ("G21", "G90"):
-            self._command(mode, deadline)
+        self._prepare(deadline)
         self._known = True
 
     # Lines.
@@ -260,12 +289,13 @@ class MarlinDialect:
     ) -> int | None:
         """None: ``ok``. A number: the board wants that line. -1: silence."""
         wanted: int | None = None
+        busy = False
         while True:
             until = min(deadline, self._transport.now() + patience)
             frame = self._next(until)
             if frame is None:
                 if self._transport.now() >= deadline:
-                    raise self._dead(f"line {number}")
+                    raise self._still_busy() if busy else self._dead(f"line {number}")
                 return -1 if wanted is None else wanted
             if isinstance(frame, marlin.Ok):
                 return wanted
@@ -274,7 +304,9 @@ class MarlinDialect:
             elif isinstance(frame, marlin.LineError):
                 if self._known and frame.last_line == 0 and number > 1:
                     raise self._restarted()
-            elif not isinstance(frame, marlin.Busy):
+            elif isinstance(frame, marlin.Busy):
+                busy = True
+            else:
                 heard.append(frame)
                 if isinstance(frame, marlin.Position) and frame.with_ok:
                     return wanted
@@ -326,6 +358,7 @@ class MarlinDialect:
             if isinstance(frame, marlin.Bad):
                 self.counters.bad_lines += 1
             elif isinstance(frame, marlin.Halted) and self._known:
+                self._halted_why = frame.why
                 raise HardwareFault(
                     FaultReason.ALARM,
                     f"the arm's controller halted: {frame.why}: make the cell safe, clear the fault"
@@ -423,18 +456,19 @@ class MarlinDialect:
                 return {axis: frame.values[axis] for axis in letters}
         return {}
 
-    def _check_settings(self, deadline: float) -> None:
-        """Refuse steps, rates, accelerations and soft end stops that differ from what is needed."""
+    def _compare(self, deadline: float) -> list[Finding]:
+        """Hold steps, rates, accelerations and soft end stops against what is needed."""
         needs = self._settings.needs
         if needs == ControllerNeeds():
-            return
+            return []
 
         def told(code: str, figures: dict[str, float]) -> tuple[list[str], list[float]]:
             return [f"{code} {axis}" for axis in figures], list(figures.values())
 
-        wrong = controller_needs.exactly(*told("M92", self._steps), needs.steps)
+        findings = controller_needs.exactly(*told("M92", self._steps), needs.steps, SET)
         for code, needed in (("M203", needs.speed), ("M201", needs.acceleration)):
-            wrong += controller_needs.at_least(*told(code, self._figures(code, deadline)), needed)
+            figures = told(code, self._figures(code, deadline))
+            findings += controller_needs.at_least(*figures, needed, SET)
         for frame in self._command("M211", deadline):
             if isinstance(frame, marlin.SoftEndstops) and frame.on:
                 free = {
@@ -443,8 +477,9 @@ class MarlinDialect:
                     if axis in frame.low and axis in frame.high
                 }
                 if len(free) == AXIS_COUNT:
-                    wrong += controller_needs.at_least(*told("M211 range", free), needs.travel)
-        controller_needs.refuse(wrong)
+                    span = told("M211 range", free)
+                    findings += controller_needs.at_least(*span, needs.travel, "M211 S0")
+        return findings
 
     def _reading(self, frame: marlin.Position, asked: float) -> AxisReading:
         letters = self._settings.letters
@@ -467,11 +502,12 @@ class MarlinDialect:
         return AxisReading(actual, moving, "", True, asked)
 
     def _halted(self) -> HardwareFault:
+        why = f" ({self._halted_why})" if self._halted_why else ""
         return HardwareFault(
             FaultReason.NEEDS_PERSON,
             f"the arm's controller on {self._transport.name} no longer answers, as Marlin does once"
-            " it was halted: press the reset button on its board (or look after power and cable),"
-            " then clear the fault and home again",
+            f" it was halted{why}: press the reset button on its board (or look after power and"
+            " cable), then clear the fault and home again",
         )
 
     def _restarted(self) -> HardwareFault:
@@ -483,8 +519,14 @@ class MarlinDialect:
             " clear the fault and home again",
         )
 
+    def _still_busy(self) -> HardwareFault:
+        self.counters.timeouts += 1
+        return HardwareFault(FaultReason.TIMEOUT, "the controller still says that it is busy")
+
     def _dead(self, what: str) -> HardwareFault:
         self.counters.timeouts += 1
+        if self._halted_why:
+            return self._halted()
         return HardwareFault(
             FaultReason.TIMEOUT,
             f"no answer to {what} from the arm's controller on {self._transport.name} in time:"

@@ -2,7 +2,9 @@
 
 Every move is straight in joint space, so a move between two waypoints of one elbow side never
 passes the straight elbow. When a pose is only reachable with the other elbow, the side changes in
-the raised travel alone, above everything on the table.
+the raised travel alone, above everything on the table. Below travel height the quill moves alone,
+straight up or down. Above it all joints move together, on one straight line between two places at
+travel height or higher.
 """
 
 from __future__ import annotations
@@ -59,16 +61,17 @@ def strike_path(
     Raises HardwareFault (UNREACHABLE) with the reason of the kinematics; moves of no length are
     left out.
     """
+    near = settings.near_speed
     solution = geometry.inverse(tip, near=current)
     if solution.joints is None:
         raise HardwareFault(FaultReason.UNREACHABLE, solution.reason)
-    high = _travel_quill(geometry, settings, max(current[2], solution.joints.quill))
+    clear = _clear_quill(geometry, settings)
     goal = solution.joints
     return _moves(
         Joints(*current),
-        Waypoint(Joints(*current)._replace(quill=high), settings.near_speed, "raise"),
-        Waypoint(goal._replace(quill=high), settings.travel_speed, "travel"),
-        Waypoint(goal, settings.near_speed, "lower"),
+        Waypoint(Joints(*current)._replace(quill=max(current[2], clear)), near, "raise"),
+        Waypoint(goal._replace(quill=max(goal.quill, clear)), settings.travel_speed, "travel"),
+        Waypoint(goal, near, "lower"),
     )
 
 
@@ -94,9 +97,11 @@ def withdraw_path(
             # Should the line of this step be lost, the striker rises where it stands: no harm.
             low = via = solution.joints
     park = Joints(*settings.park)
-    high = _travel_quill(geometry, settings, max(start.quill, park.quill))
-    steps.append(Waypoint(low._replace(quill=high), settings.near_speed, "raise", via))
-    steps.append(Waypoint(park._replace(quill=high), settings.travel_speed, "travel"))
+    clear = _clear_quill(geometry, settings)
+    raised = low._replace(quill=max(start.quill, clear))
+    steps.append(Waypoint(raised, settings.near_speed, "raise", via))
+    above = park._replace(quill=max(park.quill, clear))
+    steps.append(Waypoint(above, settings.travel_speed, "travel"))
     steps.append(Waypoint(park, settings.near_speed, "park"))
     return _moves(start, *steps)
 
@@ -152,18 +157,17 @@ def check_limits(geometry: ScaraGeometry, joints: Sequence[float]) -> None:
     )
 
 
-def _travel_quill(geometry: ScaraGeometry, settings: MotionSettings, least: float) -> float:
-    wanted = settings.travel_height - geometry.tip_height
-    # An arm read back a hair above its upper limit stays as high as it may.
-    high = max(wanted, min(least, geometry.upper[2]))
-    if wanted > geometry.upper[2] + 1e-9:
+def _clear_quill(geometry: ScaraGeometry, settings: MotionSettings) -> float:
+    """The quill with the tip at travel height."""
+    clear = settings.travel_height - geometry.tip_height
+    if clear > geometry.upper[2] + 1e-9:
         raise HardwareFault(
             FaultReason.OUT_OF_RANGE,
             f"travel height {settings.travel_height * 1e3:.1f} mm needs the quill at"
-            f" {high * 1e3:.1f} mm, above its limit of {geometry.upper[2] * 1e3:.1f} mm:"
+            f" {clear * 1e3:.1f} mm, above its limit of {geometry.upper[2] * 1e3:.1f} mm:"
             " lower travel_height",
         )
-    return high
+    return clear
 
 
 def _moves(start: Joints, *waypoints: Waypoint) -> tuple[Waypoint, ...]:

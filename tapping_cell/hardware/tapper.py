@@ -1,8 +1,14 @@
-"""The tapper's driver: draw, fire once, say truly what happened.
+"""The tapper's driver: charge, fire once within a window, report truthfully what happened.
 
-A shot is never fired twice: a repeated request carries the same sequence number, which the tapper
-answers from memory; a shot whose ``FIRE`` may have gone out is never tried again by this driver.
-When the answer stays away, a later request settles it: the tapper takes no older sequence number
+A release can only happen inside a window that the last check before FIRE opened: FIRE carries a
+deadline in the board's own time, and the board refuses it afterwards. No clocks are synchronised:
+the driver asks for the board's time, then asks its caller whether the shot is still allowed, and
+only then sends FIRE. However long this process, the operating system or the line hold the frame
+up, the board releases before the deadline or not at all.
+
+A shot is never fired twice: a repeated request carries the same sequence number, which the board
+answers from memory; a shot whose FIRE may have gone out is never tried again by this driver. When
+the reply stays away, a later request settles the outcome: the board takes no older sequence number
 after a newer one, and each reply names the last shot fired. When that stays away too, or the boot
 number has changed, the outcome is UNKNOWN: look with the camera, never fire again.
 """
@@ -17,14 +23,24 @@ from enum import Enum
 
 from tapping_cell.hardware import tapper_protocol as protocol
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.tapper_protocol import Command, Reply, Result, State
+from tapping_cell.hardware.tapper_protocol import (
+    Command,
+    Mode,
+    OtherFirmware,
+    Reply,
+    Result,
+    State,
+)
 from tapping_cell.hardware.transport import Transport
 
-PROTOCOL_VERSION = "1"
-"""First part of the firmware's version that this driver speaks."""
-LATEST_FIRE = protocol.SILENCE_LIMIT + 0.15
-"""A FIRE frame that is stuck on the line can act no later than this after it was sent, s: by then
-the tapper has heard nothing valid for 500 ms and has disarmed itself."""
+PROTOCOL_VERSION = "2"
+"""First part of the firmware's version that this driver speaks. Version 1 knew no deadline, so it
+could release a shot long after the last check: a board with it is refused."""
+CLOCK_TOLERANCE = 0.01
+"""Greatest difference in rate of the board's clock to this computer's; a ceramic resonator has
+0.5 %."""
+RETURNING = frozenset({State.RELEASING, State.DISCHARGING, State.HOMING})
+"""States that end by themselves in one that can charge."""
 
 
 class FireOutcome(Enum):
@@ -42,6 +58,9 @@ class FireResult:
     outcome: FireOutcome
     shot: int
     sentence: str = ""
+    released_by: float | None = None
+    """After this time of the host's steady clock the release output is off for certain, s; None
+    for NOT_FIRED: it was never on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,15 +69,21 @@ class TapperSettings:
 
     reply_timeout: float = 0.06
     """Before a request is repeated: a frame of 100 bytes takes 9 ms at 115200 baud."""
+    fire_reply_timeout: float = 0.03
+    """Before FIRE is repeated: shorter than the window, so that a lost frame may be sent again."""
     attempts: int = 5
-    draw_timeout: float = 3.0
-    """Longest draw."""
+    charge_timeout: float = 4.0
+    """Longest charging: 6000 steps at 2000 a second, and some."""
+    home_timeout: float = 8.0
+    """Longest homing, and longest way of the carriage back to its front end."""
     poll_period: float = 0.002
-    """Between status requests while drawing; far below the 500 ms silence limit."""
+    """Between status requests while charging; far below the 500 ms silence limit."""
+    mode: Mode = Mode.RUN
+    """The mode that the board is put in when a session is opened."""
 
     def __post_init__(self) -> None:
-        if self.attempts < 1 or self.reply_timeout <= 0:
-            raise ValueError("at least one attempt and a reply_timeout above 0 are needed")
+        if self.attempts < 1 or min(self.reply_timeout, self.fire_reply_timeout) <= 0:
+            raise ValueError("at least one attempt and reply timeouts above 0 are needed")
         if self.poll_period + self.reply_timeout > protocol.SILENCE_LIMIT / 2:
             raise ValueError(
                 f"poll_period {self.poll_period:g} s and reply_timeout {self.reply_timeout:g} s are"
@@ -72,6 +97,8 @@ class TapperCounters:
 
     fired: int = 0
     unknown: int = 0
+    late: int = 0
+    """Shots that the board refused because FIRE came after its deadline."""
     retries: int = 0
     timeouts: int = 0
     bad_frames: int = 0
@@ -99,6 +126,9 @@ class TapperDriver:
         self._boot: int | None = None
         self._version = ""
         self._attempted = 0
+        self._mode = self.settings.mode
+        # A FIRE of an earlier process may still be on its way to the board.
+        self._release_by = self._latest_release(transport.now(), protocol.LONGEST_WINDOW)
         self._stopped = threading.Event()
 
     @property
@@ -116,11 +146,23 @@ class TapperDriver:
         """Whether ``stop`` is latched on this side."""
         return self._stopped.is_set()
 
+    @property
+    def mode(self) -> Mode:
+        """The mode that the board is kept in: set-up or run."""
+        return self._mode
+
+    @property
+    def release_impossible_after(self) -> float:
+        """The time of the host's steady clock after which no shot that was sent so far, by this
+        driver or by an earlier process, can be released, whatever was lost, s."""
+        return self._release_by
+
     def connect(self, timeout: float = 5.0) -> Reply:
-        """Open the line and a new session, which disarms the tapper.
+        """Open the line and a new session, which discharges the tapper, and set the mode.
 
         ``timeout``: longest wait for the port, and then for an answer, s. Raises HardwareFault:
-        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, STOPPED; the port is closed then, but for a stop.
+        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, TIMEOUT, STOPPED; the port is closed then, but
+        for a stop.
         """
         again = self._boot is not None
         self._boot = None
@@ -128,13 +170,13 @@ class TapperDriver:
         self.counters.reconnects += again
         try:
             reply = self._greet(self._transport.now() + timeout)
+            self._version = reply.version
+            self._boot = reply.boot
+            return self.set_mode(self._mode)
         except HardwareFault as fault:
             if fault.reason is not FaultReason.STOPPED:
                 self.close()
             raise
-        self._version = reply.version
-        self._boot = reply.boot
-        return reply
 
     def _greet(self, deadline: float) -> Reply:
         """HELLO until somebody answers it."""
@@ -154,37 +196,85 @@ class TapperDriver:
                     " power and that its firmware is loaded",
                 )
         if reply.version.split(".")[0] != PROTOCOL_VERSION:
-            raise self._noted(
-                FaultReason.UNKNOWN_FIRMWARE,
-                f"tapper firmware {reply.version or 'without a version'} is not understood: this"
-                f" driver speaks version {PROTOCOL_VERSION}; load the firmware of this repository",
-            )
+            raise self._other_firmware(reply.version)
         return reply
 
+    def _other_firmware(self, version: str) -> HardwareFault:
+        return self._noted(
+            FaultReason.UNKNOWN_FIRMWARE,
+            f"tapper firmware {version} speaks another protocol than this driver (version"
+            f" {PROTOCOL_VERSION}): flash the firmware of this repository (make -C firmware/tapper"
+            " flash PORT=...)",
+        )
+
     def close(self) -> None:
-        """Close the line; the tapper disarms itself by the silence."""
+        """Close the line; the tapper discharges itself by the silence."""
         self._boot = None
         self._transport.close()
 
     def status(self) -> Reply:
-        """Ask for the state; also what keeps a drawn tapper alive: call it more often than 500
-        ms."""
+        """Ask for the state; also what keeps a charged tapper alive: call it more often than every
+        500 ms."""
         return self._request(Command.STATUS)
 
-    def arm(
+    def set_mode(self, mode: Mode) -> Reply:
+        """Put the board in set-up or run mode, now and at every later ``connect``.
+
+        In set-up mode the board refuses energies above its set-up limit, unless the enabling
+        switch at the cell is held; letting it go discharges what is charged above the limit.
+        Raises HardwareFault: TIMEOUT, BOARD_RESET, STOPPED, DISCONNECTED.
+        """
+        reply = self._request(Command.MODE, mode)
+        if reply.result is not Result.OK or reply.mode is not mode:
+            raise self._refusal(reply)
+        self._mode = mode
+        return reply
+
+    def home(self, go_on: Callable[[], bool] = lambda: True) -> Reply:
+        """Move the spring's carriage to its front switch, so that its place is known.
+
+        ``go_on`` is asked every few milliseconds; when it says no, the carriage stops and the reply
+        to that is returned, whose state is UNHOMED. Raises HardwareFault: HOMING_FAILED, INTERLOCK,
+        STOPPED, TIMEOUT, BOARD_RESET, DISCONNECTED.
+        """
+        reply = self._request(Command.HOME)
+        if reply.result is not Result.OK:
+            raise self._refusal(reply)
+        deadline = self._transport.now() + self.settings.home_timeout
+        while reply.state is State.HOMING:
+            if not go_on():
+                return self.discharge()
+            if self._transport.now() > deadline:
+                self.discharge()
+                break
+            self._listen(self.settings.poll_period)
+            reply = self._request(Command.STATUS)
+        if reply.state is not State.SAFE:
+            if reply.stop_latched or not reply.interlock_closed:
+                raise self._refusal(reply)
+            raise self._noted(
+                FaultReason.HOMING_FAILED,
+                "the tapper's carriage did not find its front switch, or did not leave it: check"
+                " the motor's power and enable wire, the switch and its wire (D9)",
+            )
+        return reply
+
+    def charge(
         self,
         shot: int,
         energy: float,
-        timeout: float = 3.0,
         go_on: Callable[[], bool] = lambda: True,
+        timeout: float = 5.0,
     ) -> Reply:
-        """Draw for ``energy`` in J; returns when drawn. The tapper disarms by itself ``timeout`` s
-        after the request, or 500 ms after the last frame.
+        """Store ``energy`` in J for ``shot``; returns when charged. The tapper discharges by itself
+        ``timeout`` s after the request, or 500 ms after the last frame.
 
-        ``go_on`` is asked every few milliseconds of the draw; when it says no, the tapper is
-        disarmed at once and its answer to that is returned. ``shot`` must be above every shot tried
-        before. Raises HardwareFault: SHOT_SPENT, INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT,
-        BOARD_RESET, REJECTED, DISCONNECTED.
+        A carriage whose place is unknown is homed first; one that is on its way back is waited for.
+        ``go_on`` is asked every few milliseconds; when it says no, the tapper is discharged at once
+        and its reply to that is returned, whose state is not CHARGED. ``shot`` must be above every
+        shot charged before, by at most ``MAXIMUM_JUMP``. Raises HardwareFault: SHOT_SPENT,
+        INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET, REJECTED, DISCONNECTED,
+        HOMING_FAILED, POSITION_LOST, NEEDS_PERSON.
         """
         energy_uj = round(energy * 1e6) if energy == energy and abs(energy) < 1e9 else -1
         if not (0 < shot <= protocol.MAXIMUM_SHOT and 0 < energy_uj <= protocol.MAXIMUM_ENERGY_UJ):
@@ -193,85 +283,145 @@ class TapperDriver:
                 f"shot {shot} with {energy:g} J: the shot must be 1 to {protocol.MAXIMUM_SHOT}, the"
                 f" energy above 0 and at most {protocol.MAXIMUM_ENERGY_UJ * 1e-6:g} J",
             )
-        if shot <= self._attempted:
-            raise self._noted(
-                FaultReason.SHOT_SPENT,
-                f"shot {shot} may have been fired already (last tried: {self._attempted}): take a"
-                " new"
-                " number",
-            )
-        reply = self._request(Command.ARM, shot, energy_uj, round(timeout * 1e3))
-        if reply.result is not Result.OK:
-            raise self._refusal(reply)
-        deadline = self._transport.now() + self.settings.draw_timeout
-        while reply.state is not State.DRAWN:
-            if reply.state is not State.DRAWING or reply.shot != shot:
+        self._refuse_spent(shot)
+        until = self._transport.now() + self.settings.home_timeout
+        while True:
+            reply = self._request(Command.CHARGE, shot, energy_uj, round(timeout * 1e3))
+            if reply.result is Result.NOT_HOMED and reply.state is State.UNHOMED:
+                reply = self.home(go_on)
+                if reply.state is not State.SAFE:
+                    return reply
+            elif (
+                reply.result in (Result.BUSY, Result.NOT_HOMED)
+                and reply.state in RETURNING
+                and self._transport.now() < until
+            ):
+                if not go_on():
+                    return self.discharge()
+                self._listen(self.settings.poll_period)
+            elif reply.result is not Result.OK:
+                raise self._refusal(reply)
+            else:
+                break
+        deadline = self._transport.now() + self.settings.charge_timeout
+        while reply.state is not State.CHARGED:
+            if reply.state is not State.CHARGING or reply.shot != shot:
                 raise self._refusal(reply)
             if self._transport.now() > deadline:
-                self.disarm()
+                self.discharge()
                 raise self._noted(
                     FaultReason.TIMEOUT,
-                    f"the tapper was not drawn after {self.settings.draw_timeout:g} s: look whether"
-                    " the spring or its motor is blocked",
+                    f"the tapper was not charged after {self.settings.charge_timeout:g} s: check"
+                    " whether the spring or its motor is blocked",
                 )
             if not go_on():
-                return self.disarm()
+                return self.discharge()
             self._listen(self.settings.poll_period)
             reply = self._request(Command.STATUS)
         if reply.shot != shot or round(reply.energy * 1e6) != energy_uj:
-            self.disarm()
+            self.discharge()
             raise self._noted(
                 FaultReason.PROTOCOL,
-                f"the tapper is drawn for shot {reply.shot} with {reply.energy:g} J, asked was shot"
-                f" {shot} with {energy:g} J: it was disarmed",
+                f"the tapper is charged for shot {reply.shot} with {reply.energy:g} J, asked was"
+                f" shot {shot} with {energy:g} J: it was discharged",
             )
         return reply
 
-    def fire(self, shot: int) -> FireResult:
-        """Release shot ``shot`` once. Never raises for what the line does: the outcome says it.
+    def fire(self, shot: int, window: float, still_allowed: Callable[[float], bool]) -> FireResult:
+        """Release the charged ``shot`` once, within ``window`` s from now or not at all.
 
-        With UNKNOWN the call has waited until a release can no longer come. Raises HardwareFault
-        SHOT_SPENT for a shot tried before, STOPPED and DISCONNECTED when nothing was sent.
+        First the board's time is asked for, then ``still_allowed`` (the last check), then FIRE is
+        sent with the deadline ``window`` after the time that the board gave. ``still_allowed`` gets
+        the latest time of the host's steady clock, in s, at which the release output can still be
+        on; the flight of the striker comes on top. It is asked again before each repetition of
+        FIRE, whose deadline stays the same. When it says no, the tapper is discharged.
+
+        ``window``: at most ``LONGEST_WINDOW``; a line with a USB adapter needs 20 to 40 ms. With
+        UNKNOWN the call has waited until a release can no longer come. Whatever the line does after
+        FIRE was sent is told by the outcome; a HardwareFault that is raised was met before, so that
+        the shot was not fired by this call: SHOT_SPENT, OUT_OF_RANGE, STOPPED, TIMEOUT,
+        BOARD_RESET, DISCONNECTED.
         """
         self._require_session()
-        if shot <= self._attempted:
+        self._refuse_spent(shot)
+        if not 1e-3 <= window <= protocol.LONGEST_WINDOW:
             raise self._noted(
-                FaultReason.SHOT_SPENT,
-                f"shot {shot} may have been fired already (last tried: {self._attempted}): take a"
-                " new"
-                " number",
+                FaultReason.OUT_OF_RANGE,
+                f"a window of {window:g} s for shot {shot}: it must be 0.001 to"
+                f" {protocol.LONGEST_WINDOW:g} s",
             )
-        self._attempted = shot
+        sample = self._request(Command.STATUS)
+        sampled_at = self._transport.now()
+        if sample.state is not State.CHARGED or sample.shot != shot:
+            return self._not_fired(shot, str(self._refusal(sample)))
         boot = self._boot
-        sequence = self._next_sequence()
-        frame = protocol.encode(self._session, sequence, Command.FIRE, shot)
-        sent_at = self._transport.now()
+        release_by = self._latest_release(sampled_at, window)
+        if not still_allowed(release_by):
+            self.discharge()
+            return self._not_fired(shot, f"shot {shot} was no longer allowed before FIRE")
+        self._attempted = shot
+        self._release_by = max(self._release_by, release_by)
+        deadline = protocol.deadline_after(sample.time_ms, window)
         try:
-            reply = self._exchange(frame, sequence, self.settings.attempts)
+            reply = self._send_fire(
+                shot,
+                deadline,
+                lambda: self._transport.now() < sampled_at + window and still_allowed(release_by),
+            )
             if reply is None:
                 # A newer sequence number forbids the older one: this settles the outcome.
                 sequence = self._next_sequence()
-                settle = protocol.encode(self._session, sequence, Command.DISARM)
+                settle = protocol.encode(self._session, sequence, Command.DISCHARGE)
                 reply = self._exchange(settle, sequence, self.settings.attempts)
         except HardwareFault as fault:
             self.counters.last_error = fault.sentence
-            return self._unknown(shot, sent_at, fault.sentence)
+            return self._unknown(shot, release_by, fault.sentence)
         if reply is None:
-            return self._unknown(shot, sent_at, "the tapper does not answer")
+            return self._unknown(shot, release_by, "the tapper does not answer")
         if reply.boot != boot:
             self._boot = None
-            return self._unknown(shot, sent_at, "the tapper restarted")
+            return self._unknown(shot, release_by, "the tapper restarted")
         if reply.last_fired == shot:
             self.counters.fired += 1
-            return FireResult(FireOutcome.FIRED, shot)
+            off_by = self._transport.now() + protocol.LONGEST_PULSE * (1 + CLOCK_TOLERANCE)
+            return FireResult(FireOutcome.FIRED, shot, released_by=min(off_by, release_by))
         if reply.result is Result.SESSION:
             self._boot = None
-        sentence = str(self._refusal(reply))
+        self.counters.late += reply.result is Result.LATE
+        return self._not_fired(shot, str(self._refusal(reply)))
+
+    def _latest_release(self, sampled_at: float, window: float) -> float:
+        """The latest time at which the release output can still be on, s: the board took its time
+        before its reply was received, and the pulse begins before the deadline."""
+        return sampled_at + (window + protocol.LONGEST_PULSE) * (1 + CLOCK_TOLERANCE)
+
+    def _send_fire(self, shot: int, deadline: int, again: Callable[[], bool]) -> Reply | None:
+        """Send FIRE, and again while ``again`` allows it; the reply, or None."""
+        sequence = self._next_sequence()
+        frame = protocol.encode(self._session, sequence, Command.FIRE, shot, deadline)
+        for attempt in range(self.settings.attempts):
+            if attempt and not again():
+                break
+            self.counters.retries += attempt > 0
+            reply = self._send(frame, sequence, self.settings.fire_reply_timeout)
+            if reply is not None:
+                return reply
+        return None
+
+    def _not_fired(self, shot: int, sentence: str) -> FireResult:
         return FireResult(FireOutcome.NOT_FIRED, shot, sentence)
 
-    def disarm(self) -> Reply:
-        """Let the spring down without a release."""
-        return self._request(Command.DISARM)
+    def _refuse_spent(self, shot: int) -> None:
+        if shot <= self._attempted:
+            raise self._noted(
+                FaultReason.SHOT_SPENT,
+                f"shot {shot} may have been fired already (last tried: {self._attempted}): use a"
+                " new number",
+            )
+
+    def discharge(self) -> Reply:
+        """Let the spring down without a release; ends a homing as well."""
+        return self._request(Command.DISCHARGE)
 
     def stop(self) -> bool:
         """From any thread: latch the tapper's stop at once; returns whether the byte went out.
@@ -296,9 +446,9 @@ class TapperDriver:
             raise self._refusal(reply)
         return reply
 
-    def _unknown(self, shot: int, sent_at: float, why: str) -> FireResult:
+    def _unknown(self, shot: int, release_by: float, why: str) -> FireResult:
         self.counters.unknown += 1
-        rest = sent_at + self._patience() - self._transport.now()
+        rest = release_by - self._transport.now()
         if rest > 0 and not self._stopped.is_set():
             self._transport.sleep(rest)
         return FireResult(
@@ -306,17 +456,14 @@ class TapperDriver:
             shot,
             f"whether shot {shot} was fired is not known ({why}): look where the object is, do not"
             " fire again",
+            release_by,
         )
-
-    def _patience(self) -> float:
-        """How long after the first FIRE frame a release may still come, s."""
-        return self.settings.reply_timeout * self.settings.attempts + LATEST_FIRE
 
     def _next_sequence(self) -> int:
         self._sequence = (self._sequence + 1) & 0xFFFF
         return self._sequence
 
-    def _request(self, command: Command, *arguments: int) -> Reply:
+    def _request(self, command: Command, *arguments: int | Mode) -> Reply:
         """One request with repeats; raises when there is no answer or another boot answers."""
         self._require_session()
         sequence = self._next_sequence()
@@ -350,13 +497,20 @@ class TapperDriver:
         does."""
         for attempt in range(attempts):
             self.counters.retries += attempt > 0
-            self._transport.write(frame)
-            until = self._transport.now() + self.settings.reply_timeout
-            while (left := until - self._transport.now()) > 0:
-                for reply in self._listen(left):
-                    if (reply.session, reply.sequence) == (self._session, sequence):
-                        return reply
-            self.counters.timeouts += 1
+            reply = self._send(frame, sequence, self.settings.reply_timeout)
+            if reply is not None:
+                return reply
+        return None
+
+    def _send(self, frame: bytes, sequence: int, timeout: float) -> Reply | None:
+        """Send once; the reply to this sequence number within ``timeout`` s, or None."""
+        self._transport.write(frame)
+        until = self._transport.now() + timeout
+        while (left := until - self._transport.now()) > 0:
+            for reply in self._listen(left):
+                if (reply.session, reply.sequence) == (self._session, sequence):
+                    return reply
+        self.counters.timeouts += 1
         return None
 
     def _listen(self, wait: float) -> list[Reply]:
@@ -370,6 +524,8 @@ class TapperDriver:
                 return replies
             if isinstance(decoded.frame, Reply):
                 replies.append(decoded.frame)
+            elif isinstance(decoded.frame, OtherFirmware):
+                raise self._other_firmware(decoded.frame.version)
             else:
                 self.counters.bad_frames += 1
 
@@ -391,8 +547,8 @@ class TapperDriver:
         if reply.result is Result.NEEDS_PERSON:
             reason, text = (
                 FaultReason.NEEDS_PERSON,
-                "the tapper's stop is latched: a person must press the clear button at the cell,"
-                " then clear the fault within 10 s",
+                "the tapper's stop is latched: a person must press the clear button at the cell for"
+                " half a second and let it go, then clear the fault within 10 s",
             )
         elif reply.stop_latched or reply.result is Result.STOPPED:
             reason, text = (
@@ -404,11 +560,30 @@ class TapperDriver:
                 FaultReason.INTERLOCK,
                 "the tapper's interlock is open: close the guard",
             )
+        elif reply.result is Result.LATE:
+            reason, text = (
+                FaultReason.TIMEOUT,
+                "FIRE reached the tapper after its deadline, so nothing was released: this computer"
+                " or the line was too slow; reduce its load or use a longer window",
+            )
         elif reply.result is Result.SPENT:
             reason, text = (
                 FaultReason.SHOT_SPENT,
-                f"the tapper has used that shot number (last fired: {reply.last_fired}): take a"
-                " greater one",
+                f"the tapper has used that shot number or a greater one (last charged:"
+                f" {reply.shot}): use a greater one, or, at the cell, hold the clear button for 5 s"
+                " while the tapper is at rest: that resets its count",
+            )
+        elif reply.result is Result.JUMP:
+            reason, text = (
+                FaultReason.OUT_OF_RANGE,
+                f"that shot number is more than {protocol.MAXIMUM_JUMP} above the last one the"
+                " tapper used: use a smaller one",
+            )
+        elif reply.result is Result.NOT_ENABLED:
+            reason, text = (
+                FaultReason.OUT_OF_RANGE,
+                "the tapper is in set-up mode, where it takes more than its set-up energy only"
+                " while the enabling switch is held: hold it, use less energy, or set run mode",
             )
         elif reply.result is Result.RANGE:
             reason, text = (
@@ -416,12 +591,17 @@ class TapperDriver:
                 "the tapper refused the energy or the timeout as out of its range: check the energy"
                 " table against the firmware's build",
             )
+        elif reply.state is State.UNHOMED:
+            reason, text = (
+                FaultReason.POSITION_LOST,
+                "the tapper's carriage is not where its steps say: the motor missed steps or has no"
+                " power; check both, it is homed before the next shot",
+            )
         else:
             reason, text = (
                 FaultReason.REJECTED,
                 f"the tapper answered {reply.result.value} in state {reply.state.value} ({shot}):"
-                " it"
-                " disarmed itself or was never drawn; draw again",
+                " it discharged itself or was never charged; charge again",
             )
         return self._noted(reason, text)
 

@@ -1,4 +1,4 @@
-"""Codec of the tapper's line protocol, version 1: bytes <-> frames.
+"""Codec of the tapper's line protocol, version 2: bytes <-> frames.
 
 ``@<session>,<seq>,<WORD>[,args]*<CRC>\\n``. The CRC is CRC-16/CCITT-FALSE (polynomial 0x1021, start
 0xFFFF, no reflection) over everything between ``@`` and ``*``, as four upper-case hex digits.
@@ -6,8 +6,9 @@ Requests carry a command word, replies a result word; no word is both, so an ech
 taken for the device. An ``@`` begins a frame wherever it stands, a newline ends it.
 
 A reply's arguments: state, shot, energy in uJ, interlock closed (0/1), stop latched (0/1), the last
-shot fired in this boot (0: none), its measured speed in um/s (0: not measured), boot number;
-``WELCOME`` adds the firmware's version.
+shot fired in this boot (0: none), its measured speed in um/s (0: not measured), boot number, the
+board's time in ms (wraps at 2**32), mode, enabling switch held (0/1); ``WELCOME`` adds the
+firmware's version, whose first part is the version of the protocol.
 """
 
 from __future__ import annotations
@@ -19,10 +20,20 @@ from enum import Enum
 STOP = b"!"
 """Latches the stop from the receive interrupt, wherever it stands."""
 SILENCE_LIMIT = 0.5
-"""Without a valid frame for this long a drawn tapper disarms, s."""
-LONGEST_FRAME = 160
+"""Without a valid frame for this long a charged tapper discharges, s."""
+LONGEST_WINDOW = 0.1
+"""A FIRE whose deadline is further ahead of the board's time than this is refused, s."""
+LONGEST_PULSE = 0.033
+"""The release output is switched off by a timer at the latest this long after it was switched on,
+s (16 bits of 0.5 us)."""
+TIME_MODULUS = 2**32
+"""The board's time in ms is counted modulo this."""
+LONGEST_FRAME = 168
 """Bytes from ``@`` to the newline."""
 MAXIMUM_SHOT = 2**64 - 1
+MAXIMUM_JUMP = 2**32
+"""A shot number further above the greatest one used is refused: one wrong number must not use up
+all the others."""
 MAXIMUM_ENERGY_UJ = 10_000_000
 
 
@@ -30,21 +41,28 @@ class Command(Enum):
     """What the host asks."""
 
     HELLO = "HELLO"
-    ARM = "ARM"
+    HOME = "HOME"
+    CHARGE = "CHARGE"
     FIRE = "FIRE"
     STATUS = "STATUS"
-    DISARM = "DISARM"
+    DISCHARGE = "DISCHARGE"
     CLEAR = "CLEAR"
+    MODE = "MODE"
 
 
 class Result(Enum):
-    """What the tapper answers; everything but the first three is a refusal without effect."""
+    """What the tapper answers; everything but the first three is a refusal. No refusal has an
+    effect, but for LATE, which ends the shot and discharges."""
 
     WELCOME = "WELCOME"
     OK = "OK"
     FIRED = "FIRED"
+    LATE = "LATE"
     SPENT = "SPENT"
-    NOT_DRAWN = "NOT_DRAWN"
+    JUMP = "JUMP"
+    NOT_CHARGED = "NOT_CHARGED"
+    NOT_HOMED = "NOT_HOMED"
+    NOT_ENABLED = "NOT_ENABLED"
     INTERLOCK = "INTERLOCK"
     STOPPED = "STOPPED"
     BUSY = "BUSY"
@@ -57,11 +75,21 @@ class Result(Enum):
 class State(Enum):
     """The tapper's state machine."""
 
+    UNHOMED = "UNHOMED"
+    HOMING = "HOMING"
     SAFE = "SAFE"
-    DRAWING = "DRAWING"
-    DRAWN = "DRAWN"
+    CHARGING = "CHARGING"
+    CHARGED = "CHARGED"
     RELEASING = "RELEASING"
+    DISCHARGING = "DISCHARGING"
     STOPPED = "STOPPED"
+
+
+class Mode(Enum):
+    """RUN allows every energy; SETUP only a small one, unless the enabling switch is held."""
+
+    RUN = "RUN"
+    SETUP = "SETUP"
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +107,21 @@ class Reply:
     last_fired: int
     speed: float | None
     boot: int
+    time_ms: int
+    """The board's time when it handled the request, ms, modulo ``TIME_MODULUS``."""
+    mode: Mode
+    enabled: bool
+    """Whether the enabling switch is held."""
     version: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class OtherFirmware:
+    """The greeting of a firmware with another version of the protocol."""
+
+    session: int
+    sequence: int
+    version: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +136,7 @@ class Bad:
 class Decoded:
     """``frame`` None: more bytes are needed; ``rest``: the bytes still to decode."""
 
-    frame: Reply | Bad | None
+    frame: Reply | OtherFirmware | Bad | None
     rest: bytes
 
 
@@ -109,22 +151,25 @@ def crc16(data: bytes) -> int:
     return value
 
 
-def encode(session: int, sequence: int, command: Command, *arguments: int) -> bytes:
+def encode(session: int, sequence: int, command: Command, *arguments: int | Mode) -> bytes:
     """One request frame. Raises ValueError for numbers that the frame cannot carry."""
     if not (1 <= session <= 0xFFFF and 0 <= sequence <= 0xFFFF):
         raise ValueError(f"session {session} must be 1 to 65535 and sequence {sequence} 0 to 65535")
-    if any(argument < 0 for argument in arguments):
+    if any(isinstance(argument, int) and argument < 0 for argument in arguments):
         raise ValueError(f"arguments {arguments} must not be negative")
-    body = ",".join(str(part) for part in (session, sequence, command.value, *arguments)).encode()
+    words = [argument.value if isinstance(argument, Mode) else argument for argument in arguments]
+    body = ",".join(str(part) for part in (session, sequence, command.value, *words)).encode()
     return b"@%s*%04X\n" % (body, crc16(body))
 
 
 _UNSIGNED = r"(\d{1,10})"
 _SHOT = r"(\d{1,20})"
+_VERSION = r"\d{1,3}\.[A-Za-z0-9.+-]{1,20}"
 _REPLY = re.compile(
-    rf"^(\d{{1,5}}),(\d{{1,5}}),([A-Z_]{{1,12}}),([A-Z]{{1,9}}),{_SHOT},{_UNSIGNED},([01]),([01]),"
-    rf"{_SHOT},{_UNSIGNED},{_UNSIGNED}(?:,([A-Za-z0-9.+-]{{1,24}}))?$"
+    rf"^(\d{{1,5}}),(\d{{1,5}}),([A-Z_]{{1,12}}),([A-Z]{{1,11}}),{_SHOT},{_UNSIGNED},([01]),([01]),"
+    rf"{_SHOT},{_UNSIGNED},{_UNSIGNED},{_UNSIGNED},([A-Z]{{1,5}}),([01])(?:,({_VERSION}))?$"
 )
+_GREETING = re.compile(rf"^(\d{{1,5}}),(\d{{1,5}}),WELCOME,.*,({_VERSION})$")
 
 
 def decode(buffer: bytes) -> Decoded:
@@ -145,17 +190,26 @@ def decode(buffer: bytes) -> Decoded:
     return Decoded(_reply(buffer[: end + 1]), buffer[end + 1 :])
 
 
-def _reply(line: bytes) -> Reply | Bad:
+def deadline_after(time_ms: int, window: float) -> int:
+    """The board's time ``window`` s after ``time_ms``, rounded down, for a FIRE."""
+    return (time_ms + int(window * 1e3)) % TIME_MODULUS
+
+
+def _reply(line: bytes) -> Reply | OtherFirmware | Bad:
     body, star, check = line[1:].rstrip(b"\r\n").rpartition(b"*")
     if not star or not re.fullmatch(rb"[0-9A-F]{4}", check):
         return Bad(line, "no checksum")
     if int(check, 16) != crc16(body):
         return Bad(line, f"checksum {check.decode()} but {crc16(body):04X} was computed")
-    found = _REPLY.match(body.decode("ascii", "replace"))
+    text = body.decode("ascii", "replace")
+    found = _REPLY.match(text)
     if not found:
+        greeting = _GREETING.match(text)
+        if greeting:
+            return OtherFirmware(int(greeting[1]), int(greeting[2]), greeting[3])
         return Bad(line, "not a reply")
     try:
-        result, state = Result(found[3]), State(found[4])
+        result, state, mode = Result(found[3]), State(found[4]), Mode(found[13])
     except ValueError as error:
         return Bad(line, str(error))
     speed = int(found[10])
@@ -171,5 +225,8 @@ def _reply(line: bytes) -> Reply | Bad:
         last_fired=int(found[9]),
         speed=speed / 1e6 if speed else None,
         boot=int(found[11]),
-        version=found[12] or "",
+        time_ms=int(found[12]),
+        mode=mode,
+        enabled=found[14] == "1",
+        version=found[15] or "",
     )

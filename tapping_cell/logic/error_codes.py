@@ -5,11 +5,6 @@ from __future__ import annotations
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.messages import ErrorCode
 
-NAMES: dict[int, str] = {
-    value: name for name, value in vars(ErrorCode).items() if isinstance(value, int)
-}
-"""Name of every code."""
-
 _ARM = {
     FaultReason.PORT_MISSING: ErrorCode.ARM_NOT_CONNECTED,
     FaultReason.PORT_BUSY: ErrorCode.ARM_NOT_CONNECTED,
@@ -44,6 +39,8 @@ _TAPPER = {
     FaultReason.INTERLOCK: ErrorCode.TAPPER_INTERLOCK_OPEN,
     FaultReason.SHOT_SPENT: ErrorCode.TAPPER_SPENT,
     FaultReason.NEEDS_PERSON: ErrorCode.TAPPER_STOPPED,
+    FaultReason.HOMING_FAILED: ErrorCode.TAPPER_FAULT,
+    FaultReason.POSITION_LOST: ErrorCode.TAPPER_FAULT,
 }
 
 

@@ -226,7 +226,6 @@ class ErrorCode:
     ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/ErrorCode"
     ARM_ALARM: ClassVar[int] = 503
     ARM_BUSY: ClassVar[int] = 512
-    ARM_COLLISION_RISK: ClassVar[int] = 513
     ARM_COMMAND_EXPIRED: ClassVar[int] = 514
     ARM_FIRMWARE_UNKNOWN: ClassVar[int] = 510
     ARM_JOINT_LIMIT: ClassVar[int] = 506
@@ -238,20 +237,13 @@ class ErrorCode:
     ARM_SILENT: ClassVar[int] = 509
     ARM_STOPPED: ClassVar[int] = 508
     ARM_TIMEOUT: ClassVar[int] = 504
-    CAMERA_INFO_MISMATCH: ClassVar[int] = 304
     CAMERA_MOVED: ClassVar[int] = 306
     CAMERA_NOT_CALIBRATED: ClassVar[int] = 308
     CAMERA_SILENT: ClassVar[int] = 303
-    CAMERA_UNAVAILABLE: ClassVar[int] = 310
     CLOCKS_DIFFER: ClassVar[int] = 909
-    CLOCK_JUMPED: ClassVar[int] = 905
     COMMAND_INVALID: ClassVar[int] = 122
     COMMAND_REPEATED: ClassVar[int] = 123
     CONFIGURATION_CONFLICT: ClassVar[int] = 205
-    CONFIGURATION_INVALID: ClassVar[int] = 201
-    CONFIGURATION_MISSING_KEY: ClassVar[int] = 203
-    CONFIGURATION_UNKNOWN_KEY: ClassVar[int] = 202
-    CONFIGURATION_UNREADABLE: ClassVar[int] = 204
     DEADLINE_EXCEEDED: ClassVar[int] = 408
     EMERGENCY_STOP: ClassVar[int] = 901
     ENABLING_RELEASED: ClassVar[int] = 910
@@ -272,7 +264,6 @@ class ErrorCode:
     MARKER_AMBIGUOUS: ClassVar[int] = 309
     NONE: ClassVar[int] = 0
     NOT_ACTIVE: ClassVar[int] = 903
-    NOT_CONVERGING: ClassVar[int] = 407
     NOT_READY: ClassVar[int] = 902
     NO_TAP_FOUND: ClassVar[int] = 401
     OBJECT_MOVED: ClassVar[int] = 311
@@ -284,7 +275,6 @@ class ErrorCode:
     RECORDING_FAILED: ClassVar[int] = 908
     REFERENCES_NOT_SEEN: ClassVar[int] = 302
     SHUTTING_DOWN: ClassVar[int] = 906
-    SOLVING_FAILED: ClassVar[int] = 405
     STAMP_INVALID: ClassVar[int] = 313
     TAPPER_ARM_NOT_IN_POSITION: ClassVar[int] = 614
     TAPPER_BUSY: ClassVar[int] = 615
@@ -297,7 +287,6 @@ class ErrorCode:
     TAPPER_REPLY_GARBLED: ClassVar[int] = 613
     TAPPER_RESET: ClassVar[int] = 609
     TAPPER_SILENT: ClassVar[int] = 608
-    TAPPER_SPEED_MISMATCH: ClassVar[int] = 616
     TAPPER_SPEED_OUT_OF_RANGE: ClassVar[int] = 606
     TAPPER_SPENT: ClassVar[int] = 605
     TAPPER_STOPPED: ClassVar[int] = 603
@@ -305,11 +294,9 @@ class ErrorCode:
     TAP_LEAVES_TABLE: ClassVar[int] = 410
     TAP_LEAVES_VIEW: ClassVar[int] = 411
     TAP_LIMIT_REACHED: ClassVar[int] = 402
-    TAP_UNEXPECTED: ClassVar[int] = 406
     TAP_WITHOUT_EFFECT: ClassVar[int] = 403
     TOO_FEW_FRAMES: ClassVar[int] = 314
     TRAJECTORY_INVALID: ClassVar[int] = 121
-    WORLD_UNAVAILABLE: ClassVar[int] = 907
 
 
 @dataclass(slots=True, kw_only=True)

@@ -14,7 +14,7 @@ from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.se2 import wrap_angle
 
 HEADINGS = 24
-SHARES_OF_FIRST = (1.0, 0.7, 0.5, 0.3)
+SHARES_OF_FIRST = (1.0, 0.7, 0.5, 0.3, 0.15)
 SHARES_OF_LARGEST = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
 TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
@@ -48,15 +48,17 @@ def alternative_taps(
         settings.largest_distance,
     )
     headings = math.atan2(first[1], first[0]) + np.arange(HEADINGS) * (2.0 * math.pi / HEADINGS)
+    if isinstance(tap.body, Polygon):
+        headings = np.concatenate([headings, _through_edges(tap, tap.body, float(pose[2]))])
     heading, size, share = (
         axis.ravel() for axis in np.meshgrid(headings, np.unique(sizes), TURNS, indexing="ij")
     )
     most = settings.cone_slope * size
-    scale = float(gains.value[0] / gains.value[1])
+    scale = 1.0 / float(gains.value[1])
     left = float(wrap_angle(goal[2] - pose[2])) * scale
     turn = np.where(share == 1.0, np.clip(left, -most, most), share * most)
-    commanded = gains.command(size, turn, heading)
-    after = pose + gains.predict(commanded)
+    commanded = gains.command(size, turn, heading, pose[2], settings.cone_slope)
+    after = pose + gains.predict(commanded, pose[2])
     path = paths.length(after[:, :2])
     remaining = wrap_angle(goal[2] - after[:, 2]) * scale
     reachable = np.isfinite(path)
@@ -74,6 +76,14 @@ def alternative_taps(
         yield commanded[order[start : start + CHUNK]]
 
 
+def _through_edges(tap: Tap, body: Polygon, orientation: float) -> Array:
+    """Directions of travel, rad in `table`, that the edges pass on best: their normals, and half
+    of the contact friction to both sides."""
+    inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0]) + orientation
+    aside = 0.5 * math.atan(tap.impact.friction) * np.array([-1.0, 0.0, 1.0])
+    return np.asarray((inward[:, None] + aside).ravel())
+
+
 def _indirect(after: Array, goal: Array, gains: Gains, planner: Planner, tap: Tap) -> Array:
     """One more tap where no contact of a polygon gives the rest in one: poses (n, 3) after a tap.
 
@@ -85,5 +95,8 @@ def _indirect(after: Array, goal: Array, gains: Gains, planner: Planner, tap: Ta
     distance, turn, heading = gains.to_plan(left)
     settings = planner.settings
     near = (distance >= settings.smallest_distance) & (distance <= settings.largest_distance)
-    direct = tap.reachable(gains.command(np.where(near, distance, 1.0), turn, heading), after)
+    commanded = gains.command(
+        np.where(near, distance, 1.0), turn, heading, after[:, 2], settings.cone_slope
+    )
+    direct = tap.reachable(commanded, after)
     return np.where(near & ~direct, 1.0, 0.0)

@@ -1,184 +1,325 @@
 """Learning, tap by tap, by how much the object's answers differ from the model's.
 
-Three numbers per object: the gain of the distance, the gain of the rotation and a steady error of
-direction. Each is the state of a scalar Kalman filter. A tap commanded as (d, turn, direction) and
-measured as (d', turn', direction') says
+A tap commanded as (d, turn, direction) and measured as (d', turn', direction') says
 
-    d'         = gain_d d + N(0, (scatter d)^2 + camera)
-    turn'      = gain_t turn + N(0, (scatter turn)^2 + camera)
-    direction' = direction + error + N(0, scatter^2 + camera / d^2)
+    ln(d' / d)             = a                      a: logarithm of the gain of the distance
+    turn' / d'             = G turn / d + o x u     G: gain of the rotation per distance
+    direction' - direction = e + f turn / d         e, f: steady error of direction, and its growth
 
-so a tap weighs as much as its own scatter and the camera allow, and a tap without rotation says
-nothing about the rotation's gain. A measurement that is improbable under all of this (a bumped
-object, a striker that missed) is not taken; each such refusal widens the filter, so that a true
-sudden change is believed after a few taps.
+each judged by itself, with u the direction of travel in the object's frame and o the two numbers of
+an object whose centre of mass or of friction is off its middle: the rotation per distance (rad/m)
+that a tap through the middle makes. The rotation is judged per measured distance since friction
+changes both alike, so that G is left with the friction's torque. Each is a ``Belief``: a prior as
+narrow as a good file's beside one as wide as people's ignorance, measurements weighed by the tap's
+own scatter and the camera's noise, bumps told from changes.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
 
+from tapping_cell.planning.belief import Belief, Prior
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.settings import CameraNoise, Scatter
 from tapping_cell.se2 import wrap_angle
 
-NAMES = ("distance", "rotation", "direction")
-START = np.array([1.0, 1.0, 0.0])
-START_DEVIATION = np.array([0.06, 0.10, 0.01])
-"""What is believed of an object never tapped before: 6 %, 10 %, 0.6 degrees (0.01 rad)."""
+NAMES = ("distance", "rotation", "direction", "direction_growth", "offset_x", "offset_y")
+"""Distance gain; gain of the rotation per distance; direction error in rad; its growth in rad per
+rad/m; rotation per distance (rad/m) of taps through the middle along -y and +x of the object."""
 
-LOWEST = np.array([0.5, 0.4, -0.35])
-HIGHEST = np.array([2.0, 2.5, 0.35])
+LOWEST = np.array([0.1, 0.1, -0.5, -0.05, -20.0, -20.0])
+HIGHEST = np.array([10.0, 10.0, 0.5, 0.05, 20.0, 20.0])
 
-GATE = 4.0
-"""Deviations beyond which a measurement is an outlier."""
+DISTANCE = Prior(
+    weight=np.array([0.75, 0.25]),
+    mean=np.zeros((2, 1)),
+    deviation=np.array([[0.04], [0.60]]),
+    change=1,
+    span=4.0,
+)
+"""Of ln(distance gain): 4 % for an object as its file says, else friction within a factor of 4."""
 
-WIDENING = 2.0
-"""Factor of the variances after an outlier, up to 25 times those of the start."""
+ROTATION = Prior(
+    weight=np.array([0.60, 0.20, 0.12, 0.08]),
+    mean=np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]),
+    deviation=np.array(
+        [[0.06, 0.03, 0.03], [0.70, 0.05, 0.05], [0.15, 1.5, 1.5], [0.70, 1.5, 1.5]]
+    ),
+    change=3,
+    span=20.0,
+)
+"""Of (G, o): as the file says, rotation within a factor of 3, off the middle, or both."""
+
+DIRECTION = Prior(
+    weight=np.array([0.85, 0.15]),
+    mean=np.zeros((2, 2)),
+    deviation=np.array([[0.010, 0.001], [0.10, 0.005]]),
+    change=1,
+    span=2.0 * math.pi,
+)
+"""Of (e, f): 0.6 degrees as a rule, else up to some 20 degrees."""
+
+LEAST_SLOPE = 0.1
+"""Deviation in rad/m of the rotation per distance of a tap that asks for none: an arm that is
+0.2 mm beside the middle of the paper's disk."""
+
+KEPT = 0.95
+"""Probability that what was learnt in an earlier run still holds."""
+
+LEAST_MOVE = 1e-6
+"""Displacements below this, m, are none."""
+
+UNEXPLAINED = 0.5
+"""A tap that was taken for a measurement with a lower probability than this is an outlier."""
+
+
+class Spread(NamedTuple):
+    """Bounds of where taps end, about the predicted displacements.
+
+    longest: (...,), the longest slide over the predicted one. aside: (..., 2), the largest
+    deviations of its direction to the right (negative) and to the left, rad.
+    """
+
+    longest: Array
+    aside: Array
 
 
 @dataclass(frozen=True, slots=True)
 class Gains:
     """What has been learnt about one object, or about many at once (leading axes).
 
-    value, variance: shape (..., 3), in the order distance (measured over commanded), rotation
-        (measured over commanded), direction (measured less commanded, rad).
-    taken, outliers: shape (...), how many taps were believed and how many not.
+    distance: of (a,). rotation: of (G, o_x, o_y). direction: of (e, f).
+    taken, outliers: shape (...), how many taps were explained and how many not.
+    surprised: shape (...), whether the last tap was not.
     """
 
-    value: Array
-    variance: Array
+    distance: Belief
+    rotation: Belief
+    direction: Belief
     taken: Array
     outliers: Array
+    surprised: NDArray[np.bool_]
 
     @classmethod
     def start(cls, shape: tuple[int, ...] = ()) -> Gains:
         """Gains of objects never tapped before."""
         return cls(
-            np.broadcast_to(START, (*shape, 3)).copy(),
-            np.broadcast_to(START_DEVIATION**2, (*shape, 3)).copy(),
+            Belief.start(DISTANCE, shape),
+            Belief.start(ROTATION, shape),
+            Belief.start(DIRECTION, shape),
             np.zeros(shape),
             np.zeros(shape),
+            np.zeros(shape, dtype=bool),
         )
 
     def of(self, rows: NDArray[np.intp]) -> Gains:
         """The gains of some of many objects."""
-        return Gains(self.value[rows], self.variance[rows], self.taken[rows], self.outliers[rows])
+        return Gains(
+            self.distance.of(rows),
+            self.rotation.of(rows),
+            self.direction.of(rows),
+            self.taken[rows],
+            self.outliers[rows],
+            self.surprised[rows],
+        )
 
     def put(self, rows: NDArray[np.intp], gains: Gains) -> None:
         """Replace the gains of some of many objects."""
-        for name in ("value", "variance", "taken", "outliers"):
+        self.distance.put(rows, gains.distance)
+        self.rotation.put(rows, gains.rotation)
+        self.direction.put(rows, gains.direction)
+        for name in ("taken", "outliers", "surprised"):
             getattr(self, name)[rows] = getattr(gains, name)
+
+    @property
+    def value(self) -> Array:
+        """The numbers of ``NAMES``, (..., 6)."""
+        distance = np.exp(self.distance.expected())
+        rotation, direction = self.rotation.expected(), self.direction.expected()
+        numbers = np.concatenate([distance, rotation[..., :1], direction, rotation[..., 1:]], -1)
+        return np.asarray(np.clip(numbers, LOWEST, HIGHEST))
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviations of ``value``, (..., 6)."""
+        distance = np.exp(self.distance.expected()) * self.distance.deviation()
+        rotation, direction = self.rotation.deviation(), self.direction.deviation()
+        return np.concatenate([distance, rotation[..., :1], direction, rotation[..., 1:]], axis=-1)
 
     def to_plan(self, remaining: ArrayLike) -> tuple[Array, Array, Array]:
         """What remains, (..., 3) as dx, dy (m) and rotation (rad), as planning methods see it.
 
         Returns the distance (m), the rotation (rad) in the units in which the cone has its nominal
-        slope, and the heading to command (rad). The distance stays true, so that the box and the
-        smallest tap keep their size.
+        slope, and the heading (rad). The distance stays true, so that the box and the smallest tap
+        keep their size.
         """
         left = np.asarray(remaining, dtype=float)
-        turn = left[..., 2] * self.value[..., 0] / self.value[..., 1]
-        heading = np.arctan2(left[..., 1], left[..., 0]) - self.value[..., 2]
+        turn = left[..., 2] / self.value[..., 1]
+        heading = np.arctan2(left[..., 1], left[..., 0])
         return np.hypot(left[..., 0], left[..., 1]), turn, heading
 
-    def command(self, distance: ArrayLike, rotation: ArrayLike, heading: ArrayLike) -> Array:
-        """Displacements (..., 3) to ask of the mechanics, for taps in the units of ``to_plan``."""
-        length = np.asarray(distance, dtype=float) / self.value[..., 0]
-        turn = np.asarray(rotation, dtype=float) / self.value[..., 0]
-        return np.stack([length * np.cos(heading), length * np.sin(heading), turn], axis=-1)
+    def command(
+        self,
+        distance: ArrayLike,
+        rotation: ArrayLike,
+        heading: ArrayLike,
+        orientation: ArrayLike,
+        cone_slope: float = math.inf,
+    ) -> Array:
+        """Displacements (..., 3) to ask of the mechanics, for taps in the units of ``to_plan``.
 
-    def predict(self, commanded: ArrayLike) -> Array:
-        """The displacement, (..., 3), that a commanded one is expected to make."""
-        command = np.asarray(commanded, dtype=float)
-        cos, sin = np.cos(self.value[..., 2]), np.sin(self.value[..., 2])
-        dx, dy = command[..., 0] * self.value[..., 0], command[..., 1] * self.value[..., 0]
-        return np.stack(
-            [cos * dx - sin * dy, sin * dx + cos * dy, command[..., 2] * self.value[..., 1]],
-            axis=-1,
-        )
+        orientation: of the object before the tap, rad. cone_slope: the most rotation per distance
+        that can be asked for, rad/m; what an object off its middle needs beyond it is left out.
+        """
+        number = self.value
+        travel = np.asarray(distance, dtype=float)
+        size = np.maximum(np.abs(travel), 1e-12)
+        along = np.asarray(heading, dtype=float) + np.where(travel < 0.0, math.pi, 0.0)
+        drift = _across(number, along - np.asarray(orientation, dtype=float))
+        slope = np.asarray(rotation, dtype=float) / size - drift / number[..., 1]
+        slope = np.clip(slope, -cone_slope, cone_slope)
+        along = along - number[..., 2] - number[..., 3] * slope
+        length = size / number[..., 0]
+        return np.stack([length * np.cos(along), length * np.sin(along), slope * length], axis=-1)
+
+    def predict(self, commanded: ArrayLike, orientation: ArrayLike) -> Array:
+        """The displacement, (..., 3), that a commanded one is expected to make.
+
+        orientation: of the object before the tap, rad.
+        """
+        command, number = np.asarray(commanded, dtype=float), self.value
+        length = np.hypot(command[..., 0], command[..., 1])
+        slope = command[..., 2] / np.maximum(length, 1e-12)
+        along = np.arctan2(command[..., 1], command[..., 0])
+        along = along + number[..., 2] + number[..., 3] * slope
+        length = length * number[..., 0]
+        drift = _across(number, along - np.asarray(orientation, dtype=float))
+        turn = length * (number[..., 1] * slope + drift)
+        return np.stack([length * np.cos(along), length * np.sin(along), turn], axis=-1)
 
     def observe(
-        self, commanded: ArrayLike, measured: ArrayLike, scatter: Scatter, camera: CameraNoise
+        self,
+        commanded: ArrayLike,
+        measured: ArrayLike,
+        orientation: ArrayLike,
+        scatter: Scatter,
+        camera: CameraNoise,
     ) -> Gains:
         """The gains after one tap.
 
         Args:
             commanded: dx, dy (m) and rotation (rad) asked of the striker, table frame, (..., 3).
-            measured: what the camera saw of it, (..., 3). A row that is not finite is an outlier.
+            measured: what the camera saw of it, (..., 3). A row that is not finite says nothing.
+            orientation: of the object before the tap, rad, (...,).
             scatter: of a tap, one standard deviation.
             camera: one look's deviation; two looks make one measured displacement.
         """
         command, seen = np.asarray(commanded, dtype=float), np.asarray(measured, dtype=float)
-        usable = np.all(np.isfinite(seen), axis=-1) & np.all(np.isfinite(command), axis=-1)
-        seen = np.where(usable[..., None], seen, 0.0)
-        command = np.where(usable[..., None], command, 0.0)
-        distance = np.hypot(command[..., 0], command[..., 1])
-        heading = np.arctan2(command[..., 1], command[..., 0])
-        ones = np.ones_like(distance)
-        slope = np.stack([distance, command[..., 2], ones], axis=-1)
-        answer = np.stack(
-            [
-                np.hypot(seen[..., 0], seen[..., 1]),
-                seen[..., 2],
-                wrap_angle(np.arctan2(seen[..., 1], seen[..., 0]) - heading),
-            ],
+        asked = np.hypot(command[..., 0], command[..., 1])
+        moved = np.hypot(seen[..., 0], seen[..., 1])
+        usable = np.isfinite(moved) & np.isfinite(seen[..., 2]) & np.isfinite(asked)
+        usable = usable & (asked > LEAST_MOVE)
+        look = math.sqrt(2.0) * camera.position
+        least = np.where(usable, np.maximum(moved, max(look, LEAST_MOVE)), 1.0)
+        size = np.where(usable, asked, 1.0)
+        slope = np.where(usable, command[..., 2], 0.0) / size
+        heading = np.where(usable, np.arctan2(command[..., 1], command[..., 0]), 0.0)
+        went = np.where(usable, np.arctan2(seen[..., 1], seen[..., 0]), 0.0)
+        blank = np.where(usable, 0.0, math.nan)
+        aim = look / least
+        zero = np.zeros_like(aim)
+
+        distance, known = self.distance.observe(
+            DISTANCE,
+            np.ones((*asked.shape, 1)),
+            np.log(least / size) + blank,
+            zero,
+            np.hypot(scatter.distance, aim),
+        )
+        # An object that has hardly moved has no direction and no rotation per distance.
+        still = np.where(moved > 3.0 * look, blank, math.nan)
+        rotation, turned = self.rotation.observe(
+            ROTATION,
+            np.stack([slope, *_directions(went - np.asarray(orientation, dtype=float))], axis=-1),
+            seen[..., 2] / least + still,
+            zero + math.hypot(scatter.rotation, scatter.distance),
+            np.hypot(LEAST_SLOPE, math.sqrt(2.0) * camera.angle / least),
+        )
+        direction, aimed = self.direction.observe(
+            DIRECTION,
+            np.stack([np.ones_like(slope), slope], axis=-1),
+            wrap_angle(went - heading) + still,
+            zero,
+            np.hypot(scatter.direction, aim),
+        )
+        explained = usable & (known >= UNEXPLAINED)
+        explained &= np.isnan(still) | ((turned >= UNEXPLAINED) & (aimed >= UNEXPLAINED))
+        return Gains(
+            distance,
+            rotation,
+            direction,
+            self.taken + explained,
+            self.outliers + ~explained,
+            ~explained,
+        )
+
+    def spread(self, commanded: ArrayLike, scatter: Scatter, deviations: float) -> Spread:
+        """How far a commanded displacement (..., 3) may end from ``predict``, with all that is not
+        known: the belief, a possible change at the last tap included, and the scatter.
+
+        deviations: of a normal distribution whose probability is taken on each side.
+        """
+        command = np.asarray(commanded, dtype=float)
+        length = np.hypot(command[..., 0], command[..., 1])
+        slope = command[..., 2] / np.maximum(length, 1e-12)
+        high, low = float(ndtr(deviations)), float(ndtr(-deviations))
+        one = np.ones(self.taken.shape)
+        longest = self.distance.quantile(one[..., None], high, scatter.distance * one)
+        aim = self.direction.quantile
+        both = np.stack([np.ones_like(slope), slope], axis=-1)
+        aside = np.stack(
+            [aim(both, end, np.full(slope.shape, scatter.direction)) for end in (low, high)],
             axis=-1,
         )
-        look = np.array([camera.position, camera.angle, camera.position])
-        arm = np.stack([ones, ones, 1.0 / np.maximum(distance, 1e-6)], axis=-1)
-        share = np.array([scatter.distance, scatter.rotation, scatter.direction])
-        noise = (share * slope) ** 2 + 2.0 * (look * arm) ** 2 + 1e-18
-
-        surprise = answer - slope * self.value
-        total = slope**2 * self.variance + noise
-        believed = usable & (distance > 0.0) & np.all(surprise**2 <= GATE**2 * total, axis=-1)
-        weight = slope * self.variance / total
-        learnt = np.clip(self.value + weight * surprise, LOWEST, HIGHEST)
-        narrowed = (1.0 - weight * slope) * self.variance
-        widened = np.maximum(
-            np.minimum(WIDENING * self.variance, 25.0 * START_DEVIATION**2), self.variance
-        )
-        take = believed[..., None]
-        return Gains(
-            np.where(take, learnt, self.value),
-            np.where(take, narrowed, widened),
-            self.taken + believed,
-            self.outliers + ~believed,
-        )
+        expected = self.value[..., 2] + self.value[..., 3] * slope
+        factor = np.exp(longest) / self.value[..., 0]
+        return Spread(np.broadcast_to(factor, slope.shape), aside - expected[..., None])
 
     def as_numbers(self) -> dict[str, float]:
         """Plain numbers for a file (one object): value and deviation of each gain, SI."""
-        deviation = np.sqrt(self.variance)
+        value, deviation = self.value, self.deviation
         return {
             key: float(number)
             for index, name in enumerate(NAMES)
-            for key, number in (
-                (name, self.value[index]),
-                (f"{name}_deviation", deviation[index]),
-            )
+            for key, number in ((name, value[index]), (f"{name}_deviation", deviation[index]))
         }
 
     @classmethod
     def from_numbers(cls, numbers: dict[str, float]) -> Gains:
         """Gains kept by ``as_numbers``, for the same object in a later run.
 
+        The kept numbers replace the narrow priors; the wide ones stay, for another table or a humid
+        day.
+
         Raises:
             PlanningError: a number is missing, not finite or outside its bounds.
         """
-        value, deviation = np.empty(3), np.empty(3)
+        value, deviation = np.empty(len(NAMES)), np.empty(len(NAMES))
         for index, name in enumerate(NAMES):
             kept, spread = numbers.get(name), numbers.get(f"{name}_deviation")
-            widest = 5.0 * START_DEVIATION[index]
+            widest = HIGHEST[index] - LOWEST[index]
             if (
                 not isinstance(kept, int | float)
                 or not isinstance(spread, int | float)
                 or not LOWEST[index] <= kept <= HIGHEST[index]
-                or not 0.0 <= spread <= widest * (1.0 + 1e-9)
+                or not 0.0 <= spread <= widest
             ):
                 raise PlanningError(
                     f"the kept gain of {name} is {kept!r} with deviation {spread!r}; allowed is "
@@ -186,4 +327,27 @@ class Gains:
                     "file to start afresh"
                 )
             value[index], deviation[index] = kept, spread
-        return cls(value, deviation**2, np.zeros(()), np.zeros(()))
+        made = cls.start()
+        _replace_main(made.distance, [math.log(value[0])], [deviation[0] / value[0]])
+        _replace_main(made.rotation, value[[1, 4, 5]], deviation[[1, 4, 5]])
+        _replace_main(made.direction, value[[2, 3]], deviation[[2, 3]])
+        return made
+
+
+def _replace_main(belief: Belief, mean: ArrayLike, deviation: ArrayLike) -> None:
+    """Put kept numbers in the place of the narrowest prior, and believe them more than a file."""
+    belief.weight[1:] *= (1.0 - KEPT) / belief.weight[1:].sum()
+    belief.weight[0] = KEPT
+    belief.mean[0] = np.asarray(mean)
+    belief.covariance[0] = np.diag(np.asarray(deviation, dtype=float) ** 2)
+
+
+def _directions(travel: Array) -> tuple[Array, Array]:
+    """Slopes of o_x and o_y for directions of travel (rad) in the object's frame."""
+    return -np.sin(travel), np.cos(travel)
+
+
+def _across(number: Array, travel: Array) -> Array:
+    """Rotation per distance (rad/m) of taps through the middle, for directions in its frame."""
+    first, second = _directions(travel)
+    return np.asarray(number[..., 4] * first + number[..., 5] * second)

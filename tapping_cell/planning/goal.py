@@ -24,6 +24,25 @@ def others_text(space: StrikeSpace) -> str:
     return f"; besides it the camera sees {others}: take away what is in the way" if others else ""
 
 
+def edge_warning(pose: ArrayLike, space: StrikeSpace) -> str:
+    """A sentence where the object at a pose (x, y, theta) stands closer to an edge than its margin,
+    or hangs over it; an empty text else."""
+    place = np.asarray(pose, dtype=float)
+    gap = float(space.workspace.edge_distance(place[:2])) - space.object_radius
+    margin = space.workspace.edge_margin
+    if gap >= margin:
+        return ""
+    if gap >= 0.0:
+        return (
+            f"the object at {place_text(place)} is {1e3 * gap:.1f} mm from the table's edge, "
+            f"the margin is {1e3 * margin:.1f} mm; only taps that lead away from it are made"
+        )
+    return (
+        f"the object at {place_text(place)} may hang {-1e3 * gap:.1f} mm over the table's edge; "
+        "only taps that bring it back are made"
+    )
+
+
 def check_goal(
     goal_pose: ArrayLike, space: StrikeSpace, free: FreeSpace | None = None
 ) -> Refusal | None:
@@ -43,7 +62,8 @@ def check_goal(
     if edge < radius + table.edge_margin:
         return Refusal(
             RefusalReason.GOAL_OFF_TABLE,
-            f"the goal {place_text(goal)} is {1e3 * edge:.1f} mm inside the table's edge; the "
+            f"the goal {place_text(goal)} is {1e3 * abs(edge):.1f} mm "
+            f"{'inside' if edge >= 0 else 'outside'} the table's edge; the "
             f"object needs {1e3 * (radius + table.edge_margin):.1f} mm: the goal must lie within "
             f"+-{1e3 * (table.length / 2 - radius - table.edge_margin):.1f} mm in x and "
             f"+-{1e3 * (table.width / 2 - radius - table.edge_margin):.1f} mm in y",

@@ -50,11 +50,16 @@ class OptimalPolicy:
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
         """Expected taps from there, 0 inside the box; beyond the grid one for each largest tap."""
-        beyond = np.maximum(np.asarray(distance, dtype=float) - self._solution.distances[-1], 0.0)
+        # Beyond half a turn, too: the rotation is scaled by what was learnt of the object.
+        most = self.settings.largest_distance
+        far = np.asarray(distance, dtype=float) - self._solution.distances[-1]
+        turned = np.abs(np.asarray(rotation, dtype=float)) - self._solution.rotations[-1]
+        beyond = np.maximum(far, 0.0) / most
+        beyond = beyond + np.maximum(turned, 0.0) / (self.settings.cone_slope * most)
         i, u, j, v, _ = self._cell(distance, rotation)
         box = self.settings.stopping
         inside = (np.asarray(distance) <= box.distance) & (np.abs(rotation) <= box.rotation)
-        taps = _blend(self._solution.value, i, u, j, v) + beyond / self.settings.largest_distance
+        taps = _blend(self._solution.value, i, u, j, v) + beyond
         return np.asarray(np.where(inside, 0.0, taps))
 
     def _cell(

@@ -21,7 +21,7 @@ from tapping_cell.mechanics import Polygon, TapResult
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.gains import Gains
-from tapping_cell.planning.goal import others_text, place_text
+from tapping_cell.planning.goal import edge_warning, others_text, place_text
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.session import Decision, Done, Strike, noise_of
@@ -130,15 +130,24 @@ class PrescribedSession:
         made = self._space.tap.strike(
             pose, self._space.rest_pose(contacts), self.prescription.striker_speed
         )
-        moved = self.gains.predict(made.displacement)
+        moved = self.gains.predict(made.displacement, pose[2])
         off = np.abs(wrap_angle(np.arctan2(moved[:, 1], moved[:, 0]) - wanted))
         order = np.argsort(off, kind="stable")
         order = order[(off <= self.prescription.slack + 1e-9)[order]]
-        problems = self._problems(pose, contacts, made, moved, in_view)
+        # A model that no tap has been held against may be wrong by ``MODEL_DEVIATION``, which the
+        # space's scatter contains; then what was measured counts.
+        spread = None
+        if float(self.gains.taken + self.gains.outliers) > 0:
+            spread = self.gains.spread(
+                made.displacement, self._space.scatter, self._space.settings.footprint
+            )
+        slide = self._space.footprint(pose, moved, spread)
+        safe = self._space.slide_is_safe(pose, moved, spread)
+        problems = self._problems(pose, contacts, made, slide, safe, in_view)
         for index in order.tolist():
             if not any(bool(problem[index]) for problem in problems.values()):
                 return self._made(pose, contacts[index], made.displacement[index], moved[index])
-        return self._refusal(pose, wanted, order.tolist(), problems, moved)
+        return self._refusal(pose, wanted, order.tolist(), problems, moved, slide)
 
     def observe(
         self,
@@ -154,7 +163,14 @@ class PrescribedSession:
         moved = np.asarray(pose_after, dtype=float) - np.asarray(pose_before, dtype=float)
         moved[2] = wrap_angle(moved[2])
         noise = CameraNoise() if covariance is None else noise_of(covariance)
-        self.gains = self.gains.observe(strike.commanded, moved, self._space.scatter, noise)
+        orientation = float(np.asarray(pose_before, dtype=float)[2])
+        self.gains = self.gains.observe(
+            strike.commanded, moved, orientation, self._space.scatter, noise
+        )
+
+    def edge_warning(self, pose: ArrayLike) -> str:
+        """See ``goal.edge_warning``."""
+        return edge_warning(pose, self._space)
 
     def use_room(self, space: StrikeSpace, free: FreeSpace) -> None:
         """Work in this space from now on: what stands on the table may have changed."""
@@ -190,7 +206,7 @@ class PrescribedSession:
         back = body.bounding_radius + self._space.tip_radius
         tip = (-back, 0.0, self.prescription.incidence)
         moved = self.gains.predict(
-            self._space.tap.outcome((0.0, 0.0, 0.0), tip, self.prescription.striker_speed)
+            self._space.tap.outcome((0.0, 0.0, 0.0), tip, self.prescription.striker_speed), 0.0
         )
         return math.atan2(float(moved[1]), float(moved[0]))
 
@@ -199,7 +215,8 @@ class PrescribedSession:
         pose: Array,
         contacts: Array,
         made: TapResult,
-        moved: Array,
+        slide: Array,
+        safe: BoolArray,
         in_view: ArrayLike | None,
     ) -> dict[str, BoolArray]:
         """What is wrong with each contact, (n,) for each kind of trouble."""
@@ -209,16 +226,12 @@ class PrescribedSession:
             | (np.abs(made.travel - space.settings.standoff) > SHORT)
             | (np.abs(made.incidence - self.prescription.incidence) > 1e-3)
         )
-        slide = space.footprint(pose, moved)
         unseen = np.zeros(len(contacts), dtype=bool)
         if in_view is not None:
             unseen = ~np.all(between(slide, in_view), axis=(-2, -1))
         return {
             "contact": off_contact,
-            "table": ~(
-                space.slide_is_safe(pose, moved)
-                & np.all(self._free.contains(slide[..., -1, :]), axis=-1)
-            ),
+            "table": ~(safe & np.all(self._free.contains(slide[..., -1, :]), axis=-1)),
             "view": unseen,
             "tool": ~space.tool_fits(pose, contacts),
         }
@@ -247,6 +260,7 @@ class PrescribedSession:
         order: list[int],
         problems: dict[str, BoolArray],
         moved: Array,
+        slide: Array,
     ) -> Refusal:
         """Why the possible contact nearest to the wanted direction cannot be tapped."""
         heading = math.degrees(float(wrap_angle(wanted)))
@@ -262,22 +276,22 @@ class PrescribedSession:
             )
         index = hit[0]
         distance = 1e3 * math.hypot(moved[index, 0], moved[index, 1])
-        spread = self._space.settings.footprint * self._space.scatter.distance
-        slide = (
+        farthest = 1e3 * float(np.max(np.linalg.norm(slide[index] - pose[:2], axis=-1)))
+        words = (
             f"the tap would send the object from {place} {distance:.0f} mm, at most "
-            f"{distance * (1 + spread):.0f} mm for all that is known of it,"
+            f"{farthest:.0f} mm for all that is known of it,"
         )
         if problems["table"][index]:
             return Refusal(
                 RefusalReason.TAP_LEAVES_TABLE,
-                f"{slide} to where it would leave the table, enter a keep-out or be out of the "
+                f"{words} to where it would leave the table, enter a keep-out or be out of the "
                 "arm's reach; ask for a lower striker speed or another direction, or move the "
                 "object towards the middle" + others_text(self._space),
             )
         if problems["view"][index]:
             return Refusal(
                 RefusalReason.TAP_LEAVES_VIEW,
-                f"{slide} out of the part of the table that the camera surely sees (between the "
+                f"{words} out of the part of the table that the camera surely sees (between the "
                 "reference markers); ask for a lower striker speed or another direction, or move "
                 "the object towards the middle",
             )

@@ -21,6 +21,8 @@ class RefusalReason(IntEnum):
     TOO_MANY_TAPS = 10
     TAP_LEAVES_TABLE = 11
     TAP_LEAVES_VIEW = 12
+    PROBE_NEEDED = 13
+    NO_CONTACT = 14
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,18 @@ def planner_names() -> list[str]:
     return [*BUILT_IN, *sorted(set(_registered()) - set(BUILT_IN))]
 
 
+def require_planner(name: str) -> None:
+    """Check that a planning method has this name, without making it.
+
+    Raises:
+        UnknownPlannerError: no such name; the sentence lists the names.
+    """
+    if name not in planner_names():
+        raise UnknownPlannerError(
+            f"there is no planning method {name!r}; known are {', '.join(planner_names())}"
+        )
+
+
 def make_planner(
     name: str, settings: PlannerSettings | None = None, *, background: bool = False
 ) -> Planner:
@@ -54,16 +66,13 @@ def make_planner(
         UnknownPlannerError: no such name; the sentence lists the names.
         PlanningError: a registered method that cannot be loaded or is not a ``Planner``.
     """
+    require_planner(name)
     settings = PlannerSettings() if settings is None else settings
     if name == "optimal":
         return OptimalPlanner(settings, background=background)
     if name in BUILT_IN:
         return BUILT_IN[name](settings)
     registered = _registered()
-    if name not in registered:
-        raise UnknownPlannerError(
-            f"there is no planning method {name!r}; known are {', '.join(planner_names())}"
-        )
     try:
         planner = registered[name].load()(settings)
     except Exception as error:  # whatever a foreign package raises must become one worded error

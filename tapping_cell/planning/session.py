@@ -10,12 +10,17 @@ from numpy.typing import ArrayLike
 
 from tapping_cell.planning.alternatives import alternative_taps
 from tapping_cell.planning.free_space import FreeSpace
-from tapping_cell.planning.gains import Gains
-from tapping_cell.planning.goal import check_goal, others_text, place_text
+from tapping_cell.planning.gains import Gains, Spread
+from tapping_cell.planning.goal import check_goal, edge_warning, others_text, place_text
 from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.settings import CameraNoise
-from tapping_cell.planning.stopping import StoppingBox, stopping_box
+from tapping_cell.planning.stopping import (
+    CONFIDENCE,
+    StoppingBox,
+    inside_probability,
+    stopping_box,
+)
 from tapping_cell.planning.strike import BoolArray, StrikePlan, StrikeSpace
 from tapping_cell.se2 import Pose, wrap_angle
 
@@ -27,6 +32,20 @@ MISSED = 0.1
 
 ELSEWHERE = math.radians(20.0)
 """After a miss the next tap differs in direction by at least this: the same would miss again."""
+
+WORTH_A_LOOK = 0.02
+"""Probability of being inside from which a longer look comes before another tap."""
+
+PROBE_SIZE = 1.5
+"""A probe tap is this many of the smallest taps long."""
+
+MOST_PROBES = 3
+
+PROBE_HEADINGS = np.arange(24) * (2.0 * math.pi / 24)
+
+UNKNOWN = 1.6
+"""Longest slide over the predicted one from which an object wants to be probed first: an object as
+its file says has 1.2 after one tap."""
 
 BLOCKED = 1.05
 """Path over straight distance beyond which the way is not straight (the grid is true to 3 %)."""
@@ -42,6 +61,18 @@ class Done:
 
     residual: Pose
     box: StoppingBox | None
+
+
+@dataclass(frozen=True, slots=True)
+class LookAgain:
+    """The object may be at the goal, and a longer look at it may say so.
+
+    residual: goal less object, (dx, dy, dtheta) in `table`, m and rad. probability: that it is
+    within the tolerance.
+    """
+
+    residual: Pose
+    probability: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +95,7 @@ class Strike:
     detour: str = ""
 
 
-Decision = Done | Strike | Refusal
+Decision = Done | LookAgain | Strike | Refusal
 
 
 class PositioningSession:
@@ -78,6 +109,8 @@ class PositioningSession:
             goals).
         gains: what is known of the object from earlier runs.
         adapt: whether ``observe`` learns.
+        probe: begin with a few of the smallest taps that measure friction and rotation, for an
+            object that is not known.
         most_taps: a limit against endless runs.
     """
 
@@ -90,6 +123,7 @@ class PositioningSession:
         gains: Gains | None = None,
         *,
         adapt: bool = True,
+        probe: bool = False,
         most_taps: int = MOST_TAPS,
     ) -> None:
         self.goal = np.asarray(goal_pose, dtype=float)
@@ -98,6 +132,7 @@ class PositioningSession:
         self.taps = 0
         self._missed: tuple[float, ...] = ()  # headings of taps since the object last moved
         self._adapt = adapt
+        self._probes_left = MOST_PROBES if probe else 0
         self._most_taps = most_taps
         self.use_room(space, FreeSpace(space) if free is None else free)
 
@@ -132,12 +167,19 @@ class PositioningSession:
             settings.box,
         )
 
-    def decide(self, object_pose: ArrayLike, covariance: ArrayLike | None = None) -> Decision:
+    def decide(
+        self,
+        object_pose: ArrayLike,
+        covariance: ArrayLike | None = None,
+        *,
+        look_again: bool = False,
+    ) -> Decision:
         """What to do with the object at rest at this pose, seen with this covariance.
 
         Args:
             object_pose: x, y, theta in `table`, m and rad.
             covariance: (3, 3) of that pose; None takes the nominal noise of the camera.
+            look_again: whether a longer look can be had; ``LookAgain`` is answered only then.
         """
         if self._goal_refusal is not None:
             return self._goal_refusal
@@ -149,10 +191,24 @@ class PositioningSession:
             )
         left = self.residual(pose)
         box = self.stopping(covariance)
-        distance = math.hypot(left[0], left[1])
-        if distance <= box.distance and abs(left[2]) <= box.rotation and box.camera_suffices:
-            return Done(Pose(*left.tolist()), box)
+        residual = Pose(*left.tolist())
+        probability = self._inside(left, covariance, box)
+        if probability >= CONFIDENCE and box.camera_suffices:
+            return Done(residual, box)
+        if look_again and probability >= WORTH_A_LOOK:
+            return LookAgain(residual, probability)
         return self._refusal_before_tap(pose, left, box) or self._strike(pose, left, self._missed)
+
+    def _inside(self, left: Array, covariance: ArrayLike | None, box: StoppingBox) -> float:
+        """Probability of being within the tolerance; by the box where the user chose its size."""
+        settings = self.planner.settings
+        if settings.box is not None:
+            inside = math.hypot(left[0], left[1]) <= box.distance and abs(left[2]) <= box.rotation
+            return float(inside)
+        spread = settings.camera.covariance if covariance is None else covariance
+        return float(
+            inside_probability(left, spread, settings.tolerance_position, settings.tolerance_angle)
+        )
 
     def observe(
         self,
@@ -166,6 +222,7 @@ class PositioningSession:
         Call it once for each tap fired, also when nothing is known of the result (NaN poses).
         """
         self.taps += 1
+        self._probes_left = max(0, self._probes_left - 1)
         settings = self.planner.settings
         moved = np.asarray(pose_after, dtype=float) - np.asarray(pose_before, dtype=float)
         moved[2] = wrap_angle(moved[2])
@@ -176,7 +233,14 @@ class PositioningSession:
         if not self._adapt:
             return
         noise = settings.camera if covariance is None else noise_of(covariance)
-        self.gains = self.gains.observe(strike.commanded, moved, settings.scatter, noise)
+        orientation = float(np.asarray(pose_before, dtype=float)[2])
+        self.gains = self.gains.observe(
+            strike.commanded, moved, orientation, settings.scatter, noise
+        )
+
+    def edge_warning(self, pose: ArrayLike) -> str:
+        """See ``goal.edge_warning``."""
+        return edge_warning(pose, self._space)
 
     def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
         settings = self.planner.settings
@@ -215,44 +279,136 @@ class PositioningSession:
         return None
 
     def _strike(self, pose: Array, left: Array, missed: tuple[float, ...]) -> Strike | Refusal:
+        probe = self._probe(pose, left)
+        if probe is not None:
+            return probe
         distance, turn, heading = self.gains.to_plan(left)
         tap = self.planner.choose(distance, turn)
-        first = self.gains.command(tap.distance, tap.rotation, heading)
+        share = min(1.0, self._longest_tap() / max(abs(float(tap.distance)), 1e-9))
+        slope = self.planner.settings.cone_slope
+        first = self.gains.command(
+            share * tap.distance, share * tap.rotation, heading, pose[2], slope
+        )
         detour = self._obstacle(pose, first, missed)
         if not detour:
             found = self._space.first_strike(Pose(*pose.tolist()), first[None, :])
             if found is not None:
                 return self._made(pose, left, first, found[1], "")
-            detour = "the arm or the tool has no room for the tap along the line"
+            detour = (
+                "the arm or the tool has no room for the tap along the line"
+                if bool(self._space.tap.reachable(first, pose))
+                else "no contact of the object gives the tap along the line"
+            )
+        allowed = struck = trusted = False
         for candidates in alternative_taps(
             pose, self.goal, first, self.gains, self.planner, self._paths, self._space.tap
         ):
-            safe = candidates[_elsewhere(candidates, missed) & self._ends_well(pose, candidates)]
+            short = np.hypot(candidates[:, 0], candidates[:, 1]) * self.gains.value[0]
+            fits = short <= self._longest_tap() * (1.0 + 1e-9)
+            safe = candidates[
+                fits & _elsewhere(candidates, missed) & self._ends_well(pose, candidates)
+            ]
             if safe.shape[0] == 0:
+                trusted = trusted or bool(np.any(self._ends_well(pose, candidates, trusting=True)))
                 continue
+            allowed = True
+            struck = struck or bool(np.any(self._space.tap.reachable(safe, pose)))
             found = self._space.first_strike(Pose(*pose.tolist()), safe)
             if found is not None:
                 return self._made(pose, left, safe[found[0]], found[1], detour)
         if missed:
             return self._strike(pose, left, missed=())
+        return self._no_strike(pose, detour, allowed, struck, trusted)
+
+    def _no_strike(
+        self, pose: Array, first: str, allowed: bool, struck: bool, trusted: bool
+    ) -> Refusal:
+        """Why nothing can be tapped.
+
+        ``allowed``: some slide would be safe; ``struck``: some contact would give it; ``trusted``:
+        some would be safe if the object were known; ``first``: what is against the first choice.
+        """
+        place = place_text(pose)
+        if allowed and not struck:
+            return Refusal(
+                RefusalReason.NO_CONTACT,
+                f"no contact of the object at {place} gives a tap that is safe and leads on: its "
+                "edges pass on impulses within the contact friction of their normals only (first: "
+                f"{first}); turn the object by hand, or move it towards the middle",
+            )
+        longest = self._longest_factor()
+        if trusted and not allowed and longest > UNKNOWN:
+            return Refusal(
+                RefusalReason.PROBE_NEEDED,
+                f"no tap is surely safe with the object at {place}: until its friction is measured "
+                f"it may slide {longest:.1f} times as far as its file says; ask for a probe "
+                "(parameter probe: a few of the smallest taps), or move it towards the middle"
+                + others_text(self._space),
+            )
         return Refusal(
             RefusalReason.NO_STRIKE,
-            f"no tap is possible with the object at {place_text(pose)}: every one would leave the "
+            f"no tap is possible with the object at {place}: every one would leave the "
             "table, enter a keep-out or a place where the object cannot be tapped back, or is out "
-            f"of the arm's reach (first: {detour}); move the object by hand towards the middle"
+            f"of the arm's reach (first: {first}); move the object by hand towards the middle"
             + others_text(self._space),
         )
 
-    def _ends_well(self, pose: Array, commanded: Array) -> BoolArray:
-        """Which displacements (n, 3) slide safely and end, footprint and all, where taps go on."""
-        expected = self.gains.predict(commanded)
-        centres = self._space.footprint(pose, expected)
-        end = centres[..., -1, :]
+    def _longest_factor(self) -> float:
+        """How much farther than predicted a tap may slide, for all that is not known."""
+        spread = self._spread([1.0, 0.0, 0.0])
+        return 1.0 if spread is None else float(spread.longest)
+
+    def _longest_tap(self) -> float:
+        """The longest tap that is chosen now, m. After a tap that nothing explains: such that even
+        what may have changed sends the object no farther than the largest tap."""
+        settings = self.planner.settings
+        if not bool(self.gains.surprised):
+            return settings.largest_distance
+        return max(
+            settings.largest_distance / self._longest_factor(), 2.0 * settings.smallest_distance
+        )
+
+    def _probe(self, pose: Array, left: Array) -> Strike | None:
+        """One of the smallest taps, where a probe was asked for and is still needed."""
+        if self._probes_left == 0 or self._longest_factor() <= UNKNOWN:
+            return None
+        settings = self.planner.settings
+        size = PROBE_SIZE * settings.smallest_distance
+        heading = math.atan2(left[1], left[0]) + PROBE_HEADINGS
+        turn = math.copysign(0.5 * settings.cone_slope * size, left[2])
+        candidates = self.gains.command(
+            np.full(heading.shape, size), turn, heading, pose[2], settings.cone_slope
+        )
+        safe = candidates[self._ends_well(pose, candidates)]
+        if safe.shape[0] == 0:
+            return None
+        found = self._space.first_strike(Pose(*pose.tolist()), safe)
+        if found is None:
+            return None
+        return self._made(
+            pose, left, safe[found[0]], found[1], "a probe of what is not known of the object"
+        )
+
+    def _ends_well(self, pose: Array, commanded: Array, *, trusting: bool = False) -> BoolArray:
+        """Which displacements (n, 3) slide safely, whatever is not known, and end where taps go on
+        as far as the scatter alone sends them. ``trusting``: as if the object were known."""
+        expected = self.gains.predict(commanded, pose[2])
+        end = self._space.footprint(pose, expected)[..., -1, :]
         workable = np.all(self._free.contains(end), axis=-1)
         nominal = self._free.contains(pose[:2] + expected[..., :2])
         if not self._free.contains(pose[:2]):
             workable = nominal  # an escape: better than here, its footprint cannot be asked for
-        return np.asarray(workable & nominal & self._space.slide_is_safe(pose, expected))
+        spread = None if trusting else self._spread(commanded)
+        safe = self._space.slide_is_safe(pose, expected, spread)
+        return np.asarray(workable & nominal & safe)
+
+    def _spread(self, commanded: ArrayLike) -> Spread | None:
+        """Where displacements (..., 3) may end; None, the scatter alone, where nothing is learnt:
+        then the object's file is taken at its word."""
+        if not self._adapt:
+            return None
+        scatter, deviations = self.planner.settings.scatter, self._space.settings.footprint
+        return self.gains.spread(commanded, scatter, deviations)
 
     def _obstacle(self, pose: Array, commanded: Array, missed: tuple[float, ...]) -> str:
         """Why the slide of a displacement (3,) is not acceptable, or an empty text."""
@@ -263,12 +419,12 @@ class PositioningSession:
             return "the straight line to the goal is blocked"
         if bool(self._ends_well(pose, commanded[None, :])[0]):
             return ""
-        return "the tap along the line would leave the table, enter a keep-out or end out of reach"
+        return "the tap along the line might leave the table, enter a keep-out or end out of reach"
 
     def _made(
         self, pose: Array, left: Array, commanded: Array, plan: StrikePlan, detour: str
     ) -> Strike:
-        wanted = self.gains.predict(commanded)
+        wanted = self.gains.predict(commanded, pose[2])
         after = pose + wanted
         after[2] = wrap_angle(after[2])
         return Strike(

@@ -11,9 +11,11 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+import numpy as np
+
 from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
-from tapping_cell.planning.stopping import StoppingBox, stopping_box
+from tapping_cell.planning.stopping import LONG_LOOK, Array, StoppingBox, stopping_box
 
 VARIANTS = ("retreat", "overshoot")
 
@@ -52,6 +54,11 @@ class CameraNoise:
     position: float = 0.0
     angle: float = 0.0
 
+    @property
+    def covariance(self) -> Array:
+        """Of a look, (3, 3), m and rad."""
+        return np.diag([self.position**2, self.position**2, self.angle**2])
+
     def __post_init__(self) -> None:
         """Refuse negative or absurd values (PlanningError)."""
         _check_range(self, "position", 0.0, 0.1, "m")
@@ -65,8 +72,8 @@ class PlannerSettings:
     cone_slope: most rotation per distance of a tap, rad/m.
     smallest_distance, largest_distance: of one tap, m.
     tolerance_position, tolerance_angle: where the object must end, m and rad.
-    box: share of the tolerance to plan for and to stop in; None derives it from the camera's noise
-        (``stopping.stopping_share``).
+    box: share of the tolerance to plan for and to stop in, whatever the camera's noise; None stops
+        by the probability of being inside and plans for the box where a long look does so.
     variant: which two-tap plan ``exact`` and ``conservative`` make: "retreat" first taps away from
         the goal, "overshoot" first taps past it.
     error_line: half length of a tap's error line as a share of its rotation, for ``conservative``
@@ -102,12 +109,13 @@ class PlannerSettings:
 
     @property
     def stopping(self) -> StoppingBox:
-        """The box that plans are made for and in which a look with the nominal noise stops."""
+        """The box that plans are made for: where a long look stops."""
+        longer = math.sqrt(LONG_LOOK)
         return stopping_box(
             self.tolerance_position,
             self.tolerance_angle,
-            self.camera.position,
-            self.camera.angle,
+            self.camera.position / longer,
+            self.camera.angle / longer,
             self.box,
         )
 

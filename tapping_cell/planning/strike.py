@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
+from tapping_cell.planning.gains import Spread
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.settings import Scatter
 from tapping_cell.planning.workspace import KeepOut, Workspace
@@ -47,7 +48,7 @@ class StrikeSettings:
         and where it ends behind the centre of the tip.
     clearance: least gap between the tool at rest and the object.
     slowest, fastest: speeds that the striker can make.
-    footprint: deviations of the scatter that must stay on the table.
+    footprint: deviations of all that is not known of a slide that must stay on the table.
     """
 
     standoff: float = 0.015
@@ -146,36 +147,47 @@ class StrikeSpace:
         sides = np.asarray(self._arm_reach(poses), dtype=bool)
         return sides[..., None] if sides.ndim == poses.ndim - 1 else sides
 
-    def footprint(self, object_pose: ArrayLike, displacement: ArrayLike) -> Array:
+    def footprint(
+        self, object_pose: ArrayLike, displacement: ArrayLike, spread: Spread | None = None
+    ) -> Array:
         """Centres that the object may pass or rest at: shape (..., rays, points, 2), m.
 
-        Three rays (the direction and its footprint to both sides) from the start to the longest
-        slide; displacements (..., 3).
+        Rays over all directions from the start to the longest slide; displacements (..., 3).
+        ``spread`` bounds both; None takes ``settings.footprint`` deviations of the scatter alone.
         """
         start = np.asarray(object_pose, dtype=float)
         moved = np.asarray(displacement, dtype=float)
-        spread = self.settings.footprint
-        length = np.hypot(moved[..., 0], moved[..., 1]) * (1.0 + spread * self.scatter.distance)
+        if spread is None:
+            reach = self.settings.footprint
+            aside = reach * self.scatter.direction
+            spread = Spread(
+                np.full(moved.shape[:-1], 1.0 + reach * self.scatter.distance),
+                np.broadcast_to([-aside, aside], (*moved.shape[:-1], 2)),
+            )
+        length = np.hypot(moved[..., 0], moved[..., 1]) * spread.longest
         heading = np.arctan2(moved[..., 1], moved[..., 0])
-        rays = heading[..., None] + spread * self.scatter.direction * np.array([-1.0, 0.0, 1.0])
+        right, left = spread.aside[..., :1], spread.aside[..., 1:]
+        turned = np.concatenate([right, right / 2, np.zeros_like(left), left / 2, left], axis=-1)
+        rays = heading[..., None] + turned
         share = np.linspace(0.0, 1.0, PATH_POINTS)
         along = length[..., None, None] * share
-        centres = np.stack(
+        return np.stack(
             [
                 start[..., 0, None, None] + along * np.cos(rays)[..., None],
                 start[..., 1, None, None] + along * np.sin(rays)[..., None],
             ],
             axis=-1,
         )
-        return centres
 
-    def slide_is_safe(self, object_pose: ArrayLike, displacement: ArrayLike) -> BoolArray:
+    def slide_is_safe(
+        self, object_pose: ArrayLike, displacement: ArrayLike, spread: Spread | None = None
+    ) -> BoolArray:
         """Whether the whole slide with its footprint keeps its margins: (...,) for (..., 3).
 
         An object that already stands closer to an edge or a keep-out than the margin may leave,
         but not come closer.
         """
-        room = self.workspace.object_room(self.footprint(object_pose, displacement))
+        room = self.workspace.object_room(self.footprint(object_pose, displacement, spread))
         needed = np.minimum(self.object_radius, room[..., 0, 0]) - 1e-9
         return np.asarray(np.all(room >= needed[..., None, None], axis=(-2, -1)))
 

@@ -50,7 +50,7 @@ class MessageTypes:
             name = missing.pop()
             if name in self._store.fielddefs:
                 continue
-            file = _definition_file(name)
+            file = definition_file(name)
             try:
                 types = get_types_from_msg(file.read_text(encoding="utf-8"), name)
                 self._store.register(types)
@@ -63,7 +63,12 @@ class MessageTypes:
         return self._store
 
 
-def _definition_file(kind: str) -> Path:
+def definition_file(kind: str) -> Path:
+    """The file that defines a message type, written like ``geometry_msgs/msg/Pose``.
+
+    Raises:
+        UnknownMessageType: no installed package and not the source tree has it.
+    """
     parts = kind.split("/")
     if len(parts) != 3 or not all(parts):
         raise UnknownMessageType(f"'{kind}' is no message type; they are written package/msg/Name")

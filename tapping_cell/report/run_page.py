@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tapping_cell.report import hints
+from tapping_cell.report import error_codes
 from tapping_cell.report.page_style import document
 from tapping_cell.report.run import (
     CANCELED,
@@ -102,9 +102,9 @@ def _head(run: Run) -> str:
 def _failure(run: Run) -> str:
     if not run.error_code:
         return ""
-    advice = hints.hint(run.error_code)
+    advice = error_codes.hint(run.error_code)
     return (
-        f'<section class="trouble"><h2>{escape(hints.name(run.error_code))} '
+        f'<section class="trouble"><h2>{escape(error_codes.name(run.error_code))} '
         f"<small>code {run.error_code}</small></h2><p>{escape(run.error_msg)}</p>"
         + (f"<p><b>What to do:</b> {escape(advice)}</p>" if advice else "")
         + "</section>"
@@ -349,8 +349,8 @@ def _troubles(run: Run) -> str:
         return ""
     rows = "".join(
         f"<tr><td>{trouble.at:.1f} s</td><td>{escape(trouble.source)}</td>"
-        f"<td>{escape(hints.name(trouble.code))} <small>{trouble.code}</small></td>"
-        f"<td>{escape(trouble.sentence)}<br><small>{escape(hints.hint(trouble.code))}</small></td></tr>"
+        f"<td>{escape(error_codes.name(trouble.code))} <small>{trouble.code}</small></td>"
+        f"<td>{escape(trouble.sentence)}<br><small>{escape(error_codes.hint(trouble.code))}</small></td></tr>"
         for trouble in run.troubles
     )
     return (

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tapping_cell.report import error_codes
 from tapping_cell.report.bag import Bag, BagError, read_bag
 from tapping_cell.report.run import (
     CANCELED,
@@ -34,7 +35,6 @@ _SPEAKERS = ("plan_state", "arm_state", "tapper_state", "object_state")
 _TRUTH_WITHIN_S = 0.2
 """Greatest distance in time of the truth that belongs to a measured pose."""
 _SAME_TIME_S = 1e-6
-_SHUTTING_DOWN = 906
 _FINAL_WORDS = ("reached", "failed", "canceled")
 
 
@@ -105,7 +105,8 @@ def story_of(bag: Bag, name: str) -> Story:
     outcome = _outcome(last, refused, goal, final_true, tolerance)
     code, sentence = int(last.error_code), str(last.error_msg)
     if outcome == UNFINISHED and not code:
-        code, sentence = _SHUTTING_DOWN, "the recording ended before the goal did"
+        code = error_codes.number("SHUTTING_DOWN")
+        sentence = "the recording ended before the goal did"
     run = Run(
         name=name,
         goal=goal,

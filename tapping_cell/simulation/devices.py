@@ -8,11 +8,13 @@ from pathlib import Path
 
 from tapping_cell.configuration.cell import ArmSection, Cell
 from tapping_cell.se2 import Pose
+from tapping_cell.simulation.arm_picture import arm_solids
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.grbl_machine import TO_UNITS, GrblMachine, default_settings
 from tapping_cell.simulation.joint_motion import AxisErrors
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.rendered_camera import Occluder
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import ArmTruth
 
@@ -20,6 +22,8 @@ OnStrike = Callable[[Pose, float, float, float], float]
 """Called at a release: true tip pose in ``table``, its height in m, commanded speed in m/s, time in
 s; returns what the tapper's gate measures of the speed."""
 
+SINKING_SPEED = 0.02
+"""Of a quill without a brake while its motor has no power, m/s."""
 LARGEST_BOOT = 1_000_000
 
 
@@ -39,6 +43,7 @@ class SimulatedDevices:
         on_strike: OnStrike,
         seed: int,
     ) -> None:
+        self._file = cell.file
         self._geometry = cell.file.arm.geometry()
         self._base = cell.arm_base @ Pose(*truth.base_offset)
         self._curve = cell.file.tapper.curve()
@@ -70,8 +75,16 @@ class SimulatedDevices:
     def _fire(self, shot: int, energy: float, now: float) -> float | None:
         """The tapper was released: the striker flies from where the arm truly holds it."""
         tip, height = self.tip(now)
-        speed = self._curve.speed_for(energy)
+        # The spring holds whole steps: at the ends of the table a little more or less than asked.
+        least, most = self._curve.table[0][0], self._curve.table[-1][0]
+        speed = self._curve.speed_for(min(max(energy, least), most))
         return self._on_strike(tip, height, speed, now)
+
+    def solids(self, now: float) -> tuple[Occluder, ...]:
+        """What the camera sees of the arm where it truly is."""
+        with self._arm_port.lock:
+            joints = self._arm.joints(now)
+        return arm_solids(self._file.arm, self._file.tapper, self._base, joints)
 
     def tip(self, now: float) -> tuple[Pose, float]:
         """Where the striker's tip truly is: its pose in ``table`` and its height in m."""
@@ -92,8 +105,11 @@ def arm_emulator(
     pulls = [
         float(scale * pull) for scale, pull in zip(TO_UNITS, arm.max_acceleration, strict=True)
     ]
+    sinks = 0.0 if arm.quill_brake else SINKING_SPEED
     if arm.dialect == "marlin":
         machine = MarlinMachine(
+            quill_sinks=sinks,
+            quill_floor=arm.lower[2],
             start_joints=arm.park,
             home_joints=arm.home,
             errors=errors,
@@ -108,7 +124,14 @@ def arm_emulator(
         settings[120 + axis] = pull
         settings[130 + axis] = float(TO_UNITS[axis]) * (arm.upper[axis] - arm.lower[axis])
     return GrblEmulator(
-        GrblMachine(start_joints=arm.park, home_joints=arm.home, errors=errors, settings=settings),
+        GrblMachine(
+            start_joints=arm.park,
+            home_joints=arm.home,
+            errors=errors,
+            settings=settings,
+            quill_sinks=sinks,
+            quill_floor=arm.lower[2],
+        ),
         seed,
         now,
     )

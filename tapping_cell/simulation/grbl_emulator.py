@@ -18,7 +18,7 @@ import numpy as np
 from tapping_cell.simulation.device_emulator import OutputQueue
 from tapping_cell.simulation.grbl_machine import AXES, TO_UNITS, GrblMachine
 from tapping_cell.simulation.grbl_program import Line, Modal, Refused, read_line
-from tapping_cell.simulation.joint_motion import Array, AxisTrack
+from tapping_cell.simulation.joint_motion import Array, AxisTrack, Torque
 
 RECEIVE_BUFFER = 128
 """Bytes that the controller can hold; more are lost (Grbl's RX_BUFFER_SIZE)."""
@@ -29,7 +29,9 @@ LINE_TIME = 0.001
 """What reading a line costs the processor, s."""
 SLIP = 0.3
 """Standard deviation of the steps lost by a reset in motion, in axis units."""
-BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
+HOLD = 255
+"""Value of the hold setting with which motors never lose their power."""
+QUILL = 2
 
 
 @dataclass(slots=True)
@@ -49,6 +51,13 @@ class GrblEmulator:
         self.machine = machine or GrblMachine()
         self._rng = np.random.default_rng(seed)
         self._settings = dict(self.machine.settings)
+        self._variant = self.machine.variant
+        self._names = dict(self._variant.names)
+        self._torque = Torque(self.machine.quill_sinks, self.machine.quill_floor)
+        self._rests_since: float | None = None
+        self._homed = False
+        self._boots_until: float | None = None
+        self._feed_override = 100
         self._sign = np.array(self.machine.axis_sign, dtype=float)
         self._output = OutputQueue(self.machine.reply_latency, 10 / self.machine.baud)
         errors = self.machine.errors
@@ -72,12 +81,18 @@ class GrblEmulator:
     def joints(self, time: float) -> tuple[float, float, float, float]:
         """True joints at ``time``: rad, rad, m, rad; the controller's report may differ."""
         units = self._track.joints(time) * self._sign / TO_UNITS
+        units[QUILL] -= self._torque.sunk(float(units[QUILL]), time)
         a, b, c, d = (units + np.asarray(self.machine.errors.offset)).tolist()
         return a, b, c, d
 
     def moving(self, time: float) -> bool:
-        """Whether the axes move at ``time``."""
+        """Whether the motors move the axes at ``time``."""
         return self._track.moving(time)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the motors have power."""
+        return self._torque.on
 
     def push(self, joints: tuple[float, float, float, float], now: float) -> None:
         """A person moves the resting, unpowered arm to ``joints``; the controller does not
@@ -102,13 +117,18 @@ class GrblEmulator:
             if byte == 0x18:
                 self._soft_reset(now)
             elif byte == ord("?"):
-                self._report(now)
+                if self._busy != "Home" or self._variant.reports_while_homing:
+                    self._report(now)
             elif byte == ord("!"):
                 self._hold(now)
             elif byte == ord("~"):
                 self._resume(now)
             elif byte == 0x85:
                 self._cancel_jog(now)
+            elif byte == 0x90:
+                self._feed_override = 100
+            elif byte == 0x92:
+                self._feed_override = max(self._feed_override - 10, 10)
             elif byte < 0x80 and len(self._received) < RECEIVE_BUFFER:
                 self._received.append(byte)
         self._work(now)
@@ -121,6 +141,10 @@ class GrblEmulator:
             if after is not None:
                 after(due)
             self._work(due)
+        if self._boots_until is not None and self._boots_until <= now:
+            booted, self._boots_until = self._boots_until, None
+            self._greet(booted)
+        self._idle_out(now)
 
     def take_output(self, now: float) -> bytes:
         """Bytes out by ``now``."""
@@ -129,7 +153,8 @@ class GrblEmulator:
 
     def next_event(self) -> float | None:
         """Next end of a motion or of a byte going out."""
-        times = [t for t in (self._due, self._output.next_time()) if t is not None]
+        pending = (self._due, self._boots_until, self._output.next_time())
+        times = [t for t in pending if t is not None]
         return min(times) if times else None
 
     def power_cycle(self, now: float) -> None:
@@ -142,7 +167,7 @@ class GrblEmulator:
 
     # Reset and alarms.
 
-    def _restart(self, now: float, hard: bool) -> None:
+    def _restart(self, now: float, hard: bool, delay: float = 0.0) -> None:
         self._received = bytearray()
         self._blocks: deque[_Block] = deque()
         self._parser_position = self._machine_position(now)
@@ -154,14 +179,59 @@ class GrblEmulator:
         self._wants_room = self._wants_rest = None
         self._present_acceleration = 1.0
         self._reports = 0
+        self._feed_override = 100
         if hard:
-            self._state = "Alarm" if self._settings[22] else "Idle"
-        self._output.put(BANNER, now)
-        if self._state == "Alarm":
-            self._output.put(b"[MSG:'$H'|'$X' to unlock]\r\n", now)
+            self._state = "Alarm" if int(self._settings[22]) & 1 else "Idle"
+            self._homed = False
+            self._boots_until = None
+        self._power(now)
+        if delay:
+            self._boots_until = now + delay
+        else:
+            self._greet(now)
+
+    def _greet(self, now: float) -> None:
+        """Lines that came while the board started are lost."""
+        self._received.clear()
+        self._output.put(self._variant.banner, now)
+        if self._state != "Alarm":
+            return
+        self._output.put(b"[MSG:'$H'|'$X' to unlock]\r\n", now)
+        if self._variant.unhomed_alarm is not None and not self._homed:
+            self._output.put(b"ALARM:%d\r\n" % self._variant.unhomed_alarm, now)
+
+    # Torque.
+
+    def _hold_setting(self) -> float:
+        name = self._variant.hold_name
+        return float(self._names[name]) if name else self._settings[1]
+
+    def _power(self, now: float) -> None:
+        """Motors on: they hold where the quill has sunk to, and the count does not know."""
+        units = self._track.joints(now) * self._sign / TO_UNITS
+        sunk = self._torque.sunk(float(units[QUILL]), now)
+        self._torque.restore()
+        self._rests_since = now
+        if sunk > 0:
+            moved = np.zeros(AXES)
+            moved[QUILL] = -sunk * TO_UNITS[QUILL] * self._sign[QUILL]
+            self._track.shift(self._track.motors(now) + moved, now)
+            self._reference = self._reference + moved
+
+    def _idle_out(self, now: float) -> None:
+        """Motors off after the idle time, as the hold setting says."""
+        if self._due is not None or self._blocks:
+            self._rests_since = None
+            return
+        if self._rests_since is None:
+            self._rests_since = now
+        hold = self._hold_setting()
+        if hold != HOLD and now >= self._rests_since + hold / 1e3:
+            self._torque.cut(self._rests_since + hold / 1e3)
 
     def _soft_reset(self, now: float) -> None:
         homing = self._busy == "Home"
+        delay = 0.0
         if self._track.moving(now):
             self._track.freeze(now)
             # Steps are lost: the motors run on a little, the counter does not know.
@@ -171,9 +241,11 @@ class GrblEmulator:
             self._reference = self._reference + slip
             self._state = "Alarm"
             self._output.put(b"ALARM:6\r\n" if homing else b"ALARM:3\r\n", now)
+            delay = self._variant.reset_delay
+            self._homed = False
         elif self._state != "Alarm":
             self._state = "Idle"
-        self._restart(now, hard=False)
+        self._restart(now, hard=False, delay=delay)
 
     def _alarm(self, code: int, now: float) -> None:
         self._track.freeze(now)
@@ -181,6 +253,9 @@ class GrblEmulator:
         self._busy = ""
         self._due = self._after = self._wants_room = self._wants_rest = None
         self._state = "Alarm"
+        self._homed = False
+        if self._variant.alarm_cuts_torque:
+            self._torque.cut(now)
         self._output.put(b"ALARM:%d\r\n" % code, now)
 
     # Real-time commands.
@@ -195,17 +270,26 @@ class GrblEmulator:
         return "Run" if self._blocks or self._due is not None else "Idle"
 
     def _report(self, now: float) -> None:
-        place = ",".join(f"{v:.3f}" for v in self._machine_position(now) + 0.0)
-        fields = [self._shown_state(now), f"MPos:{place}", "FS:0,0"]
+        machine, offset = self._machine_position(now), self._work_offset()
+        place = (
+            f"MPos:{self._shown(machine)}"
+            if int(self._settings[10]) & 1
+            else f"WPos:{self._shown(machine - offset)}"
+        )
+        fields = [self._shown_state(now), place, "FS:0,0"]
         if self._reports == 0:
-            offset = self._work_offset()
-            fields.append("WCO:" + ",".join(f"{v:.3f}" for v in offset + 0.0))
+            fields.append("WCO:" + self._shown(offset))
             self._reports = 30 if fields[0] == "Idle" else 10
         else:
             self._reports -= 1
             if self._reports == 1:
-                fields.append("Ov:100,100,100")
+                fields.append(f"Ov:{self._feed_override},100,100")
         self._output.put(f"<{'|'.join(fields)}>\r\n".encode(), now)
+
+    def _shown(self, values: Array) -> str:
+        """Axis values as a report lists them, for as many axes as the build has."""
+        padded = [*(values + 0.0).tolist(), *[0.0] * self._variant.axes][: self._variant.axes]
+        return ",".join(f"{value:.3f}" for value in padded)
 
     def _hold(self, now: float) -> None:
         if self._busy not in ("Run", "Jog") or self._held or self._state != "Idle":
@@ -266,12 +350,13 @@ class GrblEmulator:
         idle = self._shown_state(now) in ("Idle", "Alarm", "Check")
         say = self._output.put
         if text == "$$":
-            for number, value in sorted(self._settings.items()):
+            for number, value in sorted(self._listed().items()):
                 real = number >= 100 or number in (11, 12, 24, 25, 27)
                 shown = f"{value:.3f}" if real else f"{value:g}"
                 say(f"${number}={shown}\r\n".encode(), now)
         elif text == "$I":
-            say(b"[VER:1.1h.20190825:]\r\n[OPT:V,15,128]\r\n", now)
+            for line in self._variant.information:
+                say(line + b"\r\n", now)
         elif text == "$G":
             say(f"[GC:{self._modal}]\r\n".encode(), now)
         elif text == "$#":
@@ -281,9 +366,10 @@ class GrblEmulator:
         elif text == "$X":
             if self._state == "Alarm":
                 self._state = "Idle"
+                self._power(now)
                 say(b"[MSG:Caution: Unlocked]\r\n", now)
         elif text == "$H":
-            if not self._settings[22]:
+            if not int(self._settings[22]) & 1:
                 raise Refused(5)
             if not idle:
                 raise Refused(8)
@@ -291,11 +377,14 @@ class GrblEmulator:
             return
         elif text == "$SLP":
             self._state = "Sleep"
+            self._torque.cut(now)
         elif text.startswith("$J="):
             if self._shown_state(now) not in ("Idle", "Jog"):
                 raise Refused(9)
             self._gcode(text[3:], now, jog=True)
             return
+        elif found := re.fullmatch(r"\$(/[A-Z_/]+)(?:=(.+))?", text):
+            self._named(found[1].lower(), found[2], now)
         elif found := re.fullmatch(r"\$(\d{1,3})=(-?[\d.]+)", text):
             if not idle:
                 raise Refused(8)
@@ -309,8 +398,31 @@ class GrblEmulator:
             raise Refused(3)
         self._ok(now)
 
+    def _listed(self) -> dict[int, float]:
+        """What ``$$`` tells: rows of axis settings as long as the build has axes."""
+        variant = self._variant
+        shown = {}
+        for number, value in self._settings.items():
+            is_mask = 44 <= number <= 47
+            if number in variant.unlisted or (is_mask and number not in variant.homing_masks):
+                continue
+            if number >= 100 and number % 10 >= variant.axes:
+                continue
+            shown[number] = value
+        return shown
+
+    def _named(self, name: str, value: str | None, now: float) -> None:
+        """Ask for, or set, a setting that has a name."""
+        if name not in self._names:
+            raise Refused(3)
+        if value is None:
+            self._output.put(f"${name}={self._names[name]}\r\n".encode(), now)
+        else:
+            self._names[name] = value.lower()
+
     def _gcode(self, text: str, now: float, jog: bool) -> None:
-        line = read_line(text, self.machine.letters, self._modal)
+        letters = self.machine.letters[: self._variant.axes]
+        line = read_line(text, letters, self._modal)
         modal, axes = line.modal, line.axes
         if jog and (line.action is not None or not axes or line.feed is None):
             raise Refused(16)
@@ -398,11 +510,13 @@ class GrblEmulator:
 
     def _begin(self, now: float) -> None:
         block = self._blocks[0]
+        self._power(now)
+        speed = block.speed * self._feed_override / 100
         self._busy = "Jog" if block.jog else "Run"
         self._present_acceleration = block.acceleration
         steps = self._per_axis(100)
         target = np.round(block.target * steps) / steps
-        self._due = self._track.move(target + self._reference, now, block.speed, block.acceleration)
+        self._due = self._track.move(target + self._reference, now, speed, block.acceleration)
         self._after = self._finish_block
 
     def _finish_block(self, now: float) -> None:
@@ -440,16 +554,17 @@ class GrblEmulator:
     def _home(self, now: float) -> None:
         """Seek the switches axis by axis (quill first), pull off, take the homed position."""
         self._state, self._busy = "Idle", "Home"
+        self._power(now)
         self._wants_rest = _nothing
         errors = self.machine.errors
         noise = self._rng.normal(0.0, 1.0, AXES) * self._units(errors.homing)
         place = self._units(self.machine.home_joints) + noise
         pull_off = self._settings[27]
         seek, slow = self._settings[25] / 60, self._settings[24] / 60
-        order = [2, 0, 1, 3]
+        homing = [axis for axis in (2, 0, 1, 3) if self._homes(axis)]
         steps: list[tuple[Array, float]] = []
         here = self._track.motors(now).copy()
-        for axis in order:
+        for axis in homing:
             for value, speed in (
                 (place[axis] + pull_off, seek),
                 (place[axis], slow),
@@ -467,15 +582,37 @@ class GrblEmulator:
                     self._present_acceleration = acceleration
                     self._due, self._after = end, following
                     return
-            toward_low = (int(self._settings[23]) >> np.arange(AXES)) & 1 == 1
-            homed = np.where(toward_low, pull_off - self._per_axis(130), -pull_off)
+            homed = self._machine_position(at)
+            homed[homing] = self._homed_place()[homing]
             self._reference = self._track.motors(at) - homed
             self._parser_position = homed
             self._busy = ""
+            self._homed = True
             self._wants_rest = None
             self._ok(at)
 
         following(now)
+
+    def _homes(self, axis: int) -> bool:
+        variant = self._variant
+        if variant.homing_masks:
+            return any(int(self._settings[n]) >> axis & 1 for n in variant.homing_masks)
+        if variant.ends_at_place:
+            letter = self.machine.letters[axis].lower()
+            return int(self._names[f"/axes/{letter}/homing/cycle"]) > 0
+        return axis not in variant.unhomed_axes
+
+    def _homed_place(self) -> Array:
+        """What the axes are called where homing ends."""
+        variant = self._variant
+        if variant.ends_at_place:
+            names = [f"/axes/{letter.lower()}/homing/mpos_mm" for letter in self.machine.letters]
+            return np.array([float(self._names[name]) for name in names])
+        if variant.forces_origin or (variant.homing_masks and int(self._settings[22]) & 8):
+            return np.zeros(AXES)
+        pull_off = self._settings[27]
+        toward_low = (int(self._settings[23]) >> np.arange(AXES)) & 1 == 1
+        return np.where(toward_low, pull_off - self._per_axis(130), -pull_off)
 
     def _per_axis(self, first: int) -> Array:
         """Four settings in a row, one an axis."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tapping_cell.simulation.grbl_variants import GRBL, GrblVariant
 from tapping_cell.simulation.joint_motion import AxisErrors
 
 AXES = 4
@@ -31,6 +32,10 @@ def default_settings() -> dict[int, float]:
         24: 600,
         25: 3600,
         27: 1,
+        44: 4,
+        45: 3,
+        46: 8,
+        47: 0,
         **{100 + axis: value for axis, value in enumerate((200.0, 200.0, 400.0, 100.0))},
         **{110 + axis: value for axis, value in enumerate((6900.0, 8600.0, 15000.0, 20700.0))},
         **{120 + axis: value for axis, value in enumerate((458.0, 573.0, 2000.0, 1720.0))},
@@ -50,6 +55,11 @@ class GrblMachine:
     """Where homing ends, by the drawing; the errors say where it truly ends."""
     errors: AxisErrors = field(default_factory=AxisErrors)
     settings: dict[int, float] = field(default_factory=default_settings)
+    variant: GrblVariant = GRBL
+    quill_sinks: float = 0.02
+    """How fast the quill sinks while the motors have no power, m/s; 0 with a brake."""
+    quill_floor: float = -0.148
+    """Where a sinking quill comes to rest, m."""
     reply_latency: float = 0.002
     """USB adapter and processor, s."""
     baud: int = 115200

@@ -124,6 +124,35 @@ class Piece:
         return np.asarray(np.clip(self.play, motors - backlash / 2, motors + backlash / 2))
 
 
+class Torque:
+    """Whether the motors hold, and how far a quill has sunk while they did not; SI."""
+
+    def __init__(self, sinks: float, floor: float) -> None:
+        self._sinks = sinks
+        self._floor = floor
+        self._off_since: float | None = None
+
+    @property
+    def on(self) -> bool:
+        """Whether the motors have power."""
+        return self._off_since is None
+
+    def cut(self, time: float) -> None:
+        """The motors lose their power."""
+        if self._off_since is None:
+            self._off_since = time
+
+    def sunk(self, quill: float, time: float) -> float:
+        """How far a quill that stood at ``quill`` has sunk by ``time``, m."""
+        if self._off_since is None or time <= self._off_since:
+            return 0.0
+        return min(self._sinks * (time - self._off_since), max(quill - self._floor, 0.0))
+
+    def restore(self) -> None:
+        """The motors have power again."""
+        self._off_since = None
+
+
 class AxisTrack:
     """The motion of all axes over time, in one unit system of the caller's choice."""
 

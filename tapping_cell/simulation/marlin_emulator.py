@@ -17,7 +17,7 @@ from functools import reduce
 import numpy as np
 
 from tapping_cell.simulation.device_emulator import OutputQueue
-from tapping_cell.simulation.joint_motion import Array, AxisErrors, AxisTrack
+from tapping_cell.simulation.joint_motion import Array, AxisErrors, AxisTrack, Torque
 
 QUEUE_LENGTH = 4
 """Lines read ahead (Marlin's BUFSIZE)."""
@@ -32,6 +32,7 @@ KILL_TIME = 0.03
 SLIP = 0.3
 """Standard deviation of the steps lost by a sudden stop, in axis units."""
 AXES = 4
+QUILL = 2
 TO_UNITS = np.array([180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi])
 
 
@@ -57,6 +58,12 @@ class MarlinMachine:
     soft_low: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     soft_high: tuple[float, float, float, float] = (200.0, 200.0, 200.0, 200.0)
     """What ``M211`` tells; the emulated firmware does not clip."""
+    idle_time: float = 120.0
+    """After which standing motors lose their power, s (DEFAULT_STEPPER_TIMEOUT_SEC)."""
+    quill_sinks: float = 0.02
+    """How fast the quill sinks while the motors have no power, m/s; 0 with a brake."""
+    quill_floor: float = -0.148
+    """Where a sinking quill comes to rest, m."""
     reply_latency: float = 0.002
     baud: int = 115200
 
@@ -80,11 +87,15 @@ class MarlinEmulator:
             self._rng,
         )
         self._steps = np.array(self.machine.steps)
+        self._torque = Torque(self.machine.quill_sinks, self.machine.quill_floor)
         self._due: float | None = None
         self._after: Callable[[float], None] | None = None
         self._busy_at: float | None = None
         self._running: Callable[[float], bool] | None = None
         self._line = bytearray()
+        self._blocks: deque[tuple[Array, float, float]] = deque()
+        self._rests_since = now
+        self._reference = start
         self._restart(now)
 
     # What the world asks.
@@ -92,6 +103,7 @@ class MarlinEmulator:
     def joints(self, time: float) -> tuple[float, float, float, float]:
         """True joints at ``time``: rad, rad, m, rad; the controller's counts may differ."""
         units = self._track.joints(time) * self._sign / TO_UNITS
+        units[QUILL] -= self._torque.sunk(float(units[QUILL]), time)
         a, b, c, d = (units + np.asarray(self.machine.errors.offset)).tolist()
         return a, b, c, d
 
@@ -127,6 +139,7 @@ class MarlinEmulator:
         while True:
             due = self._next_internal()
             if due is None or due > now:
+                self._idle_out(now)
                 return
             if self._due is not None and self._due <= due:
                 after, self._due, self._after = self._after, None, None
@@ -160,10 +173,13 @@ class MarlinEmulator:
 
     def _restart(self, now: float) -> None:
         self._killed = False
+        self._idle_limit = self.machine.idle_time
+        self._feed_percent = 100.0
+        self._power(now)
         self._line = bytearray()
         self._queue: deque[str] = deque()
         self._waiting: deque[bytes] = deque()
-        self._blocks: deque[tuple[Array, float, float]] = deque()
+        self._blocks.clear()
         self._due = self._after = self._busy_at = self._running = None
         self._last_number = 0
         self._relative = False
@@ -175,6 +191,25 @@ class MarlinEmulator:
         self._shift: Array = np.zeros(AXES)
         for line in ("start", "Marlin 2.1.2.4", "echo: Last Updated: 2024-01-01"):
             self._say(line, now)
+
+    def _power(self, now: float) -> None:
+        """Motors on: they hold where the quill has sunk to, and the count does not know."""
+        units = self._track.joints(now) * self._sign / TO_UNITS
+        sunk = self._torque.sunk(float(units[QUILL]), now)
+        self._torque.restore()
+        self._rests_since = now
+        if sunk > 0:
+            moved = np.zeros(AXES)
+            moved[QUILL] = -sunk * TO_UNITS[QUILL] * self._sign[QUILL]
+            self._track.shift(self._track.motors(now) + moved, now)
+            self._reference = self._reference + moved
+
+    def _idle_out(self, now: float) -> None:
+        """Motors off after the idle time; a limit of 0 keeps them on."""
+        if self._due is not None or self._blocks:
+            self._rests_since = now
+        elif self._idle_limit and now >= self._rests_since + self._idle_limit:
+            self._torque.cut(self._rests_since + self._idle_limit)
 
     def _say(self, text: str, now: float) -> None:
         self._output.put(text.encode() + b"\n", now)
@@ -232,7 +267,11 @@ class MarlinEmulator:
         self._queue.clear()
         self._blocks.clear()
         self._busy_at = self._running = None
-        self._due, self._after = now + KILL_TIME, self._freeze
+        self._due, self._after = now + KILL_TIME, self._stand_dead
+
+    def _stand_dead(self, now: float) -> None:
+        self._freeze(now)
+        self._torque.cut(now)
 
     def _quick_stop(self, now: float) -> None:
         self._freeze(now)
@@ -335,7 +374,16 @@ class MarlinEmulator:
             )
             on = "ON" if self.machine.soft_endstops else "OFF"
             self._say(f"Soft endstops: {on}  Min: {low}  Max: {high}", now)
-        elif code not in ("M17", "M105", "M999"):
+        elif code == "M17":
+            self._power(now)
+        elif code in ("M18", "M84"):
+            if "S" in words:
+                self._idle_limit = words["S"]
+            else:
+                self._torque.cut(now)
+        elif code == "M220":
+            self._feed_percent = words.get("S", self._feed_percent)
+        elif code not in ("M105", "M999"):
             return False
         return True
 
@@ -378,8 +426,9 @@ class MarlinEmulator:
 
     def _start_block(self, now: float) -> None:
         target, speed, pull = self._blocks[0]
+        self._power(now)
         exact = np.round(target * self._steps) / self._steps + self._reference
-        end = self._track.move(exact, now, speed, pull)
+        end = self._track.move(exact, now, speed * self._feed_percent / 100, pull)
         self._due, self._after = end, self._end_block
 
     def _end_block(self, now: float) -> None:
@@ -401,6 +450,7 @@ class MarlinEmulator:
         noise = self._rng.normal(0.0, 1.0, AXES) * self._units(self.machine.errors.homing)
         place = self._units(self.machine.home_joints) + noise
         order = [2, 0, 1, 3]
+        self._power(now)
         pull = min(self.machine.acceleration)
 
         def seek(at: float) -> bool:

@@ -61,10 +61,15 @@ class SceneSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Occluder:
-    """A silhouette over the table: corners (N, 3) in table, in m, and its grey level."""
+    """A silhouette over the table: corners (N, 3) in table, in m, and its grey level.
+
+    ``convex``: a solid, whose silhouette is the hull of the corners' images; else the corners are
+    those of a polygon in their order.
+    """
 
     points: NDArray[np.float64]
     level: float = 45.0
+    convex: bool = False
 
 
 class SceneRenderer:
@@ -137,7 +142,10 @@ class SceneRenderer:
         if occluders:
             clean = clean.copy()
             for occluder in occluders:
-                corners = np.round(self.view.project(occluder.points) * 16.0).astype(np.int32)
+                seen = self.view.project(occluder.points)
+                if occluder.convex:
+                    seen = np.asarray(cv2.convexHull(seen.astype(np.float32))[:, 0], dtype=float)
+                corners = np.round(seen * 16.0).astype(np.int32)
                 level = occluder.level * _FRACTION
                 cv2.fillPoly(clean, [corners], (level,), shift=4)
         if light != 1.0:

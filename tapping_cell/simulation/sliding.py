@@ -1,146 +1,220 @@
 """A body sliding on the table, integrated in time from the friction under each point of it.
 
-Independent of the closed forms of the mechanics room on purpose: the support pressure may be uneven
-and the table tilted, which those cannot express. The support surface is sampled at points r_i with
-weights w_i; each point drags with mu w_i N against its own velocity v + omega x r_i (Coulomb), and
-the torque of it all is multiplied by the torque factor, the paper's empirical finding.
+Independent of the closed forms of the mechanics room on purpose: support, table and friction law
+may be what those cannot express. Each point of the support drags against its own velocity
+v + omega x r with its share of the weight; the torque of it all is multiplied by the torque factor,
+the empirical finding of Huang and Mason (section 3.1.2).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.mechanics import Disk, Polygon, Ring
-
 Array = NDArray[np.float64]
 
-STEP_S = 0.0005
-"""Step of the integration. At 2 m/s^2 of friction a step changes the speed by 1 mm/s."""
-LARGEST_LOSS = 0.2
-"""A step ends where friction would take this share of the speed: near rest the direction of the
-friction turns fast, and a longer step would swing to and fro across rest."""
-STOP_SPEED = 0.0005
+LARGEST_LOSS = 0.1
+"""A step ends where friction would take this share of the speed: the motion then changes little in
+direction, and steps shrink with the speed towards rest."""
+LONGEST_STEP_S = 0.005
+PATCH_STEP_M = 0.001
+"""A step on a table whose friction changes with the place moves no farther than this."""
+STOP_SPEED = 0.0002
 """Below this speed, m/s, of the body's rim the rest of the slide is under 0.1 micrometre: stop."""
+_LONGEST_SLIDE_S = 60.0
+_STILL = 1e-9
+"""A point slower than this, m/s, has no direction to drag against."""
 
 
-@dataclass(frozen=True, slots=True)
-class Support:
-    """What the body rests on.
+class Motion(NamedTuple):
+    """Pose and twist of the centre of mass in table axes; m, rad, s."""
 
-    points: shape (n, 2), m, in the object's frame; weights: shape (n,), sum 1; friction: the
-    coefficient; torque_factor: multiplies the friction torque; gravity in m/s^2; slope: tilt of the
-    table, rad, downhill along +x and +y.
-    """
-
-    points: Array
-    weights: Array
-    friction: float
-    torque_factor: float
-    gravity: float
-    slope: tuple[float, float] = (0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """State of the body in the table frame: x, y, theta and their rates; m, rad, s."""
-
-    pose: tuple[float, float, float]
-    twist: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    x: float
+    y: float
+    theta: float
+    vx: float = 0.0
+    vy: float = 0.0
+    omega: float = 0.0
 
     @property
     def at_rest(self) -> bool:
         """True when nothing moves."""
-        return self.twist == (0.0, 0.0, 0.0)
+        return self.vx == 0.0 and self.vy == 0.0 and self.omega == 0.0
 
 
-def sample_support(
-    body: Disk | Ring | Polygon, edge_weight: float = 0.0, lean: tuple[float, float] = (0.0, 0.0)
-) -> tuple[Array, Array]:
-    """Points (n, 2) in m and weights (n,) that stand for the pressure under a body.
+class Acceleration(NamedTuple):
+    """Of the centre of mass, m/s^2, and about it, rad/s^2."""
 
-    edge_weight > 0 presses more at the rim (weight 1 + edge_weight (r / R)^2), lean presses more
-    towards one side (weight 1 + lean . r / R), R the largest radius.
+    x: float
+    y: float
+    angular: float
+
+
+@dataclass(frozen=True, slots=True)
+class TableFriction:
+    """How the table drags.
+
+    friction: coefficient of a fast slide off every patch; torque_factor: multiplies the friction's
+    torque; slope: tilt in rad, downhill along +x and +y; anisotropy: friction across the grain over
+    that along it, with the grain's direction in rad (the geometric mean is ``friction``);
+    slow_rise: friction of a creeping point over ``friction``, less 1, falling with the speed as
+    exp(-v / slow_speed); viscous: relative rise per m/s; patches: discs (x, y, radius, factor) in
+    table, m, where the friction is so many times as large; gravity in m/s^2.
     """
-    if isinstance(body, Ring):
-        angles = (np.arange(180) + 0.5) * (2 * math.pi / 180)
-        points = body.radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    elif isinstance(body, Disk):
-        # Ten rings that stand for equal areas, forty points on each.
-        radius = body.radius * np.sqrt((np.arange(10) + 0.5) / 10)
-        angles = (np.arange(40) + 0.5) * (2 * math.pi / 40)
-        circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        points = (radius[:, None, None] * circle).reshape(-1, 2)
-    else:
-        points = _grid_inside(np.asarray(body.vertices, dtype=float))
-    # Exactly balanced about the centre of mass: pure translation must not begin to turn.
-    points = points - points.mean(axis=0)
-    largest = float(np.max(np.hypot(points[:, 0], points[:, 1])))
-    relative = points / largest
-    weights = 1 + edge_weight * np.sum(relative**2, axis=1) + relative @ np.asarray(lean)
-    weights = np.maximum(weights, 0.0)
-    return points, weights / weights.sum()
+
+    friction: float
+    torque_factor: float
+    gravity: float
+    slope: tuple[float, float] = (0.0, 0.0)
+    anisotropy: float = 1.0
+    grain: float = 0.0
+    slow_rise: float = 0.0
+    slow_speed: float = 0.02
+    viscous: float = 0.0
+    patches: tuple[tuple[float, float, float, float], ...] = ()
 
 
-def _grid_inside(vertices: Array, per_side: int = 24) -> Array:
-    """Centres of a square grid's cells that lie inside a convex, counter-clockwise polygon."""
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    pitch = float(np.max(high - low)) / per_side
-    axes = [np.arange(a + pitch / 2, b, pitch) for a, b in zip(low, high, strict=True)]
-    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-    edges = np.roll(vertices, -1, axis=0) - vertices
-    offsets = grid[:, None, :] - vertices[None, :, :]
-    inside = np.all(edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0] >= 0, axis=1)
-    return np.asarray(grid[inside])
+class Slide:
+    """The equations of motion of one body on one table."""
+
+    def __init__(
+        self, points: Array, grip: Array, friction: TableFriction, gyration_squared: float
+    ) -> None:
+        """``points`` (n, 2) in m from the centre of mass in the object's axes, with the share of
+        the grip (n,) of each; ``gyration_squared`` is inertia over mass in m^2."""
+        self._x, self._y = (np.ascontiguousarray(column) for column in points.T)
+        self._grip = grip
+        self._friction = friction
+        self._gyration_squared = gyration_squared
+        self.reach = float(np.max(np.hypot(self._x, self._y)))
+        self._pull = tuple(friction.gravity * math.sin(slope) for slope in friction.slope)
+        self._speed_law = friction.slow_rise != 0.0 or friction.viscous != 0.0
+        self._along = 1.0 / math.sqrt(friction.anisotropy)
+        self._across = math.sqrt(friction.anisotropy)
+
+    def speed(self, motion: Motion) -> float:
+        """A bound of the speed of every point of the support, m/s."""
+        return math.hypot(motion.vx, motion.vy) + self.reach * abs(motion.omega)
+
+    def stays(self, motion: Motion) -> bool:
+        """Whether friction holds a body at rest against the tilt."""
+        law = self._friction
+        grip = float(np.sum(self._grip_at(motion)))
+        hold = min(self._along, self._across) * law.friction * (1 + law.slow_rise) * grip
+        return math.hypot(*self._pull) <= hold * law.gravity
+
+    def acceleration(self, motion: Motion) -> Acceleration:
+        """Of a body that moves, by friction and tilt."""
+        law = self._friction
+        cos, sin = math.cos(motion.theta), math.sin(motion.theta)
+        # In the object's axes, where the points do not move.
+        ux = cos * motion.vx + sin * motion.vy - motion.omega * self._y
+        uy = cos * motion.vy - sin * motion.vx + motion.omega * self._x
+        grip = self._grip_at(motion)
+        speed = np.hypot(ux, uy)
+        if self._speed_law:
+            grip = grip * (
+                1 + law.slow_rise * np.exp(-speed / law.slow_speed) + law.viscous * speed
+            )
+        if law.anisotropy == 1.0:
+            scale = grip / np.maximum(speed, _STILL)
+            fx, fy = scale * ux, scale * uy
+        else:
+            fx, fy = self._against_the_grain(ux, uy, grip, law.grain - motion.theta)
+        push = law.friction * law.gravity
+        drag_x, drag_y = push * float(fx.sum()), push * float(fy.sum())
+        torque = push * float(self._x @ fy - self._y @ fx)
+        return Acceleration(
+            self._pull[0] - (cos * drag_x - sin * drag_y),
+            self._pull[1] - (sin * drag_x + cos * drag_y),
+            -law.torque_factor * torque / self._gyration_squared,
+        )
+
+    def step(self, motion: Motion, longest: float = LONGEST_STEP_S) -> tuple[Motion, float]:
+        """One step of fourth-order Runge-Kutta: the motion after it, and its length in s.
+
+        The step is as long as the accuracy allows, ``longest`` at most. A body that has come to
+        rest and stays has no speed left.
+        """
+        first = self.acceleration(motion)
+        speed = self.speed(motion)
+        braking = math.hypot(first.x, first.y) + self.reach * abs(first.angular)
+        length = min(longest, LONGEST_STEP_S)
+        if braking > 0:
+            length = min(length, LARGEST_LOSS * max(speed, STOP_SPEED) / braking)
+        if self._friction.patches and speed > 0:
+            length = min(length, PATCH_STEP_M / speed)
+        half = length / 2
+        middle = _moved(motion, _rate(motion, first), half)
+        second = self.acceleration(middle)
+        again = _moved(motion, _rate(middle, second), half)
+        third = self.acceleration(again)
+        last = _moved(motion, _rate(again, third), length)
+        fourth = self.acceleration(last)
+        rates = zip(
+            _rate(motion, first),
+            _rate(middle, second),
+            _rate(again, third),
+            _rate(last, fourth),
+            strict=True,
+        )
+        mean = [(a + 2 * b + 2 * c + d) / 6 for a, b, c, d in rates]
+        after = _moved(motion, mean, length)
+        if self.speed(after) < STOP_SPEED and self.stays(after):
+            after = Motion(after.x, after.y, after.theta)
+        return after, length
+
+    def rest(self, motion: Motion) -> tuple[Motion, float]:
+        """Where a motion ends, and after how many s.
+
+        Raises:
+            ValueError: friction does not stop it within a minute, as on a steep slope.
+        """
+        elapsed = 0.0
+        while not motion.at_rest:
+            motion, length = self.step(motion)
+            elapsed += length
+            if elapsed > _LONGEST_SLIDE_S:
+                raise ValueError(
+                    f"the object still slides after {_LONGEST_SLIDE_S:.0f} s; is the table too "
+                    "steep or the friction too low?"
+                )
+        return motion, elapsed
+
+    def _grip_at(self, motion: Motion) -> Array:
+        """The grip of every point where it is on the table."""
+        if not self._friction.patches:
+            return self._grip
+        cos, sin = math.cos(motion.theta), math.sin(motion.theta)
+        x = motion.x + cos * self._x - sin * self._y
+        y = motion.y + sin * self._x + cos * self._y
+        grip = self._grip
+        for middle_x, middle_y, radius, factor in self._friction.patches:
+            within = (x - middle_x) ** 2 + (y - middle_y) ** 2 < radius**2
+            grip = np.where(within, factor * grip, grip)
+        return grip
+
+    def _against_the_grain(
+        self, ux: Array, uy: Array, grip: Array, grain: float
+    ) -> tuple[Array, Array]:
+        """Drag where the friction differs with the direction: the limit curve is an ellipse, and
+        the force on it is the one that takes the most power."""
+        cos, sin = math.cos(grain), math.sin(grain)
+        along = self._along * (cos * ux + sin * uy)
+        across = self._across * (cos * uy - sin * ux)
+        scale = grip / np.maximum(np.hypot(along, across), _STILL)
+        along, across = self._along * scale * along, self._across * scale * across
+        return cos * along - sin * across, sin * along + cos * across
 
 
-def advance(motion: Motion, support: Support, mass: float, inertia: float, until: float) -> Motion:
-    """The motion ``until`` seconds later (fourth-order Runge-Kutta, steps of STEP_S at most)."""
-    if motion.at_rest:
-        return motion
-    rim = float(np.max(np.hypot(support.points[:, 0], support.points[:, 1])))
-    state = np.array([*motion.pose, *motion.twist])
-    left = until
-    while left > 0:
-        first = _rates(state, support, mass, inertia)
-        speed = math.hypot(state[3], state[4]) + rim * abs(state[5])
-        braking = math.hypot(first[3], first[4]) + rim * abs(first[5])
-        step = min(STEP_S, left, LARGEST_LOSS * speed / braking if braking > 0 else STEP_S)
-        second = _rates(state + step / 2 * first, support, mass, inertia)
-        third = _rates(state + step / 2 * second, support, mass, inertia)
-        fourth = _rates(state + step * third, support, mass, inertia)
-        state = state + step / 6 * (first + 2 * second + 2 * third + fourth)
-        left -= step
-        if math.hypot(state[3], state[4]) + rim * abs(state[5]) < STOP_SPEED:
-            return Motion((float(state[0]), float(state[1]), float(state[2])))
-    x, y, theta, vx, vy, omega = (float(value) for value in state)
-    return Motion((x, y, theta), (vx, vy, omega))
+def _rate(motion: Motion, acceleration: Acceleration) -> tuple[float, ...]:
+    return (*motion[3:], *acceleration)
 
 
-def _rates(state: Array, support: Support, mass: float, inertia: float) -> Array:
-    """Time derivative of (x, y, theta, vx, vy, omega)."""
-    theta, vx, vy, omega = state[2], state[3], state[4], state[5]
-    cos, sin = math.cos(theta), math.sin(theta)
-    x = cos * support.points[:, 0] - sin * support.points[:, 1]
-    y = sin * support.points[:, 0] + cos * support.points[:, 1]
-    point_vx = vx - omega * y
-    point_vy = vy + omega * x
-    # The tiny floor only avoids a division by zero at a point that does not move.
-    scale = support.weights / np.maximum(np.hypot(point_vx, point_vy), 1e-9)
-    drag_x, drag_y = point_vx * scale, point_vy * scale
-    push = support.friction * support.gravity
-    slope_x, slope_y = support.slope
-    torque = support.torque_factor * mass * push * float(np.sum(x * drag_y - y * drag_x))
-    return np.array(
-        [
-            vx,
-            vy,
-            omega,
-            support.gravity * math.sin(slope_x) - push * float(np.sum(drag_x)),
-            support.gravity * math.sin(slope_y) - push * float(np.sum(drag_y)),
-            -torque / inertia,
-        ]
-    )
+def _moved(motion: Motion, rate: Sequence[float], length: float) -> Motion:
+    return Motion(*(value + length * change for value, change in zip(motion, rate, strict=True)))

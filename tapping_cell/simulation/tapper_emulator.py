@@ -1,20 +1,29 @@
-"""The tapper's board as a state machine in told time, with a parser and checksum of its own.
+"""The tapper's board as a state machine in simulated time, with a parser and checksum of its own.
 
 The real firmware is ``firmware/tapper``; this stands in for it together with the spring, the
-interlock and the buttons at the cell.
+interlock and the buttons at the cell. Tests hold both to the same behaviour.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from tapping_cell.simulation.device_emulator import OutputQueue
+from tapping_cell.simulation.spring_drive import SpringDrive, SpringMechanism, Status
 
 SILENCE = 0.5
 CLEAR_WINDOW = 10.0
 """How long after the button at the cell was pressed a CLEAR is taken, s."""
-VERSION = "1.0.0-sim"
+SHORTEST_PRESS = 0.5
+"""A shorter press of the clear button does not count, s."""
+FORGET_PRESS = 5.0
+"""A press as long as this, while the board is at rest, forgets the shot numbers used, s."""
+LONGEST_WINDOW_MS = 100
+LARGEST_JUMP = 2**32
+VERSION = "2.0.0-sim"
+SETTLING = {"HOMING": "SAFE", "CHARGING": "CHARGED", "CHARGED": "CHARGED", "DISCHARGING": "SAFE"}
+"""States with a movement, and what they become when it has ended well."""
 
 FireCallback = Callable[[int, float, float], float | None]
 """Called at a release with shot, energy in J and time in s; returns the measured speed in m/s or
@@ -25,16 +34,19 @@ None."""
 class TapperMachine:
     """The mechanics and electronics around the board."""
 
-    draw_time: float = 0.10
-    """Fixed part of a draw, s."""
-    draw_time_per_root_joule: float = 0.5
-    """A spring is drawn in proportion to the root of its energy, s per sqrt(J)."""
+    spring: SpringMechanism = field(default_factory=SpringMechanism)
+    carriage: float = 0.0
+    """Where the carriage stands at first, steps from its front switch."""
     release_time: float = 0.02
     """Length of the release pulse, s."""
     maximum_energy: float = 1.0
     """J."""
+    setup_energy: float = 0.005
+    """Greatest energy in set-up mode without the enabling switch, J."""
     maximum_timeout: float = 10.0
     """s."""
+    first_time_ms: int = 0
+    """The board's time when it starts, ms."""
     reply_latency: float = 0.002
     """USB adapter and processor, s."""
     baud: int = 115200
@@ -75,49 +87,84 @@ class TapperEmulator:
         self.interlock_closed = True
         self.fires: list[tuple[int, float, float]] = []
         """Every release: shot, energy in J, time in s."""
+        self.drive = SpringDrive(self.machine.spring, now, self.machine.carriage)
         self._boot = boot - 1
-        self._used = 0  # kept in EEPROM: the greatest shot ever drawn in an earlier boot
-        self._highest_drawn = 0
-        self._pressed = -1e9
+        self._used = 0  # kept in EEPROM: the greatest shot ever charged
+        self._enabled = False
+        self._button = False
         self._output = OutputQueue(self.machine.reply_latency, 10 / self.machine.baud)
         self._start(now)
 
     def _start(self, now: float) -> None:
         self._boot += 1
-        self._used = max(self._used, self._highest_drawn)
+        self._started = now
         self._line: bytearray | None = None
         self._session = 0
         self._sequence: int | None = None
         self._last_body = b""
         self._last_reply = b""
-        self._state = "SAFE"
-        self._shot = 0
+        self._setup = True
+        self._shot = self._used
         self._energy_uj = 0
         self._fired = 0
         self._speed_um = 0
         self._heard = now
-        self._drawn_at = 0.0
         self._expires = 0.0
         self._released_until = 0.0
+        self._press = ""
+        self._pressed = 0.0
+        self._acknowledged = -1e9
+        self.drive.halt(now)
+        self._state = "UNHOMED"
 
     # What the world asks and does.
 
     @property
     def state(self) -> str:
-        """SAFE, DRAWING, DRAWN, RELEASING or STOPPED."""
+        """UNHOMED, HOMING, SAFE, CHARGING, CHARGED, RELEASING, DISCHARGING or STOPPED."""
         return self._state
 
     def press_clear_button(self, now: float) -> None:
-        """A person at the cell allows a latched stop to be cleared."""
+        """A person presses the clear button long enough, and lets it go ``now``."""
         self.advance(now)
-        self._pressed = now
+        if self._state == "STOPPED":
+            self._acknowledged = now
+
+    def set_clear_button(self, pressed: bool, now: float) -> None:
+        """The clear button goes down or up; a press counts when it ends, by its length."""
+        self.advance(now)
+        if pressed == self._button:
+            return
+        self._button = pressed
+        if pressed:
+            self._pressed = now
+            purposes = {"STOPPED": "clear", "SAFE": "forget", "UNHOMED": "forget"}
+            self._press = purposes.get(self._state, "")
+        elif self._press == "clear" and now - self._pressed >= SHORTEST_PRESS - 1e-9:
+            self._acknowledged = now
+        elif self._press == "forget" and now - self._pressed >= FORGET_PRESS - 1e-9:
+            self._boot += 1
+            self._used = self._shot = self._fired = 0
+            self._session = 0
+            self._setup = True
 
     def set_interlock(self, closed: bool, now: float) -> None:
         """The guard opens or closes."""
         self.advance(now)
         self.interlock_closed = closed
         if not closed:
-            self._disarm()
+            self._discharge(now)
+
+    def set_enabling_switch(self, held: bool, now: float) -> None:
+        """The enabling switch of the set-up mode is held or let go."""
+        self.advance(now)
+        self._enabled = held
+        self._leave_setup_limit(now)
+
+    def open_stop_loop(self, now: float) -> None:
+        """The emergency stop's wire opens, and closes again: the motor has had no power."""
+        self.advance(now)
+        self._stop(by_wire=True, now=now)
 
     # DeviceEmulator.
 
@@ -126,7 +173,7 @@ class TapperEmulator:
         self.advance(now)
         for byte in data:
             if byte == 0x21:
-                self._state = "STOPPED"
+                self._stop(by_wire=False, now=now)
                 self._line = None
             elif byte == 0x40:
                 self._line = bytearray()
@@ -141,17 +188,19 @@ class TapperEmulator:
                 self._line.append(byte)
 
     def advance(self, now: float) -> None:
-        """Time-outs and the ends of draws and releases, in their order."""
+        """Time-outs and the ends of movements and releases, in their order."""
         while True:
             due = self._next_internal()
             if due is None or due > now:
                 return
-            if self._state == "RELEASING":
-                self._state = "SAFE"
-            elif due >= min(self._heard + SILENCE, self._expires):
-                self._disarm()
-            else:
-                self._state = "DRAWN"
+            self.drive.advance(due)
+            if self._state == "RELEASING" and due >= self._released_until:
+                self.drive.back(due)
+                self._state = "DISCHARGING"
+            elif due >= self._limit():
+                self._discharge(due)
+            if self._state in SETTLING:
+                self._settle(SETTLING[self._state], self._state)
 
     def take_output(self, now: float) -> bytes:
         """Bytes out by ``now``."""
@@ -164,22 +213,51 @@ class TapperEmulator:
         return min(times) if times else None
 
     def power_cycle(self, now: float) -> None:
-        """The board restarts: a drawn spring is let down, the boot number counts up."""
+        """The board restarts: the motor goes off, the boot number counts up."""
         self.advance(now)
         self._output.clear()
         self._start(now)
 
-    def _next_internal(self) -> float | None:
-        if self._state == "RELEASING":
-            return self._released_until
-        if self._state in ("DRAWING", "DRAWN"):
-            limit = min(self._heard + SILENCE, self._expires)
-            return min(limit, self._drawn_at) if self._state == "DRAWING" else limit
-        return None
+    def _limit(self) -> float:
+        """When silence or the time-out ends what is under way."""
+        if self._state == "HOMING":
+            return self._heard + SILENCE
+        if self._state in ("CHARGING", "CHARGED"):
+            return min(self._heard + SILENCE, self._expires)
+        return float("inf")
 
-    def _disarm(self) -> None:
-        if self._state in ("DRAWING", "DRAWN"):
-            self._state = "SAFE"
+    def _next_internal(self) -> float | None:
+        due = self._released_until if self._state == "RELEASING" else self._limit()
+        moved = self.drive.next_event()
+        due = due if moved is None else min(due, moved)
+        return due if due < float("inf") else None
+
+    def _settle(self, there: str, moving: str) -> None:
+        self._state = {Status.THERE: there, Status.MOVING: moving}.get(self.drive.status, "UNHOMED")
+
+    def _discharge(self, now: float) -> None:
+        if self._state in ("CHARGING", "CHARGED"):
+            self.drive.back(now)
+            self._state = "DISCHARGING"
+        elif self._state == "HOMING":
+            self.drive.halt(now)
+            self._state = "UNHOMED"
+
+    def _stop(self, by_wire: bool, now: float) -> None:
+        if by_wire or self._state == "HOMING":
+            self.drive.halt(now)
+        else:
+            self.drive.back(now)
+        self._state = "STOPPED"
+        self._press = ""
+        self._acknowledged = -1e9
+
+    def _too_much_for_setup(self, energy_uj: int) -> bool:
+        return self._setup and not self._enabled and energy_uj > self.machine.setup_energy * 1e6
+
+    def _leave_setup_limit(self, now: float) -> None:
+        if self._state in ("CHARGING", "CHARGED") and self._too_much_for_setup(self._energy_uj):
+            self._discharge(now)
 
     def _frame(self, line: bytes, now: float) -> None:
         body, star, check = line.rpartition(b"*")
@@ -193,9 +271,10 @@ class TapperEmulator:
             return
         if parts[2] == "HELLO" and (session != self._session or self._is_newer(sequence)):
             self._session = session
-            self._disarm()
+            self._setup = True
+            self._discharge(now)
         elif session != self._session:
-            self._output.put(self._reply(session, sequence, "SESSION"), now)
+            self._output.put(self._reply(session, sequence, "SESSION", now), now)
             return
         elif sequence == self._sequence:
             if body == self._last_body:
@@ -208,71 +287,105 @@ class TapperEmulator:
         self._sequence = sequence
         result = self._act(parts[2], parts[3:], now)
         self._last_body = body
-        self._last_reply = self._reply(session, sequence, result)
+        self._last_reply = self._reply(session, sequence, result, now)
         self._output.put(self._last_reply, now)
 
     def _is_newer(self, sequence: int) -> bool:
         return self._sequence is None or 0 < (sequence - self._sequence) % 65536 < 32768
 
     def _act(self, command: str, arguments: list[str], now: float) -> str:
+        if command == "MODE":
+            if arguments not in (["SETUP"], ["RUN"]):
+                return "UNKNOWN"
+            self._setup = arguments == ["SETUP"]
+            self._leave_setup_limit(now)
+            return "OK"
         if not all(_is_number(argument, 20) for argument in arguments):
             return "UNKNOWN"
         numbers = [int(argument) for argument in arguments]
-        if command == "ARM" and len(numbers) == 3:
-            return self._arm(numbers[0], numbers[1], numbers[2], now)
-        if command == "FIRE" and len(numbers) == 1:
-            return self._fire(numbers[0], now)
+        if any(number >= 2**64 for number in numbers):
+            return "UNKNOWN"
+        if command == "CHARGE" and len(numbers) == 3:
+            return self._charge(numbers[0], numbers[1], numbers[2], now)
+        if command == "FIRE" and len(numbers) == 2:
+            return self._fire(numbers[0], numbers[1], now)
         if numbers:
             return "UNKNOWN"
         if command == "HELLO":
             return "WELCOME"
         if command == "STATUS":
             return "OK"
-        if command == "DISARM":
-            self._disarm()
+        if command == "HOME":
+            return self._home(now)
+        if command == "DISCHARGE":
+            self._discharge(now)
             return "OK"
         if command == "CLEAR":
             return self._clear(now)
         return "UNKNOWN"
 
-    def _arm(self, shot: int, energy_uj: int, timeout_ms: int, now: float) -> str:
+    def _home(self, now: float) -> str:
         if self._state == "STOPPED":
             return "STOPPED"
         if not self.interlock_closed:
             return "INTERLOCK"
-        if shot <= max(self._fired, self._used):
+        if self._state not in ("UNHOMED", "SAFE"):
+            return "BUSY"
+        self.drive.home(now)
+        self._settle("SAFE", "HOMING")
+        return "OK"
+
+    def _charge(self, shot: int, energy_uj: int, timeout_ms: int, now: float) -> str:
+        if self._state == "STOPPED":
+            return "STOPPED"
+        if not self.interlock_closed:
+            return "INTERLOCK"
+        if shot <= self._shot:
             return "SPENT"
+        if shot - self._shot > LARGEST_JUMP:
+            return "JUMP"
+        if self._state == "UNHOMED":
+            return "NOT_HOMED"
         if self._state != "SAFE":
             return "BUSY"
         if not (
             0 < energy_uj <= self.machine.maximum_energy * 1e6
             and 0 < timeout_ms <= self.machine.maximum_timeout * 1e3
-            and shot < 2**64
+            and self.machine.spring.can_store(energy_uj * 1e-6)
         ):
             return "RANGE"
-        self._state = "DRAWING"
+        if self._too_much_for_setup(energy_uj):
+            return "NOT_ENABLED"
         self._shot, self._energy_uj = shot, energy_uj
-        self._highest_drawn = max(self._highest_drawn, shot)
-        root = (energy_uj * 1e-6) ** 0.5
-        self._drawn_at = now + self.machine.draw_time + root * self.machine.draw_time_per_root_joule
+        self._used = shot
         self._expires = now + timeout_ms * 1e-3
+        self._press = ""
+        self._state = "CHARGING"
+        self.drive.out(self.machine.spring.steps_for(energy_uj * 1e-6), now)
         return "OK"
 
-    def _fire(self, shot: int, now: float) -> str:
+    def _time_ms(self, now: float) -> int:
+        passed = int((now - self._started) * 1e3 + 1e-6)
+        return (self.machine.first_time_ms + passed) % 2**32
+
+    def _fire(self, shot: int, deadline: int, now: float) -> str:
         if shot and shot == self._fired:
             return "FIRED"
-        if shot <= self._used or shot < self._fired:
-            return "SPENT"
         if self._state == "STOPPED":
             return "STOPPED"
         if not self.interlock_closed:
             return "INTERLOCK"
-        if self._state != "DRAWN" or shot != self._shot:
-            return "NOT_DRAWN"
+        if self._state != "CHARGED" or shot != self._shot:
+            return "SPENT" if shot < self._shot else "NOT_CHARGED"
+        if deadline >= 2**32:
+            return "UNKNOWN"
+        if not 0 < (deadline - self._time_ms(now)) % 2**32 <= LONGEST_WINDOW_MS:
+            self._discharge(now)
+            return "LATE"
         self._state = "RELEASING"
         self._released_until = now + self.machine.release_time
         self._fired = shot
-        energy = self._energy_uj / 1e6
+        energy = self.machine.spring.energy_at(self.drive.place(now))
         self.fires.append((shot, energy, now))
         measured = self.on_fire(shot, energy, now) if self.on_fire else None
         self._speed_um = 0 if measured is None else max(round(measured * 1e6), 0)
@@ -281,13 +394,13 @@ class TapperEmulator:
     def _clear(self, now: float) -> str:
         if self._state != "STOPPED":
             return "OK"
-        if now - self._pressed > CLEAR_WINDOW:
+        if now - self._acknowledged > CLEAR_WINDOW:
             return "NEEDS_PERSON"
-        self._pressed = -1e9
-        self._state = "SAFE"
+        self._acknowledged = -1e9
+        self._settle("SAFE", "DISCHARGING")
         return "OK"
 
-    def _reply(self, session: int, sequence: int, result: str) -> bytes:
+    def _reply(self, session: int, sequence: int, result: str, now: float) -> bytes:
         fields: list[object] = [
             session,
             sequence,
@@ -300,6 +413,9 @@ class TapperEmulator:
             self._fired,
             self._speed_um,
             self._boot,
+            self._time_ms(now),
+            "SETUP" if self._setup else "RUN",
+            int(self._enabled),
         ]
         if result == "WELCOME":
             fields.append(VERSION)

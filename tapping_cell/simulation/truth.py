@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tapping_cell.configuration.schema import quantity, section
+from tapping_cell.configuration.schema import choice, quantity, section, text
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,14 +19,83 @@ class SupportTruth:
     torque_factor_factor: float = quantity(
         "true over configured torque factor", "", 0.05, 20.0, default=1.0
     )
+    pressure: str = choice(
+        "where the weight rests: evenly on the whole underside, on the rim, on three points, or on "
+        "a grid of pads",
+        "even",
+        "rim",
+        "three_points",
+        "pads",
+        default="even",
+    )
     edge_weight: float = quantity(
         "extra pressure at the rim relative to the middle", "", 0.0, 20.0, default=0.0
     )
+    feet_radius: float = quantity(
+        "distance of three points from the middle, over that of the outline",
+        "",
+        0.05,
+        1.0,
+        default=0.8,
+    )
+    feet_turn: float = quantity(
+        "direction of the first of three points in the object", "rad", -7.0, 7.0, default=0.0
+    )
+    pads: int = quantity("pads along the longer side of the object", "", 3, 40, default=9)
+    pad_scatter: float = quantity(
+        "standard deviation of the logarithm of a pad's load", "", 0.0, 3.0, default=0.5
+    )
+    pad_seed: int = quantity("seed of the pads' loads", "", 0, 2**31 - 1, default=1)
     lean: tuple[float, float] = quantity(
-        "pressure towards +x and +y of the object", "", -1.0, 1.0, default=(0.0, 0.0)
+        "friction of the underside larger towards +x and +y of the object",
+        "",
+        -1.0,
+        1.0,
+        default=(0.0, 0.0),
+    )
+    mass_offset: tuple[float, float] = quantity(
+        "x and y of the centre of mass in the object's frame", "m", -0.2, 0.2, default=(0.0, 0.0)
+    )
+    inertia_factor: float = quantity(
+        "true moment of inertia over that of a uniform object", "", 0.1, 3.0, default=1.0
     )
     slope: tuple[float, float] = quantity(
         "tilt of the table, downhill along +x and +y", "rad", -0.05, 0.05, default=(0.0, 0.0)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class PatchTruth:
+    """A round patch of the table with another friction."""
+
+    middle: tuple[float, float] = quantity("x and y in table", "m", -3.0, 3.0)
+    radius: float = quantity("radius", "m", 0.001, 3.0)
+    factor: float = quantity("friction over that of the table", "", 0.05, 20.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceTruth:
+    """How the table's friction depends on direction, speed and place."""
+
+    anisotropy: float = quantity(
+        "friction across the grain over that along it", "", 0.2, 5.0, default=1.0
+    )
+    grain: float = quantity("direction of the grain in table", "rad", -7.0, 7.0, default=0.0)
+    slow_rise: float = quantity(
+        "friction of a creeping point over that of a fast one, less 1", "", -0.9, 5.0, default=0.0
+    )
+    slow_speed: float = quantity(
+        "speed at which the slow rise has fallen to a third (1 / e)",
+        "m/s",
+        0.001,
+        5.0,
+        default=0.02,
+    )
+    viscous: float = quantity(
+        "relative rise of the friction with the speed", "s/m", 0.0, 20.0, default=0.0
+    )
+    patches: tuple[PatchTruth, ...] = section(
+        "patches with another friction; where they overlap the factors multiply", default=()
     )
 
 
@@ -45,6 +114,31 @@ class ImpactTruth:
         0.0,
         0.2,
         default=0.0,
+    )
+    contact_time: float = quantity(
+        "duration of a central impact, if it were elastic", "s", 0.00002, 0.005, default=0.0002
+    )
+    tangential_stiffness: float = quantity(
+        "stiffness of the contact along the tangent over that along the normal; 0 for rigid",
+        "",
+        0.0,
+        2.0,
+        default=0.0,
+    )
+    oblique_loss: float = quantity(
+        "share of the restitution that a grazing impact loses (by the sine squared of its angle)",
+        "",
+        0.0,
+        1.0,
+        default=0.0,
+    )
+    follow_through: float = quantity(
+        "time after the first touch for which the striker goes on, to the end of its stroke at "
+        "most, before it is drawn back",
+        "s",
+        0.0,
+        2.0,
+        default=0.1,
     )
 
 
@@ -106,6 +200,7 @@ class CameraTruth:
         "light lost from the brightest to the darkest side", "", 0.0, 0.9, default=0.3
     )
     exposure: float = quantity("time of exposure", "s", 0.0001, 0.03, default=0.006)
+    shows_arm: bool = text("the picture shows the arm over the table", default=False)
     latency: float = quantity("from exposure to publication", "s", 0.0, 0.5, default=0.015)
 
 
@@ -117,6 +212,7 @@ class TruthFile:
         "x and y in m and theta in rad of the object when the world begins", "", -7.0, 7.0
     )
     support: SupportTruth = section("support of the object", default=SupportTruth())
+    surface: SurfaceTruth = section("friction of the table", default=SurfaceTruth())
     impact: ImpactTruth = section("impact", default=ImpactTruth())
     scatter: ScatterTruth = section("scatter of a tap", default=ScatterTruth())
     arm: ArmTruth = section("arm", default=ArmTruth())

@@ -1,61 +1,116 @@
 """The simulated table, object and striker: a tap in, a pose over time out.
 
-The world has parameters of its own (``TruthFile``); the planner's model is only where the impact is
-computed, with the true coefficients, after which the slide is integrated in time.
+Everything is integrated in time, by the world's own parameters (``TruthFile``): the striker's
+flight, its contacts with the object and the slide. Time is an argument. Steps follow from the
+motion alone, so that where the object comes to rest does not depend on when the world is asked.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile
-from tapping_cell.mechanics import Striker, Tap
+from tapping_cell.mechanics import Striker
 from tapping_cell.se2 import Pose, wrap_angle
-from tapping_cell.simulation.sliding import Motion, Support, advance, sample_support
+from tapping_cell.simulation.contact import TOUCH_M, Contact, ContactLaw, Flight, Outline
+from tapping_cell.simulation.sliding import LONGEST_STEP_S, Motion, Slide, TableFriction
+from tapping_cell.simulation.support import sample_support
 from tapping_cell.simulation.truth import TruthFile
+
+_SHORTEST_STEP_S = 2e-6
+"""Of a flight close to the object."""
 
 
 @dataclass(frozen=True, slots=True)
-class Launch:
-    """A tap that is on its way: when the striker meets the object, and the twist that it gives."""
+class _Scatter:
+    """How one tap differs from what the mechanics say."""
 
-    time: float
-    twist: tuple[float, float, float]
+    faster: float
+    spinnier: float
+    turn: float
+
+    def apply(self, before: Motion, after: Motion) -> Motion:
+        """The motion after a contact, with its change of the twist scattered."""
+        vx, vy = after.vx - before.vx, after.vy - before.vy
+        cos, sin = math.cos(self.turn), math.sin(self.turn)
+        return after._replace(
+            vx=before.vx + self.faster * (cos * vx - sin * vy),
+            vy=before.vy + self.faster * (sin * vx + cos * vy),
+            omega=before.omega + self.faster * self.spinnier * (after.omega - before.omega),
+        )
+
+
+@dataclass(slots=True)
+class _Tap:
+    """A released striker and the tap's own deviations."""
+
+    flight: Flight
+    scatter: _Scatter
+    ends: float = math.inf
 
 
 class World:
     """One object on one table. Times in s, never going back from call to call."""
 
     def __init__(
-        self, content: ObjectFile, striker: Striker, stroke: float, truth: TruthFile, seed: int
+        self,
+        content: ObjectFile,
+        striker: Striker,
+        stroke: float,
+        truth: TruthFile,
+        random: int | np.random.Generator,
     ) -> None:
-        """``stroke``: how far the tip travels at most when it is released, in m."""
-        self._content = content
+        """``stroke``: how far the tip travels at most when it is released, in m; ``random``: a
+        seed, or the generator to draw from.
+
+        Raises:
+            ValueError: the truth's centre of mass is not over the object's support.
+        """
+        self._height = content.height
+        self._striker = striker
         self._truth = truth
         self._stroke = stroke
-        self._true_content = _true_object(content, truth)
-        self._tap: Tap = self._true_content.tap(striker)
-        self._body = self._true_content.body()
-        points, weights = sample_support(self._body, truth.support.edge_weight, truth.support.lean)
-        self._support = Support(
-            points=points,
-            weights=weights,
-            friction=self._true_content.friction,
-            torque_factor=self._true_content.torque_factor,
+        body = content.body()
+        offset = truth.support.mass_offset
+        points, grip = sample_support(body, truth.support)
+        surface = truth.surface
+        friction = TableFriction(
+            friction=content.friction * truth.support.friction_factor,
+            torque_factor=content.torque_factor * truth.support.torque_factor_factor,
             gravity=GRAVITY,
             slope=truth.support.slope,
+            anisotropy=surface.anisotropy,
+            grain=surface.grain,
+            slow_rise=surface.slow_rise,
+            slow_speed=surface.slow_speed,
+            viscous=surface.viscous,
+            patches=tuple((*patch.middle, patch.radius, patch.factor) for patch in surface.patches),
         )
-        self._random = np.random.default_rng(seed)
+        inertia = body.inertia * truth.support.inertia_factor
+        self._slide = Slide(points - np.array(offset), grip, friction, inertia / body.mass)
+        law = ContactLaw(
+            restitution=min(1.0, content.restitution * truth.impact.restitution_factor),
+            friction=content.contact_friction * truth.impact.contact_friction_factor,
+            contact_time=truth.impact.contact_time,
+            tangential_stiffness=truth.impact.tangential_stiffness,
+            oblique_loss=truth.impact.oblique_loss,
+        )
+        self._contact = Contact(
+            Outline(body, offset), body.mass, inertia, striker, law, self._slide.acceleration
+        )
+        self._body = body
+        self._random = np.random.default_rng(random)
         # Of its own: how a tap scatters does not depend on whether it is measured.
-        self._gate_random = np.random.default_rng([seed, 1])
-        self._motion = Motion(truth.object_start)
-        self._time = -math.inf
-        self._launches: deque[Launch] = deque()
+        self._gate_random = self._random.spawn(1)[0]
+        self._tap: _Tap | None = None
+        self._now = -math.inf
+        # The step under way: the motion is known where it begins and where it ends.
+        self._begun = self._done = -math.inf
+        self._before = self._after = self._centred(Pose(*truth.object_start))
 
     @property
     def outline(self) -> NDArray[np.float64]:
@@ -66,13 +121,25 @@ class World:
     @property
     def at_rest(self) -> bool:
         """True when the object neither moves nor is about to be hit."""
-        return self._motion.at_rest and not self._launches
+        return self._tap is None and self._after.at_rest and self._done <= self._now
 
     @property
     def pose(self) -> Pose:
         """Where the object is at the time that the world was last advanced to."""
-        x, y, theta = self._motion.pose
-        return Pose(x, y, float(wrap_angle(theta)))
+        motion = self._motion()
+        x, y = self._truth.support.mass_offset
+        cos, sin = math.cos(motion.theta), math.sin(motion.theta)
+        return Pose(
+            motion.x - (cos * x - sin * y),
+            motion.y - (sin * x + cos * y),
+            float(wrap_angle(motion.theta)),
+        )
+
+    @property
+    def twist(self) -> tuple[float, float, float]:
+        """Velocity of the centre of mass in table, m/s, and spin, rad/s, at that time."""
+        motion = self._motion()
+        return motion.vx, motion.vy, motion.omega
 
     def reseed(self, seed: int) -> None:
         """Begin the random numbers anew."""
@@ -80,8 +147,8 @@ class World:
 
     def place(self, pose: Pose) -> None:
         """Put the object somewhere, at rest."""
-        self._launches.clear()
-        self._motion = Motion((pose.x, pose.y, pose.theta))
+        self._tap = None
+        self._cut(self._centred(pose))
 
     def random_pose(self, length: float, width: float, margin: float) -> Pose:
         """A pose anywhere on a table of that size, at least ``margin`` m off its edges."""
@@ -92,29 +159,34 @@ class World:
     def strike(self, tip: Pose, tip_height: float, speed: float, now: float) -> bool:
         """Release the striker at a true tip pose in ``table`` with a speed in m/s.
 
-        Returns whether it will hit: a striker above the object's top, below the table, beside the
-        object or farther from it than the stroke hits nothing.
+        Returns whether it will hit the object where it lies: a striker above the object's top,
+        below the table, beside the object or farther from it than the stroke hits nothing.
         """
-        if not 0 < tip_height < self._content.height:
-            return False
         self.advance(now)
-        scatter = self._truth.scatter
-        true_speed = speed * self._truth.impact.striker_speed_factor
-        result = self._tap.strike(self._motion.pose, tip, true_speed)
-        if bool(result.missed) or float(result.travel) > self._stroke:
+        self._cut(self._motion())
+        self._tap = None
+        if not 0 < tip_height < self._height or speed <= 0:
             return False
-        faster = 1 + scatter.speed * self._random.standard_normal()
-        spinnier = 1 + scatter.spin * self._random.standard_normal()
-        turn = scatter.direction * self._random.standard_normal()
-        cos, sin = math.cos(turn), math.sin(turn)
-        vx, vy, omega = (faster * float(value) for value in result.twist)
-        self._launches.append(
-            Launch(
-                now + float(result.travel) / true_speed,
-                (cos * vx - sin * vy, sin * vx + cos * vy, spinnier * omega),
-            )
+        axis = (math.cos(tip.theta), math.sin(tip.theta))
+        true_speed = speed * self._truth.impact.striker_speed_factor
+        flight = Flight(
+            tip.x, tip.y, true_speed * axis[0], true_speed * axis[1], axis, self._stroke
         )
-        return True
+        self._bring_out(flight)
+        meets = self._meets(replace(flight))
+        if not meets and self._after.at_rest:
+            return False
+        scatter = self._truth.scatter
+        draws = self._random.standard_normal(3).tolist()
+        self._tap = _Tap(
+            flight,
+            _Scatter(
+                1 + scatter.speed * draws[0],
+                1 + scatter.spin * draws[1],
+                scatter.direction * draws[2],
+            ),
+        )
+        return meets
 
     def gate_speed(self, speed: float) -> float:
         """What the tapper's gate measures, m/s, of a striker released with a commanded speed."""
@@ -123,38 +195,117 @@ class World:
         return speed * impact.striker_speed_factor * (1 + float(noise))
 
     def advance(self, now: float) -> None:
-        """Let the object slide until ``now``."""
-        if math.isinf(self._time):
-            self._time = now
-        while self._time < now:
-            until = now
-            if self._launches and self._launches[0].time <= now:
-                until = max(self._time, self._launches[0].time)
-            self._slide(until)
-            if self._launches and self._launches[0].time <= until:
-                launch = self._launches.popleft()
-                # An object hit while it still moves keeps what it had: impulses add.
-                vx, vy, omega = np.add(self._motion.twist, launch.twist).tolist()
-                self._motion = replace(self._motion, twist=(vx, vy, omega))
+        """Let time go on until ``now``."""
+        if math.isinf(self._now):
+            self._begun = self._done = now
+        self._now = max(self._now, now)
+        while self._done < self._now:
+            if self._tap is None and self._after.at_rest and self._slide.stays(self._after):
+                self._begun = self._done = self._now
+                self._before = self._after
+            else:
+                self._step()
 
-    def _slide(self, until: float) -> None:
-        if until > self._time:
-            self._motion = advance(
-                self._motion,
-                self._support,
-                self._body.mass,
-                self._body.inertia,
-                until - self._time,
-            )
-        self._time = until
+    def settle(self, longest: float = 60.0) -> float:
+        """Let time go on until the object rests, for ``longest`` s at most; the time then."""
+        until = self._now + longest
+        while not self.at_rest and self._now < until:
+            self.advance(min(until, max(self._done, math.nextafter(self._now, math.inf))))
+        return self._now
 
+    def _step(self) -> None:
+        """One step of whatever happens: a contact, a flight, a slide."""
+        self._begun, self._before = self._done, self._after
+        tap = self._tap
+        if tap is None:
+            self._after, length = self._slide.step(self._before)
+        else:
+            length = self._step_with(tap)
+        self._done = self._begun + length
 
-def _true_object(content: ObjectFile, truth: TruthFile) -> ObjectFile:
-    """The object as it really is."""
-    return replace(
-        content,
-        friction=content.friction * truth.support.friction_factor,
-        torque_factor=content.torque_factor * truth.support.torque_factor_factor,
-        restitution=min(1.0, content.restitution * truth.impact.restitution_factor),
-        contact_friction=content.contact_friction * truth.impact.contact_friction_factor,
-    )
+    def _step_with(self, tap: _Tap) -> float:
+        """A step while the striker is out; its length in s."""
+        contact, flight, before = self._contact, tap.flight, self._before
+        gap = contact.gap(before, flight)
+        closing = contact.closing_speed(before, flight)
+        if gap <= TOUCH_M and closing > 0:
+            after, length = contact.collide(before, flight)
+            self._after = tap.scatter.apply(before, after)
+            tap.ends = min(tap.ends, self._begun + self._truth.impact.follow_through)
+            self._end(tap, self._begun + length)
+            return length
+        speed = flight.speed
+        longest = min(LONGEST_STEP_S, max(flight.left / speed, _SHORTEST_STEP_S))
+        if closing > 0:
+            longest = min(longest, max(gap / closing, _SHORTEST_STEP_S))
+        while True:
+            after, length = before, longest
+            if not (before.at_rest and self._slide.stays(before)):
+                after, length = self._slide.step(before, longest)
+            ahead = replace(flight)
+            ahead.fly(length)
+            if contact.gap(after, ahead) >= -TOUCH_M or length <= _SHORTEST_STEP_S:
+                break
+            longest = length / 2
+        if contact.gap(after, ahead) > ahead.dent:
+            ahead.dent = 0.0
+        tap.flight, self._after = ahead, after
+        self._end(tap, self._begun + length)
+        return length
+
+    def _end(self, tap: _Tap, time: float) -> None:
+        """Draw the striker back where its stroke or its time is over, or where it cannot meet the
+        object any more."""
+        flight = tap.flight
+        over = flight.left <= 0 or flight.speed <= 0 or time >= tap.ends
+        if over or (self._after.at_rest and not self._meets(replace(flight))):
+            self._tap = None
+
+    def _bring_out(self, flight: Flight) -> None:
+        """A tip that stands in the object is moved back along its axis until it does not."""
+        while (gap := self._contact.gap(self._after, flight)) < 0:
+            back = max(-gap, TOUCH_M)
+            flight.x -= back * flight.axis[0]
+            flight.y -= back * flight.axis[1]
+
+    def _meets(self, flight: Flight) -> bool:
+        """Whether a striker that goes on would meet the object where it lies now."""
+        nearest = math.inf
+        while flight.left > 0:
+            gap = self._contact.gap(self._after, flight)
+            if gap <= TOUCH_M:
+                return self._contact.closing_speed(self._after, flight) > 0
+            if gap > nearest:
+                # The outline is convex: once the way leads off, it stays so.
+                return False
+            nearest = gap
+            flight.fly(max(gap, TOUCH_M) / flight.speed)
+        return False
+
+    def _motion(self) -> Motion:
+        """The motion now, between the ends of the step under way (cubic, as the ends' speeds)."""
+        before, after = self._before, self._after
+        length = self._done - self._begun
+        if self._now >= self._done or length <= 0:
+            return after
+        share = (self._now - self._begun) / length
+        bend = share * share * (3 - 2 * share)
+        start = length * share * (1 - share) ** 2
+        end = -length * share * share * (1 - share)
+        where = [
+            (1 - bend) * a + bend * b + start * u + end * v
+            for a, b, u, v in zip(before[:3], after[:3], before[3:], after[3:], strict=True)
+        ]
+        twist = [u + share * (v - u) for u, v in zip(before[3:], after[3:], strict=True)]
+        return Motion(*where, *twist)
+
+    def _cut(self, motion: Motion) -> None:
+        """Go on from here with another motion."""
+        self._begun = self._done = self._now
+        self._before = self._after = motion
+
+    def _centred(self, pose: Pose) -> Motion:
+        """An object at rest whose frame is at ``pose``."""
+        x, y = self._truth.support.mass_offset
+        cos, sin = math.cos(pose.theta), math.sin(pose.theta)
+        return Motion(pose.x + cos * x - sin * y, pose.y + sin * x + cos * y, pose.theta)

@@ -7,8 +7,11 @@ import contextlib
 import json
 import math
 import socket
+import time
+import urllib.request
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -39,7 +42,7 @@ from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import camera_to_message, to_message
 from tapping_cell.nodes.page.operator_page import OperatorPage
-from tapping_cell.nodes.page.server import PICTURE_HEADER
+from tapping_cell.nodes.page.server import MOST_PAGES, PICTURE_HEADER
 from tapping_cell.nodes.planner.tap_planner import TapPlanner
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraPose, View
@@ -47,7 +50,7 @@ from tapping_cell.vision import CameraPose, View
 pytestmark = pytest.mark.alone
 
 PATIENCE_S = 20.0
-PARAMETERS: dict[str, dict[str, object]] = {"operator_page": {"port": 0}}
+PARAMETERS: dict[str, dict[str, object]] = {"operator_page": {"port": 0, "stop_port": 0}}
 
 
 @dataclass
@@ -226,10 +229,7 @@ def test_nodes_and_devices_are_told_in_words(cell: Cell) -> None:
             assert told["log"][-1]["text"] == told["sentence"]
             silent = await page.state(lambda s: s["arm"]["state"] == "silent")
             assert silent["object"]["sentence"]
-            assert silent["run"] == {
-                "ready": False,
-                "text": "Runs are not kept: run_recorder is not up.",
-            }
+            assert silent["runs_hint"] == "Runs are not recorded: run_recorder is not running."
 
     play(scenario)
 
@@ -304,6 +304,7 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
 
 def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_said(cell: Cell) -> None:
     heard = cell.bench.listen(Bool, "emergency_stop", LATCHED)
+    stop_port(cell)
     cleared: list[str] = []
 
     def clear(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -334,7 +335,7 @@ def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_said(cell: Cell) 
             await page.say({"do": "goal", "x": 0, "y": 0, "angle": 0})
             assert "start tap_planner" in (await page.answer("goal"))["text"]
             log = (await page.state(lambda s: len(s["log"]) >= 2))["log"]
-            assert "stop pressed on the page" in log[0]["text"]
+            assert any("STOP pressed on the page" in line["text"] for line in log)
 
     play(scenario)
     assert cleared == ["scara_arm"]
@@ -373,25 +374,92 @@ def test_a_goal_gets_the_planners_own_refusal_and_may_be_canceled() -> None:
         play(scenario)
 
 
-def test_a_recorded_run_may_be_downloaded(cell: Cell, tmp_path: Any) -> None:
-    run = tmp_path / "a-run"
-    run.mkdir()
-    (run / "summary.json").write_text("{}")
+def test_recorded_runs_are_listed_but_nothing_outside_the_folder(tmp_path: Path) -> None:
+    made: list[Any] = []
+
+    def make() -> list[Any]:
+        made.append(OperatorPage())
+        return list(made)
+
+    for name in ("runs/a-run", "elsewhere/forged"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "summary.json").write_text("{}")
+    parameters = {"operator_page": {**PARAMETERS["operator_page"], "runs": tmp_path / "runs"}}
+    with bench(make, parameters) as b:
+        cell = Cell(b, made[0])
+
+        async def scenario() -> None:
+            async with cell.open() as page:
+                found = await page.hear(lambda m: isinstance(m, dict) and m["type"] == "runs")
+                assert [run["name"] for run in found["runs"]] == ["a-run"]
+                forged = str(tmp_path / "elsewhere" / "forged")
+                cell.publish("last_run", String(data=forged))
+                again = await page.hear(lambda m: isinstance(m, dict) and m["type"] == "runs")
+                assert [run["name"] for run in again["runs"]] == ["a-run"]
+                state = await page.state(lambda s: "recorded to" in s["runs_hint"])
+                assert forged in state["runs_hint"] and "'runs'" in state["runs_hint"]
+                cell.publish("last_run", String(data="\x01" * 100_000))
+                await page.state(lambda s: len(s["runs_hint"]) < 6_000)
+
+        play(scenario)
+
+
+def stop_port(cell: Cell) -> int:
+    """Where STOP is served; waits until it is."""
+    cell.bench.wait(lambda: cell.page._stop and cell.page._stop.ready.is_set(), "STOP is served")
+    with urllib.request.urlopen(f"http://{cell.address}/stop-port", timeout=PATIENCE_S) as answer:
+        return int(answer.read())
+
+
+def press_stop(cell: Cell, port: int) -> int:
+    """STOP as a browser sends it; the status of the answer."""
+    asked = urllib.request.Request(
+        f"http://localhost:{port}/",
+        data=b'{"do": "stop"}',
+        headers={"Origin": f"http://{cell.address}"},
+    )
+    with urllib.request.urlopen(asked, timeout=PATIENCE_S) as answer:
+        return int(answer.status)
+
+
+def test_stop_has_a_path_that_full_and_busy_pages_cannot_block(cell: Cell) -> None:
+    heard = cell.bench.listen(Bool, "emergency_stop", LATCHED)
+    port = stop_port(cell)
+
+    def busy(_: object) -> dict[str, object]:
+        time.sleep(0.05)
+        return {"type": "ghost", "number": 0, "trouble": "slow"}
+
+    cell.page._ghost = type("Slow", (), {"answer": staticmethod(busy)})()
 
     async def scenario() -> None:
-        async with cell.open() as page:
-            cell.publish("last_run", String(data=str(run)))
-            state = await page.state(lambda s: s["run"]["ready"])
-            assert state["run"]["text"] == "The last run is a-run."
-            await page.say({"do": "download"})
-            ticket = await page.hear(lambda m: isinstance(m, dict) and m["type"] == "download")
-            assert ticket["path"].startswith("run/")
-            (run / "summary.json").unlink()
-            run.rmdir()
-            state = await page.state(lambda s: not s["run"]["ready"])
-            assert "is not on this machine" in state["run"]["text"]
+        async with contextlib.AsyncExitStack() as pages:
+            opened = [await pages.enter_async_context(cell.open()) for _ in range(MOST_PAGES)]
+            for page in opened:
+                for number in range(50):
+                    await page.say({"do": "place", "number": number, "x": 0, "y": 0, "angle": 0})
+            async with cell.open() as late:  # there is no room for another page
+                assert await late.connection.read_message() is None
+            assert await asyncio.to_thread(press_stop, cell, port) == 200
+            cell.bench.wait(lambda: heard and heard[0].data, "the stop")
 
     play(scenario)
+
+
+def test_the_stop_is_held_for_late_joiners_and_by_the_next_process(cell: Cell) -> None:
+    port = stop_port(cell)
+    link = cell.page._stop
+    assert link is not None and not link.held
+    assert press_stop(cell, port) == 200
+    cell.bench.wait(lambda: link.held, "the stop is held")
+    late = cell.bench.listen(Bool, "emergency_stop", LATCHED)
+    cell.bench.wait(lambda: [m.data for m in late] == [True], "a late joiner sees it")
+    assert link._process is not None
+    link._process.kill()
+    cell.bench.wait(lambda: [m.data for m in late] == [True, True], "the next process holds it")
+    link.release()
+    cell.bench.wait(lambda: [m.data for m in late] == [True, True, False], "it is released")
+    assert not link.held
 
 
 def test_on_the_network_the_page_wants_its_token_and_other_sites_are_kept_out() -> None:
@@ -401,7 +469,7 @@ def test_on_the_network_the_page_wants_its_token_and_other_sites_are_kept_out() 
         made.append(OperatorPage())
         return list(made)
 
-    parameters = {"operator_page": {"port": 0, "address": "0.0.0.0"}}
+    parameters = {"operator_page": {"port": 0, "stop_port": 0, "address": "0.0.0.0"}}
     with bench(make, parameters) as b:
         cell = Cell(b, made[0])
         url, _, token = cell.page.urls[0].partition("#token=")
@@ -438,7 +506,7 @@ def test_a_port_in_use_is_said_and_taken_when_it_is_free() -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with bench(make, {"operator_page": {"port": port}}) as b:
+        with bench(make, {"operator_page": {"port": port, "stop_port": 0}}) as b:
             heard = b.listen(DiagnosticArray, "/diagnostics")
 
             def complaints() -> list[str]:

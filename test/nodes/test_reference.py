@@ -11,7 +11,6 @@ import pytest
 from harness import bench
 from tapping_cell_msgs.msg import ErrorCode
 
-from tapping_cell.logic.error_codes import NAMES
 from tapping_cell.nodes import MODULES
 from tapping_cell.nodes.camera.overhead_camera import OverheadCamera
 from tapping_cell.nodes.drivers.scara_arm import ScaraArm
@@ -19,11 +18,10 @@ from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
 from tapping_cell.nodes.planner.tap_planner import TapPlanner
 from tapping_cell.nodes.recorder.run_recorder import RunRecorder
 from tapping_cell.nodes.simulation.sim_world import SimWorld
-from tapping_cell.report.hints import HINTS
+from tapping_cell.report import error_codes
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "nodes.md").read_text(encoding="utf-8")
-HINT_PAGE = (DOCS / "error_codes.md").read_text(encoding="utf-8")
 NODES = (
     "overhead_camera",
     "camera_pose",
@@ -58,19 +56,10 @@ def test_every_parameter_stands_in_the_page_with_its_text_and_range(node: str) -
     assert named == {entry.name for entry in fields}
 
 
-def test_every_error_code_stands_in_the_page() -> None:
-    rows = re.findall(r"^\| (\d+) \| (\w+) \| .+ \|$", section("Error codes"), re.MULTILINE)
-    assert {int(number): name for number, name in rows} == NAMES
-    assert NAMES[ErrorCode.NONE] == "NONE"
-
-
-def test_every_error_code_has_a_hint_and_stands_in_its_page() -> None:
-    """A new code needs an entry in report/hints.py and a row in docs/error_codes.md."""
-    assert {code: name for code, (name, _) in HINTS.items()} == NAMES
-    rows = re.findall(r"^\| (\d+) \| (\w+) \| (.*) \|$", HINT_PAGE, re.MULTILINE)
-    assert {int(code): (name, hint) for code, name, hint in rows} == HINTS
-    for code, (name, hint) in HINTS.items():
-        assert code == ErrorCode.NONE or hint.endswith("."), name
+def test_the_built_messages_have_the_declared_error_codes() -> None:
+    names = [name for name in dir(ErrorCode) if isinstance(getattr(ErrorCode, name), int)]
+    built = {name: getattr(ErrorCode, name) for name in names if name.isupper()}
+    assert built == {code.name: number for number, code in error_codes.codes().items()}
 
 
 def test_every_topic_and_service_of_the_nodes_stands_in_the_page() -> None:

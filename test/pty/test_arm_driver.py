@@ -223,7 +223,7 @@ def test_an_alarm_in_mid_move(plug: Callable[..., PseudoTerminal]) -> None:
 def test_settings_that_differ_are_refused_by_name(plug: Callable[..., PseudoTerminal]) -> None:
     cell = emulated(plug, expected={13: 0.0, 110: 1234.0, 999: 1.0})
     with pytest.raises(
-        HardwareFault, match=r"\$110 is 6900, must be 1234; \$999 is miss"
+        HardwareFault, match=r"\$110 is 6900, must be 1234 \(send \$110=1234\); \$999 is miss"
     ) as caught:
         cell.driver.connect()
     assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
@@ -271,7 +271,7 @@ def test_a_homing_that_did_not_run_is_not_believed(plug: Callable[..., PseudoTer
 
     with cell.port.lock:
         cell.emulator.receive = garbled  # type: ignore[method-assign]
-    with pytest.raises(HardwareFault, match="after homing the controller stands at") as caught:
+    with pytest.raises(HardwareFault, match="after homing the controller stands with") as caught:
         cell.driver.home(HomingStrategy.FIRMWARE)
     assert caught.value.reason is FaultReason.HOMING_FAILED
     assert not cell.driver.homed

@@ -83,7 +83,8 @@ def test_stop_is_unnumbered_and_acts_at_once(plug: Plug, parser: bool) -> None:
     here = cell.truth()
     assert here.shoulder < 1.4
     time.sleep(0.2)
-    assert cell.truth() == here
+    # M112 takes the motors' power: the quill sinks.
+    assert cell.truth()[:2] == here[:2] and (cell.truth() == here) is parser
     # Without the emergency parser the firmware is dead until its board is reset: the port's DTR.
     driver.clear_fault()
     assert not driver.homed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import binascii
 import time
 from collections.abc import Callable
 
@@ -9,18 +10,27 @@ import pytest
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.serial_transport import SerialTransport
-from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
-from tapping_cell.hardware.tapper_protocol import State
+from tapping_cell.hardware.tapper import FireOutcome, FireResult, TapperDriver
+from tapping_cell.hardware.tapper_protocol import Mode, State
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
-from tapping_cell.simulation.tapper_emulator import TapperEmulator
+from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
+
+
+def fire(driver: TapperDriver, shot: int, window: float = 0.1) -> FireResult:
+    return driver.fire(shot, window, lambda release_by: True)
 
 
 class Cell:
     """One emulated tapper and its driver."""
 
-    def __init__(self, plug: Callable[..., PseudoTerminal], **options: bool) -> None:
+    def __init__(
+        self,
+        plug: Callable[..., PseudoTerminal],
+        machine: TapperMachine | None = None,
+        **options: bool,
+    ) -> None:
         self.emulator = TapperEmulator(
-            on_fire=lambda shot, energy, at: 0.5, boot=4, now=time.monotonic()
+            machine, on_fire=lambda shot, energy, at: 0.5, boot=4, now=time.monotonic()
         )
         self.port = plug(self.emulator, **options)
         self.driver = TapperDriver(SerialTransport(str(self.port.path)))
@@ -34,24 +44,30 @@ class Cell:
             return [shot for shot, _, _ in self.emulator.fires]
 
 
-def test_draw_fire_measure(plug: Callable[..., PseudoTerminal]) -> None:
+def test_charge_fire_measure(plug: Callable[..., PseudoTerminal]) -> None:
     cell = Cell(plug)
     driver = cell.connected()
-    assert driver.version.startswith("1.")
-    assert driver.arm(3, 0.0125).state is State.DRAWN
-    result = driver.fire(3)
+    assert driver.version.startswith("2.")
+    assert driver.charge(3, 0.0125).state is State.CHARGED
+    result = fire(driver, 3)
     assert (result.outcome, result.shot, result.sentence) == (FireOutcome.FIRED, 3, "")
+    assert result.released_by is not None
+    assert cell.emulator.fires[0][2] < result.released_by < time.monotonic() + 0.04
     assert cell.shots() == [3]
-    assert cell.emulator.fires[0][1] == 0.0125
+    assert cell.emulator.fires[0][1] == pytest.approx(0.0125, rel=0.03)
     assert driver.status().speed == 0.5
 
 
 def test_a_shot_is_never_fired_twice(plug: Callable[..., PseudoTerminal]) -> None:
     cell = Cell(plug)
     driver = cell.connected()
-    driver.arm(3, 0.01)
-    driver.fire(3)
-    for call in (lambda: driver.fire(3), lambda: driver.arm(3, 0.01), lambda: driver.arm(2, 0.01)):
+    driver.charge(3, 0.01)
+    fire(driver, 3)
+    for call in (
+        lambda: fire(driver, 3),
+        lambda: driver.charge(3, 0.01),
+        lambda: driver.charge(2, 0.01),
+    ):
         with pytest.raises(HardwareFault) as caught:
             call()
         assert caught.value.reason is FaultReason.SHOT_SPENT
@@ -60,36 +76,39 @@ def test_a_shot_is_never_fired_twice(plug: Callable[..., PseudoTerminal]) -> Non
     second = TapperDriver(SerialTransport(str(cell.port.path)))
     second.connect()
     with pytest.raises(HardwareFault, match="has used that shot number") as caught:
-        second.arm(3, 0.01)
+        second.charge(3, 0.01)
     assert caught.value.reason is FaultReason.SHOT_SPENT
     assert cell.shots() == [3]
 
 
-def test_not_drawn_is_not_fired(plug: Callable[..., PseudoTerminal]) -> None:
+def test_not_charged_is_not_fired(plug: Callable[..., PseudoTerminal]) -> None:
     cell = Cell(plug)
-    result = cell.connected().fire(5)
-    assert result.outcome is FireOutcome.NOT_FIRED and "NOT_DRAWN" in result.sentence
+    driver = cell.connected()
+    driver.home()
+    result = fire(driver, 5)
+    assert result.outcome is FireOutcome.NOT_FIRED and "never charged" in result.sentence
+    assert result.released_by is None
     assert cell.shots() == []
 
 
-def test_silence_of_half_a_second_disarms(plug: Callable[..., PseudoTerminal]) -> None:
+def test_silence_of_half_a_second_discharges(plug: Callable[..., PseudoTerminal]) -> None:
     cell = Cell(plug)
     driver = cell.connected()
-    driver.arm(5, 0.01)
+    driver.charge(5, 0.01)
     for _ in range(16):
         time.sleep(0.05)
-        assert driver.status().state is State.DRAWN
+        assert driver.status().state is State.CHARGED
     time.sleep(0.6)
     with cell.port.lock:
         cell.emulator.advance(time.monotonic())
-        assert cell.emulator.state == "SAFE"
-    assert driver.fire(5).outcome is FireOutcome.NOT_FIRED
+        assert cell.emulator.state in ("DISCHARGING", "SAFE")
+    assert fire(driver, 5).outcome is FireOutcome.NOT_FIRED
 
 
-def test_the_arm_timeout_disarms(plug: Callable[..., PseudoTerminal]) -> None:
+def test_the_time_out_discharges(plug: Callable[..., PseudoTerminal]) -> None:
     driver = Cell(plug).connected()
-    driver.arm(5, 0.01, timeout=0.6)
-    end = time.monotonic() + 0.8
+    driver.charge(5, 0.01, timeout=0.6)
+    end = time.monotonic() + 1.2
     while time.monotonic() < end:
         state = driver.status().state
         time.sleep(0.1)
@@ -99,22 +118,22 @@ def test_the_arm_timeout_disarms(plug: Callable[..., PseudoTerminal]) -> None:
 def test_interlock(plug: Callable[..., PseudoTerminal]) -> None:
     cell = Cell(plug)
     driver = cell.connected()
-    driver.arm(5, 0.01)
+    driver.charge(5, 0.01)
     with cell.port.lock:
         cell.emulator.set_interlock(False, time.monotonic())
-    assert driver.fire(5).outcome is FireOutcome.NOT_FIRED
+    assert fire(driver, 5).outcome is FireOutcome.NOT_FIRED
     with pytest.raises(HardwareFault, match="close the guard") as caught:
-        driver.arm(6, 0.01)
+        driver.charge(6, 0.01)
     assert caught.value.reason is FaultReason.INTERLOCK
 
 
 def test_stop_latches_until_a_person_acts(plug: Callable[..., PseudoTerminal]) -> None:
     cell = Cell(plug)
     driver = cell.connected()
-    driver.arm(5, 0.01)
+    driver.charge(5, 0.01)
     assert driver.stop()
     with pytest.raises(HardwareFault) as caught:
-        driver.fire(5)
+        fire(driver, 5)
     assert caught.value.reason is FaultReason.STOPPED
     with pytest.raises(HardwareFault, match="press the clear button") as caught:
         driver.clear()
@@ -122,27 +141,47 @@ def test_stop_latches_until_a_person_acts(plug: Callable[..., PseudoTerminal]) -
     with cell.port.lock:
         cell.emulator.press_clear_button(time.monotonic())
     driver.clear()
-    driver.arm(6, 0.01)
-    assert driver.fire(6).outcome is FireOutcome.FIRED
+    driver.charge(6, 0.01)
+    assert fire(driver, 6).outcome is FireOutcome.FIRED
     assert cell.shots() == [6]
 
 
-def test_a_reset_while_drawn_is_unknown_not_fired_again(
+def test_a_reset_while_charged_is_noticed_before_fire(plug: Callable[..., PseudoTerminal]) -> None:
+    cell = Cell(plug)
+    driver = cell.connected()
+    driver.charge(5, 0.01)
+    with cell.port.lock:
+        cell.emulator.power_cycle(time.monotonic())
+    with pytest.raises(HardwareFault, match=r"restarted|another session") as caught:
+        fire(driver, 5)
+    assert caught.value.reason is FaultReason.BOARD_RESET
+    assert driver.connect().boot == 5
+    with pytest.raises(HardwareFault) as caught:
+        driver.charge(5, 0.01)
+    assert caught.value.reason is FaultReason.SHOT_SPENT
+    assert cell.shots() == []
+
+
+def test_a_reset_between_the_last_check_and_fire_is_unknown_not_fired_again(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     cell = Cell(plug)
     driver = cell.connected()
-    driver.arm(5, 0.01)
-    with cell.port.lock:
-        cell.emulator.power_cycle(time.monotonic())
-    result = driver.fire(5)
+    driver.charge(5, 0.01)
+
+    def reset(release_by: float) -> bool:
+        with cell.port.lock:
+            cell.emulator.power_cycle(time.monotonic())
+        return True
+
+    result = driver.fire(5, 0.1, reset)
     assert result.outcome is FireOutcome.UNKNOWN and "restarted" in result.sentence
     with pytest.raises(HardwareFault) as caught:
         driver.status()
     assert caught.value.reason is FaultReason.DISCONNECTED
     assert driver.connect().boot == 5
     with pytest.raises(HardwareFault):
-        driver.arm(5, 0.01)
+        driver.charge(5, 0.01)
     assert cell.shots() == []
 
 
@@ -151,30 +190,277 @@ def test_unplugged_at_the_shot_is_unknown_and_waits_out_the_danger(
 ) -> None:
     cell = Cell(plug)
     driver = cell.connected()
-    driver.arm(5, 0.01)
-    cell.port.hang_up()
-    before = time.monotonic()
-    result = driver.fire(5)
-    assert result.outcome is FireOutcome.UNKNOWN
-    assert time.monotonic() - before > 0.5
+    driver.charge(5, 0.01)
+    bounds: list[float] = []
+
+    def unplug(release_by: float) -> bool:
+        bounds.append(release_by)
+        cell.port.hang_up()
+        return True
+
+    result = driver.fire(5, 0.1, unplug)
+    assert result.outcome is FireOutcome.UNKNOWN and result.released_by == bounds[0]
+    assert time.monotonic() >= bounds[0] == driver.release_impossible_after
     cell.port.plug_in()
     driver.connect()
-    driver.arm(6, 0.01)
-    assert driver.fire(6).outcome is FireOutcome.FIRED
+    driver.charge(6, 0.01)
+    assert fire(driver, 6).outcome is FireOutcome.FIRED
     assert cell.shots() == [6]
+
+
+# The window.
+
+
+@pytest.mark.parametrize("held_up", [0.12, 0.3, 0.45, 1.5])
+def test_a_fire_that_was_held_up_after_the_last_check_releases_nothing(
+    plug: Callable[..., PseudoTerminal], held_up: float
+) -> None:
+    """What a process does that is frozen between its last check and FIRE."""
+    cell = Cell(plug)
+    driver = cell.connected()
+    driver.charge(5, 0.01)
+
+    def freeze(release_by: float) -> bool:
+        time.sleep(held_up)
+        return True
+
+    result = driver.fire(5, 0.1, freeze)
+    assert result.outcome is FireOutcome.NOT_FIRED and result.released_by is None
+    assert ("after its deadline" in result.sentence) == (held_up < 0.5)
+    assert cell.shots() == []
+    assert driver.counters.late == (held_up < 0.5)
+    # The shot is over, the next one is not.
+    driver.charge(6, 0.01)
+    assert fire(driver, 6).outcome is FireOutcome.FIRED
+
+
+def test_the_last_check_is_asked_after_the_boards_time_and_can_refuse(
+    plug: Callable[..., PseudoTerminal],
+) -> None:
+    cell = Cell(plug)
+    driver = cell.connected()
+    driver.charge(5, 0.01)
+    began, bounds = time.monotonic(), []
+
+    def refuse(release_by: float) -> bool:
+        bounds.append((release_by, time.monotonic()))
+        return False
+
+    result = driver.fire(5, 0.05, refuse)
+    assert result.outcome is FireOutcome.NOT_FIRED
+    ((release_by, asked_at),) = bounds
+    assert began + 0.05 < release_by < asked_at + 0.05 + 0.04
+    with cell.port.lock:
+        assert cell.emulator.state in ("DISCHARGING", "SAFE")
+    assert cell.shots() == []
+    with pytest.raises(HardwareFault) as caught:
+        driver.charge(5, 0.01)
+    assert caught.value.reason is FaultReason.SHOT_SPENT
+
+
+def test_each_repetition_of_fire_is_checked_and_keeps_the_deadline(
+    plug: Callable[..., PseudoTerminal],
+) -> None:
+    cell = Cell(plug)
+    driver = cell.connected()
+    driver.charge(5, 0.01)
+    sent: list[bytes] = []
+    bounds: list[float] = []
+    write = driver._transport.write
+
+    def lose_fire(data: bytes, timeout: float = 1.0) -> None:
+        if b",FIRE," in data:
+            sent.append(data)
+        else:
+            write(data, timeout)
+
+    driver._transport.write = lose_fire  # type: ignore[method-assign]
+
+    def check(release_by: float) -> bool:
+        bounds.append(release_by)
+        return len(bounds) < 3
+
+    result = driver.fire(5, 0.1, check)
+    assert result.outcome is FireOutcome.NOT_FIRED
+    assert len(bounds) == 3 and len(set(bounds)) == 1
+    assert len(sent) == 2 and sent[0] == sent[1]
+    assert cell.shots() == []
+
+
+def test_the_boards_time_wraps_within_the_window(plug: Callable[..., PseudoTerminal]) -> None:
+    machine = TapperMachine(first_time_ms=2**32 - 400)
+    cell = Cell(plug, machine=machine)
+    driver = cell.connected()
+    for shot in range(1, 6):
+        driver.charge(shot, 0.001)
+        assert fire(driver, shot).outcome is FireOutcome.FIRED
+    assert cell.shots() == [1, 2, 3, 4, 5]
+    assert driver.status().time_ms < 2**31
+
+
+@pytest.mark.parametrize("window", [0.0, -1.0, 0.101, float("nan")])
+def test_a_window_out_of_range_is_refused(
+    plug: Callable[..., PseudoTerminal], window: float
+) -> None:
+    driver = Cell(plug).connected()
+    driver.charge(5, 0.01)
+    with pytest.raises(HardwareFault, match=r"must be 0\.001 to 0\.1 s"):
+        fire(driver, 5, window)
+
+
+# Homing, set-up mode, shot numbers.
+
+
+def test_charging_homes_a_carriage_whose_place_is_unknown(
+    plug: Callable[..., PseudoTerminal],
+) -> None:
+    cell = Cell(plug, machine=TapperMachine(carriage=800.0))
+    driver = cell.connected()
+    assert driver.status().state is State.UNHOMED
+    driver.charge(5, 0.01)
+    assert fire(driver, 5).outcome is FireOutcome.FIRED
+    assert cell.emulator.fires[0][1] == pytest.approx(0.01, rel=0.03)
+
+
+def test_a_carriage_that_does_not_move_is_not_homed(plug: Callable[..., PseudoTerminal]) -> None:
+    cell = Cell(plug)
+    driver = cell.connected()
+    with cell.port.lock:
+        cell.emulator.drive.set_power(False, time.monotonic())
+    with pytest.raises(HardwareFault, match="front switch") as caught:
+        driver.charge(5, 0.01)
+    assert caught.value.reason is FaultReason.HOMING_FAILED
+    with cell.port.lock:
+        cell.emulator.drive.set_power(True, time.monotonic())
+    assert driver.home().state is State.SAFE
+    assert driver.charge(5, 0.01).state is State.CHARGED
+
+
+def test_missed_steps_are_told_and_homed_away(plug: Callable[..., PseudoTerminal]) -> None:
+    cell = Cell(plug)
+    driver = cell.connected()
+    driver.home()
+    with cell.port.lock:
+        cell.emulator.drive.lose_steps(100_000, time.monotonic())
+    with pytest.raises(HardwareFault, match="missed steps") as caught:
+        driver.charge(5, 0.01)
+    assert caught.value.reason is FaultReason.POSITION_LOST
+    with cell.port.lock:
+        cell.emulator.drive.lose_steps(0, time.monotonic())
+    driver.charge(6, 0.01)
+    assert fire(driver, 6).outcome is FireOutcome.FIRED
+    assert cell.emulator.fires[0][1] == pytest.approx(0.01, rel=0.03)
+
+
+def test_set_up_mode_limits_the_energy_unless_the_switch_is_held(
+    plug: Callable[..., PseudoTerminal],
+) -> None:
+    cell = Cell(plug)
+    driver = cell.connected()
+    driver.set_mode(Mode.SETUP)
+    with pytest.raises(HardwareFault, match="enabling switch") as caught:
+        driver.charge(1, 0.01)
+    assert caught.value.reason is FaultReason.OUT_OF_RANGE
+    driver.charge(1, 0.005)
+    assert fire(driver, 1).outcome is FireOutcome.FIRED
+    # The mode survives a new session, though the board forgets it.
+    driver.close()
+    assert driver.connect().mode is Mode.SETUP
+    with cell.port.lock:
+        cell.emulator.set_enabling_switch(True, time.monotonic())
+    driver.charge(2, 0.01)
+    with cell.port.lock:
+        cell.emulator.set_enabling_switch(False, time.monotonic())
+    assert fire(driver, 2).outcome is FireOutcome.NOT_FIRED
+    driver.set_mode(Mode.RUN)
+    driver.charge(3, 0.01)
+    assert fire(driver, 3).outcome is FireOutcome.FIRED
+
+
+def test_a_refused_shot_number_does_not_spoil_the_next(
+    plug: Callable[..., PseudoTerminal],
+) -> None:
+    cell = Cell(plug)
+    driver = cell.connected()
+    driver.charge(1, 0.001)
+    fire(driver, 1)
+    for huge in (2**64 - 1, 2**32 + 2):
+        with pytest.raises(HardwareFault, match="more than") as caught:
+            driver.charge(huge, 0.001)
+        assert caught.value.reason is FaultReason.OUT_OF_RANGE
+    driver.charge(2, 0.001)
+    assert fire(driver, 2).outcome is FireOutcome.FIRED
+
+
+def test_a_person_resets_the_count_of_shot_numbers(plug: Callable[..., PseudoTerminal]) -> None:
+    cell = Cell(plug)
+    driver = cell.connected()
+    driver.charge(9, 0.001)
+    fire(driver, 9)
+    driver.close()
+    second = TapperDriver(SerialTransport(str(cell.port.path)))
+    second.connect()
+    with pytest.raises(HardwareFault, match="hold the clear button for 5 s"):
+        second.charge(1, 0.001)
+    while second.status().state is not State.SAFE:
+        time.sleep(0.02)
+    with cell.port.lock:
+        cell.emulator.set_clear_button(True, time.monotonic())
+    time.sleep(5.1)
+    with cell.port.lock:
+        cell.emulator.set_clear_button(False, time.monotonic())
+    with pytest.raises(HardwareFault) as caught:
+        second.charge(1, 0.001)
+    assert caught.value.reason is FaultReason.BOARD_RESET
+    second.connect()
+    second.charge(1, 0.001)
+    assert fire(second, 1).outcome is FireOutcome.FIRED
+
+
+def test_a_board_with_the_old_protocol_is_refused_by_name(
+    plug: Callable[..., PseudoTerminal],
+) -> None:
+    class OldBoard:
+        """Answers every greeting as version 1 did."""
+
+        def __init__(self) -> None:
+            self.output = b""
+
+        def receive(self, data: bytes, now: float) -> None:
+            for line in data.split(b"@")[1:]:
+                session, sequence, *_ = line.split(b",")
+                body = b"%s,%s,WELCOME,SAFE,0,0,1,0,0,0,3,1.0.0" % (session, sequence)
+                self.output += b"@%s*%04X\n" % (body, binascii.crc_hqx(body, 0xFFFF))
+
+        def advance(self, now: float) -> None: ...
+
+        def take_output(self, now: float) -> bytes:
+            out, self.output = self.output, b""
+            return out
+
+        def next_event(self) -> float | None:
+            return None
+
+        def power_cycle(self, now: float) -> None: ...
+
+    driver = TapperDriver(SerialTransport(str(plug(OldBoard()).path)))
+    with pytest.raises(HardwareFault, match=r"1\.0\.0 .* flash the firmware") as caught:
+        driver.connect()
+    assert caught.value.reason is FaultReason.UNKNOWN_FIRMWARE
+    assert not driver.connected
 
 
 def test_another_session_takes_over(plug: Callable[..., PseudoTerminal]) -> None:
     cell = Cell(plug)
     driver = cell.connected()
-    driver.arm(5, 0.01)
+    driver.charge(5, 0.01)
     with cell.port.lock:
         # Checksum by hand: binascii.crc_hqx(b"77,0,HELLO", 0xFFFF).
-        import binascii
-
         check = binascii.crc_hqx(b"77,0,HELLO", 0xFFFF)
         cell.emulator.receive(b"@77,0,HELLO*%04X\n" % check, time.monotonic())
-    assert driver.fire(5).outcome is FireOutcome.NOT_FIRED
+    with pytest.raises(HardwareFault, match="another session") as caught:
+        fire(driver, 5)
+    assert caught.value.reason is FaultReason.BOARD_RESET
     assert cell.shots() == []
 
 
@@ -186,14 +472,14 @@ def test_orders_out_of_range_are_refused_before_the_line(
 ) -> None:
     driver = Cell(plug).connected()
     with pytest.raises(HardwareFault) as caught:
-        driver.arm(shot, energy)
+        driver.charge(shot, energy)
     assert caught.value.reason is FaultReason.OUT_OF_RANGE
 
 
 def test_more_energy_than_the_board_can_store(plug: Callable[..., PseudoTerminal]) -> None:
     driver = Cell(plug).connected()
     with pytest.raises(HardwareFault, match="out of its range") as caught:
-        driver.arm(1, 2.0)
+        driver.charge(1, 2.0)
     assert caught.value.reason is FaultReason.OUT_OF_RANGE
 
 
@@ -210,6 +496,6 @@ def test_nobody_there(plug: Callable[..., PseudoTerminal]) -> None:
 def test_a_board_that_resets_on_open_is_handled(plug: Callable[..., PseudoTerminal]) -> None:
     cell = Cell(plug, reset_on_open=True)
     driver = cell.connected()
-    driver.arm(9, 0.01)
-    assert driver.fire(9).outcome is FireOutcome.FIRED
+    driver.charge(9, 0.01)
+    assert fire(driver, 9).outcome is FireOutcome.FIRED
     assert cell.shots() == [9]

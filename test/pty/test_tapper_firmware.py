@@ -10,7 +10,10 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from random import Random
 
 import pytest
 from hypothesis import given, settings
@@ -18,8 +21,9 @@ from hypothesis import strategies as st
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.serial_transport import SerialTransport
-from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
-from tapping_cell.hardware.tapper_protocol import State
+from tapping_cell.hardware.tapper import FireOutcome, FireResult, TapperDriver, TapperSettings
+from tapping_cell.hardware.tapper_protocol import Mode, State
+from tapping_cell.simulation.spring_drive import SpringMechanism, Status
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 
 SOURCE = Path(__file__).resolve().parents[2] / "firmware" / "tapper"
@@ -67,7 +71,16 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     folder = tmp_path_factory.mktemp("firmware")
     make(folder, "host-library")
     loaded = ctypes.CDLL(str(folder / "libtapper_host.so"))
-    loaded.host_start.argtypes = [ctypes.c_uint32, ctypes.c_uint64, ctypes.c_uint32]
+    loaded.host_start.argtypes = [
+        ctypes.c_uint32,
+        ctypes.c_uint64,
+        ctypes.c_uint32,
+        ctypes.c_double,
+        ctypes.c_uint32,
+    ]
+    loaded.host_reset.argtypes = [ctypes.c_uint32, ctypes.c_uint64, ctypes.c_uint32]
+    loaded.host_kept.restype = ctypes.c_uint64
+    loaded.host_place.restype = ctypes.c_double
     loaded.host_output.restype = ctypes.c_char_p
     return loaded
 
@@ -77,77 +90,144 @@ def framed(body: str) -> bytes:
     return b"@%s*%04X\n" % (data, binascii.crc_hqx(data, 0xFFFF))
 
 
-sessions = st.sampled_from([7, 8])
-shots = st.integers(0, 5)
+sessions = st.sampled_from([7, 7, 7, 8])
+shots = st.integers(0, 9)
+energies = st.sampled_from([0, 20, 30, 999, 1000, 5000, 5001, 12500, 400_000, 2_000_000])
 bodies = st.one_of(
-    st.just("HELLO"),
-    st.just("STATUS"),
-    st.just("DISARM"),
-    st.just("CLEAR"),
-    shots.map(lambda shot: f"FIRE,{shot}"),
-    shots.map(lambda shot: f"ARM,{shot},{1000 * (shot % 3)},3000"),
-    st.sampled_from(["ARM,1", "FIRE", "FIRE,x", "JUMP", "STATUS,1", "ARM,1,2000000,3000"]),
+    st.sampled_from(["HELLO", "STATUS", "DISCHARGE", "CLEAR", "HOME", "HOME", "MODE,RUN"]),
+    st.sampled_from(["CHARGE,1", "FIRE", "FIRE,x,1", "JUMP", "STATUS,1", "MODE", "MODE,SETUP"]),
+    st.tuples(shots, energies).map(lambda both: f"CHARGE,{both[0]},{both[1]},3000"),
+    st.just(f"CHARGE,{2**64 - 1},1000,3000"),
 )
+WINDOWS = (-30, 0, 1, 40, 100, 101, 2**31)
 events = st.one_of(
-    st.tuples(st.just("frame"), sessions, st.integers(0, 12), bodies),
-    st.tuples(st.just("wait"), st.sampled_from([10, 90, 250, 600])),
-    st.tuples(st.sampled_from(["!", "press", "open", "close"])),
+    st.tuples(st.just("frame"), sessions, st.integers(-2, 3), bodies),
+    st.tuples(st.just("fire"), shots, st.sampled_from(WINDOWS)),
+    st.tuples(st.just("wait"), st.sampled_from([10, 90, 250, 600, 5200])),
+    st.tuples(st.sampled_from(["press", "guard", "enabling", "motor"]), st.booleans()),
+    st.tuples(st.just("switch"), st.sampled_from([None, True, False])),
+    st.tuples(st.just("lose"), st.sampled_from([0, 16, 10_000])),
+    st.tuples(st.sampled_from(["!", "loop", "reset"])),
 )
+START_MS = 2**32 - 2000
+EDGE_MS = 8
+"""Nothing is compared so near to a change of state: the boards' loops run once a millisecond."""
+
+
+class Twin:
+    """The firmware's logic and the emulated tapper, told the same."""
+
+    def __init__(self, library: ctypes.CDLL, place: int) -> None:
+        self.library = library
+        spring = SpringMechanism(back_drive=0.0)
+        self.emulator = TapperEmulator(
+            TapperMachine(
+                spring, carriage=place, first_time_ms=START_MS, reply_latency=0.0, baud=10**9
+            ),
+            boot=3,
+        )
+        library.host_start(3, 0, START_MS, float(place), 1)
+        library.host_back_drive(ctypes.c_double(0.0))
+        library.host_no_bounce()
+        self.now = 0
+        self.started = 0
+        self.sequence = 10
+
+    def board_ms(self) -> int:
+        return (START_MS + self.now - self.started) % 2**32
+
+    def run(self, duration: int) -> None:
+        """Let so many milliseconds pass, and more until neither board is about to change."""
+        end = self.now + duration
+        while self.now < end:
+            before = self.emulator.state
+            due = self.emulator.next_event()
+            self.now += 1
+            self.emulator.advance(self.now / 1e3)
+            if self.emulator.state != before:
+                end = max(end, self.now + EDGE_MS)
+            elif self.now == end and due is not None and due * 1e3 < self.now + EDGE_MS:
+                end += 1
+        self.library.host_run(self.board_ms())
+
+    def both(self, data: bytes) -> None:
+        self.library.host_receive(data, len(data), self.board_ms())
+        self.emulator.receive(data, self.now / 1e3)
+
+    def do(self, event: tuple[object, ...]) -> None:
+        now = self.now / 1e3
+        match event:
+            case ("frame", session, ahead, body):
+                self.sequence = (self.sequence + int(str(ahead))) % 65536
+                self.both(framed(f"{session},{self.sequence},{body}"))
+            case ("fire", shot, window):
+                self.sequence += 1
+                deadline = (self.board_ms() + int(str(window))) % 2**32
+                self.both(framed(f"7,{self.sequence},FIRE,{shot},{deadline}"))
+            case ("!",):
+                self.both(b"!")
+            case ("press", pressed):
+                self.library.host_button(pressed)
+                self.library.host_step()
+                self.now += 1
+                self.emulator.set_clear_button(bool(pressed), self.now / 1e3)
+            case ("guard", closed):
+                self.library.host_interlock(closed)
+                self.emulator.set_interlock(bool(closed), now)
+            case ("enabling", held):
+                self.library.host_enabling(held)
+                self.emulator.set_enabling_switch(bool(held), now)
+            case ("motor" | "switch" | "lose", _) if self.emulator.drive.status is Status.MOVING:
+                pass  # both know what fails in mid-movement, but not to the same step
+            case ("motor", powered):
+                self.library.host_motor(powered)
+                self.emulator.drive.set_power(bool(powered), now)
+            case ("switch", stuck):
+                self.library.host_front_switch({None: 0, True: 1, False: -1}[stuck])  # type: ignore[index]
+                self.emulator.drive.set_switch(stuck, now)  # type: ignore[arg-type]
+            case ("lose", steps):
+                self.library.host_lose_steps(steps)
+                self.emulator.drive.lose_steps(int(str(steps)), now)
+            case ("loop",):
+                self.library.host_wire(1)
+                self.library.host_step()
+                self.library.host_wire(0)
+                self.now += 1
+                self.emulator.open_stop_loop(self.now / 1e3)
+            case ("reset",):
+                kept = self.library.host_kept()
+                boot = int(self.emulator._boot) + 1
+                self.started = self.now
+                self.library.host_reset(boot, kept, self.board_ms())
+                self.emulator.power_cycle(now)
 
 
 @needs_compiler
 @settings(max_examples=400, deadline=None)
-@given(st.lists(events, max_size=40))
+@given(st.sampled_from([0, 300]), st.lists(events, max_size=30))
 def test_firmware_and_emulator_answer_alike(
-    library: ctypes.CDLL, script: list[tuple[object, ...]]
+    library: ctypes.CDLL, place: int, script: list[tuple[object, ...]]
 ) -> None:
-    draw_ms = 100
-    emulator = TapperEmulator(
-        TapperMachine(
-            draw_time=draw_ms / 1e3,
-            draw_time_per_root_joule=0.0,
-            release_time=0.0,
-            reply_latency=0.0,
-            baud=10**9,
-        ),
-        boot=3,
-    )
-    library.host_start(3, 0, 0)
-    now, drawn_at = 0, None
-    for event in script:
-        if event[0] == "wait":
-            assert isinstance(event[1], int)
-            target = now + event[1]
-        else:
-            target = now + 1
-        while now < target:
-            now += 1
-            if drawn_at == now:
-                library.host_set_drawn(now)
-            library.host_poll(now)
-        emulator.advance(now / 1e3)
+    twin = Twin(library, place)
+    start: list[tuple[object, ...]] = [("frame", 7, 1, "HELLO"), ("frame", 7, 1, "MODE,RUN")]
+    homing: list[tuple[object, ...]] = [("frame", 7, 1, "HOME"), ("wait", 250)]
+    for event in start + homing + script:
+        twin.run(int(str(event[1])) if event[0] == "wait" else EDGE_MS)
         library.host_forget_output()
-        draws = library.host_draws()
-        if event[0] == "frame":
-            line = framed(f"{event[1]},{event[2]},{event[3]}")
-            emulator.receive(line, now / 1e3)
-            library.host_receive(line, len(line), now)
-        elif event[0] == "!":
-            emulator.receive(b"!", now / 1e3)
-            library.host_receive(b"!", 1, now)
-        elif event[0] == "press":
-            emulator.press_clear_button(now / 1e3)
-            library.host_press_clear(now)
-        elif event[0] in ("open", "close"):
-            emulator.set_interlock(event[0] == "close", now / 1e3)
-            library.host_set_interlock(event[0] == "close", now)
-        if library.host_draws() != draws:
-            drawn_at = now + draw_ms
-        said = emulator.take_output(now / 1e3 + 1e-6).decode()
-        told = library.host_output().decode()
-        assert strip_version(told) == strip_version(said), (event, now)
-        library.host_end_release(now)
-        emulator.advance(now / 1e3 + 1e-6)
+        twin.emulator.take_output(twin.now / 1e3 + 1e-6)
+        twin.do(event)
+        compare(twin, event)
+        twin.run(EDGE_MS)
+        library.host_forget_output()
+        twin.emulator.take_output(twin.now / 1e3 + 1e-6)
+        twin.do(("frame", 7, 1, "STATUS"))
+        compare(twin, event)
+
+
+def compare(twin: Twin, event: tuple[object, ...]) -> None:
+    said = twin.emulator.take_output(twin.now / 1e3 + 1e-6).decode()
+    told = twin.library.host_output().decode()
+    assert strip_version(told) == strip_version(said), (event, twin.now)
 
 
 def strip_version(text: str) -> list[str]:
@@ -162,9 +242,9 @@ def strip_version(text: str) -> list[str]:
 class Board:
     """The firmware in simavr, with handles on its inputs and an eye on its release output."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, place: int = 300, elf: str = "tapper.elf") -> None:
         self.process = subprocess.Popen(
-            [str(folder / "simavr_board"), str(folder / "tapper.elf")],
+            [str(folder / "simavr_board"), str(folder / elf), str(place)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -174,7 +254,9 @@ class Board:
         lines = iter(self.process.stdout.readline, "")
         self.port = next(line.split()[1] for line in lines if line.startswith("PORT"))
         self.edges: list[tuple[int, int]] = []
-        self.times: queue.Queue[int] = queue.Queue()
+        self.places: list[float] = []
+        """Where the carriage was at each release, steps."""
+        self.times: queue.Queue[tuple[int, float]] = queue.Queue()
         self._reader = threading.Thread(target=self._read)
         self._reader.start()
 
@@ -182,26 +264,38 @@ class Board:
         assert self.process.stdout is not None
         for line in self.process.stdout:
             if line.startswith("RELEASE"):
-                _, level, at = line.split()
+                _, level, at, place = line.split()
                 self.edges.append((int(level), int(at)))
+                if int(level):
+                    self.places.append(float(place))
             elif line.startswith("TIME"):
-                self.times.put(int(line.split()[1]))
+                _, at, place = line.split()
+                self.times.put((int(at), float(place)))
 
     def tell(self, order: str) -> None:
+        """An order, which has been obeyed when this returns."""
         assert self.process.stdin is not None
         self.process.stdin.write(order + "\n")
-        time.sleep(0.1)
+        self.clock()
+
+    def _ask(self) -> tuple[int, float]:
+        assert self.process.stdin is not None
+        self.process.stdin.write("time\n")
+        return self.times.get(timeout=20.0)
 
     def clock(self) -> float:
         """The board's own time, s: behind the wall's where the machine is busy."""
-        self.tell("time")
-        return self.times.get(timeout=10.0) * 1e-6
+        return self._ask()[0] * 1e-6
+
+    def place(self) -> float:
+        """Where the carriage truly is, steps from its front switch."""
+        return self._ask()[1]
 
     def rest(self, duration: float) -> None:
         """Wait until so much of the board's own time has passed, s."""
         end = self.clock() + duration
         while self.clock() < end:
-            pass
+            time.sleep(0.005)
 
     def pulses(self) -> list[int]:
         """Lengths of the release pulses, us."""
@@ -232,55 +326,250 @@ def board(binaries: Path) -> Iterator[Board]:
     running.close()
 
 
+def fire(driver: TapperDriver, shot: int) -> FireResult:
+    return driver.fire(shot, 0.1, lambda release_by: True)
+
+
+def press_clear(board: Board, duration: float = 0.6) -> None:
+    board.tell("clear 1")
+    board.rest(duration)
+    board.tell("clear 0")
+    board.rest(0.01)
+
+
+PATIENT = TapperSettings(attempts=50, charge_timeout=60.0, home_timeout=60.0)
+"""The simulated board falls behind the wall's clock on a machine with much to do."""
+
+
+def connected(board: Board, mode: Mode = Mode.RUN) -> TapperDriver:
+    driver = TapperDriver(SerialTransport(board.port), replace(PATIENT, mode=mode))
+    driver.connect(60.0)
+    return driver
+
+
+@contextmanager
+def fault(reason: FaultReason) -> Iterator[None]:
+    with pytest.raises(HardwareFault) as caught:
+        yield
+    assert caught.value.reason is reason, str(caught.value)
+
+
+NEAR = 4
+"""How far from its front switch a carriage may stand that has been sent there, steps: the switch
+bounces."""
+
+
+def stored(place: float) -> float:
+    """Energy in J of 500 N/m at ``place`` steps of 5 um."""
+    return float(0.5 * 500.0 * (place * 5e-6) ** 2)
+
+
 @needs_simavr
 def test_the_driver_fires_the_real_firmware_once(board: Board) -> None:
-    driver = TapperDriver(SerialTransport(board.port))
-    driver.connect()
-    assert driver.version == "1.0.0"
-    assert driver.arm(5, 0.002).state is State.DRAWN
-    assert driver.fire(5).outcome is FireOutcome.FIRED
+    driver = connected(board)
+    assert driver.version == "2.0.0"
+    assert driver.charge(5, 0.002).state is State.CHARGED
+    assert fire(driver, 5).outcome is FireOutcome.FIRED
     board.rest(0.2)
     (pulse,) = board.pulses()
     assert pulse == pytest.approx(20_000, abs=100)
-    with pytest.raises(HardwareFault) as caught:
-        driver.fire(5)
-    assert caught.value.reason is FaultReason.SHOT_SPENT
-    board.rest(1.0)
-    driver.arm(6, 0.002)
-    assert driver.fire(6).outcome is FireOutcome.FIRED
+    assert stored(board.places[0]) == pytest.approx(0.002, rel=0.03)
+    with fault(FaultReason.SHOT_SPENT):
+        fire(driver, 5)
+    driver.charge(6, 0.002)
+    assert fire(driver, 6).outcome is FireOutcome.FIRED
     board.rest(0.2)
     assert len(board.pulses()) == 2
 
 
 @needs_simavr
-def test_the_real_firmware_disarms_stops_and_remembers(board: Board) -> None:
-    transport = SerialTransport(board.port)
-    driver = TapperDriver(transport)
-    first = driver.connect().boot
-    driver.arm(5, 0.002)
-    board.rest(0.8)
-    assert driver.fire(5).outcome is FireOutcome.NOT_FIRED
-    driver.arm(6, 0.002)
-    board.tell("interlock 0")
-    assert driver.fire(6).outcome is FireOutcome.NOT_FIRED
-    board.tell("interlock 1")
-    board.rest(0.8)
-    driver.arm(7, 0.002)
-    assert driver.stop()
-    with pytest.raises(HardwareFault) as caught:
-        driver.clear()
-    assert caught.value.reason is FaultReason.NEEDS_PERSON
-    board.tell("clear 1")
-    board.tell("clear 0")
-    driver.clear()
-    board.rest(0.8)
-    driver.arm(8, 0.002)
+def test_the_real_firmware_does_not_move_before_it_is_asked_and_homes_truly(board: Board) -> None:
+    board.tell("push 0")
+    place = board.place()
+    driver = connected(board)
+    board.rest(0.4)
+    assert driver.status().state is State.UNHOMED and board.place() == place
+    driver.home()
+    assert abs(board.place()) <= NEAR
+    driver.charge(1, 0.01)
+    assert stored(board.place()) == pytest.approx(0.01, rel=0.03)
+    # A reset with the spring drawn: the place is unknown, whatever the steps counted.
     board.tell("reset")
-    assert driver.fire(8).outcome is FireOutcome.UNKNOWN
-    assert driver.connect().boot == first + 1
-    second = TapperDriver(transport)
-    second.connect()
-    with pytest.raises(HardwareFault) as caught:
-        second.arm(8, 0.002)
-    assert caught.value.reason is FaultReason.SHOT_SPENT
+    with fault(FaultReason.BOARD_RESET):
+        driver.status()
+    assert driver.connect().state is State.UNHOMED
+    assert board.place() > 1000
+    driver.charge(2, 0.01)
+    assert fire(driver, 2).outcome is FireOutcome.FIRED
+    board.rest(0.1)
+    assert stored(board.places[0]) == pytest.approx(0.01, rel=0.03)
+
+
+@needs_simavr
+@pytest.mark.parametrize("wrong", ["motor 0", "switch -1", "switch 1"])
+def test_the_real_firmware_is_not_homed_with_a_dead_motor_or_switch(
+    board: Board, wrong: str
+) -> None:
+    board.tell("push 0")
+    board.tell(wrong)
+    driver = connected(board)
+    with fault(FaultReason.HOMING_FAILED):
+        driver.charge(1, 0.001)
+    assert driver.status().state is State.UNHOMED
+
+
+@needs_simavr
+def test_the_real_firmware_notices_missed_steps(board: Board) -> None:
+    driver = connected(board)
+    driver.home()
+    board.tell("motor 0")
+    with fault(FaultReason.POSITION_LOST):
+        driver.charge(1, 0.01)
+    board.tell("motor 1")
+    driver.charge(2, 0.01)
+    board.tell("lose 32")
+    driver.discharge()
+    board.rest(0.8)
+    assert driver.status().state is State.UNHOMED
+    driver.charge(3, 0.01)
+    assert stored(board.place()) == pytest.approx(0.01, rel=0.03)
+
+
+@needs_simavr
+def test_the_real_firmware_discharges(board: Board) -> None:
+    driver = connected(board)
+    driver.charge(1, 0.002)
+    board.rest(0.8)  # silence
+    assert driver.status().state is State.SAFE and abs(board.place()) <= NEAR
+    assert fire(driver, 1).outcome is FireOutcome.NOT_FIRED
+    driver.charge(2, 0.002)
+    board.tell("interlock 0")
+    assert fire(driver, 2).outcome is FireOutcome.NOT_FIRED
+    with fault(FaultReason.INTERLOCK):
+        driver.charge(3, 0.002)
+    with fault(FaultReason.INTERLOCK):
+        driver.home()
+    board.tell("interlock 1")
+    driver.charge(3, 0.002)
+    assert driver.discharge().state is State.DISCHARGING
+    board.rest(0.4)
+    assert driver.status().state is State.SAFE and abs(board.place()) <= NEAR
+    driver.charge(4, 0.002)
+    assert driver.connect().state in (State.DISCHARGING, State.SAFE)
     assert board.pulses() == []
+
+
+@needs_simavr
+def test_the_real_firmwares_stop_wants_a_press_after_it(board: Board) -> None:
+    driver = connected(board)
+    driver.charge(1, 0.002)
+    press_clear(board)  # before the stop: for nothing
+    assert driver.stop()
+    with fault(FaultReason.NEEDS_PERSON):
+        driver.clear()
+    press_clear(board, 0.2)  # too short
+    with fault(FaultReason.NEEDS_PERSON):
+        driver.clear()
+    board.tell("clear 1")
+    board.rest(0.7)
+    with fault(FaultReason.NEEDS_PERSON):  # held down
+        driver.clear()
+    board.tell("clear 0")
+    board.rest(0.01)
+    assert driver.clear().state is State.SAFE
+    # By wire: no press counts while it is open, and the carriage is homed again.
+    driver.charge(2, 0.002)
+    board.tell("stop 1")
+    press_clear(board)
+    with fault(FaultReason.NEEDS_PERSON):
+        driver.clear()
+    board.tell("stop 0")
+    press_clear(board)
+    assert driver.clear().state is State.UNHOMED
+    driver.charge(3, 0.002)
+    assert fire(driver, 3).outcome is FireOutcome.FIRED
+
+
+@needs_simavr
+def test_the_real_firmware_keeps_shot_numbers_until_a_person_forgets_them(board: Board) -> None:
+    driver = connected(board)
+    first = driver.status().boot
+    driver.charge(8, 0.002)
+    with fault(FaultReason.OUT_OF_RANGE):
+        driver.charge(2**64 - 1, 0.002)
+
+    asked: list[float] = []
+
+    def reset(release_by: float) -> bool:
+        if not asked:
+            board.tell("reset")
+        asked.append(release_by)
+        return True
+
+    assert driver.fire(8, 0.1, reset).outcome is FireOutcome.UNKNOWN
+    assert driver.connect().boot == first + 1
+    second = TapperDriver(driver._transport, PATIENT)
+    second.connect()
+    with fault(FaultReason.SHOT_SPENT):
+        second.charge(8, 0.002)
+    press_clear(board, 5.2)
+    board.rest(1.5)  # 320 bytes of EEPROM
+    with fault(FaultReason.BOARD_RESET):
+        second.status()
+    assert second.connect().boot == first + 2
+    second.charge(1, 0.002)
+    assert board.pulses() == []
+
+
+@needs_simavr
+def test_the_real_firmware_in_set_up_mode(board: Board) -> None:
+    driver = connected(board, Mode.SETUP)
+    assert driver.status().mode is Mode.SETUP
+    with fault(FaultReason.OUT_OF_RANGE):
+        driver.charge(1, 0.006)
+    assert driver.charge(1, 0.005).state is State.CHARGED
+    board.tell("enabling 1")
+    driver.discharge()
+    driver.charge(2, 0.006)
+    board.tell("enabling 0")
+    assert fire(driver, 2).outcome is FireOutcome.NOT_FIRED
+    assert board.pulses() == []
+
+
+@needs_simavr
+def test_the_real_firmware_refuses_every_late_fire(board: Board) -> None:
+    """FIRE is held up for a random time after the last check, as by a process that is frozen."""
+    driver = connected(board)
+    random = Random(1)
+    late = 0
+    for shot in range(1, 31):
+        driver.charge(shot, 0.0005)
+        window = random.uniform(0.02, 0.1)
+
+        def freeze(release_by: float) -> bool:
+            time.sleep(random.choice([0.0, random.uniform(0.0, 0.12), random.uniform(0.1, 0.45)]))
+            return True
+
+        before = len(board.places)
+        result = driver.fire(shot, window, freeze)
+        assert result.outcome is not FireOutcome.UNKNOWN
+        board.rest(0.05)
+        assert len(board.places) - before == (result.outcome is FireOutcome.FIRED)
+        late += result.outcome is FireOutcome.NOT_FIRED
+    assert late >= 5
+
+
+@needs_simavr
+def test_the_solenoid_build_charges_without_a_carriage(binaries: Path) -> None:
+    make(binaries / "solenoid", "all", "DRIVE=SOLENOID")
+    board = Board(binaries, elf="solenoid/tapper.elf")
+    try:
+        driver = connected(board)
+        assert driver.status().state is State.SAFE
+        driver.charge(1, 0.005)
+        assert fire(driver, 1).outcome is FireOutcome.FIRED
+        board.rest(0.1)
+        (pulse,) = board.pulses()
+        assert pulse == pytest.approx(4_000, abs=100)
+    finally:
+        board.close()

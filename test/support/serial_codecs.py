@@ -145,7 +145,11 @@ def tapper_out(data: bytes) -> None:
     """Requests, answered by the emulated board under the same session and number."""
     session, sequence, which, shot = struct.unpack("<HHBQ", data.ljust(13, b"\0")[:13])
     command = list(tapper_protocol.Command)[which % len(tapper_protocol.Command)]
-    arguments = {"ARM": (shot, shot % 100_000, 1000), "FIRE": (shot,)}.get(command.value, ())
+    arguments: tuple[int | tapper_protocol.Mode, ...] = {
+        "CHARGE": (shot, shot % 100_000, 1000),
+        "FIRE": (shot, shot % 2**32),
+        "MODE": (list(tapper_protocol.Mode)[shot % 2],),
+    }.get(command.value, ())
     try:
         frame = tapper_protocol.encode(session, sequence, command, *arguments)
     except ValueError:

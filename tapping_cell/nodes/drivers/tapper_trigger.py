@@ -25,7 +25,7 @@ from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.serial_transport import SerialTransport
-from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
+from tapping_cell.hardware.tapper import FireOutcome, FireResult, TapperDriver
 from tapping_cell.hardware.tapper_protocol import Reply, State
 from tapping_cell.logic.error_codes import of_tapper
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
@@ -34,6 +34,8 @@ from tapping_cell.nodes.drivers.driver_node import DriverNode, run_driver
 from tapping_cell.nodes.drivers.peer_watch import PeerWatch
 
 READ_PERIOD_S = 0.1
+WINDOW_S = 0.05
+"""How long after the last check the board may release."""
 OUTCOMES = {
     FireOutcome.FIRED: TapperState.FIRED,
     FireOutcome.NOT_FIRED: TapperState.NOT_FIRED,
@@ -294,20 +296,26 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
     def _shoot(self, tap: Pending) -> None:
         driver = self.require()
         refusal: tuple[int, str] | None = None
+        result: FireResult | None = None
 
         def go_on() -> bool:
             nonlocal refusal
             refusal = refusal or self._last_check(tap)
             return refusal is None
 
+        def last_check(release_by: float) -> bool:
+            if not go_on():
+                return False
+            self.set(state=TapperState.FIRING)
+            return True
+
         try:
             if go_on():
-                reply = driver.arm(tap.tap_id, tap.energy, go_on=go_on)
-                if reply.state is State.DRAWN:
+                reply = driver.charge(tap.tap_id, tap.energy, go_on)
+                if reply.state is State.CHARGED:
                     self.set(state=TapperState.CHARGED)
-                    if not go_on():
-                        driver.disarm()
-            if refusal is not None:
+                    result = driver.fire(tap.tap_id, WINDOW_S, last_check)
+            if refusal is not None and (result is None or result.outcome is FireOutcome.NOT_FIRED):
                 code, sentence = refusal
                 self.set(
                     state=TapperState.SAFE,
@@ -316,8 +324,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver, Snapshot]):
                     error_msg=sentence,
                 )
                 return
-            self.set(state=TapperState.FIRING)
-            result = driver.fire(tap.tap_id)
+            assert result is not None
         except HardwareFault as fault:
             # Every fault that is raised was met before FIRE went out.
             self.fail(fault, outcome=TapperState.NOT_FIRED)

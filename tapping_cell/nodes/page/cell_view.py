@@ -11,13 +11,14 @@ from tapping_cell_msgs.msg import ArmState, ErrorCode, GoalReport, PlanState, Ta
 
 from tapping_cell.nodes.clients.goal_client import PHASES
 from tapping_cell.nodes.conversions import from_message, seconds
+from tapping_cell.nodes.page.recovery import Recovery, Step
 from tapping_cell.nodes.planner.cell_monitor import CellMonitor
 from tapping_cell.nodes.planner.plan_reporter import FINAL
-from tapping_cell.report.hints import hint
+from tapping_cell.report.error_codes import hint
 from tapping_cell.se2 import Pose
 
 SILENCE_LIMIT_S = 1.5
-LOG_LENGTH = 60
+LOG_LENGTH = 200
 OUTCOMES = {TapperState.FIRED: "fired", TapperState.NOT_FIRED: "not fired"}
 
 ARM_WORDS = {
@@ -75,6 +76,11 @@ def with_code(sentence: str, code: int) -> str:
     return f"{sentence} ({code})" if code else sentence
 
 
+def counted(number: int, thing: str) -> str:
+    """A number of things, as in "1 tap" and "3 taps"."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
 class CellView:
     """Hears the topics; called in the executor's thread alone."""
 
@@ -87,7 +93,10 @@ class CellView:
         self._report: GoalReport | None = None
         self._log: deque[dict[str, object]] = deque(maxlen=LOG_LENGTH)
         self._mode = ""
+        self._recovery = Recovery()
         self.emergency_stop = False
+        self.held_by_page = False
+        self.simulated = False
         self.on_object = self._monitor.on_object
         self.on_arm = self._monitor.on_arm
         self.on_tapper = self._monitor.on_tapper
@@ -136,7 +145,7 @@ class CellView:
         if message.refused:
             sentence = f"goal refused: {sentence}"
         elif not message.error_code:
-            sentence, kind = f"goal reached after {message.taps} taps", "good"
+            sentence, kind = f"goal reached after {counted(message.taps, 'tap')}", "good"
         elif message.state == PlanState.CANCELED:
             kind = ""
         # The last report is told again to whoever joins: it happened when it was made.
@@ -151,8 +160,9 @@ class CellView:
     def mode(self) -> Mode:
         """The whole cell in a word, a sentence, and the code where there is one."""
         arm, tapper = self._monitor.arm, self._monitor.tapper
+        # What to do follows the semicolon, in words of services; the page shows its own list.
         stopped = [
-            state.error_msg
+            state.error_msg.partition(";")[0]
             for state, value in ((arm, ArmState.STOPPED), (tapper, TapperState.STOPPED))
             if state is not None and state.state == value
         ]
@@ -193,6 +203,8 @@ class CellView:
             "mode": mode.word,
             "sentence": sentence,
             "hint": hint(mode.code),
+            "recovery": [step._asdict() for step in self._recovery_steps()],
+            "blocked": self._blocked(mode),
             "object": self._object_state(),
             "plan": self._plan_state(),
             "taps": self._taps,
@@ -200,6 +212,26 @@ class CellView:
             "tapper": self._device("tapper", TAPPER_WORDS),
             "log": list(self._log),
         }
+
+    def _recovery_steps(self) -> list[Step]:
+        arm, tapper = self._monitor.arm, self._monitor.tapper
+        holders = ["this page's STOP"] if self.held_by_page else []
+        return self._recovery.steps(
+            None if arm is None or self._monitor.silent("arm") else arm,
+            None if tapper is None or self._monitor.silent("tapper") else tapper,
+            holders,
+            self.simulated,
+        )
+
+    def _blocked(self, mode: Mode) -> str:
+        """Why no goal can be sent now; empty where one can."""
+        arm = self._monitor.arm
+        if mode.word in ("stopped", "fault"):
+            what = "is stopped" if mode.word == "stopped" else "has a fault"
+            return f"No goal can be sent: the cell {what}."
+        if arm is not None and not arm.homed and not self._monitor.silent("arm"):
+            return "No goal can be sent: the arm is not homed."
+        return ""
 
     def _object_state(self) -> dict[str, object]:
         seen = self._monitor.object
@@ -247,7 +279,9 @@ class CellView:
 
 
 def tap_row(tap: TapRecord, goal: Pose) -> dict[str, object]:
-    """One tap: displacements in mm and degrees, table axes, and what remained to the goal."""
+    """One tap: displacements in mm and degrees, table axes, and the distances and angles to the
+    goal before and after it.
+    """
     before, predicted = from_message(tap.object_pose), from_message(tap.predicted_pose)
     measured = from_message(tap.measured_pose.pose)
     seen = math.isfinite(measured.x)
@@ -262,6 +296,10 @@ def tap_row(tap: TapRecord, goal: Pose) -> dict[str, object]:
         "commanded": triple(Pose(tap.dx, tap.dy, tap.dtheta)),
         "predicted": triple(displacement(before, predicted)),
         "measured": triple(displacement(before, measured)) if seen else [None, None, None],
+        "before": [
+            shown(1e3 * before.distance_to(goal)),
+            shown(math.degrees(before.rotation_to(goal))),
+        ],
         "remaining": remaining,
         "speed": shown(1e3 * tap.striker_speed, 0),
         "outcome": OUTCOMES.get(tap.outcome, "outcome unknown"),

@@ -58,13 +58,16 @@ class Guard:
             addresses=not local,
         )
 
-    def refusal(self, host: str, origin: str | None, *, command: bool) -> str:
+    def refusal(
+        self, host: str, origin: str | None, *, command: bool, page_port: int | None = None
+    ) -> str:
         """Why a request is refused, in words; empty where it is not.
 
         ``host`` and ``origin`` are the request's headers; a ``command`` (a WebSocket, a POST) must
-        have an Origin, a page that is only read need not.
+        have an Origin, a page that is only read need not. ``page_port`` is where the page is served
+        that may ask, where that is not the port of the request itself.
         """
-        name = _host_name(host)
+        name = host_name(host)
         if name is None or not self._known(name):
             return (
                 f"this page is not served under the name '{host[:100]}'; open it by address, or "
@@ -73,7 +76,8 @@ class Guard:
         if origin is None:
             return "a request without an Origin is not taken" if command else ""
         parts = urlsplit(origin) if _plain(origin) else None
-        if parts is None or parts.scheme not in ("http", "https") or parts.netloc != host:
+        expected = host if page_port is None else _with_port(name, page_port)
+        if parts is None or parts.scheme not in ("http", "https") or parts.netloc != expected:
             return f"a page of {origin[:100]} may not speak to this cell"
         return ""
 
@@ -100,7 +104,7 @@ def _plain(text: str) -> bool:
     return text.isascii() and text.isprintable() and " " not in text
 
 
-def _host_name(host: str) -> str | None:
+def host_name(host: str) -> str | None:
     """The name in a Host header, without port and brackets; None where it is malformed."""
     if not _plain(host) or any(sign in host for sign in "/@?#\\"):
         return None
@@ -110,6 +114,12 @@ def _host_name(host: str) -> str | None:
     except ValueError:
         return None
     return parts.hostname
+
+
+def _with_port(name: str, port: int) -> str:
+    """Name and port as a browser writes them in Origin: without the port of http itself."""
+    shown = f"[{name}]" if ":" in name else name
+    return shown if port == 80 else f"{shown}:{port}"
 
 
 def urls(address: str, port: int, token: str) -> list[str]:

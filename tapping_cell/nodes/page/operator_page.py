@@ -1,11 +1,13 @@
 """The operator's page: one web page that shows the cell, takes goals and stops it.
 
-Serves on this machine alone unless `address` says otherwise; then it demands a token. While no page
-is open it hears nothing but the planner, and costs next to nothing.
+Serves on this machine alone unless `address` says otherwise; then it demands a token. STOP is
+served by a process of its own, which also publishes it. While no page is open this node subscribes
+to little more than the planner's states.
 """
 
 from __future__ import annotations
 
+import socket
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -41,11 +43,11 @@ from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, NotReady, run
 from tapping_cell.nodes.conversions import camera_from_message, is_finite, seconds, to_message
 from tapping_cell.nodes.page import guard, server
-from tapping_cell.nodes.page.archive import make_archive
-from tapping_cell.nodes.page.cell_view import CellView, with_code
+from tapping_cell.nodes.page.cell_view import CellView, counted, with_code
 from tapping_cell.nodes.page.ghost import Ghost
 from tapping_cell.nodes.page.node_watch import NodeWatch
 from tapping_cell.nodes.page.pictures import to_jpeg
+from tapping_cell.nodes.page.previews import Previews
 from tapping_cell.nodes.page.requests import (
     BadRequest,
     Command,
@@ -55,13 +57,20 @@ from tapping_cell.nodes.page.requests import (
     SendGoal,
     Turn,
 )
+from tapping_cell.nodes.page.runs import Runs
+from tapping_cell.nodes.page.stop_link import StopLink
 from tapping_cell.nodes.planner.goal_validation import REFUSALS
 from tapping_cell.planning import FreeSpace, check_goal
-from tapping_cell.report.hints import hint
+from tapping_cell.report.error_codes import hint
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraError, CameraModel, View
 
 STATE_PERIOD_S = 0.2
+LONGEST_PATH = 4096
+STOP_NOT_SENT = (
+    "the stop was NOT sent: the process that serves it is starting; press again, or use the wired "
+    "emergency stop"
+)
 LATEST = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
@@ -79,6 +88,9 @@ class Parameters:
         default="localhost",
     )
     port: int = quantity("port of the page; 0 takes any that is free", "", 0, 65535, default=8010)
+    stop_port: int = quantity(
+        "port of the page's STOP; 0 takes any that is free", "", 0, 65535, default=9010
+    )
     token: str = text(
         "what a browser must know; empty makes one where the network can reach the page",
         default="",
@@ -86,12 +98,13 @@ class Parameters:
     host_names: str = text(
         "more names under which browsers may open the page, with commas", default=""
     )
+    runs: str = text("folder of the recorded runs: run_recorder's parameter folder", default="runs")
     picture_rate: float = quantity("greatest rate of pictures", "Hz", 0.1, 60.0, default=10.0)
     picture_quality: int = quantity("quality of the JPEG pictures", "", 10, 100, default=80)
 
 
 class OperatorPage(CellNode[Parameters]):
-    """See the module's docstring. A :class:`server.Desk`."""
+    """See the module's docstring. A :class:`server.Backend`."""
 
     def __init__(self) -> None:
         super().__init__("operator_page", Parameters)
@@ -102,13 +115,15 @@ class OperatorPage(CellNode[Parameters]):
         self._ghost: Ghost | None = None
         self._camera: CameraModel | None = None
         self._refusal: Callable[[Pose], str] = lambda _: ""
-        self._looking: list[Subscription] = []
+        self._watched: list[Subscription] = []
         self._camera_info: Subscription | None = None
         self._watch: NodeWatch | None = None
         self._timer: Timer | None = None
         self._pages = 0
         self._picture_at = -np.inf
-        self._stop_publisher = self.create_publisher(Bool, "emergency_stop", LATCHED)
+        self._stop: StopLink | None = None
+        self._previews: Previews[tuple[Move | Turn | Place, server.Answer]] | None = None
+        self.runs = Runs(Path(self.settings.runs))
         self._action = ActionClient(self, PositionObject, "position_object")
         self._cancel_client = self.create_client(CancelGoal, "position_object/_action/cancel_goal")
         self._clear_clients = {
@@ -117,7 +132,7 @@ class OperatorPage(CellNode[Parameters]):
         }
         self._home_client = self.create_client(Trigger, "scara_arm/home")
         self._button_client = self.create_client(Trigger, "sim_world/press_clear_button")
-        self._last_run: Path | None = None
+        self._last_run = ""
         self.create_subscription(PlanState, "plan_state", self._view.on_plan, LATCHED)
         self.create_subscription(GoalReport, "goal_report", self._view.on_report, LATCHED)
         self.create_subscription(String, "last_run", self._on_last_run, LATCHED)
@@ -137,31 +152,60 @@ class OperatorPage(CellNode[Parameters]):
         self._cell, self._refusal = cell, refusal
 
     def activate(self) -> None:
-        """Open the port and say where the page is."""
-        address, port = self.settings.address, self.settings.port
+        """Open the ports and say where the page is."""
+        address = self.settings.address
         rules = guard.Guard.make(address, self.settings.host_names.split(","), self.settings.token)
+        sockets = self._bind("port", self.settings.port)
+        page_port = sockets[0].getsockname()[1]
         try:
-            sockets = server.bind(address, port)
-        except OSError as error:
-            raise NotReady(
-                f"the page cannot be served at {address}, port {port} ({error.strerror or error}); "
-                "end what uses the port or set the parameters address and port"
-            ) from error
-        self._server = server.PageServer(rules, self, sockets)
+            stop_sockets = self._bind("stop_port", self.settings.stop_port)
+        except NotReady:
+            for each in sockets:
+                each.close()
+            raise
+        self._stop = StopLink(
+            rules,
+            stop_sockets,
+            page_port,
+            self.get_namespace(),
+            self.resolve_topic_name("emergency_stop"),
+            lambda held, who: self._do(self._note_stop, held, who),
+        )
+        self._previews = Previews(self._answer_preview)
+        stop_port = stop_sockets[0].getsockname()[1]
+        self._server = server.PageServer(rules, self, sockets, stop_port)
         self._server.start()
-        self.urls = guard.urls(address, sockets[0].getsockname()[1], rules.token)
+        self._list_runs()
+        self.urls = guard.urls(address, page_port, rules.token)
         for url in self.urls:
             self.get_logger().info(f"operator page: {url}")
 
+    def _bind(self, parameter: str, port: int) -> list[socket.socket]:
+        """Listen at a port of the page. Raises NotReady."""
+        try:
+            return server.bind(self.settings.address, port)
+        except OSError as error:
+            raise NotReady(
+                f"the page cannot be served at {self.settings.address}, port {port} "
+                f"({error.strerror or error}); end what uses the port or set the parameters "
+                f"address and {parameter}"
+            ) from error
+
     def deactivate(self) -> None:
-        """Close the port."""
+        """Close the ports."""
         if self._server is not None:
             self._server.close()
             self._server = None
-        self._look(0)
+        if self._previews is not None:
+            self._previews.close()
+            self._previews = None
+        if self._stop is not None:
+            self._stop.close()
+            self._stop = None
+        self._watch_cell(0)
 
     def cleanup(self) -> None:
-        """Close the port."""
+        """Close the ports."""
         self.deactivate()
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
@@ -170,6 +214,8 @@ class OperatorPage(CellNode[Parameters]):
         values: dict[str, object] = {"url": places, "pages": self._pages}
         if self._server is None:
             return DiagnosticStatus.WARN, self._last_complaint or "the page is not served", values
+        if self._stop is None or not self._stop.ready.is_set():
+            return DiagnosticStatus.WARN, "the process that serves STOP is starting", values
         return DiagnosticStatus.OK, "ok", values
 
     def _on_emergency_stop(self, message: Bool) -> None:
@@ -177,27 +223,33 @@ class OperatorPage(CellNode[Parameters]):
         self._view.emergency_stop = message.data
 
     def _on_last_run(self, message: String) -> None:
-        self._last_run = Path(message.data) if message.data else None
+        """A run was recorded. Where it is only tells where to look: nothing is read from there."""
+        self._last_run = message.data[:LONGEST_PATH]
+        self._list_runs()
 
-    # While a page looks
+    def _list_runs(self) -> None:
+        if self._server is not None:
+            self._server.show_runs(self.runs.rows())
+
+    # While a page is open
 
     def on_pages(self, count: int) -> None:
-        """Hear the cell while at least one page is open (server's thread)."""
-        self._do(self._look, count)
+        """Watch the cell while at least one page is open (server's thread)."""
+        self._do(self._watch_cell, count)
 
-    def _look(self, count: int) -> None:
+    def _watch_cell(self, count: int) -> None:
         self._pages = count
-        if count and not self._looking:
-            self._open_eyes()
-        elif not count and self._looking:
-            self._shut_eyes()
+        if count and not self._watched:
+            self._subscribe()
+        elif not count and self._watched:
+            self._unsubscribe()
 
-    def _open_eyes(self) -> None:
+    def _subscribe(self) -> None:
         subscribe, view = self.create_subscription, self._view
         self._camera_info = subscribe(
             CameraInfo, "camera/camera_info", self._on_camera_info, images.PICTURES
         )
-        self._looking = [
+        self._watched = [
             subscribe(ObjectState, "object_state", view.on_object, LATCHED),
             subscribe(ArmState, "arm_state", view.on_arm, LATCHED),
             subscribe(TapperState, "tapper_state", view.on_tapper, LATCHED),
@@ -208,14 +260,14 @@ class OperatorPage(CellNode[Parameters]):
         self._watch.look()
         self._timer = self.create_timer(STATE_PERIOD_S, self._show)
 
-    def _shut_eyes(self) -> None:
+    def _unsubscribe(self) -> None:
         assert self._watch is not None and self._timer is not None
         self.destroy_timer(self._timer)
         self._watch.close()
         self._drop_camera_info()
-        for subscription in self._looking:
+        for subscription in self._watched:
             self.destroy_subscription(subscription)
-        self._looking.clear()
+        self._watched.clear()
         self._watch = self._timer = self._ghost = None
         self._view.forget()
 
@@ -260,24 +312,26 @@ class OperatorPage(CellNode[Parameters]):
     def _show(self) -> None:
         if self._server is None or self._watch is None:
             return
+        self._view.held_by_page = self._stop is not None and self._stop.held
+        self._view.simulated = self._watch.runs("sim_world")
         state = self._view.state()
         state["nodes"] = self._watch.rows()
-        state["simulated"] = self._watch.runs("sim_world")
         state["placeable"] = self._ghost is not None
-        state["run"] = self._run_state()
+        state["runs_hint"] = self._runs_hint()
         self._server.show(state)
 
-    def _run_state(self) -> dict[str, object]:
-        run = self._last_run
-        if run is not None and run.is_dir():
-            return {"ready": True, "text": f"The last run is {run.name}."}
-        if run is not None:
-            return {"ready": False, "text": f"The last run, {run}, is not on this machine."}
-        if self._watch is not None and self._watch.runs("run_recorder"):
-            return {"ready": False, "text": "No run was recorded yet."}
-        return {"ready": False, "text": "Runs are not kept: run_recorder is not up."}
+    def _runs_hint(self) -> str:
+        """Why the list of runs may lack some; empty where it does not."""
+        if self._last_run and Path(self._last_run).parent != self.runs.folder:
+            return (
+                f"The last run was recorded to {self._last_run}; the page serves only runs in "
+                f"{self.runs.folder}. Set its parameter 'runs' to the recorder's folder."
+            )
+        if self._watch is not None and not self._watch.runs("run_recorder"):
+            return "Runs are not recorded: run_recorder is not running."
+        return ""
 
-    # What pages ask for; on_request, greet and open_run are called by the server
+    # What pages ask for; greet and on_request are called by the server
 
     def greet(self) -> dict[str, object]:
         """What a page must know of the cell."""
@@ -288,52 +342,47 @@ class OperatorPage(CellNode[Parameters]):
             "object": self._cell.object.name,
         }
 
-    def open_run(self) -> tuple[str, Path] | str:
-        """An archive of the last run (a thread of the server's pool)."""
-        run = self._last_run
-        if run is None:
-            return "no run was recorded yet"
-        try:
-            return f"{run.name}.zip", make_archive(run)
-        except OSError as error:
-            return f"the run {run} cannot be packed: {error.strerror or error}"
-
-    def on_request(self, request: Request, who: str, answer: server.Answer) -> None:
+    def on_request(self, page: object, request: Request, who: str, answer: server.Answer) -> None:
         """Serve a page's request (server's thread)."""
         if isinstance(request, (Move, Turn, Place)):
-            answer(self._place_ghost(request))
+            if self._previews is not None:
+                self._previews.ask(page, (request, answer))
         elif isinstance(request, SendGoal):
             self._do(self._send_goal, request.pose, who, answer)
         elif isinstance(request, Command) and request.name == "stop":
-            # Here and now: the executor may be busy with a picture.
-            self._stop_publisher.publish(Bool(data=True))
-            answer(_answer("stop", True, "stop sent to arm, tapper and planner"))
-            self._do(self._view.note, f"stop pressed on the page ({who})", "bad")
+            sent = self._stop is not None and self._stop.stop(who)
+            text = "stop sent to arm, tapper and planner" if sent else STOP_NOT_SENT
+            answer(_answer("stop", sent, text))
         elif isinstance(request, Command):
             serve = {
                 "clear": self._clear,
                 "cancel": self._cancel,
                 "home": self._home,
                 "press_button": self._press_button,
-                "download": self._download,
             }[request.name]
             self._do(serve, who, answer)
+
+    def _note_stop(self, held: bool, who: str) -> None:
+        if held and who:
+            self._view.note(f"STOP pressed on the page ({who})", "bad")
 
     def _do(self, function: Callable[..., None], *arguments: object) -> None:
         """Call in the executor's thread, from any other."""
         if self.executor is not None:
             self.executor.create_task(function, *arguments)
 
-    def _place_ghost(self, request: Move | Turn | Place) -> dict[str, object]:
+    def _answer_preview(self, asked: tuple[Move | Turn | Place, server.Answer]) -> None:
+        """Where a dragged goal lies (the previews' thread)."""
+        request, answer = asked
         ghost = self._ghost
         try:
             if ghost is None:
                 raise BadRequest(
                     "the camera's place over the table is not known yet; type the goal instead"
                 )
-            return ghost.answer(request)
+            answer(ghost.answer(request))
         except BadRequest as error:
-            return {"type": "ghost", "number": request.number, "trouble": str(error)}
+            answer({"type": "ghost", "number": request.number, "trouble": str(error)})
 
     def _send_goal(self, pose: Pose, who: str, answer: server.Answer) -> None:
         if not self._action.server_is_ready():
@@ -355,7 +404,7 @@ class OperatorPage(CellNode[Parameters]):
         def ended(future: Future) -> None:
             result: PositionObject.Result = future.result().result
             if result.error_code == ErrorCode.NONE:
-                answer(_answer("goal", True, f"goal reached after {result.taps} taps"))
+                answer(_answer("goal", True, f"goal reached after {counted(result.taps, 'tap')}"))
                 return
             sentence = with_code(result.error_msg, result.error_code)
             answer({**_answer("goal", False, sentence), "hint": hint(result.error_code)})
@@ -382,7 +431,8 @@ class OperatorPage(CellNode[Parameters]):
         self._view.note(f"cancel pressed on the page ({who})")
 
     def _clear(self, who: str, answer: server.Answer) -> None:
-        self._stop_publisher.publish(Bool(data=False))
+        if self._stop is not None:
+            self._stop.release()
         self._view.note(f"faults cleared on the page ({who})")
         for name, client in self._clear_clients.items():
             self._call(client, Trigger.Request(), "clear", name, answer)
@@ -395,11 +445,6 @@ class OperatorPage(CellNode[Parameters]):
         self._call(
             self._button_client, Trigger.Request(), "press_button", "the clear button", answer
         )
-
-    def _download(self, _: str, answer: server.Answer) -> None:
-        if self._server is not None:
-            ticket = self._server.make_ticket()
-            answer({"type": "download", "path": f"run/{ticket}"})
 
     def _call(
         self,

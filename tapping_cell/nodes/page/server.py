@@ -1,9 +1,10 @@
 """The web server of the operator's page: a thread of its own with tornado's loop.
 
-Nothing in here knows ROS. The node gives a :class:`Desk`, whose methods are called in the server's
-thread and must not block; what the node has to show it hands over with :meth:`PageServer.show` and
-:meth:`PageServer.show_picture` from any thread. Every page gets only the latest of both: one that
-is slow sees fewer pictures, one that does not read at all is dropped.
+Nothing in here knows ROS. The node is a :class:`Backend`, whose methods are called in the server's
+thread and must not block; what the node has to show it hands over with :meth:`PageServer.show`,
+:meth:`PageServer.show_runs` and :meth:`PageServer.show_picture` from any thread. Every page gets
+only the latest state and picture: one that is slow sees fewer, one that does not read at all is
+dropped.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import asyncio
 import contextlib
 import json
 import os
+import re
 import secrets
 import socket
 import struct
@@ -20,7 +22,8 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
+from urllib.parse import unquote
 
 from tornado.httpserver import HTTPServer
 from tornado.iostream import StreamClosedError
@@ -28,15 +31,18 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application, RequestHandler, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from tapping_cell.nodes.page.guard import Guard
+from tapping_cell.nodes.page.guard import Guard, host_name
 from tapping_cell.nodes.page.requests import (
     LARGEST_MESSAGE,
     BadRequest,
+    Command,
     Hello,
     Request,
     Seen,
+    SendGoal,
     parse,
 )
+from tapping_cell.nodes.page.runs import Runs
 
 STATIC = Path(__file__).parent / "static"
 MOST_PAGES = 16
@@ -46,10 +52,13 @@ WRITE_PATIENCE_S = 5.0
 """How long a page may take to read what it was sent."""
 PING_PERIOD_S = 5.0
 MOST_MESSAGES = 100
-"""Of one page in a second."""
+"""Of one page in a second; the connection of a page with more is closed."""
+MOST_COMMANDS = 10
+"""Goals and commands of one page in a second; more are refused. A stop is never refused."""
 MOST_ANSWERS = 64
 """Waiting for one page to read them."""
-TICKET_LIFE_S = 30.0
+MOST_DOWNLOADS = 2
+"""At the same time; packing a run takes a thread and room on the disk."""
 PIECE_PATIENCE_S = 60.0
 """How long a download may stand still."""
 
@@ -58,11 +67,16 @@ BAD_TOKEN = 4401
 TOO_MANY_PAGES = 4409
 TOO_MANY_MESSAGES = 4429
 
+PAGE_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
+    "connect-src 'self' {stop}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+REPORT_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'; sandbox"
+)
+"""A report is shown as it was written, but whatever is in it runs nothing and knows no origin."""
 HEADERS = {
-    "Content-Security-Policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
-        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    ),
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
@@ -78,7 +92,7 @@ Answer = Callable[[dict[str, object]], None]
 """Gives a page its answer; from any thread."""
 
 
-class Desk(Protocol):
+class Backend(Protocol):
     """What the node does for the pages. Called in the server's thread; must not block."""
 
     def greet(self) -> dict[str, object]:
@@ -87,23 +101,29 @@ class Desk(Protocol):
     def on_pages(self, count: int) -> None:
         """So many pages look now."""
 
-    def on_request(self, request: Request, who: str, answer: Answer) -> None:
+    def on_request(self, page: object, request: Request, who: str, answer: Answer) -> None:
         """A page asks for something."""
 
-    def open_run(self) -> tuple[str, Path] | str:
-        """Name and path of the archive of the last run, or why there is none."""
+    @property
+    def runs(self) -> Runs:
+        """The recorded runs."""
 
 
 class PageServer:
     """Serves the page on sockets that are already bound."""
 
-    def __init__(self, guard: Guard, desk: Desk, sockets: list[socket.socket]) -> None:
+    def __init__(
+        self, guard: Guard, backend: Backend, sockets: list[socket.socket], stop_port: int
+    ) -> None:
+        """``stop_port``: where :mod:`tapping_cell.nodes.page.stop_server` serves STOP."""
         self.guard = guard
-        self.desk = desk
+        self.backend = backend
         self.pages: set[PageSocket] = set()
-        self.tickets: dict[str, float] = {}
+        self.downloads = 0
+        self._stop_port = stop_port
         self._sockets = sockets
         self._state = ""
+        self._runs = ""
         self._pictures = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ending = asyncio.Event()
@@ -116,7 +136,7 @@ class PageServer:
         self._ready.wait(5.0)
 
     def close(self, patience: float = 3.0) -> None:
-        """Say good-bye to every page and end the thread."""
+        """Close every page and end the thread."""
         self._call(self._ending.set)
         self._thread.join(patience)
         for each in self._sockets:
@@ -130,6 +150,11 @@ class PageServer:
     def show(self, state: dict[str, object]) -> None:
         """Show this state to every page; from any thread."""
         self._call(self._show, json.dumps({"type": "state", **state}, allow_nan=False))
+
+    def show_runs(self, runs: list[dict[str, object]]) -> None:
+        """Show the list of runs to every page; from any thread."""
+        content = {"type": "runs", "folder": str(self.backend.runs.folder), "runs": runs}
+        self._call(self._show_runs, json.dumps(content, allow_nan=False))
 
     def show_picture(self, jpeg: bytes, stamp: float, age: float) -> None:
         """Show a picture to every page that waits for one; from any thread."""
@@ -157,7 +182,12 @@ class PageServer:
         self._loop = asyncio.get_running_loop()
         handlers: list[Any] = [
             ("/live", PageSocket, {"server": self}),
-            (r"/run/([\w-]{8,64})", RunHandler, {"server": self}),
+            ("/stop-port", StopPortHandler, {"server": self, "port": self._stop_port}),
+            (
+                r"/runs/([\w-]{22})/([^/]{1,400})/(report\.html|run\.zip)",
+                RunHandler,
+                {"server": self},
+            ),
             (
                 "/(.*)",
                 FileHandler,
@@ -167,6 +197,7 @@ class PageServer:
         application = Application(
             handlers,
             log_function=lambda _: None,
+            stop_port=self._stop_port,
             websocket_ping_interval=PING_PERIOD_S,
             websocket_max_message_size=LARGEST_MESSAGE,
         )
@@ -191,6 +222,11 @@ class PageServer:
         for page in self.pages:
             page.show(state)
 
+    def _show_runs(self, runs: str) -> None:
+        self._runs = runs
+        for page in self.pages:
+            page.send(runs)
+
     def _show_picture(self, jpeg: bytes, stamp: float, age: float) -> None:
         self._pictures += 1
         frame = PICTURE_HEADER.pack(self._pictures % 2**32, stamp, age) + jpeg
@@ -202,25 +238,23 @@ class PageServer:
         if len(self.pages) >= MOST_PAGES:
             return False
         self.pages.add(page)
-        page.say({"type": "welcome", **self.desk.greet()})
+        page.answer({"type": "welcome", "key": page.key, **self.backend.greet()})
+        if self._runs:
+            page.send(self._runs)
         if len(self.pages) > 1 and self._state:
             page.show(self._state)
-        self.desk.on_pages(len(self.pages))
+        self.backend.on_pages(len(self.pages))
         return True
 
     def leave(self, page: PageSocket) -> None:
         """A page is gone."""
         if page in self.pages:
             self.pages.remove(page)
-            self.desk.on_pages(len(self.pages))
+            self.backend.on_pages(len(self.pages))
 
-    def make_ticket(self) -> str:
-        """A word that allows one download, soon."""
-        ticket = secrets.token_urlsafe(16)
-        now = time.monotonic()
-        self.tickets = {word: end for word, end in self.tickets.items() if end > now}
-        self.tickets[ticket] = now + TICKET_LIFE_S
-        return ticket
+    def knows(self, key: str) -> bool:
+        """Whether a key is that of an open page; it allows to read the runs."""
+        return any(secrets.compare_digest(page.key, key) for page in self.pages)
 
 
 class _Guarded(RequestHandler):
@@ -233,9 +267,16 @@ class _Guarded(RequestHandler):
         """The security headers go with every answer, also with refusals."""
         for name, value in HEADERS.items():
             self.set_header(name, value)
+        name = host_name(self.request.host) or ""
+        # A policy cannot name an address of IPv6.
+        place = f"http://{'*' if ':' in name else name}:{self.settings['stop_port']}"
+        self.set_header("Content-Security-Policy", PAGE_POLICY.format(stop=place))
 
     def prepare(self) -> None:
-        """Refuse a wrong Host or Origin before anything else happens."""
+        """Refuse a wrong Host or Origin, or a path that is none, before anything else happens."""
+        if not unquote(self.request.path).isprintable():
+            self.refuse(400, "the path holds characters that no path has")
+            return
         headers = self.request.headers
         origin = headers.get("Origin") or headers.get("Sec-Websocket-Origin")
         refusal = self.server.guard.refusal(self.request.host, origin, command=self.command)
@@ -263,32 +304,69 @@ class FileHandler(_Guarded, StaticFileHandler):
         super().initialize(path, default_filename)
 
 
+class StopPortHandler(_Guarded):
+    """Where STOP is served."""
+
+    def initialize(self, server: PageServer, port: int) -> None:
+        """Keep the server."""
+        self.server = server
+        self._port = port
+
+    def get(self) -> None:
+        """The port's number."""
+        self.write(str(self._port))
+
+
 class RunHandler(_Guarded):
-    """Downloads of run folders, for whoever holds a ticket."""
+    """Reports and archives of recorded runs, for whoever has a page open."""
 
     def initialize(self, server: PageServer) -> None:
         """Keep the server."""
         self.server = server
 
-    async def get(self, ticket: str) -> None:
-        """The archive of the last run, sent piece by piece."""
-        if self.server.tickets.pop(ticket, 0.0) < time.monotonic():
-            self.refuse(403, "this link was used or has expired; press the page's button again")
+    async def get(self, key: str, name: str, what: str) -> None:
+        """The report as a page, or the run's archive piece by piece."""
+        if not self.server.knows(key):
+            self.refuse(403, "this link belongs to a page that is closed; use one of an open page")
+        elif what == "run.zip":
+            await self._archive(name)
+        else:
+            report = self.server.backend.runs.report(name)
+            if report is None:
+                self.refuse(404, f"there is no report of a run '{name}'")
+                return
+            self.set_header("Content-Security-Policy", REPORT_POLICY)
+            self.set_header("Content-Type", "text/html; charset=utf-8")
+            with report.open("rb") as file:
+                await self._send_file(file)
+
+    async def _archive(self, name: str) -> None:
+        if self.server.downloads >= MOST_DOWNLOADS:
+            self.refuse(503, f"{MOST_DOWNLOADS} downloads are under way; try again when one ends")
             return
-        found = await asyncio.get_running_loop().run_in_executor(None, self.server.desk.open_run)
-        if isinstance(found, str):
-            self.refuse(404, found)
-            return
-        name, path = found
-        self.set_header("Content-Type", "application/zip")
-        self.set_header("Content-Disposition", f'attachment; filename="{name}"')
-        with path.open("rb") as archive:
-            path.unlink()  # however the download ends, nothing is left
-            self.set_header("Content-Length", str(os.fstat(archive.fileno()).st_size))
-            with contextlib.suppress(StreamClosedError, asyncio.TimeoutError):
-                while piece := archive.read(1 << 18):
-                    self.write(piece)
-                    await asyncio.wait_for(self.flush(), PIECE_PATIENCE_S)
+        self.server.downloads += 1
+        try:
+            loop = asyncio.get_running_loop()
+            path = await loop.run_in_executor(None, self.server.backend.runs.archive, name)
+            if path is None:
+                self.refuse(404, f"there is no run '{name}'")
+                return
+            self.set_header("Content-Type", "application/zip")
+            self.set_header("Content-Disposition", f'attachment; filename="{_plain(name)}.zip"')
+            with path.open("rb") as file:
+                path.unlink()  # however the download ends, nothing is left
+                await self._send_file(file)
+        except OSError as error:
+            self.refuse(500, f"the run '{name}' cannot be packed: {error.strerror or error}")
+        finally:
+            self.server.downloads -= 1
+
+    async def _send_file(self, file: BinaryIO) -> None:
+        self.set_header("Content-Length", str(os.fstat(file.fileno()).st_size))
+        with contextlib.suppress(StreamClosedError, asyncio.TimeoutError):
+            while piece := file.read(1 << 18):
+                self.write(piece)
+                await asyncio.wait_for(self.flush(), PIECE_PATIENCE_S)
 
 
 class PageSocket(_Guarded, WebSocketHandler):
@@ -300,12 +378,14 @@ class PageSocket(_Guarded, WebSocketHandler):
         """Keep the server."""
         self.server = server
         self.joined = False
+        self.key = secrets.token_urlsafe(16)
         self._answers: deque[str] = deque()
         self._state = ""
         self._picture = b""
         self._awaited = 0
         self._wake = asyncio.Event()
-        self._second = (0, 0)
+        self._messages = _Count()
+        self._commands = _Count()
         self._tasks: list[asyncio.Task[None]] = []
 
     @property
@@ -334,16 +414,13 @@ class PageSocket(_Guarded, WebSocketHandler):
         """Serve one message; whatever it holds, the page gets an answer in words."""
         if self.ws_connection is None:  # closed from here; what was still on its way is not served
             return
-        second, count = self._second
-        now = int(time.monotonic())
-        self._second = (now, count + 1 if now == second else 1)
-        if self._second[1] > MOST_MESSAGES:
+        if self._messages.add() > MOST_MESSAGES:
             self.close(TOO_MANY_MESSAGES, "too many messages in a second")
             return
         try:
             request = parse(message)
         except BadRequest as error:
-            self.say({"type": "answer", "ok": False, "text": str(error)})
+            self.answer({"type": "answer", "ok": False, "text": str(error)})
             return
         if isinstance(request, Hello):
             self._hello(request)
@@ -352,12 +429,22 @@ class PageSocket(_Guarded, WebSocketHandler):
         elif isinstance(request, Seen):
             if request.number == self._awaited:
                 self._awaited = 0
+        elif self._is_too_much(request):
+            text = f"more than {MOST_COMMANDS} commands in a second; wait a little"
+            self.answer({"type": "answer", "ok": False, "text": text})
         else:
-            self.server.desk.on_request(
+            self.server.backend.on_request(
+                self,
                 request,
                 self.request.remote_ip or "?",
-                lambda answer: self.server.later(self.say, answer),
+                lambda answer: self.server.later(self.answer, answer),
             )
+
+    def _is_too_much(self, request: Request) -> bool:
+        """Whether a page asks for more than the node should be kept busy with."""
+        if request == Command("stop") or not isinstance(request, (Command, SendGoal)):
+            return False
+        return self._commands.add() > MOST_COMMANDS
 
     def _hello(self, request: Hello) -> None:
         if self.joined:
@@ -378,12 +465,16 @@ class PageSocket(_Guarded, WebSocketHandler):
 
     # To the page
 
-    def say(self, answer: dict[str, object]) -> None:
+    def answer(self, content: dict[str, object]) -> None:
         """Send an answer; they all arrive, in order."""
+        self.send(json.dumps(content, allow_nan=False))
+
+    def send(self, text: str) -> None:
+        """Send a text; they all arrive, in order."""
         if len(self._answers) >= MOST_ANSWERS:
             self.close(TOO_MANY_MESSAGES, "more messages at once than can be answered")
             return
-        self._answers.append(json.dumps(answer, allow_nan=False))
+        self._answers.append(text)
         self._wake.set()
 
     def show(self, state: str) -> None:
@@ -424,6 +515,26 @@ class PageSocket(_Guarded, WebSocketHandler):
 
     async def _send(self, content: str | bytes, *, binary: bool) -> None:
         await asyncio.wait_for(self.write_message(content, binary), WRITE_PATIENCE_S)
+
+
+class _Count:
+    """Counts what happens within the present second."""
+
+    def __init__(self) -> None:
+        self._second = 0
+        self._count = 0
+
+    def add(self) -> int:
+        """One more; the number of this second."""
+        second = int(time.monotonic())
+        self._count = self._count + 1 if second == self._second else 1
+        self._second = second
+        return self._count
+
+
+def _plain(name: str) -> str:
+    """A file's name as a header takes it."""
+    return re.sub(r"[^\w.+-]", "_", name, flags=re.ASCII)
 
 
 def bind(address: str, port: int) -> list[socket.socket]:

@@ -31,6 +31,7 @@ from tapping_cell.planning import (
     load_gains,
     make_planner,
 )
+from tapping_cell.planning.gains import NAMES
 from tapping_cell.se2 import Pose
 
 
@@ -54,14 +55,23 @@ class GoalDesk:
     """
 
     def __init__(
-        self, cell: Cell, planner: str, neighbours: Neighbours, *, adapt: bool, keep_for: str
+        self,
+        cell: Cell,
+        planner: str,
+        neighbours: Neighbours,
+        *,
+        adapt: bool,
+        probe: bool,
+        keep_for: str,
     ) -> None:
         """``neighbours``: the further objects, to be kept clear of; ``adapt``: learn from taps;
+        ``probe``: begin with a few of the smallest taps for an object that is not known;
         ``keep_for``: the cell for which what was learnt is remembered between runs; empty for none.
         """
         self.cell = cell
         self._neighbours = neighbours
         self._adapt = adapt
+        self._probe = probe
         self._keep_for = keep_for
         self._gains = load_gains(cell.object.name, keep_for) if keep_for else Gains.start()
         self._planner = planner or cell.file.goal.planner
@@ -124,6 +134,14 @@ class GoalDesk:
             self._planner = before
             raise
 
+    def learnt(self) -> dict[str, str]:
+        """What earlier goals taught about the object, with deviations, for diagnostics."""
+        numbers = self._gains.as_numbers()
+        return {
+            f"learnt {name}": f"{numbers[name]:.4f} +- {numbers[f'{name}_deviation']:.4f}"
+            for name in NAMES
+        }
+
     def learn(self, task: Task) -> None:
         """Remember what a goal's taps taught about the object, for the goals that follow."""
         self._gains = task.session.gains
@@ -159,6 +177,7 @@ class GoalDesk:
             self._free,
             self._gains,
             adapt=self._adapt,
+            probe=self._probe,
             most_taps=max_taps,
         )
         return Task(request.message, goal, tolerance, max_taps, session, request.handle)

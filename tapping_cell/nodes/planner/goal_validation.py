@@ -32,6 +32,8 @@ REFUSALS = {
     RefusalReason.OBJECT_POSE_NOT_FINITE: ErrorCode.OBJECT_NOT_SEEN,
     RefusalReason.OBJECT_OFF_TABLE: ErrorCode.OBJECT_OFF_TABLE,
     RefusalReason.NO_STRIKE: ErrorCode.NO_TAP_FOUND,
+    RefusalReason.PROBE_NEEDED: ErrorCode.NO_TAP_FOUND,
+    RefusalReason.NO_CONTACT: ErrorCode.NO_TAP_FOUND,
     RefusalReason.CAMERA_TOO_COARSE: ErrorCode.OBJECT_NOT_SEEN,
     RefusalReason.TOO_MANY_TAPS: ErrorCode.TAP_LIMIT_REACHED,
     RefusalReason.TAP_LEAVES_TABLE: ErrorCode.TAP_LEAVES_TABLE,

@@ -43,7 +43,7 @@ from tapping_cell.nodes.planner.goal_validation import REFUSALS, Refused
 from tapping_cell.nodes.planner.other_objects import Neighbours
 from tapping_cell.nodes.planner.plan_reporter import PlanReporter
 from tapping_cell.nodes.planner.tap_task import LEAST_EFFECT, Shot, Task
-from tapping_cell.planning import Done, PlanningError, Refusal, RefusalReason, Strike
+from tapping_cell.planning import Done, LookAgain, PlanningError, Refusal, RefusalReason, Strike
 from tapping_cell.se2 import Pose
 
 TICK_S = 0.02
@@ -74,6 +74,10 @@ class Parameters:
     planner: str = text("planning method; empty for the cell file's", default="")
     adapt: bool = text("learn from every tap how the object answers", default=True)
     keep_gains: bool = text("remember what was learnt of an object between runs", default=False)
+    probe: bool = text(
+        "begin with up to three of the smallest taps where the object's friction is not known",
+        default=False,
+    )
     frames_needed: int = quantity(
         "pictures at rest that a look must be fused of", "", 1, 1000, default=10
     )
@@ -162,6 +166,7 @@ class TapPlanner(CellNode[Parameters]):
                 self.settings.planner,
                 self._neighbours,
                 adapt=self.settings.adapt,
+                probe=self.settings.probe,
                 keep_for=key_of(self) if self.settings.keep_gains else "",
             )
         except PlanningError as error:
@@ -211,6 +216,8 @@ class TapPlanner(CellNode[Parameters]):
             "residual distance (mm)": f"{1000 * last.residual_distance:.3f}",
             "residual rotation (deg)": f"{math.degrees(last.residual_rotation):.3f}",
         }
+        if self._desk is not None:
+            values.update(self._desk.learnt())
         if last.error_code:
             return DiagnosticStatus.WARN, last.error_msg, values
         return DiagnosticStatus.OK, "ok", values
@@ -348,13 +355,19 @@ class TapPlanner(CellNode[Parameters]):
         shot, self._shot = self._shot, None
         if shot is not None and shot.outcome != TapperState.NOT_FIRED:
             task.take_in(shot, seen)
+            warning = task.session.edge_warning(from_message(seen.pose.pose))
+            if warning:
+                self.get_logger().warning(warning)
             self._say(ErrorCode.NONE, "")
         unknown = self._desk.room_for(task, self._look_after)
         if unknown is not None:
             if self._late():
                 self._fail(*unknown)
             return
-        decision = task.decide(seen)
+        frames = 0 if self._late() else self.settings.frames_needed
+        decision = task.decide(seen, frames)
+        if isinstance(decision, LookAgain):
+            return  # the look gets longer with every picture
         if isinstance(decision, Done):
             self._finish(task.done_phase, ErrorCode.NONE, "")
         elif isinstance(decision, Refusal):

@@ -15,13 +15,13 @@ from tapping_cell_msgs.msg import ObjectState, PlanState, TapCommand, TapperStat
 
 from tapping_cell.nodes.conversions import covariance_from_message, from_message, to_message
 from tapping_cell.planning import (
-    Done,
+    Decision,
     FreeSpace,
     PositioningSession,
     PrescribedSession,
-    Refusal,
     Strike,
 )
+from tapping_cell.planning.stopping import LONG_LOOK
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import ReferenceMap
 
@@ -113,10 +113,15 @@ class Task:
             f"{math.degrees(self.goal.theta):.1f} deg"
         )
 
-    def decide(self, seen: ObjectState) -> Done | Strike | Refusal:
-        """What to do with the object at rest as it is seen."""
+    def decide(self, seen: ObjectState, frames: int) -> Decision:
+        """What to do with the object at rest as it is seen; a look is ``frames`` long, a long one
+        ``LONG_LOOK`` times that; 0 where there is no time left for a long one."""
         pose = from_message(seen.pose.pose)
-        return self.session.decide(pose, covariance_from_message(seen.pose.covariance))
+        return self.session.decide(
+            pose,
+            covariance_from_message(seen.pose.covariance),
+            look_again=seen.frames_fused < LONG_LOOK * frames,
+        )
 
     def take_in(self, shot: Shot, seen: ObjectState) -> None:
         """Learn from a tap that was, or may have been, fired."""
@@ -167,7 +172,7 @@ class SingleTapTask(Task):
             f"{math.degrees(asked.incidence):.1f} deg"
         )
 
-    def decide(self, seen: ObjectState) -> Done | Strike | Refusal:
+    def decide(self, seen: ObjectState, frames: int) -> Decision:
         """The tap, kept between the reference markers that the camera sees; then Done."""
         used = set(seen.references_used)
         known = [marker.id in used for marker in self.references.markers]

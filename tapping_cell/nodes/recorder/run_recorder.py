@@ -40,7 +40,7 @@ from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from tapping_cell.configuration.cell import Cell, load_cell
-from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import seconds
@@ -58,6 +58,7 @@ from tapping_cell.nodes.recorder.recording import (
     run_name,
     same_goal,
 )
+from tapping_cell.nodes.recorder.run_names import LONGEST_NAME, is_run_name
 from tapping_cell.nodes.worker import Worker
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.report.bag import BagError, Quality
@@ -74,6 +75,7 @@ END_PATIENCE_S = 4.0
 WRITE_PERIOD_S = 0.5
 REPEATED_WITHIN_S = 10.0
 """The same refusal again within this time makes no folder of its own."""
+LONGEST_PATH = 1024
 DEPTH = 200
 """Messages that may wait while a busy machine keeps this node from its work."""
 
@@ -141,6 +143,26 @@ class Parameters:
         2**31 - 1,
         default=-1,
     )
+
+
+def checked_folder(folder: str) -> str:
+    """The parameter ``folder``. Raises ValueError with a sentence."""
+    if not folder or not folder.isprintable() or len(folder) > LONGEST_PATH:
+        raise ValueError(
+            f"folder has {len(folder)} characters; give a path of 1 to {LONGEST_PATH} characters "
+            "that can be printed"
+        )
+    return folder
+
+
+def checked_name(name: str) -> str:
+    """The parameter ``name``. Raises ValueError with a sentence."""
+    if name and not is_run_name(name):
+        raise ValueError(
+            f"name is '{name[:40]}' with {len(name)} characters; give at most {LONGEST_NAME} that "
+            "can be printed, without / and not beginning with a dot, or none for time and goal"
+        )
+    return name
 
 
 class RunRecorder(CellNode[Parameters]):
@@ -220,6 +242,11 @@ class RunRecorder(CellNode[Parameters]):
 
     def configure(self) -> None:
         """Read the files that a run writes down, and begin to work."""
+        try:
+            self._folder = checked_folder(self.settings.folder)
+            self._name = checked_name(self.settings.name)
+        except ValueError as error:
+            raise ConfigurationError(f"parameters of run_recorder: {error}") from error
         cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
         self._cell = cell
         self._notes = cell_notes(cell, self.settings.seed)
@@ -253,9 +280,9 @@ class RunRecorder(CellNode[Parameters]):
         if name == "picture_rate":
             self._picture_rate = float(str(value))
         elif name == "folder":
-            self._folder = str(value)
+            self._folder = checked_folder(str(value))
         else:
-            self._name = str(value)
+            self._name = checked_name(str(value))
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """What is recorded, and what keeps it from being."""
@@ -339,7 +366,7 @@ class RunRecorder(CellNode[Parameters]):
     def _begin(self, plan: PlanState, refused: bool) -> None:
         """Open a recording with what was heard in the last seconds."""
         began = seconds(plan.header.stamp)
-        name = Path(self._name).name or run_name(began, self.get_namespace(), plan.goal)
+        name = self._name or run_name(began, self.get_namespace(), plan.goal)
         notes = {**self._notes, "began": began, "refused": refused}
         with self._lock:
             lead = list(self._lead)
@@ -407,7 +434,7 @@ class RunRecorder(CellNode[Parameters]):
     def _open(self, folder: Path, name: str) -> None:
         try:
             least_free = MEGABYTE * self.settings.least_free
-            prepared = bool(Path(self._name).name)
+            prepared = bool(self._name)
             made = new_folder(folder, name, self.settings.most_runs, least_free, prepared)
             self._recording = Recording(made, self._topics, self._types)
         except CannotRecord as error:

@@ -166,7 +166,8 @@ class SimWorld(CellNode[Parameters]):
             self._world_began = clock - Duration(seconds=now)
         stamp = self._world_began + Duration(seconds=taken - camera.exposure / 2)
         self._publish_truth(middle, stamp)
-        picture = images.to_message(self._renderer.render(opening, closing), "mono8")
+        solids = self._devices.solids(now) if camera.shows_arm and self._devices else ()
+        picture = images.to_message(self._renderer.render(opening, closing, solids), "mono8")
         picture.header.frame_id = "camera_optical"
         picture.header.stamp = stamp.to_msg()
         self._late.append((now + camera.latency, picture))

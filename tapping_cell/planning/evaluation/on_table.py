@@ -10,7 +10,8 @@ from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.evaluation.task import End, Evaluation, Results, draw_gains, draw_tasks
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.interface import Array, Planner
-from tapping_cell.planning.session import Done, PositioningSession, Strike
+from tapping_cell.planning.session import Decision, Done, LookAgain, PositioningSession, Strike
+from tapping_cell.planning.stopping import LONG_LOOK
 from tapping_cell.planning.strike import StrikeSpace
 from tapping_cell.se2 import wrap_angle
 
@@ -37,8 +38,10 @@ def run_table_trials(
         goal[2] = wrap_angle(goal[2])
         gain = true_gains[index : index + 1]
         rows.append(_run_one(evaluation, planner, space, free, start, goal, gain, rng))
-    taps, end, inside, distance, rotation = (np.array(column) for column in zip(*rows, strict=True))
-    return Results(taps.astype(np.int64), end.astype(np.int64), inside, distance, rotation)
+    taps, end, inside, distance, rotation, over = (
+        np.array(column) for column in zip(*rows, strict=True)
+    )
+    return Results(taps.astype(np.int64), end.astype(np.int64), inside, distance, rotation, over)
 
 
 def _draw_start(space: StrikeSpace, free: FreeSpace, rng: np.random.Generator) -> Array:
@@ -62,22 +65,29 @@ def _run_one(
     goal: Array,
     gain: Array,
     rng: np.random.Generator,
-) -> tuple[int, int, bool, float, float]:
+) -> tuple[int, int, bool, float, float, bool]:
     session = PositioningSession(
-        goal, planner, space, free, adapt=evaluation.adapt, most_taps=evaluation.most_taps
+        goal,
+        planner,
+        space,
+        free,
+        adapt=evaluation.adapt,
+        probe=evaluation.probe,
+        most_taps=evaluation.most_taps,
     )
     camera, settings = evaluation.settings.camera, evaluation.settings
     look = np.array([camera.position, camera.position, camera.angle])
-    pose = start.copy()
+    pose, over = start.copy(), False
     seen = pose + look * rng.standard_normal(3)
-    decision = session.decide(seen)
+    decision, seen = _decide(session, pose, seen, evaluation, rng)
     while isinstance(decision, Strike):
         moved = evaluation.answer(pose[None, :], np.array([decision.commanded]), gain, rng)[0]
         pose = pose + moved
         pose[2] = wrap_angle(pose[2])
+        over = over or float(space.workspace.edge_distance(pose[:2])) < space.object_radius
         before, seen = seen, pose + look * rng.standard_normal(3)
         session.observe(decision, before, seen)
-        decision = session.decide(seen)
+        decision, seen = _decide(session, pose, seen, evaluation, rng)
     if isinstance(decision, Done):
         end = End.DONE
     elif session.taps >= evaluation.most_taps:
@@ -87,4 +97,22 @@ def _run_one(
     left = goal - pose
     distance, rotation = math.hypot(left[0], left[1]), float(wrap_angle(left[2]))
     within = distance <= settings.tolerance_position and abs(rotation) <= settings.tolerance_angle
-    return session.taps, int(end), within, distance, rotation
+    return session.taps, int(end), within, distance, rotation, over
+
+
+def _decide(
+    session: PositioningSession,
+    pose: Array,
+    seen: Array,
+    evaluation: Evaluation,
+    rng: np.random.Generator,
+) -> tuple[Decision, Array]:
+    """The session's decision and the pose that it was made on, after looking longer if it asks."""
+    camera = evaluation.settings.camera
+    look = np.array([camera.position, camera.position, camera.angle])
+    for looks in range(1, LONG_LOOK + 1):
+        decision = session.decide(seen, camera.covariance / looks, look_again=looks < LONG_LOOK)
+        if not isinstance(decision, LookAgain):
+            break
+        seen = seen + (pose + look * rng.standard_normal(3) - seen) / (looks + 1)
+    return decision, seen

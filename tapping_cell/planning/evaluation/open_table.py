@@ -17,6 +17,9 @@ from tapping_cell.planning.evaluation.task import (
 from tapping_cell.planning.evaluation.worlds import draw_starts
 from tapping_cell.planning.gains import Gains
 from tapping_cell.planning.interface import Array, Planner
+from tapping_cell.planning.session import WORTH_A_LOOK
+from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.stopping import CONFIDENCE, LONG_LOOK, inside_probability
 from tapping_cell.se2 import wrap_angle
 
 MISSED = 0.1
@@ -31,7 +34,6 @@ def run_open_trials(
 ) -> Results:
     """``count`` trials from one random stream."""
     camera = evaluation.settings.camera
-    box = planner.settings.stopping
     pose = draw_starts(count, rng)
     goal = pose + draw_tasks(evaluation, count, rng)
     true_gains = draw_gains(evaluation, count, rng)
@@ -43,10 +45,8 @@ def run_open_trials(
     aside = np.zeros(count)
     running: NDArray[np.intp] = np.arange(count, dtype=np.intp)
     for _ in range(evaluation.most_taps + 1):
+        inside = look_longer(seen, pose, goal, running, evaluation.settings, rng)
         left = _remaining(goal[running], seen[running])
-        inside = (np.hypot(left[:, 0], left[:, 1]) <= box.distance) & (
-            np.abs(left[:, 2]) <= box.rotation
-        )
         end[running[inside]] = End.DONE
         running, left = running[~inside], left[~inside]
         if running.size == 0:
@@ -56,7 +56,14 @@ def run_open_trials(
         known = gains.of(running)
         distance, turn, heading = known.to_plan(left)
         tap = planner.choose(distance, turn)
-        commanded = known.command(tap.distance, tap.rotation, heading + aside[running])
+        orientation = seen[running, 2]
+        commanded = known.command(
+            tap.distance,
+            tap.rotation,
+            heading + aside[running],
+            orientation,
+            evaluation.settings.cone_slope,
+        )
         moved = evaluation.answer(pose[running], commanded, true_gains[running], rng)
         pose[running] += moved
         before = seen[running]
@@ -67,7 +74,10 @@ def run_open_trials(
         aside[running] = np.where(missed, rng.uniform(-ASIDE, ASIDE, running.size), 0.0)
         if evaluation.adapt:
             gains.put(
-                running, known.observe(commanded, measured, evaluation.settings.scatter, camera)
+                running,
+                known.observe(
+                    commanded, measured, orientation, evaluation.settings.scatter, camera
+                ),
             )
     left = _remaining(goal, pose)
     distance, rotation = np.hypot(left[:, 0], left[:, 1]), left[:, 2]
@@ -75,7 +85,41 @@ def run_open_trials(
     within = (distance <= settings.tolerance_position) & (
         np.abs(rotation) <= settings.tolerance_angle
     )
-    return Results(taps, end, within, distance, rotation)
+    return Results(taps, end, within, distance, rotation, np.zeros(count, dtype=bool))
+
+
+def look_longer(
+    seen: Array,
+    pose: Array,
+    goal: Array,
+    rows: NDArray[np.intp],
+    settings: PlannerSettings,
+    rng: np.random.Generator,
+) -> NDArray[np.bool_]:
+    """Whether the objects in these rows are surely at their goals, after looking again where that
+    may tell: ``seen`` becomes the mean of the looks at an object, at most ``LONG_LOOK``."""
+    look = np.array([settings.camera.position, settings.camera.position, settings.camera.angle])
+    tolerance = settings.tolerance_position, settings.tolerance_angle
+    if settings.box is not None:
+        left, box = _remaining(goal[rows], seen[rows]), settings.stopping
+        near = np.hypot(left[:, 0], left[:, 1]) <= box.distance
+        return np.asarray(near & (np.abs(left[:, 2]) <= box.rotation))
+    inside = np.zeros(rows.size, dtype=bool)
+    open_rows: NDArray[np.intp] = np.arange(rows.size)
+    for looks in range(1, LONG_LOOK + 1):
+        at = rows[open_rows]
+        if looks > 1:
+            fresh = pose[at] + look * rng.standard_normal((at.size, 3))
+            seen[at] += (fresh - seen[at]) / looks
+        probability = inside_probability(
+            _remaining(goal[at], seen[at]), settings.camera.covariance / looks, *tolerance
+        )
+        sure = probability >= CONFIDENCE
+        inside[open_rows[sure]] = True
+        open_rows = open_rows[~sure & (probability >= WORTH_A_LOOK)]
+        if open_rows.size == 0 or not np.any(look):
+            break
+    return inside
 
 
 def _remaining(goal: Array, pose: Array) -> Array:

@@ -32,6 +32,7 @@ def summarise(results: Results, planned_taps: int | None = None) -> dict[str, An
         "taps": tap_figures(taps),
         "refused_before": int(np.sum(~began)),
         "refused_later": int(np.sum(results.end == End.REFUSED_LATER)),
+        "over_edge": int(np.sum(results.over_edge)),
         "endless": int(np.sum(results.end == End.ENDLESS)),
         "residual_mm": _spread(1e3 * results.distance[done]),
         "residual_deg": _spread(np.degrees(np.abs(results.rotation[done]))),

@@ -35,6 +35,11 @@ class Evaluation:
     random_tasks: largest distance and rotation of tasks drawn anew for each trial; replaces goal.
     gain_bias: steady errors of the object's distance and rotation gains, as shares; each trial has
         them with its own random signs.
+    unknown: factors by which the true distance gain and rotation per distance may be wrong either
+        way, drawn anew for each trial (evenly in the logarithm).
+    off_centre: standard deviation, rad/m, of both numbers that an object off its middle turns by
+        per distance.
+    probe: on a table, begin with a probe of the object.
     space: makes the table, arm and striker of trials on a table, starts and goals all over it; can
         be pickled, so that every process makes its own. None for an open table.
     """
@@ -46,9 +51,12 @@ class Evaluation:
     random_tasks: tuple[float, float] | None = None
     world: World | None = None
     gain_bias: tuple[float, float] = (0.0, 0.0)
+    unknown: tuple[float, float] = (1.0, 1.0)
+    off_centre: float = 0.0
     adapt: bool = False
     seed: int = 0
     most_taps: int = 100
+    probe: bool = False
     space: Callable[[], StrikeSpace] | None = None
 
     def __post_init__(self) -> None:
@@ -66,10 +74,15 @@ class Evaluation:
                 f"the gain bias {self.gain_bias} is too large: at most 0.4 (40 %) either way"
             )
 
+        if not all(1.0 <= factor <= 10.0 for factor in self.unknown):
+            raise PlanningError(f"the unknown factors are {self.unknown}; allowed is 1 to 10")
+        if not 0.0 <= self.off_centre <= 10.0:
+            raise PlanningError(f"off centre by {self.off_centre} rad/m; allowed is 0 to 10")
+
     def answer(
         self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator
     ) -> Array:
-        """True displacements (n, 3) of taps commanded at poses (n, 3) with true gains (n, 2)."""
+        """True displacements (n, 3) of taps commanded at poses (n, 3) with true gains (n, 4)."""
         world = AbstractWorld(self.settings.scatter) if self.world is None else self.world
         return world.answer(poses, commanded, gains, rng)
 
@@ -79,6 +92,7 @@ class Results(NamedTuple):
 
     taps: fired. end: an ``End``. inside: whether the true pose is within the full tolerance.
     distance, rotation: what truly remains, m and rad.
+    over_edge: whether any of the object's bounding circle ever came to rest over the table's edge.
     """
 
     taps: NDArray[np.int64]
@@ -86,6 +100,7 @@ class Results(NamedTuple):
     inside: NDArray[np.bool_]
     distance: Array
     rotation: Array
+    over_edge: NDArray[np.bool_]
 
 
 def draw_tasks(evaluation: Evaluation, count: int, rng: np.random.Generator) -> Array:
@@ -102,6 +117,15 @@ def draw_tasks(evaluation: Evaluation, count: int, rng: np.random.Generator) -> 
 
 
 def draw_gains(evaluation: Evaluation, count: int, rng: np.random.Generator) -> Array:
-    """True gains of distance and rotation, (count, 2)."""
+    """True gains of distance and rotation and the two numbers of an object off its middle (rad/m),
+    (count, 4)."""
     signs = rng.choice([-1.0, 1.0], size=(count, 2))
-    return np.asarray(1.0 + signs * np.asarray(evaluation.gain_bias))
+    bias = 1.0 + signs * np.asarray(evaluation.gain_bias)
+    factor: Array = np.ones((count, 2))
+    if evaluation.unknown != (1.0, 1.0):
+        drawn = np.asarray(evaluation.unknown) ** rng.uniform(-1.0, 1.0, (count, 2))
+        factor = np.stack([drawn[:, 0], drawn[:, 0] * drawn[:, 1]], axis=-1)
+    off: Array = np.zeros((count, 2))
+    if evaluation.off_centre > 0.0:
+        off = evaluation.off_centre * rng.standard_normal((count, 2))
+    return np.concatenate([bias * factor, off], axis=1)

@@ -21,8 +21,8 @@ class AbstractWorld:
     def answer(
         self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator
     ) -> Array:
-        """True displacements (n, 3) of commanded ones, for true gains (n, 2); poses unused."""
-        return scattered(commanded, gains, self.scatter, rng)
+        """True displacements (n, 3) of commanded ones, at poses (n, 3), for true gains (n, 4)."""
+        return scattered(commanded, gains, poses, self.scatter, rng)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,20 +58,25 @@ class PhysicsWorld:
         if self.round_angle > 0.0:
             tips[..., 2] = self.round_angle * np.round(tips[..., 2] / self.round_angle)
         moved = self.truth.outcome(poses, tips, self.speed_factor * plan.striker_speed)
-        return scattered(moved, gains, self.scatter, rng)
+        return scattered(moved, gains, poses, self.scatter, rng)
 
 
-def scattered(moved: Array, gains: Array, scatter: Scatter, rng: np.random.Generator) -> Array:
-    """Displacements (n, 3) with steady gains (n, 2) and one draw of the scatter each."""
+def scattered(
+    moved: Array, gains: Array, poses: Array, scatter: Scatter, rng: np.random.Generator
+) -> Array:
+    """Displacements (n, 3) at poses (n, 3) with steady gains (n, 4) and one draw of the scatter."""
     noise = rng.standard_normal((3, moved.shape[0]))
     length = gains[:, 0] * (1.0 + scatter.distance * noise[0])
     turned = scatter.direction * noise[2]
     cos, sin = length * np.cos(turned), length * np.sin(turned)
+    travel = np.arctan2(moved[:, 1], moved[:, 0]) - poses[:, 2]
+    drift = gains[:, 3] * np.cos(travel) - gains[:, 2] * np.sin(travel)
+    turn = moved[:, 2] * gains[:, 1] + np.hypot(moved[:, 0], moved[:, 1]) * gains[:, 0] * drift
     return np.stack(
         [
             cos * moved[:, 0] - sin * moved[:, 1],
             sin * moved[:, 0] + cos * moved[:, 1],
-            moved[:, 2] * gains[:, 1] * (1.0 + scatter.rotation * noise[1]),
+            turn * (1.0 + scatter.rotation * noise[1]),
         ],
         axis=-1,
     )

@@ -17,7 +17,10 @@ from tapping_cell.calibration.track import Slide, slide_of
 from tapping_cell.calibration.trials import Trial
 from tapping_cell.mechanics import Disk, Polygon, Ring, Sliding
 from tapping_cell.simulation.sliding import Motion as SimulatedMotion
-from tapping_cell.simulation.sliding import Support, advance, sample_support
+from tapping_cell.simulation.sliding import Slide as SimulatedSlide
+from tapping_cell.simulation.sliding import TableFriction
+from tapping_cell.simulation.support import sample_support
+from tapping_cell.simulation.truth import SupportTruth
 
 BODIES = [Disk(0.048, 0.2455, 0.012), Ring(0.05, 0.2, 0.01)]
 FACTORS = (0.4, 1.0, 1.9, 3.64, 7.0)
@@ -130,14 +133,14 @@ def test_trials_that_determine_nothing_have_no_interval():
 def test_a_pressure_beside_the_middle_is_found_and_does_not_widen_the_torque_factor():
     """The simulated world presses unevenly: 1 % of the radius towards +x, 0.75 % towards -y."""
     body, random = DISK.body(), np.random.default_rng(6)
-    points, weights = sample_support(body, lean=(0.04, -0.03))
-    support = Support(points, weights, friction=0.2, torque_factor=2.5, gravity=9.81)
+    points, grip = sample_support(body, SupportTruth(lean=(0.04, -0.03)))
+    law = TableFriction(friction=0.2, torque_factor=2.5, gravity=9.81)
+    slide = SimulatedSlide(points, grip, law, body.inertia / body.mass)
     motions = []
     for heading in np.arange(16) * math.tau / 16:
         speed, spin = random.uniform(0.2, 0.3), random.uniform(1.0, 2.0)
         twist = (speed * math.cos(heading), speed * math.sin(heading), spin)
-        moved = SimulatedMotion(pose=(0.0, 0.0, 0.0), twist=twist)
-        end = advance(moved, support, body.mass, body.inertia, 1.0).pose
+        end, _ = slide.rest(SimulatedMotion(0.0, 0.0, 0.0, *twist))
         motions.append(
             Motion(
                 displacement=math.hypot(end[0], end[1]),

@@ -128,3 +128,11 @@ def test_numbers_are_read_as_people_write_them(tmp_path: Path, number: str) -> N
     path = tmp_path / "some.yaml"
     path.write_text(f"length: {number}")
     assert load(Outer, path).length == float(number)
+
+
+@pytest.mark.parametrize("name", ["x" * 4097, "x" * 200_000, "a\x00b"])
+def test_a_text_without_end_is_refused_in_a_short_sentence(name: str) -> None:
+    with pytest.raises(ConfigurationError, match="at most 4096 characters") as refused:
+        build(Outer, {"length": 1.0, "name": name}, source="file.yaml")
+    assert len(str(refused.value)) < 300
+    assert build(Outer, {"length": 1.0, "name": "x" * 4096}, source="file.yaml").name == "x" * 4096

@@ -18,15 +18,19 @@ from tapping_cell.simulation.fault_layer import (
     random_fault,
 )
 
+THOROUGH = (Dialect.GRBL, Dialect.MARLIN)
+"""The two languages; the other controllers are tested more briefly."""
+
 
 @pytest.mark.parametrize("dialect", Dialect)
 def test_random_faults(dialect: Dialect) -> None:
-    tally = run_taps(dialect, 150, seed=20)
+    taps = 150 if dialect in THOROUGH else 40
+    tally = run_taps(dialect, taps, seed=20)
     assert tally.clean, tally.notes
-    assert tally.taps == 150 == tally.fired + tally.not_fired + tally.unknown
-    assert tally.faults_struck > 50
+    assert tally.taps == taps == tally.fired + tally.not_fired + tally.unknown
+    assert tally.faults_struck > taps / 3
     # Most taps must still come about: a driver that refuses everything is safe and useless.
-    assert tally.fired > 75
+    assert tally.fired > taps / 2
 
 
 @pytest.mark.parametrize(
@@ -42,7 +46,7 @@ def test_seeds_that_once_led_to_something_untrue_or_a_board_that_nobody_reset(
     assert tally.clean, tally.notes
 
 
-@pytest.mark.parametrize("dialect", Dialect)
+@pytest.mark.parametrize("dialect", THOROUGH)
 @pytest.mark.parametrize("kind", [FaultKind.RESET, FaultKind.HANG_UP])
 def test_a_reset_or_an_unplug_within_a_tap(dialect: Dialect, kind: FaultKind) -> None:
     """Every 41st byte here; `faults --every-byte` takes them all."""

@@ -213,4 +213,4 @@ def test_a_board_of_another_kind_is_refused_in_time_and_nothing_moves(
     if isinstance(device, GrblEmulator | MarlinEmulator):
         assert not device.moving(line.now())
     if isinstance(device, TapperEmulator):
-        assert device.fires == [] and device.state == "SAFE"
+        assert device.fires == [] and device.state == "UNHOMED"

@@ -45,9 +45,9 @@ def test_no_waypoint_sweeps_low(start: Joints, x: float, y: float, yaw: float) -
             )
         )
         if sideways:
-            # Sideways only above travel height, with the quill at rest.
-            assert GEOMETRY.forward(here).z >= SETTINGS.travel_height - 1e-12
-            assert waypoint.joints.quill == here.quill
+            # Sideways only above travel height, on all of the straight line.
+            for end in (here, waypoint.joints):
+                assert GEOMETRY.forward(end).z >= SETTINGS.travel_height - 1e-12
         check_limits(GEOMETRY, waypoint.joints)
         here = waypoint.joints
     assert np.allclose(GEOMETRY.forward(here)[:3], tip[:3], atol=1e-9)
@@ -79,6 +79,23 @@ def test_withdrawing_backs_off_along_the_travel_then_raises_then_parks() -> None
     assert along == pytest.approx(SETTINGS.back_off)
     assert across == pytest.approx(0, abs=1e-12)
     assert path[-1].joints == pytest.approx(SETTINGS.park)
+
+
+def test_the_quill_travels_with_the_other_joints_and_only_the_rest_of_its_way_alone() -> None:
+    """A tap from a high park pose: the quill's way above travel height costs no time of its own."""
+    tip = TipPose(0.45, 0.1, 0.006, 0.5)
+    settings = MotionSettings(park=(1.2, 1.2, -0.020, 0.0))
+    path = strike_path(GEOMETRY, settings.park, tip, settings)
+    travel, lower = path
+    clear = settings.travel_height - GEOMETRY.tip_height
+    assert travel.joints.quill == pytest.approx(clear)
+    level = travel.joints._replace(quill=settings.park[2])
+    assert path_duration(GEOMETRY, settings.park, path[:1]) == pytest.approx(
+        move_duration(GEOMETRY, settings.park, level, settings.travel_speed)
+    )
+    back = withdraw_path(GEOMETRY, lower.joints, settings)
+    assert back[0].joints.quill == pytest.approx(clear)
+    assert back[-1].joints == pytest.approx(settings.park)
 
 
 def test_from_park_there_is_nothing_to_withdraw() -> None:

@@ -9,9 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tapping_cell.hardware import tapper_protocol as protocol
-from tapping_cell.hardware.tapper_protocol import Bad, Command, Reply, Result, State
+from tapping_cell.hardware.tapper_protocol import (
+    Bad,
+    Command,
+    Mode,
+    OtherFirmware,
+    Reply,
+    Result,
+    State,
+)
 
-GOOD = b"7,12,OK,DRAWN,9,12500,1,0,8,350000,3"
+GOOD = b"7,12,OK,CHARGED,9,12500,1,0,8,350000,3,4294967295,RUN,1"
 
 
 def framed(body: bytes) -> bytes:
@@ -29,13 +37,48 @@ def test_the_checksum_is_that_of_the_library(data: bytes) -> None:
 
 
 def test_a_request_can_be_typed() -> None:
-    assert protocol.encode(7, 12, Command.ARM, 9, 12500, 3000) == framed(b"7,12,ARM,9,12500,3000")
+    assert protocol.encode(7, 12, Command.CHARGE, 9, 12500, 3000) == framed(
+        b"7,12,CHARGE,9,12500,3000"
+    )
+    assert protocol.encode(7, 13, Command.MODE, Mode.RUN) == framed(b"7,13,MODE,RUN")
 
 
 def test_a_reply_in_si_units() -> None:
     decoded = protocol.decode(framed(GOOD))
     assert decoded.rest == b""
-    assert decoded.frame == Reply(7, 12, Result.OK, State.DRAWN, 9, 0.0125, True, False, 8, 0.35, 3)
+    assert decoded.frame == Reply(
+        7,
+        12,
+        Result.OK,
+        State.CHARGED,
+        9,
+        0.0125,
+        True,
+        False,
+        8,
+        0.35,
+        3,
+        2**32 - 1,
+        Mode.RUN,
+        True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("body", "version"),
+    [
+        (b"7,12,WELCOME,SAFE,0,0,1,0,0,0,3,1.0.0", "1.0.0"),
+        (b"7,12,WELCOME,whatever,comes,later,3.1.0-rc1", "3.1.0-rc1"),
+    ],
+)
+def test_the_greeting_of_another_version_is_told_from_noise(body: bytes, version: str) -> None:
+    assert protocol.decode(framed(body)).frame == OtherFirmware(7, 12, version)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.001, 0.1))
+def test_a_deadline_is_never_later_than_its_window(time_ms: int, window: float) -> None:
+    ahead = (protocol.deadline_after(time_ms, window) - time_ms) % 2**32
+    assert window * 1e3 - 1 < ahead <= window * 1e3
 
 
 def test_no_word_is_both_command_and_result() -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
 import random
 import socket
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 import zipfile
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -24,20 +26,21 @@ from tornado.websocket import (
 )
 
 from tapping_cell.nodes.page import server
-from tapping_cell.nodes.page.archive import make_archive
 from tapping_cell.nodes.page.guard import Guard
 from tapping_cell.nodes.page.requests import Command, Request
+from tapping_cell.nodes.page.runs import Runs
 
 PATIENCE_S = 10.0
+STOP_PORT = 8011
 
 
-class Desk:
-    """A desk that remembers."""
+class Backend:
+    """A backend that remembers."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path) -> None:
         self.requests: list[Request] = []
         self.counts: list[int] = []
-        self.archive: Path | None = None
+        self.runs = Runs(folder)
 
     def greet(self) -> dict[str, object]:
         return {"cell": "test"}
@@ -45,23 +48,21 @@ class Desk:
     def on_pages(self, count: int) -> None:
         self.counts.append(count)
 
-    def on_request(self, request: Request, who: str, answer: server.Answer) -> None:
+    def on_request(self, page: object, request: Request, who: str, answer: server.Answer) -> None:
         self.requests.append(request)
         answer({"type": "answer", "to": "test", "ok": True, "text": who})
-
-    def open_run(self) -> tuple[str, Path] | str:
-        return ("run.zip", self.archive) if self.archive else "no run"
 
 
 class Site:
     """A running server."""
 
-    def __init__(self, token: str) -> None:
-        self.desk = Desk()
+    def __init__(self, token: str, runs: Path) -> None:
+        self.backend = Backend(runs)
         sockets = server.bind("127.0.0.1", 0)
         self.port = sockets[0].getsockname()[1]
         self.host = f"127.0.0.1:{self.port}"
-        self.server = server.PageServer(Guard.make("127.0.0.1", (), token), self.desk, sockets)
+        rules = Guard.make("127.0.0.1", (), token)
+        self.server = server.PageServer(rules, self.backend, sockets, STOP_PORT)
         self.server.start()
 
     def get(self, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
@@ -102,8 +103,8 @@ async def until(condition: Callable[[], object]) -> None:
 
 
 @pytest.fixture(params=[""], ids=["open"])
-def site(request: pytest.FixtureRequest) -> Iterator[Site]:
-    made = Site(request.param)
+def site(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Site]:
+    made = Site(request.param, tmp_path / "runs")
     yield made
     made.server.close()
 
@@ -129,11 +130,21 @@ def test_the_page_is_served_with_headers_that_allow_nothing_foreign(site: Site) 
 
 
 @pytest.mark.parametrize(
-    "path", ["../server.py", "..%2fserver.py", "%2e%2e/server.py", "nothing", "//etc/passwd"]
+    "path",
+    [
+        "../server.py",
+        "..%2fserver.py",
+        "%2e%2e/server.py",
+        "nothing",
+        "//etc/passwd",
+        "%00",
+        "style.css%00",
+        "a%0d%0ab",
+    ],
 )
 def test_no_other_file_is_served(site: Site, path: str) -> None:
     status, _, body = site.get(path)
-    assert status in (403, 404) and b"import" not in body and b"root:" not in body
+    assert status in (400, 403, 404) and b"import" not in body and b"root:" not in body
 
 
 def test_a_foreign_name_gets_no_file(site: Site) -> None:
@@ -165,7 +176,7 @@ def test_another_web_site_cannot_open_a_socket(
         assert words in refused.value.response.body.decode()
 
     asyncio.run(scenario())
-    assert site.desk.counts == [] and site.desk.requests == []
+    assert site.backend.counts == [] and site.backend.requests == []
 
 
 @with_token
@@ -181,7 +192,7 @@ def test_without_the_token_nothing_is_shown_and_nothing_is_done(
             assert page.close_code == server.BAD_TOKEN
 
     asyncio.run(scenario())
-    assert site.desk.requests == [] and site.desk.counts == []
+    assert site.backend.requests == [] and site.backend.counts == []
 
 
 @with_token
@@ -201,7 +212,7 @@ def test_the_first_word_must_be_hello_and_soon(site: Site, monkeypatch: pytest.M
             assert (await read(page))["ok"]
 
     asyncio.run(scenario())
-    assert site.desk.requests == [Command("stop")]
+    assert site.backend.requests == [Command("stop")]
 
 
 # ---- what is said
@@ -224,7 +235,7 @@ def test_nonsense_is_answered_in_words_and_harms_nobody(site: Site) -> None:
             assert (await read(page))["ok"]
 
     asyncio.run(scenario())
-    assert site.desk.requests == [Command("stop")]
+    assert site.backend.requests == [Command("stop")]
 
 
 def test_a_message_that_is_too_long_or_one_too_many_ends_the_connection(site: Site) -> None:
@@ -243,7 +254,7 @@ def test_a_message_that_is_too_long_or_one_too_many_ends_the_connection(site: Si
             assert page.close_code == server.TOO_MANY_MESSAGES
 
     asyncio.run(scenario())
-    assert Command("stop") not in site.desk.requests
+    assert Command("stop") not in site.backend.requests
 
 
 # ---- several pages
@@ -263,10 +274,10 @@ def test_every_page_sees_the_same_state_and_the_room_is_bounded(
             async with site.page({}) as third:
                 assert await read(third) is None
                 assert third.close_code == server.TOO_MANY_PAGES
-        await until(lambda: site.desk.counts[-1] == 0)
+        await until(lambda: site.backend.counts[-1] == 0)
 
     asyncio.run(scenario())
-    assert max(site.desk.counts) == 2
+    assert max(site.backend.counts) == 2
 
 
 def test_a_page_gets_the_next_picture_when_it_has_drawn_the_last_and_then_the_latest(
@@ -330,29 +341,142 @@ def test_a_page_that_does_not_read_is_dropped_and_the_others_go_on(
     asyncio.run(asyncio.wait_for(scenario(), 30.0))
 
 
-# ---- downloads
+# ---- recorded runs
 
 
-def test_a_run_is_downloaded_once_with_a_ticket(site: Site, tmp_path: Path) -> None:
-    run = tmp_path / "2026-run"
+def make_run(folder: Path, name: str, **content: object) -> Path:
+    run = folder / name
     (run / "logs").mkdir(parents=True)
-    (run / "summary.json").write_text("{}")
+    summary = {
+        "outcome": "reached",
+        "goal": {"x_mm": 10.0, "y_mm": -5.0, "theta_deg": 30.0},
+        "taps": 3,
+        "measured_residual": {"distance_mm": 0.4, "rotation_deg": 0.2},
+        "began": 1000.0,
+        "error_msg": "",
+        **content,
+    }
+    (run / "summary.json").write_text(json.dumps(summary))
     (run / "logs" / "node.log").write_text("said")
+    (run / "report.html").write_text("<script>alert(1)</script>")
+    return run
+
+
+def test_a_run_is_downloaded_and_its_report_read_with_the_key_of_an_open_page(
+    site: Site, tmp_path: Path
+) -> None:
+    run = make_run(site.backend.runs.folder, "2026-run")
     (run / "secret").symlink_to("/etc/hostname")
-    site.desk.archive = archive = make_archive(run)
-    assert site.get("run/abcdefghij")[0] == 403
-    status, headers, body = site.get(f"run/{site.server.make_ticket()}")
-    assert status == 200 and headers["Content-Disposition"] == 'attachment; filename="run.zip"'
-    packed = tmp_path / "got.zip"
-    packed.write_bytes(body)
-    with zipfile.ZipFile(packed) as got:
-        assert sorted(got.namelist()) == ["2026-run/logs/node.log", "2026-run/summary.json"]
-        assert got.read("2026-run/logs/node.log") == b"said"
-    assert not archive.exists()
-    ticket = site.server.make_ticket()
-    site.desk.archive = None
-    assert site.get(f"run/{ticket}")[0] == 404
-    assert site.get(f"run/{ticket}")[0] == 403
+    loop_get = site.get
+
+    async def get(path: str) -> tuple[int, dict[str, str], bytes]:
+        return await asyncio.to_thread(loop_get, path)
+
+    async def scenario() -> None:
+        assert (await get(f"runs/{'a' * 22}/2026-run/run.zip"))[0] == 403
+        async with site.page({}) as page:
+            key = (await read(page))["key"]
+            status, headers, body = await get(f"runs/{key}/2026-run/run.zip")
+            assert status == 200
+            assert headers["Content-Disposition"] == 'attachment; filename="2026-run.zip"'
+            packed = tmp_path / "got.zip"
+            packed.write_bytes(body)
+            with zipfile.ZipFile(packed) as got:
+                names = [
+                    f"2026-run/{each}" for each in ("logs/node.log", "report.html", "summary.json")
+                ]
+                assert sorted(got.namelist()) == names
+            status, headers, body = await get(f"runs/{key}/2026-run/report.html")
+            assert status == 200 and body == b"<script>alert(1)</script>"
+            assert headers["Content-Security-Policy"].endswith("sandbox")
+            make_run(site.backend.runs.folder, 'a "run", \u00fc')
+            odd = urllib.parse.quote('a "run", \u00fc')
+            status, headers, _ = await get(f"runs/{key}/{odd}/run.zip")
+            assert status == 200
+            assert headers["Content-Disposition"] == 'attachment; filename="a__run____.zip"'
+            for name in ("..", ".", "other", "2026-run%2f..", "%2e%2e", "a" * 200):
+                assert (await get(f"runs/{key}/{name}/run.zip"))[0] in (400, 403, 404)
+        await until(lambda: not site.server.pages)
+        assert (await get(f"runs/{key}/2026-run/run.zip"))[0] == 403
+
+    asyncio.run(scenario())
+
+
+def test_only_the_recorders_own_folders_are_runs(tmp_path: Path) -> None:
+    runs = Runs(tmp_path / "runs")
+    assert runs.rows() == []
+    make_run(tmp_path / "runs", "good")
+    elsewhere = make_run(tmp_path, "elsewhere")
+    (tmp_path / "runs" / "link").symlink_to(elsewhere)
+    (tmp_path / "runs" / "no-run").mkdir()
+    borrowed = tmp_path / "runs" / "borrowed"
+    borrowed.mkdir()
+    (borrowed / "summary.json").symlink_to(elsewhere / "summary.json")
+    assert runs.find("good") == tmp_path / "runs" / "good"
+    names = (
+        "link",
+        "no-run",
+        "borrowed",
+        "..",
+        ".",
+        "",
+        "../elsewhere",
+        "/etc",
+        "a\x00",
+        "x" * 999,
+    )
+    assert [name for name in names if runs.find(name) or runs.report(name)] == []
+    assert runs.archive("link") is None
+
+
+def test_runs_are_listed_newest_first_and_a_broken_summary_is_said(tmp_path: Path) -> None:
+    runs = Runs(tmp_path)
+    for age, name in enumerate(("c", "b", "a")):
+        run = make_run(tmp_path, name)
+        os.utime(run / "summary.json", (1000 - age, 1000 - age))
+    (tmp_path / "a" / "summary.json").write_text("[" * 100_000)
+    os.utime(tmp_path / "a" / "summary.json", (2000, 2000))
+    rows = runs.rows()
+    assert [(row["name"], row["outcome"]) for row in rows] == [
+        ("a", "unreadable"),
+        ("c", "reached"),
+        ("b", "reached"),
+    ]
+    assert rows[1]["goal"] == [10.0, -5.0, 30.0] and rows[1]["residual"] == [0.4, 0.2]
+    assert rows[1]["taps"] == 3 and rows[1]["report"] is True
+    json.dumps(rows, allow_nan=False)
+
+
+@pytest.mark.parametrize("value", [10**400, float("nan"), "x" * 10_000, None, [], {}, -1, True])
+@pytest.mark.parametrize("key", ["outcome", "goal", "taps", "measured_residual", "began"])
+def test_whatever_a_summary_holds_the_list_is_json(tmp_path: Path, key: str, value: object) -> None:
+    make_run(tmp_path, "run", **{key: value})
+    assert len(json.dumps(Runs(tmp_path).rows(), allow_nan=False)) < 2000
+
+
+# ---- STOP's own port
+
+
+def test_the_page_knows_where_stop_is_served(site: Site) -> None:
+    assert site.get("stop-port")[2] == str(STOP_PORT).encode()
+    policy = site.get("")[1]["Content-Security-Policy"]
+    assert f"connect-src 'self' http://127.0.0.1:{STOP_PORT};" in policy
+
+
+def test_a_page_that_asks_too_often_is_refused_but_not_its_stop(site: Site) -> None:
+    async def scenario() -> None:
+        async with site.page({}) as page:
+            await read(page)
+            for _ in range(3 * server.MOST_COMMANDS):
+                await page.write_message('{"do": "home"}')
+            answers = [await read(page) for _ in range(3 * server.MOST_COMMANDS)]
+            refused = [answer for answer in answers if not answer["ok"]]
+            assert refused and all("commands in a second" in each["text"] for each in refused)
+            await page.write_message('{"do": "stop"}')
+            assert (await read(page))["ok"]
+
+    asyncio.run(scenario())
+    assert len(site.backend.requests) <= 2 * server.MOST_COMMANDS + 1
 
 
 def test_a_port_that_is_taken_is_an_error_at_once(site: Site) -> None:

@@ -7,7 +7,8 @@ import os
 import pytest
 
 from tapping_cell.mechanics import Disk, Impact, Sliding, Striker, Tap
-from tapping_cell.planning import FreeSpace, PlannerSettings, StrikeSpace, Workspace
+from tapping_cell.planning import FreeSpace, Gains, PlannerSettings, StrikeSpace, Workspace
+from tapping_cell.planning.gains import NAMES
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -46,3 +47,19 @@ def space(tap):
 @pytest.fixture(scope="session")
 def free(space):
     return FreeSpace(space)
+
+
+def known_gains(**values):
+    """Gains of an object tapped many times before: as its file says but for ``values``."""
+    numbers = {"distance": 1.0, "rotation": 1.0, **values}
+    kept = {name: numbers.get(name, 0.0) for name in NAMES}
+    gains = Gains.from_numbers({**kept, **{f"{name}_deviation": 1e-9 for name in NAMES}})
+    for belief in (gains.distance, gains.rotation, gains.direction):
+        belief.mean[:] = belief.mean[0]
+        belief.covariance[:] = belief.covariance[0]
+    return gains
+
+
+@pytest.fixture(scope="session")
+def known():
+    return known_gains

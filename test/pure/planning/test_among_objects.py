@@ -71,8 +71,11 @@ def test_no_slide_and_no_striker_touches_another_object(tap, settings, among, ro
     assert strikes > 15
 
 
-def test_an_object_that_comes_and_goes_changes_the_answer_and_is_named(settings, space, free):
-    session = PositioningSession((0.15, 0.0, 0.0), make_planner("exact", settings), space, free)
+def test_an_object_that_comes_and_goes_changes_the_answer_and_is_named(
+    settings, space, free, known
+):
+    planner = make_planner("exact", settings)
+    session = PositioningSession((0.15, 0.0, 0.0), planner, space, free, known())
     pose = (-0.1, 0.0, 0.0)
     first = session.decide(pose)
     assert isinstance(first, Strike) and not first.detour

@@ -31,7 +31,7 @@ def test_every_picture_is_there(page):
 def test_every_command_and_every_row_of_options_is_understood(page):
     commands = re.findall(r"^python -m tapping_cell evaluate (.+)$", page, re.MULTILINE)
     rows = re.findall(r"^\| `(--[^`]+)`", page, re.MULTILINE)
-    assert len(commands) == 2 and len(rows) == 5
+    assert len(commands) == 2 and len(rows) == 10
     for words in commands + rows:
         parser = argparse.ArgumentParser()
         evaluate.add_arguments(parser)

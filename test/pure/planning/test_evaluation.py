@@ -80,11 +80,13 @@ def test_summary_counts_what_it_says():
         inside=np.array([True, False, False, False, True]),
         distance=np.full(5, 0.0005),
         rotation=np.full(5, -0.01),
+        over_edge=np.array([False, True, False, False, False]),
     )
     found = summarise(results)
     assert found["success_rate"] == 0.5 and found["truly_inside_rate"] == 0.5
     assert (found["endless"], found["refused_before"], found["refused_later"]) == (1, 1, 1)
     assert found["taps"]["histogram"] == {"2": 1, "3": 1, "4": 1, "100": 1}
+    assert found["over_edge"] == 1
     assert found["taps"]["mean"] == pytest.approx(109 / 4)
 
 

@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tapping_cell.planning import (
@@ -14,116 +14,200 @@ from tapping_cell.planning import (
     keep_gains,
     load_gains,
 )
-from tapping_cell.planning.gains import HIGHEST, LOWEST
+from tapping_cell.planning.gains import HIGHEST, LOWEST, NAMES
 from tapping_cell.planning.kept_gains import gains_file
 
 SCATTER, CAMERA = Scatter(), CameraNoise(1e-4, math.radians(0.1))
+FILE = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+"""An object as its file says, in the order of ``NAMES``."""
 
 
-def learn(true, taps, seed=0, scatter=SCATTER):
+def answer(true, commanded, orientation, rng, scatter=SCATTER, camera=CAMERA):
+    """What the camera sees of a tap: a world of its own, without the code under test."""
+    noise = rng.standard_normal(3)
+    length = math.hypot(commanded[0], commanded[1])
+    slope = commanded[2] / length
+    heading = math.atan2(commanded[1], commanded[0]) + true[2] + true[3] * slope
+    travel = heading - orientation
+    drift = -true[4] * math.sin(travel) + true[5] * math.cos(travel)
+    went = length * true[0]
+    turn = went * (true[1] * slope + drift) * (1 + scatter.rotation * noise[2])
+    went *= 1 + scatter.distance * noise[0]
+    heading += scatter.direction * noise[1]
+    look = math.sqrt(2) * np.array([camera.position, camera.position, camera.angle])
+    moved = np.array([went * math.cos(heading), went * math.sin(heading), turn])
+    return moved + look * rng.standard_normal(3)
+
+
+def learn(true, taps, seed=0, gains=None):
     rng = np.random.default_rng(seed)
-    gains = Gains.start()
+    gains = Gains.start() if gains is None else gains
     for _ in range(taps):
-        length, heading, turn = rng.uniform(0.005, 0.03), rng.uniform(-3, 3), 0.1
-        noise = rng.standard_normal(3)
-        moved = length * true[0] * (1 + scatter.distance * noise[0])
-        angle = heading + true[2] + scatter.direction * noise[1]
-        gains = gains.observe(
-            [length * math.cos(heading), length * math.sin(heading), turn],
-            [
-                moved * math.cos(angle),
-                moved * math.sin(angle),
-                turn * true[1] * (1 + scatter.rotation * noise[2]),
-            ],
-            scatter,
-            CAMERA,
-        )
+        length, heading = rng.uniform(0.005, 0.03), rng.uniform(-3, 3)
+        orientation, slope = rng.uniform(-3, 3), rng.uniform(-5, 5)
+        asked = [length * math.cos(heading), length * math.sin(heading), slope * length]
+        moved = answer(true, asked, orientation, rng)
+        gains = gains.observe(asked, moved, orientation, SCATTER, CAMERA)
     return gains
 
 
-@pytest.mark.parametrize("true", [(1.06, 0.9, 0.02), (0.85, 1.15, -0.03), (1.0, 1.0, 0.0)])
+@pytest.mark.parametrize(
+    "true",
+    [
+        FILE,
+        (1.06, 0.9, 0.02, 0.0, 0.0, 0.0),
+        (0.27, 1.5, -0.03, 0.0, 0.0, 0.0),
+        (3.75, 0.5, 0.0, 0.004, 0.0, 0.0),
+        (1.0, 1.0, 0.0, 0.0, 1.5, -0.8),
+        (0.5, 2.5, 0.1, 0.0, -1.0, 2.0),
+    ],
+)
 def test_steady_gains_are_learnt_within_their_own_deviation(true):
     gains = learn(true, 60)
-    assert np.all(np.abs(gains.value - true) < 4 * np.sqrt(gains.variance) + 1e-3)
-    assert np.sqrt(gains.variance[0]) < 0.01
+    assert np.all(np.abs(gains.value - true) < 4.5 * gains.deviation + 1e-3)
+    assert gains.deviation[0] / gains.value[0] < 0.012
 
 
-def test_the_error_is_as_large_as_the_filter_says():
+def test_the_error_is_as_large_as_the_belief_says():
+    """Objects that are as their files say but for the narrow prior's errors."""
     rng = np.random.default_rng(5)
     squares = []
     for seed in range(300):
-        true = np.array([1.0, 1.0, 0.0]) + rng.standard_normal(3) * [0.06, 0.10, 0.01]
+        true = np.array(FILE) + rng.standard_normal(6) * [0.04, 0.06, 0.01, 0.001, 0.03, 0.03]
         gains = learn(true, 6, seed)
-        squares.append((gains.value - true) ** 2 / gains.variance)
-    assert np.all(np.abs(np.mean(squares, axis=0) - 1.0) < 0.35)
+        squares.append((gains.value - true) ** 2 / gains.deviation**2)
+    # The wide priors beside the narrow one make the belief a little too modest, never too sure.
+    mean = np.mean(squares, axis=0)
+    assert np.all(mean < 1.35) and np.all(mean[:3] > 0.5)
+
+
+@pytest.mark.parametrize("friction", [0.25, 0.4, 2.5, 4.0])
+def test_a_friction_far_from_the_files_is_believed_after_two_taps(friction):
+    for seed in range(20):
+        gains = learn((1 / friction, 1.0, 0.0, 0.0, 0.0, 0.0), 2, seed)
+        assert gains.value[0] == pytest.approx(1 / friction, rel=0.25)
+
+
+def test_one_improbable_component_leaves_the_others_to_be_learnt():
+    """An odd direction says nothing against the distance that was measured with it."""
+    gains = learn(FILE, 10)
+    before = gains.value[0]
+    for _ in range(3):
+        gains = gains.observe([0.02, 0, 0.05], [0.0, 0.024, 0.06], 0.0, SCATTER, CAMERA)
+    assert gains.value[0] > before + 0.03
 
 
 def test_a_bumped_object_is_not_a_gain():
-    gains = learn((1.0, 1.0, 0.0), 10)
-    after = gains.observe([0.01, 0.0, 0.05], [-0.02, 0.03, 1.0], SCATTER, CAMERA)
-    assert np.array_equal(after.value, gains.value)
-    assert float(after.outliers) == 1 and float(after.taken) == float(gains.taken)
+    gains = learn(FILE, 10)
+    after = gains.observe([0.01, 0.0, 0.05], [-0.02, 0.03, 1.0], 0.0, SCATTER, CAMERA)
+    assert np.allclose(after.value, gains.value, atol=0.02)
+    assert bool(after.surprised) and float(after.outliers) == float(gains.outliers) + 1
+    # Until the next tap agrees with one or the other, the larger gain is kept in mind.
+    asked = np.array([0.01, 0.0, 0.0])
+    assert after.spread(asked, SCATTER, 3.0).longest > 2 * gains.spread(asked, SCATTER, 3.0).longest
+    calm = learn(FILE, 2, 3, after)
+    assert not bool(calm.surprised)
+    assert calm.spread(asked, SCATTER, 3.0).longest < 1.4
 
 
-def test_a_sudden_true_change_is_believed_in_the_end():
-    gains = learn((1.0, 1.0, 0.0), 30)
-    for _ in range(30):
-        gains = gains.observe([0.02, 0.0, 0.1], [0.028, 0.0, 0.1], SCATTER, CAMERA)
-    assert gains.value[0] == pytest.approx(1.4, abs=0.03)
+@pytest.mark.parametrize("changed", [0.4, 2.0, 3.0])
+def test_two_agreeing_taps_make_a_change_the_belief(changed):
+    gains = learn(FILE, 12)
+    for _ in range(2):
+        gains = gains.observe(
+            [0.02, 0.0, 0.1], [0.02 * changed, 0, 0.1 * changed], 0, SCATTER, CAMERA
+        )
+    assert gains.value[0] == pytest.approx(changed, rel=0.1)
+
+
+def test_two_bumps_that_do_not_agree_are_no_change():
+    gains = learn(FILE, 12)
+    for moved in (0.008, 0.07):
+        gains = gains.observe([0.02, 0.0, 0.1], [moved, 0.0, moved * 5], 0.0, SCATTER, CAMERA)
+    assert gains.value[0] == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_tap_without_rotation_says_nothing_about_the_rotation():
     start = Gains.start()
-    gains = start.observe([0.02, 0.0, 0.0], [0.021, 0.0, 0.001], SCATTER, CAMERA)
-    assert gains.value[1] == start.value[1] and gains.variance[1] == start.variance[1]
+    gains = start.observe([0.02, 0.0, 0.0], [0.02, 0.0, 0.0], 0.0, SCATTER, CAMERA)
+    index = NAMES.index("rotation")
+    assert gains.value[index] == pytest.approx(start.value[index], abs=1e-6)
 
 
+@settings(max_examples=60, deadline=None)
 @given(
-    st.lists(st.tuples(*[st.floats(-0.2, 0.2)] * 6), min_size=1, max_size=20),
+    st.lists(st.tuples(*[st.floats(-0.2, 0.2)] * 6), min_size=1, max_size=12),
     st.floats(0.0, 0.3),
 )
 def test_whatever_is_measured_the_gains_stay_within_bounds(taps, scatter):
     gains = Gains.start()
     for numbers in taps:
-        gains = gains.observe(numbers[:3], numbers[3:], Scatter(scatter, scatter, 0.02), CAMERA)
+        noise = Scatter(scatter, scatter, 0.02)
+        gains = gains.observe(numbers[:3], numbers[3:], 0.3, noise, CAMERA)
         assert np.all(gains.value >= LOWEST) and np.all(gains.value <= HIGHEST)
-        assert np.all(gains.variance >= 0.0) and np.all(np.isfinite(gains.variance))
+        assert np.all(gains.deviation >= 0.0) and np.all(np.isfinite(gains.deviation))
+        spread = gains.spread([0.02, 0.0, 0.05], noise, 3.0)
+        assert np.isfinite(spread.longest) and np.all(np.isfinite(spread.aside))
 
 
-def test_a_pose_that_is_not_known_counts_as_an_outlier():
-    gains = Gains.start().observe([0.01, 0, 0], [math.nan] * 3, SCATTER, CAMERA)
-    assert float(gains.outliers) == 1 and np.all(np.isfinite(gains.value))
+def test_a_pose_that_is_not_known_says_nothing():
+    start = Gains.start()
+    gains = start.observe([0.01, 0, 0], [math.nan] * 3, 0.0, SCATTER, CAMERA)
+    assert float(gains.outliers) == 1
+    assert np.allclose(gains.value, start.value, atol=1e-3)
 
 
-@given(*[st.floats(-0.1, 0.1)] * 3)
-def test_command_and_predict_are_inverse(dx, dy, turn):
-    gains = Gains(np.array([1.1, 0.8, 0.05]), np.ones(3), np.zeros(()), np.zeros(()))
+@given(*[st.floats(-0.1, 0.1)] * 3, st.floats(-3, 3))
+def test_command_and_predict_are_inverse(dx, dy, turn, orientation):
+    if math.hypot(dx, dy) < 1e-6:
+        return
+    gains = learn((1.3, 0.8, 0.05, 0.002, 0.5, -0.3), 8)
     distance, planned, heading = gains.to_plan([dx, dy, turn])
-    assert np.allclose(gains.predict(gains.command(distance, planned, heading)), [dx, dy, turn])
+    commanded = gains.command(distance, planned, heading, orientation)
+    assert np.allclose(gains.predict(commanded, orientation), [dx, dy, turn], atol=1e-9)
+    back = gains.command(-distance, planned, heading, orientation)
+    assert np.allclose(gains.predict(back, orientation), [-dx, -dy, turn], atol=1e-9)
+
+
+def test_a_rotation_beyond_the_cone_is_not_asked_for():
+    gains = learn((1.0, 1.0, 0.0, 0.0, 3.0, 0.0), 20)
+    commanded = gains.command(0.02, -0.1, 0.3, 1.0, cone_slope=5.0)
+    assert abs(commanded[2]) <= 5.0 * math.hypot(commanded[0], commanded[1]) + 1e-12
 
 
 def test_many_objects_at_once_are_the_same_as_each_alone():
     rng = np.random.default_rng(2)
     asked, seen = rng.normal(0, 0.02, (50, 3)), rng.normal(0, 0.02, (50, 3))
-    together = Gains.start((50,)).observe(asked, seen, SCATTER, CAMERA)
+    angle = rng.normal(0, 1, 50)
+    together = Gains.start((50,)).observe(asked, seen, angle, SCATTER, CAMERA)
     for row in range(50):
-        alone = Gains.start().observe(asked[row], seen[row], SCATTER, CAMERA)
+        alone = Gains.start().observe(asked[row], seen[row], angle[row], SCATTER, CAMERA)
         assert np.allclose(alone.value, together.value[row])
-        assert np.allclose(alone.variance, together.variance[row])
+        assert np.allclose(alone.deviation, together.deviation[row])
+
+
+@pytest.mark.parametrize("friction", [0.25, 0.5, 1.0, 2.0, 4.0])
+def test_the_spread_holds_999_of_1000_first_slides_anywhere_in_the_prior(friction):
+    spread = Gains.start().spread([0.02, 0.0, 0.05], SCATTER, 3.0)
+    rng = np.random.default_rng(1)
+    slides = (1 / friction) * (1 + SCATTER.distance * rng.standard_normal(100_000))
+    assert np.mean(slides > spread.longest) <= 1e-3
 
 
 def test_kept_gains_come_back_and_a_damaged_file_is_named():
     name = "my disk / no. 3"
     assert np.array_equal(load_gains(name, "domain0").value, Gains.start().value)
-    gains = learn((1.05, 0.95, 0.01), 5)
+    gains = learn((1.8, 0.6, 0.01, 0.0, 1.0, 0.0), 12)
     path = keep_gains(name, "domain0", gains)
     assert path == gains_file(name, "domain0") and path.parent.name == "domain0"
     assert np.array_equal(load_gains(name, "domain0.left").value, Gains.start().value)
-    assert np.allclose(load_gains(name, "domain0").value, gains.value)
-    assert np.allclose(load_gains(name, "domain0").variance, gains.variance)
+    loaded = load_gains(name, "domain0")
+    again = learn((1.8, 0.6, 0.01, 0.0, 1.0, 0.0), 1, 9, loaded)
+    assert np.allclose(again.value[:3], gains.value[:3], rtol=0.06, atol=0.01)
+    assert loaded.spread([0.01, 0, 0], SCATTER, 3.0).longest < 2.0
     content = json.loads(path.read_text())
     path.write_text(json.dumps({**content, "distance": 17.0}))
-    with pytest.raises(PlanningError, match=r"no\._3\.json.*distance is 17\.0.*0\.5 to 2"):
+    with pytest.raises(PlanningError, match=r"no\._3\.json.*distance is 17\.0.*0\.1 to 10"):
         load_gains(name, "domain0")
     path.write_text("{")
     with pytest.raises(PlanningError, match="delete it"):

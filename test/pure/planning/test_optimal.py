@@ -136,3 +136,11 @@ def test_other_cells_have_plans_too(settings):
     taps = simulate(planner, 0.02, 20.0, 3000)
     value = float(planner.taps_to_go(0.02, math.radians(20.0)))
     assert taps["mean"] == pytest.approx(value, rel=0.06)
+
+
+def test_a_rotation_beyond_half_a_turn_in_the_cones_units_still_costs_taps(settings):
+    """An object that turns less than its file says: what remains is scaled beyond the grid."""
+    policy = make_planner("optimal", settings)
+    far = policy.taps_to_go(np.full(4, 0.09), np.array([3.0, 4.0, 5.0, 6.0]))
+    largest = settings.cone_slope * settings.largest_distance
+    assert np.all(np.diff(far)[1:] == pytest.approx(1.0 / largest, rel=1e-6))

@@ -5,19 +5,73 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tapping_cell.planning import stopping_box
-from tapping_cell.planning.stopping import FALSE_STOPS, stopping_share
+from tapping_cell.planning import (
+    Done,
+    LookAgain,
+    PlannerSettings,
+    PositioningSession,
+    make_planner,
+    stopping_box,
+)
+from tapping_cell.planning.stopping import CONFIDENCE, inside_probability, stopping_share
 
 
-@pytest.mark.parametrize("noise", [0.05, 0.1, 0.2])
-def test_the_share_of_false_stops_is_as_promised(noise):
-    share = stopping_share(noise)
+def covariance(x, y, turn, correlation=0.0):
+    return np.array(
+        [[x * x, correlation * x * y, 0.0], [correlation * x * y, y * y, 0.0], [0, 0, turn**2]]
+    )
+
+
+@pytest.mark.parametrize(
+    ("residual", "spread"),
+    [
+        ((0.7, 0.2, 0.1), covariance(0.2, 0.05, 0.1)),
+        ((0.9, 0.0, 0.0), covariance(0.1, 0.1, 0.05, 0.8)),
+        ((-0.3, -0.85, 0.6), covariance(0.05, 0.1, 0.2, -0.5)),
+        ((1.0, 0.0, 0.0), covariance(0.015, 0.015, 0.01)),
+    ],
+)
+def test_the_probability_of_being_inside_is_that_of_drawn_poses(residual, spread):
     rng = np.random.default_rng(1)
-    measured = rng.uniform(-share, share, 4_000_000)
-    true = measured + noise * rng.standard_normal(measured.size)
-    false = np.mean(np.abs(true) > 1.0)
-    deviation = math.sqrt(FALSE_STOPS / measured.size)
-    assert false == pytest.approx(FALSE_STOPS, abs=4 * deviation)
+    drawn = rng.multivariate_normal(residual, spread, 1_000_000)
+    position = np.mean(np.hypot(drawn[:, 0], drawn[:, 1]) <= 1.0)
+    beyond = np.mean(np.abs(drawn[:, 2]) > 1.0)
+    found = float(inside_probability(residual, spread, 1.0, 1.0))
+    assert found == pytest.approx(position - beyond, abs=2e-3)
+
+
+@given(
+    st.floats(-1.3, 1.3),
+    st.floats(-1.3, 1.3),
+    st.floats(-1.3, 1.3),
+    st.sampled_from([1e-6, 0.015, 0.05, 0.1, 0.25]),
+)
+def test_nothing_is_called_done_that_is_inside_with_less_than_the_confidence(x, y, turn, noise):
+    """A reference of its own: draws of the true pose about the look."""
+    found = float(inside_probability((x, y, turn), np.eye(3) * noise**2, 1.0, 1.0))
+    if found < CONFIDENCE:
+        return
+    rng = np.random.default_rng(0)
+    true = np.array([x, y, turn]) + noise * rng.standard_normal((40_000, 3))
+    inside = np.mean((np.hypot(true[:, 0], true[:, 1]) <= 1.0) & (np.abs(true[:, 2]) <= 1.0))
+    assert inside >= CONFIDENCE - 4 * math.sqrt(CONFIDENCE * (1 - CONFIDENCE) / 40_000)
+
+
+def test_a_nearly_perfect_camera_at_the_edge_of_the_box_claims_nothing_that_is_not_so(space, free):
+    session = PositioningSession((0, 0, 0), make_planner("exact", PlannerSettings()), space, free)
+    spread = covariance(15e-6, 15e-6, 1e-4)
+    assert isinstance(session.decide((0.00095, 0, 0), spread), Done)
+    for distance in (0.00097, 0.000998, 0.001, 0.0010014):
+        assert not isinstance(session.decide((distance, 0, 0), spread), Done)
+
+
+def test_a_doubtful_look_is_taken_again_before_another_tap(space, free):
+    session = PositioningSession((0, 0, 0), make_planner("exact", PlannerSettings()), space, free)
+    spread = covariance(1e-4, 1e-4, 1e-3)
+    doubtful = session.decide((0.0009, 0, 0), spread, look_again=True)
+    assert isinstance(doubtful, LookAgain) and 0.5 < doubtful.probability < CONFIDENCE
+    assert not isinstance(session.decide((0.0009, 0, 0), spread), LookAgain | Done)
+    assert not isinstance(session.decide((0.01, 0, 0), spread, look_again=True), LookAgain)
 
 
 @given(st.floats(0.001, 0.3), st.floats(0.001, 0.3))

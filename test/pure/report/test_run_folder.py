@@ -128,7 +128,7 @@ def test_picture_and_page_are_made_again_from_summary_and_taps_alone(tmp_path: P
                 STOPS[:1], refused=True, state=8, code=103, sentence="off", goal=Pose(0.9, 0, 0)
             ),
             "refused",
-            "Send a goal farther inside",
+            "Send a goal closer to the middle",
         ),
         (
             MadeRun(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.schema import load
+from tapping_cell.mechanics import Striker
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTruth, TruthFile
 from tapping_cell.simulation.world import World
@@ -131,6 +135,87 @@ def test_a_placed_object_lies_still_where_it_was_put() -> None:
     assert world.at_rest
     world.advance(1.0)
     assert world.pose == pytest.approx((0.1, 0.1, 4.0 - 2 * math.pi))
+
+
+@settings(max_examples=10, deadline=None)
+@given(gaps=st.lists(st.floats(0.0005, 0.05), min_size=5, max_size=60))
+def test_where_it_comes_to_rest_does_not_depend_on_when_it_is_looked_at(gaps: list[float]) -> None:
+    tip = Pose(START.x - 0.07, START.y + 0.01, 0.1)
+    glimpsed, once = world_of(PLAIN), world_of(PLAIN)
+    for world in (glimpsed, once):
+        assert world.strike(tip, 0.006, 0.3, 0.0)
+    time, before = 0.0, START
+    for gap in gaps:
+        time += gap
+        glimpsed.advance(time)
+        # Between two looks it moves no faster than a striker of that mass can make it.
+        assert math.dist(glimpsed.pose[:2], before[:2]) < 0.3 * gap + 1e-9
+        before = glimpsed.pose
+    glimpsed.advance(10.0)
+    once.advance(10.0)
+    assert glimpsed.pose == once.pose
+    assert glimpsed.at_rest
+
+
+def test_a_striker_follows_through_to_the_end_of_its_stroke() -> None:
+    """A light object struck by a heavy, dead striker is pushed on; a short stroke ends that."""
+    content = replace(CELL.object, mass=0.02, restitution=0.1, friction=0.6)
+    striker = Striker(0.3, 0.0054, "linear_bearings")
+    tip = Pose(START.x - 0.0054 - 0.048 - 0.005, START.y, 0.0)
+
+    def moved(stroke: float, follow_through: float) -> float:
+        truth = replace(PLAIN, impact=ImpactTruth(follow_through=follow_through))
+        world = World(content, striker, stroke, truth, 1)
+        assert world.strike(tip, 0.006, 0.2, 0.0)
+        world.advance(3.0)
+        assert world.at_rest
+        return world.pose.x - START.x
+
+    alone = moved(0.025, 0.0)
+    pushed = moved(0.025, 2.0)
+    # The one impact: (1 + e) m_s / (m + m_s) of the striker's speed.
+    speed = 1.1 * 0.3 / 0.32 * 0.2
+    assert alone == pytest.approx(speed**2 / (2 * 0.6 * 9.81), rel=0.02)
+    # To where the tip stops, and then as far as the push has left it fast.
+    assert 0.020 < pushed < 0.023
+    assert alone < moved(0.012, 2.0) < pushed
+
+
+def test_a_centre_of_mass_off_the_middle_turns_a_push_through_the_middle() -> None:
+    tip = Pose(START.x - 0.07, START.y, 0.0)
+
+    def turned(offset: float) -> float:
+        truth = TruthFile((START.x, START.y, 0.0), SupportTruth(mass_offset=(0.0, offset)))
+        world = world_of(truth)
+        world.strike(tip, 0.006, 0.3, 0.0)
+        return settled(world).theta
+
+    # Struck to the right of its centre of mass it turns to the left.
+    assert turned(0.004) > 0.01
+    assert turned(-0.004) == pytest.approx(-turned(0.004), rel=1e-6)
+    assert turned(0.0) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_generator_may_be_injected() -> None:
+    truth = replace(PLAIN, scatter=ScatterTruth(speed=0.05, spin=0.1, direction=0.02))
+    tip = Pose(START.x - 0.07, START.y, 0.0)
+    ends = []
+    for random in (np.random.default_rng(5), 5):
+        world = World(CELL.object, STRIKER, STROKE, truth, random)
+        world.strike(tip, 0.006, 0.3, 0.0)
+        ends.append((settled(world), world.gate_speed(0.3)))
+    assert ends[0] == ends[1]
+
+
+@pytest.mark.parametrize(
+    "file", sorted((shared_folder() / "truth").glob("*.yaml")), ids=lambda file: file.stem
+)
+def test_every_supplied_world_answers_a_tap(file: Path) -> None:
+    truth = replace(load(TruthFile, file), object_start=tuple(START))
+    world = world_of(truth)
+    assert world.strike(Pose(START.x - 0.07, START.y, 0.0), 0.006, 0.3, 0.0)
+    moved = math.dist(settled(world)[:2], START[:2])
+    assert 0.001 < moved < 0.02
 
 
 @given(seed=st.integers(0, 1000))

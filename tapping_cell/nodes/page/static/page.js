@@ -11,19 +11,19 @@ const MODE_WORDS = {
 };
 const ANSWERS = {
   goal: "goal-answer", cancel: "goal-answer", stop: "attention-answer", clear: "attention-answer",
-  press_button: "attention-answer", home: "attention-answer", download: "run-answer",
+  press_button: "attention-answer", home: "attention-answer",
 };
 
 let socket = null, connected = false, refusedFor = "", attempts = 0, retryAt = 0;
 let lostAt = performance.now(), heardAt = 0, state = null, cell = null, picture = null;
-let sent = null, followed = "", asking = "";
+let followed = "", asking = "", runs = [];
 const CONFIRMED = {
   clear: {
-    words: "Clear the faults? Arm and tapper may move again. Is the cause mended, and is everybody clear of the cell?",
-    yes: "Yes, clear the faults",
+    words: "Clear the stop and the faults? Arm and tapper may move again. Is the cause removed, and is everybody clear of the cell?",
+    yes: "Yes, clear them",
   },
   home: {
-    words: "Home the arm? It moves at once, all the way to its end switches. Is its way free, and is everybody clear of it?",
+    words: "Home the arm? It moves at once, all the way to its end switches. Is its path free, and is everybody clear of it?",
     yes: "Yes, home the arm",
   },
 };
@@ -118,12 +118,8 @@ function hear(message) {
     render();
   } else if (message.type === "ghost") {
     ghost.answer(message);
-  } else if (message.type === "download") {
-    waiting.delete("download");
-    const link = document.createElement("a");
-    link.href = message.path;
-    link.click();
-    show("download", "the download begins", "good");
+  } else if (message.type === "runs") {
+    runs = message.runs;
   } else if (message.type === "answer") {
     waiting.delete(message.to);
     show(message.to, message.text, message.ok ? "good" : "bad");
@@ -150,6 +146,7 @@ async function showPicture(from, data) {
       canvas.width = bitmap.width;
       canvas.height = bitmap.height;
       ghost.aspect = bitmap.height / bitmap.width;
+      $("stage").style.setProperty("--aspect", 1 / ghost.aspect);
       ghost.size();
     }
     canvas.getContext("2d").drawImage(bitmap, 0, 0);
@@ -208,11 +205,10 @@ function render() {
   setText($("mode-sentence"), connected && state ? state.sentence : "");
   renderBanner();
   renderPicture();
-  for (const id of ["send", "goal-x", "goal-y", "goal-angle", "clear", "home", "press-button", "confirm-yes"]) $(id).disabled = !connected;
-  $("stop").disabled = !connected;
-  setText(document.querySelector(".stop-note"), connected ? "arm and tapper" : "not connected: use the wire");
+  for (const id of ["send", "goal-x", "goal-y", "goal-angle", "confirm-yes"]) $(id).disabled = !connected;
+  renderStop();
   if (!state) {
-    for (const id of ["cancel", "home-ghost", "download"]) $(id).disabled = true;
+    for (const id of ["cancel", "home-ghost"]) $(id).disabled = true;
     return;
   }
   renderAttention(mode);
@@ -220,42 +216,76 @@ function render() {
   renderTaps();
   renderNodes();
   renderLog();
-  setText($("run-words"), state.run.text);
-  $("download").disabled = !connected || !state.run.ready;
+  renderRuns(runs, cell ? cell.key : "", state.runs_hint, connected);
 }
+
+function renderStop() {
+  const ready = connected || stop.served;
+  $("stop").disabled = !ready;
+  setText(document.querySelector(".stop-note"), ready ? "arm and tapper" : "not connected: use the wire");
+}
+
+const TITLES = { stopped: "The cell is stopped", fault: "The cell has a fault" };
+const STEP_BUTTONS = { clear: "Clear the stop and faults\u2026", home: "Home the arm\u2026", press_button: "Press it (simulated)" };
 
 function renderAttention(mode) {
-  const halted = mode === "stopped" || mode === "fault";
-  const homeless = mode === "not ready" && state.arm.state === "not homed";
-  const card = $("attention"), shown = halted ? "halted" : homeless ? "homeless" : "";
-  card.hidden = !shown;
-  if (card.dataset.shown !== shown && mode !== "lost") {
-    card.dataset.shown = shown;
-    setText($("attention-answer"), "");
+  const steps = mode === "lost" ? [] : state.recovery, card = $("attention");
+  const halted = mode in TITLES;
+  if (mode !== "lost") {
+    if (card.hidden !== !steps.length) setText($("attention-answer"), "");
+    card.hidden = !steps.length;
+    document.body.classList.toggle("halted", Boolean(steps.length));
+    if (asking && !steps.some((step) => step.command === asking && step.state === "now")) ask("");
   }
-  if (mode !== "lost" && asking && asking !== (halted ? "clear" : homeless ? "home" : "")) ask("");
-  card.classList.toggle("mild", homeless);
-  setText($("attention-title"), { stopped: "The cell is stopped", fault: "The cell has a fault" }[mode]
-    || "The arm is not homed");
+  card.classList.toggle("mild", !halted);
+  setText($("attention-title"), TITLES[mode] || "The arm is not homed");
   setText($("attention-words"), halted ? sentence(state.sentence) : "It does not know where it is, and takes no tap.");
-  setText($("attention-hint"), halted ? state.hint : "");
-  $("clear").hidden = homeless;
-  $("home").hidden = !homeless;
-  $("press-button").hidden = !state.simulated || !["stopped", "fault"].includes(state.tapper.state);
+  setText($("attention-hint"), mode === "fault" ? state.hint : "");
+  renderSteps(steps);
 }
 
-// What moves the cell again is asked back, beside the card: a window on top would hide the stop button.
+function renderSteps(steps) {
+  const key = JSON.stringify([steps, connected]), list = $("steps");
+  if (list.dataset.key === key) return;
+  const focused = document.activeElement && document.activeElement.dataset.command;
+  list.dataset.key = key;
+  list.replaceChildren(...steps.map((step) => {
+    const row = document.createElement("li");
+    row.className = step.state;
+    if (step.state === "now") row.setAttribute("aria-current", "step");
+    const words = document.createElement("span");
+    words.textContent = (step.state === "done" ? "Done: " : "") + step.text;
+    row.append(words);
+    if (step.command && step.state === "now") {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.id = "step-" + step.command.replace("_", "-");
+      button.dataset.command = step.command;
+      button.className = "strong";
+      button.disabled = !connected;
+      button.textContent = STEP_BUTTONS[step.command];
+      button.addEventListener("click", () => step.command in CONFIRMED ? ask(step.command) : request(step.command));
+      row.append(button);
+    }
+    return row;
+  }));
+  const again = focused && list.querySelector(`[data-command="${focused}"]`);
+  if (again) again.focus();
+}
+
+// What moves the cell again is confirmed in the card itself: a window on top would hide STOP.
 function ask(what) {
   const before = asking;
   asking = what;
   $("confirm").hidden = !what;
-  $("attention-buttons").hidden = Boolean(what);
+  $("steps").hidden = Boolean(what);
   if (what) {
     setText($("confirm-words"), CONFIRMED[what].words);
     setText($("confirm-yes"), CONFIRMED[what].yes);
     $("confirm-no").focus();
-  } else if (before && !$("attention").hidden) {
-    $(before).focus();
+  } else {
+    const button = before && $("steps").querySelector(`[data-command="${before}"]`);
+    if (button) button.focus();
   }
 }
 
@@ -280,12 +310,16 @@ function renderGoal() {
   $("cancel").disabled = !connected || !plan.busy;
   $("home-ghost").disabled = !connected || !state.placeable || !state.object.visible;
   setText($("send"), plan.busy ? "Replace the goal" : "Send goal");
+  const blocked = connected ? state.blocked : "";
+  $("send").disabled = !connected || Boolean(blocked);
+  setText($("goal-blocked"), blocked);
   const known = plan.goal && plan.distance !== null;
   $("to-go").hidden = !known;
   if (known) {
     setText($("to-go-distance"), plan.distance.toFixed(plan.distance < 100 ? 1 : 0) + " mm");
     setText($("to-go-rotation"), signed(plan.rotation, 1, "\u00b0"));
     setText($("to-go-taps"), String(plan.taps));
+    setText($("to-go-taps-unit"), plan.taps === 1 ? "tap" : "taps");
     $("to-go").classList.toggle("reached", plan.state === "reached");
   }
   let words = "No goal.";
@@ -297,15 +331,11 @@ function renderGoal() {
   const why = plan.code ? `${plan.sentence} (${plan.code})` : "";
   if (why && why !== $("goal-answer").textContent) words += ` ${why}`;
   setText($("goal-words"), words);
-  if (sent && plan.busy && plan.goal && plan.goal.every((n, i) => Math.abs(n - sent[i]) < 0.02)) {
-    sent = null;
-    ghost.touched = false;
-  }
   follow(plan.busy ? plan.goal : state.object.visible ? state.object.pose : null);
 }
 
 function follow(pose) {
-  // An untouched ghost lies at the goal, or at the object.
+  // Until a person has chosen a goal, the outline lies at the goal under way, or at the object.
   if (!connected || !pose || !pose.every(Number.isFinite) || !state.placeable || ghost.touched || ghost.hold || editing()) return;
   const key = pose.map((n) => n.toFixed(1)).join();
   if (key === followed) return;
@@ -315,13 +345,14 @@ function follow(pose) {
 
 function triple(values) {
   const [x, y, angle] = values;
-  return x === null ? ["not seen"] : [`${signed(x)}, ${signed(y)} mm`, `${signed(angle)}\u00b0`];
+  return x === null ? ["not seen"] : [`${signed(x)}, ${signed(y)}`, `${signed(angle)}\u00b0`];
 }
 
 function renderTaps() {
   const taps = state.taps, key = JSON.stringify([taps, state.plan.tolerance]);
   const body = $("taps").tBodies[0];
   $("taps").hidden = $("taps-note").hidden = !taps.length;
+  renderPlot(taps, state.plan.tolerance && state.plan.tolerance[0]);
   $("no-taps").hidden = Boolean(taps.length);
   if (body.dataset.key === key) return;
   body.dataset.key = key;
@@ -336,8 +367,9 @@ function renderTaps() {
       if (note) made.append(Object.assign(document.createElement("small"), { textContent: note }));
     };
     const speed = tap.speed === null ? "" : `${tap.speed.toFixed(0)} mm/s, `;
-    cell("Tap", [String(tap.number)], "", `${speed}${tap.outcome}, ${tap.method}`);
-    cell("Commanded", triple(tap.commanded));
+    const outcome = tap.outcome === "fired" ? "" : `${tap.outcome}, `;
+    cell("Tap", [String(tap.number)]);
+    cell("Commanded", triple(tap.commanded), "", `${outcome}${speed}${tap.method}`);
     cell("Predicted", triple(tap.predicted));
     cell("Measured", triple(tap.measured));
     const [distance, angle] = tap.remaining;
@@ -367,11 +399,13 @@ function renderNodes() {
 }
 
 function renderLog() {
-  const key = JSON.stringify(state.log), list = $("log");
-  $("no-log").hidden = Boolean(state.log.length);
+  const kind = $("log-kind").value, words = $("log-words").value.trim().toLowerCase();
+  const lines = state.log.filter((line) => (!kind || line.kind === kind) && line.text.toLowerCase().includes(words));
+  const key = JSON.stringify(lines), list = $("log");
+  $("no-log").hidden = Boolean(lines.length);
   if (list.dataset.key === key) return;
   list.dataset.key = key;
-  list.replaceChildren(...[...state.log].reverse().map((line) => {
+  list.replaceChildren(...lines.reverse().map((line) => {
     const row = document.createElement("li");
     const time = document.createElement("time");
     time.textContent = new Date(1000 * line.time).toLocaleTimeString([], { hour12: false });
@@ -406,6 +440,7 @@ function readGoal() {
   return trouble ? null : { x: read.x.value, y: read.y.value, angle: read.angle.value };
 }
 
+const stop = new Stop(() => say({ do: "stop" }), (text, kind) => show("stop", text, kind), () => renderStop());
 const ghost = new Ghost(say, (pose, typed) => {
   if (pose.trouble) {
     if (ghost.touched && !typed) setText($("goal-trouble"), pose.trouble);
@@ -445,21 +480,20 @@ $("goal-form").addEventListener("submit", (event) => {
     Object.values(FIELDS).find((field) => field.getAttribute("aria-invalid") === "true").focus();
     return;
   }
-  sent = [goal.x, goal.y, Math.atan2(Math.sin(goal.angle * Math.PI / 180), Math.cos(goal.angle * Math.PI / 180)) * 180 / Math.PI];
+  if ($("send").disabled) return;
+  ghost.touched = true;
   document.activeElement.blur();
   setText($("goal-trouble"), "");
   request("goal", goal);
 });
-$("stop").addEventListener("click", () => request("stop"));
+$("stop").addEventListener("click", () => stop.press());
 $("cancel").addEventListener("click", () => request("cancel"));
-$("press-button").addEventListener("click", () => request("press_button"));
-$("download").addEventListener("click", () => request("download"));
 $("home-ghost").addEventListener("click", () => {
-  ghost.touched = true;
-  ghost.place(...state.object.pose);
+  ghost.touched = false;
+  followed = "";
+  follow(state.object.pose);
 });
-$("clear").addEventListener("click", () => ask("clear"));
-$("home").addEventListener("click", () => ask("home"));
+for (const id of ["log-kind", "log-words"]) $(id).addEventListener("input", () => { if (state) renderLog(); });
 $("confirm-no").addEventListener("click", () => ask(""));
 $("confirm-yes").addEventListener("click", () => {
   const what = asking;
@@ -488,7 +522,7 @@ setInterval(() => {
   for (const [name, since] of waiting) {
     if (now - since < ANSWER_MS) continue;
     waiting.delete(name);
-    show(name, "no answer so far; look at the nodes below", "bad");
+    show(name, "no answer so far; look at the list of nodes", "bad");
   }
   renderBanner();
   renderPicture();

@@ -1,0 +1,256 @@
+"""From STOP on the operator's page to a subscriber of ``emergency_stop``, under attack.
+
+The real node runs as a process of its own, with its process for STOP. Another process plays
+``CLIENTS`` hostile pages, each with 200 messages a second: drags, commands and nonsense to the page
+(they connect again whenever they are thrown out), then checks and nonsense to STOP's own port. What
+is measured is a browser's request over a new connection, the process, the middleware, and the
+subscription that receives it here. Peers: the same without an attack, and a message published here.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import random
+import selectors
+import socket
+import tempfile
+import threading
+import time
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import Bool
+
+from tapping_cell.cli.graph import Graph, own_domain
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.conversions import camera_to_message
+from tapping_cell.vision import CameraPose
+
+STOPS = 100
+PAUSE_S = 0.2
+"""Between stops."""
+CLIENTS = 50
+BATCH_PERIOD_S = 0.05
+BATCH = 10
+"""Messages of each client that are sent together every period: 200 a second."""
+PATIENCE_S = 20.0
+
+
+def measure() -> dict[str, Any]:
+    """Times in s from the request to the message, for each attack."""
+    domain = own_domain()
+    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    page, stop = _free_port(), _free_port()
+    with tempfile.TemporaryDirectory() as folder:
+        given = {"operator_page": {"port": page, "stop_port": stop, "runs": Path(folder)}}
+        rclpy.init()
+        executor = SingleThreadedExecutor()
+        listener = Listener()
+        executor.add_node(listener.node)
+        spinning = threading.Thread(target=executor.spin, daemon=True)
+        spinning.start()
+        try:
+            with Graph(("operator_page",), given, Path(folder) / "logs") as graph:
+                _wait(lambda: _press(page, stop), graph, "STOP is served")
+                return {
+                    "no attack": _stops(listener, page, stop, None),
+                    "pages": _stops(listener, page, stop, attack_pages),
+                    "stop port": _stops(listener, page, stop, attack_stop),
+                    "bare topic": _bare(listener),
+                    "load": os.getloadavg()[0],
+                }
+        finally:
+            executor.shutdown()
+            rclpy.try_shutdown()
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    rows = [
+        f"{name}: median {1e3 * row['median']:.1f} ms, p99 {1e3 * row['p99']:.1f} ms, longest"
+        f" {1e3 * row['longest']:.1f} ms of {row['stops']}"
+        + (f"; {row['sent']:.0f} hostile messages/s" if "sent" in row else "")
+        for name, row in report.items()
+        if isinstance(row, dict)
+    ]
+    return [*rows, f"load {report['load']:.1f} on {os.cpu_count()} cores"]
+
+
+class Listener:
+    """Notes when a stop arrives; and plays a camera, so that drags cost what they cost."""
+
+    def __init__(self) -> None:
+        self.node = rclpy.create_node("page_stop_bench")
+        self.heard = threading.Event()
+        self.heard_at = 0.0
+        self.node.create_subscription(Bool, "emergency_stop", self._hear, LATCHED)
+        self.bare = self.node.create_publisher(Bool, "bare", LATCHED)
+        self.node.create_subscription(Bool, "bare", self._hear, LATCHED)
+        self._info = self.node.create_publisher(CameraInfo, "camera/camera_info", images.PICTURES)
+        self._pose = self.node.create_publisher(PoseStamped, "camera/pose", LATCHED)
+        self._camera = load_cell().camera
+        self.node.create_timer(0.5, self._play_camera)
+
+    def _hear(self, _: Bool) -> None:
+        self.heard_at = time.monotonic()
+        self.heard.set()
+
+    def _play_camera(self) -> None:
+        self._info.publish(images.to_camera_info(self._camera))
+        place = CameraPose.above((0.02, -0.05, 0.7), (0.0, 0.0), 0.1)
+        self._pose.publish(PoseStamped(pose=camera_to_message(place)))
+
+
+def _stops(
+    listener: Listener, page: int, stop: int, attack: Callable[..., None] | None
+) -> dict[str, float]:
+    context = multiprocessing.get_context("spawn")
+    sent = context.Value("L", 0)
+    hostile = context.Process(target=attack, args=(page, stop, sent), daemon=True)
+    if attack is not None:
+        hostile.start()
+        time.sleep(3.0)
+    before, began = sent.value, time.monotonic()
+    times = []
+    try:
+        for _ in range(STOPS):
+            time.sleep(PAUSE_S)
+            listener.heard.clear()
+            pressed = time.monotonic()
+            if not _press(page, stop) or not listener.heard.wait(PATIENCE_S):
+                raise RuntimeError("a stop was not served")
+            times.append(listener.heard_at - pressed)
+    finally:
+        rate = (sent.value - before) / (time.monotonic() - began)
+        if attack is not None:
+            hostile.kill()
+            hostile.join()
+            time.sleep(1.0)
+    return _figures(times) | ({} if attack is None else {"sent": rate})
+
+
+def _bare(listener: Listener) -> dict[str, float]:
+    times = []
+    for _ in range(STOPS):
+        time.sleep(0.02)
+        listener.heard.clear()
+        began = time.monotonic()
+        listener.bare.publish(Bool(data=True))
+        listener.heard.wait(PATIENCE_S)
+        times.append(listener.heard_at - began)
+    return _figures(times)
+
+
+def _figures(times: list[float]) -> dict[str, float]:
+    return {
+        "stops": len(times),
+        "median": float(np.median(times)),
+        "p99": float(np.percentile(times, 99)),
+        "longest": max(times),
+    }
+
+
+def _press(page: int, stop: int) -> bool:
+    """One STOP as a browser sends it, over a connection of its own."""
+    asked = urllib.request.Request(
+        f"http://127.0.0.1:{stop}/",
+        data=b'{"do": "stop"}',
+        headers={"Origin": f"http://127.0.0.1:{page}"},
+    )
+    try:
+        with urllib.request.urlopen(asked, timeout=PATIENCE_S) as answer:
+            return bool(answer.status == 200)
+    except OSError:
+        return False
+
+
+def attack_pages(page: int, _: int, sent: Any) -> None:
+    """Hostile pages; runs until it is killed."""
+    place = b'{"do":"place","number":%d,"x":%d,"y":0,"angle":9}'
+    messages = [place % (number, number % 200 - 100) for number in range(1000)]
+    messages += [b'{"do":"goal","x":1e9}', b'{"do":"home"}', b"[" * 500, b"\xff\xfe", b"{}"] * 40
+    frames = [_frame(message) for message in messages]
+    hello = (
+        f"GET /live HTTP/1.1\r\nHost: 127.0.0.1:{page}\r\nOrigin: http://127.0.0.1:{page}\r\n"
+        "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+    ).encode() + _frame(b'{"do":"hello"}')
+    _attack(page, hello, frames, sent)
+
+
+def attack_stop(page: int, stop: int, sent: Any) -> None:
+    """Hostile clients of STOP's own port; runs until it is killed."""
+    bodies = [b'{"do":"check"}', b'{"do":"check","token":"x"}', b"nonsense", b"[" * 300]
+    requests = [
+        f"POST / HTTP/1.1\r\nHost: 127.0.0.1:{stop}\r\nOrigin: http://127.0.0.1:{page}\r\n"
+        f"Content-Length: {len(body)}\r\n\r\n".encode()
+        + body
+        for body in bodies
+    ]
+    _attack(stop, b"", [*requests, b"GET / HTTP/1.1\r\nHost: x\r\n\r\n"], sent)
+
+
+def _attack(port: int, hello: bytes, messages: list[bytes], sent: Any) -> None:
+    """Send batches over every connection; open anew what was closed."""
+    chance = random.Random(1)
+    lines: list[socket.socket | None] = [None] * CLIENTS
+    while True:
+        began = time.monotonic()
+        for number, line in enumerate(lines):
+            try:
+                if line is None:
+                    line = lines[number] = socket.create_connection(("127.0.0.1", port), 1.0)
+                    line.sendall(hello)
+                    line.setblocking(False)
+                _drain(line)
+                line.send(b"".join(chance.choices(messages, k=BATCH)))
+                with sent.get_lock():
+                    sent.value += BATCH
+            except BlockingIOError:
+                continue  # the server reads no more: that is how it defends itself
+            except OSError:
+                if line is not None:
+                    line.close()
+                lines[number] = None
+        time.sleep(max(0.0, BATCH_PERIOD_S - (time.monotonic() - began)))
+
+
+def _drain(line: socket.socket) -> None:
+    """Read what was answered; raises ConnectionError where the server has closed."""
+    with selectors.DefaultSelector() as ready:
+        ready.register(line, selectors.EVENT_READ)
+        while ready.select(0):
+            if not line.recv(1 << 16):
+                raise ConnectionResetError
+
+
+def _frame(message: bytes) -> bytes:
+    """A text frame of a WebSocket, masked with zeros (RFC 6455, section 5.2)."""
+    size = len(message)
+    length = bytes([0x80 | size]) if size < 126 else bytes([0xFE]) + size.to_bytes(2, "big")
+    return b"\x81" + length + bytes(4) + message
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _wait(condition: Callable[[], bool], graph: Graph, what: str) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        graph.check()
+        if time.monotonic() > end:
+            raise RuntimeError(f"waited in vain: {what}")
+        time.sleep(0.1)

@@ -1,0 +1,239 @@
+"""Write the reference pages of docs/ that are made from the code.
+
+    python environment/reference_pages.py        (or: make reference)
+
+Tests compare the pages with what this writes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import inspect
+import types
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from tapping_cell.calibration.experiment import ExperimentFile
+from tapping_cell.cli import VERBS, verb_parser
+from tapping_cell.configuration.cell import CellFile
+from tapping_cell.configuration.objects import ObjectFile
+from tapping_cell.configuration.table import TableFile
+from tapping_cell.report import error_codes
+from tapping_cell.simulation.truth import TruthFile
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+_HEAD = """# Commands
+
+`python -m tapping_cell VERB`, or `ros2 run tapping_cell cell VERB`. Every verb has `--help` with an
+example. Lengths are in mm and angles in degrees where people type them. Verbs with `--json` print
+figures for a program on standard output and words on standard error; progress is shown on a
+terminal only. Exit status: 0 done, 1 not reached or something found, 2 wrong input, 130
+interrupted.
+
+The tabulator key completes verbs and options after
+
+    eval "$(python -m tapping_cell completion)"
+
+in `~/.bashrc`, which also makes `cell` a short name: `cell goal 20 10 0`.
+
+`make reference` writes this page.
+"""
+_ERROR_CODES = """# Error codes
+
+Every refusal and failure of the cell has a number of `tapping_cell_msgs/msg/ErrorCode` and a
+message with the value and the limit. The command line, the report of a run and the operator page
+show the hint of the last column.
+
+`msg_defs/msg/ErrorCode.msg` declares the codes; `make reference` writes this page from it.
+
+| code | name | when | what to do |
+| --- | --- | --- | --- |
+"""
+
+
+def commands_page() -> str:
+    """Every verb and option, from the parsers."""
+    parts = [_HEAD]
+    for verb, text in VERBS.items():
+        parser, _ = verb_parser(verb)
+        parts.append(f"\n## `{verb}`\n\n{text[0].upper()}{text[1:]}.\n")
+        parts += [f"\n    {line}\n" for line in examples(parser)[:1]]
+        parts += _tables(parser)
+    return "".join(parts)
+
+
+def examples(parser: argparse.ArgumentParser) -> list[str]:
+    """The command lines in a parser's description."""
+    lines = inspect.cleandoc(parser.description or "").splitlines()
+    return [line.strip() for line in lines if line.strip().startswith("python -m tapping_cell ")]
+
+
+def _tables(parser: argparse.ArgumentParser) -> Iterator[str]:
+    rows = []
+    inner: list[tuple[str, argparse.ArgumentParser]] = []
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            inner += list(action.choices.items())
+        elif not isinstance(action, argparse._HelpAction):
+            rows.append(f"| {_name(action)} | {_default(action)} | {_text(action.help)} |\n")
+    if rows:
+        yield "\n| option | default | what |\n| --- | --- | --- |\n"
+        yield from rows
+    for name, own in inner:
+        yield f"\n### `{parser.prog.split(' ', 1)[1]} {name}`\n"
+        yield from _tables(own)
+
+
+def _name(action: argparse.Action) -> str:
+    names = ", ".join(f"`{name}`" for name in action.option_strings)
+    metavar = action.metavar or ("" if action.nargs == 0 else action.dest.upper().replace("_", "-"))
+    if action.choices is not None and action.metavar is None:
+        metavar = ", ".join(str(choice) for choice in action.choices)
+    values = " ".join(metavar) if isinstance(metavar, tuple) else metavar
+    return f"{names} {values}".strip() if names else f"`{values}`"
+
+
+def _default(action: argparse.Action) -> str:
+    value = action.default
+    if value in (None, False, "", [], argparse.SUPPRESS) or not action.option_strings:
+        return ""
+    return " ".join(map(str, value)) if isinstance(value, (tuple, list)) else str(value)
+
+
+def _text(words: str | None) -> str:
+    return (words or "").replace("%%", "%").replace("|", "\\|")
+
+
+def error_codes_page() -> str:
+    """Every error code with its meaning and hint."""
+    rows = (
+        f"| {number} | {code.name} | {code.meaning} | {code.hint} |\n"
+        for number, code in error_codes.codes().items()
+    )
+    return _ERROR_CODES + "".join(rows)
+
+
+_CONFIGURATION = """# Configuration files
+
+Every key of every YAML file that the cell reads, in SI units and radians. Unknown keys, missing
+keys, wrong types and values out of range are refused with file, key, value and range;
+`python -m tapping_cell check-config` checks all files, and the consistency between them, without
+starting anything. The files of [config/](../../config) are complete examples. For the ROS
+parameters of the nodes see [nodes.md](../nodes.md).
+
+![Dimensions of the arm and the striker](../images/arm_dimensions.svg)
+
+`make reference` writes this page from the declarations in the code.
+"""
+FILES: tuple[tuple[str, str, type], ...] = (
+    (
+        "Cell file",
+        "`cell.yaml`: table, arm, tapper, camera and goals.",
+        CellFile,
+    ),
+    ("Object file", "`objects/*.yaml`: one object.", ObjectFile),
+    ("Table file", "`table.yaml`: the reference markers.", TableFile),
+    ("Header of an experiment", "`experiment.yaml` of a folder of single taps.", ExperimentFile),
+    (
+        "Simulation parameters",
+        "`truth/*.yaml`: how the simulated world differs from what the planner is told.",
+        TruthFile,
+    ),
+)
+
+
+def configuration_page() -> str:
+    """Every key of every file, from the declarations of the sections."""
+    parts = [_CONFIGURATION]
+    written: dict[type, str] = {}
+    for title, text, kind in FILES:
+        parts.append(f"\n## {title}\n\n{text}\n")
+        parts += _section_tables(kind, "", title, written)
+    parts.append(
+        "\n## Camera calibration\n\n`camera_info.yaml` has the format of ROS's "
+        "`camera_calibration`; "
+        "`calibrate camera` writes it.\n"
+    )
+    return "".join(parts)
+
+
+def _section_tables(kind: type, prefix: str, title: str, written: dict[type, str]) -> Iterator[str]:
+    """The table of a section, then those of the sections in it; each kind of section once."""
+    hints = typing.get_type_hints(kind)
+    inner: list[tuple[str, type]] = []
+    yield "\n| key | type | unit and range | default | meaning |\n| --- | --- | --- | --- | --- |\n"
+    for entry in dataclasses.fields(kind):
+        limits = entry.metadata["limits"]
+        held = _sections_in(hints[entry.name])
+        name = f"{prefix}{entry.name}"
+        meaning = limits.description
+        if held is not None:
+            known = written.setdefault(held, name)
+            if known == name:
+                inner.append((name, held))
+            else:
+                meaning += f"; keys as in `{known}`"
+        default = entry.default
+        shown = "required" if default is dataclasses.MISSING else _value_text(default)
+        yield (
+            f"| `{name}` | {_type_text(hints[entry.name])} | {_escaped(limits.range_text())} "
+            f"| {shown} | {_escaped(meaning)} |\n"
+        )
+    for name, held in inner:
+        first = (inspect.getdoc(held) or "").splitlines()[0]
+        yield f"\n### `{name}` ({title.lower()})\n\n{first}\n"
+        yield from _section_tables(held, f"{name}.", title, written)
+
+
+def _sections_in(hint: Any) -> type | None:
+    """The section that a type holds, alone, optional or in a list; None if it holds none."""
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
+        return hint
+    return next(filter(None, map(_sections_in, typing.get_args(hint))), None)
+
+
+def _type_text(hint: Any) -> str:
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return _type_text(next(each for each in inner if each is not type(None)))
+    if dataclasses.is_dataclass(hint):
+        return "section"
+    if origin is tuple:
+        kind = _type_text(inner[0])
+        plural = kind.replace("list", "lists", 1) if kind.startswith("list") else f"{kind}s"
+        return f"list of {'' if inner[-1] is Ellipsis else f'{len(inner)} '}{plural}"
+    if origin is Mapping:
+        return "mapping of names to numbers"
+    names = {float: "number", int: "whole number", bool: "true or false"}
+    return names.get(hint, "text")
+
+
+def _value_text(value: Any) -> str:
+    if value is None:
+        return "none"
+    if dataclasses.is_dataclass(value):
+        return "its defaults"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_value_text, value))}]"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return str(value).lower() if isinstance(value, bool) else str(value) or "(empty)"
+
+
+def _escaped(words: str) -> str:
+    return words.replace("|", "\\|")
+
+
+PAGES: dict[Path, Callable[[], str]] = {
+    DOCS / "commands.md": commands_page,
+    DOCS / "reference" / "configuration.md": configuration_page,
+    DOCS / "error_codes.md": error_codes_page,
+}
+
+
+if __name__ == "__main__":
+    for file, text in PAGES.items():
+        file.write_text(text(), encoding="utf-8")

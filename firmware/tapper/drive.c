@@ -1,0 +1,139 @@
+#include "drive.h"
+
+void drive_start(struct drive *d)
+{
+    *d = (struct drive){.phase = DRIVE_OFF};
+}
+
+void drive_halt(struct drive *d)
+{
+    d->phase = DRIVE_OFF;
+    d->step_high = false;
+}
+
+void drive_home(struct drive *d)
+{
+    if (d->phase == DRIVE_OFF)
+        d->wait = DRIVE_WAKE_TICKS;
+    d->steps = 0;
+    /* A closed switch is left first: that proves switch and motor. */
+    d->phase = DRIVE_LEAVING;
+}
+
+void drive_out(struct drive *d, int16_t steps)
+{
+    if (d->phase != DRIVE_HOLDING)
+        return;
+    d->target = steps;
+    d->opened = false;
+    d->phase = DRIVE_OUT;
+}
+
+void drive_back(struct drive *d)
+{
+    if (d->phase == DRIVE_LEAVING || d->phase == DRIVE_SEEKING)
+        drive_halt(d);
+    else if (d->phase != DRIVE_OFF && !(d->phase == DRIVE_HOLDING && d->place == 0))
+        d->phase = DRIVE_BACK;
+}
+
+enum drive_status drive_status(const struct drive *d)
+{
+    if (d->phase == DRIVE_OFF)
+        return DRIVE_UNKNOWN;
+    return d->phase == DRIVE_HOLDING ? DRIVE_THERE : DRIVE_MOVING;
+}
+
+/* Takes a sample of the switch; whether its level is certain. */
+static bool settled(struct drive *d, bool front_closed)
+{
+    if (front_closed != d->closed)
+        d->equal = 0;
+    d->closed = front_closed;
+    if (d->equal < DRIVE_SETTLE_TICKS)
+        d->equal++;
+    return d->equal == DRIVE_SETTLE_TICKS;
+}
+
+/* Whether a step is due, and in which direction: +1 outward, -1 to the front; 0 for none. */
+static int8_t next_step(struct drive *d)
+{
+    switch (d->phase) {
+    case DRIVE_LEAVING:
+        if (!d->closed) {
+            d->phase = DRIVE_SEEKING;
+            d->steps = 0;
+            return 0;
+        }
+        if (d->steps++ < DRIVE_LEAVE_STEPS)
+            return 1;
+        drive_halt(d); /* the switch is stuck, or the motor does not move */
+        return 0;
+    case DRIVE_SEEKING:
+        if (d->closed) {
+            d->place = d->target = 0;
+            d->phase = DRIVE_HOLDING;
+            return 0;
+        }
+        if (d->steps++ < LONGEST_DRAW_STEPS + DRIVE_LEAVE_STEPS)
+            return -1;
+        drive_halt(d);
+        return 0;
+    case DRIVE_OUT:
+        d->opened |= !d->closed;
+        if (d->closed && d->place >= FRONT_HYSTERESIS_STEPS) {
+            drive_halt(d); /* the steps moved nothing */
+            return 0;
+        }
+        if (d->place < d->target) {
+            d->place++;
+            return 1;
+        }
+        d->phase = DRIVE_HOLDING;
+        return 0;
+    case DRIVE_BACK:
+        /* After a short way out the switch may have stayed closed: then the count alone tells. */
+        if (d->closed && d->place <= (d->opened ? FRONT_SLACK_STEPS : 0)) {
+            d->place = d->target = 0;
+            d->phase = DRIVE_HOLDING;
+            return 0;
+        }
+        /* Closed too early: steps were missed on the way out. Still open: on the way back. */
+        if ((d->closed && d->opened) || d->place <= -FRONT_SLACK_STEPS) {
+            drive_halt(d);
+            return 0;
+        }
+        d->place--;
+        return -1;
+    default:
+        return 0;
+    }
+}
+
+uint8_t drive_tick(struct drive *d, bool front_closed)
+{
+    uint8_t outputs = DRIVE_ENABLE;
+    bool certain = settled(d, front_closed);
+
+    if (d->phase == DRIVE_OFF)
+        return 0;
+    if (d->wait) {
+        d->wait--;
+        return outputs;
+    }
+    if (d->step_high) {
+        d->step_high = false;
+        return outputs;
+    }
+    /* No step is made while the switch bounces, so that it closes and opens at a certain place. */
+    int8_t direction = certain ? next_step(d) : 0;
+    if (d->phase == DRIVE_OFF)
+        return 0;
+    if (direction > 0)
+        outputs |= DRIVE_OUTWARD;
+    if (direction) {
+        outputs |= DRIVE_STEP;
+        d->step_high = true;
+    }
+    return outputs;
+}

@@ -1,0 +1,166 @@
+"""Connect to the arm and the tapper of a cell and compare their settings with what is needed.
+
+Nothing moves, nothing is charged. Each difference is printed with what mends it. With --write, what
+is safe to store (holding torque, form of the reports) is stored in the controller after a yes;
+steps, speeds and accelerations are always left to a person.
+
+    python -m tapping_cell doctor --cell my_cell.yaml
+    python -m tapping_cell doctor --cell my_cell.yaml --write
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from tapping_cell.configuration.arm_assembly import make_dialect
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.hardware.dialect import ArmDialect
+from tapping_cell.hardware.faults import HardwareFault
+from tapping_cell.hardware.finding import Finding
+from tapping_cell.hardware.serial_transport import SerialTransport
+from tapping_cell.hardware.tapper import TapperDriver
+
+PATIENCE = 8.0
+"""Longest wait for a port, and then for its device, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of the table."""
+
+    device: str
+    setting: str
+    found: str
+    ok: bool
+    remedy: str = ""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the verb."""
+    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
+    parser.add_argument(
+        "--write", action="store_true", help="store what is safe to store, after a yes"
+    )
+    parser.add_argument("--json", action="store_true", help="print the findings for a program")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb; 0 where everything is as it must be, 1 else."""
+    console = Console(soft_wrap=True)
+    try:
+        cell = load_cell(arguments.cell)
+    except ConfigurationError as error:
+        console.print(f"error: {error}", style="red", highlight=False, markup=False)
+        return 1
+    rows = [*check_arm(cell, _confirm if arguments.write else None), *check_tapper(cell)]
+    good = all(row.ok for row in rows)
+    if arguments.json:
+        print(json.dumps({"ok": good, "findings": [asdict(row) for row in rows]}, indent=2))
+    else:
+        console.print(_table(rows))
+    return 0 if good else 1
+
+
+def check_arm(cell: Cell, confirm: Callable[[Finding], bool] | None = None) -> list[Row]:
+    """The arm's controller; ``confirm`` is asked before each setting that is stored."""
+    arm = cell.file.arm
+    try:
+        port = _port(arm.port)
+        transport = SerialTransport(port, arm.baud)
+        dialect = make_dialect(arm, transport)
+        try:
+            transport.open(PATIENCE)
+            firmware, findings = dialect.inspect(transport.now() + PATIENCE)
+            if confirm is not None and _store(dialect, findings, confirm, transport):
+                firmware, findings = dialect.inspect(transport.now() + PATIENCE)
+        finally:
+            transport.close()
+    except (HardwareFault, ValueError) as fault:
+        return [Row("arm", "connection", "failed", False, str(fault))]
+    rows = [Row("arm", "controller", f"{firmware.name} {firmware.version} on {port}", True)]
+    rows += [Row("arm", "remark", remark, True) for remark in firmware.remarks]
+    for finding in findings:
+        remedy = finding.needed + (f": send {finding.command}" if finding.command else "")
+        met = finding.met
+        rows.append(Row("arm", finding.setting, finding.found, met, "" if met else remedy))
+    return rows
+
+
+def check_tapper(cell: Cell) -> list[Row]:
+    """The tapper's board; the connection itself lets a charged striker down."""
+    section = cell.file.tapper
+    try:
+        port = _port(section.port)
+        driver = TapperDriver(SerialTransport(port, section.baud))
+        try:
+            reply = driver.connect(PATIENCE)
+        finally:
+            driver.close()
+    except (HardwareFault, ValueError) as fault:
+        return [Row("tapper", "connection", "failed", False, str(fault))]
+    stop = "pressed or latched" if reply.stop_latched else "clear"
+    return [
+        Row("tapper", "firmware", f"{driver.version} on {port}", True),
+        Row(
+            "tapper",
+            "interlock",
+            "closed" if reply.interlock_closed else "open",
+            reply.interlock_closed,
+            "" if reply.interlock_closed else "close the guard, or look at the loop on D2",
+        ),
+        Row(
+            "tapper",
+            "stop",
+            stop,
+            not reply.stop_latched,
+            "press the clear button, then call clear_fault" if reply.stop_latched else "",
+        ),
+    ]
+
+
+def _store(
+    dialect: ArmDialect,
+    findings: list[Finding],
+    confirm: Callable[[Finding], bool],
+    transport: SerialTransport,
+) -> bool:
+    """Store what may be stored and is agreed to; whether anything was."""
+    wanted = [f for f in findings if not f.met and f.storable and confirm(f)]
+    for finding in wanted:
+        dialect.store(finding, transport.now() + PATIENCE)
+    return bool(wanted)
+
+
+def _confirm(finding: Finding) -> bool:
+    try:
+        answer = input(f"{finding.sentence}. Store it now? [y/N] ")
+    except EOFError:
+        return False
+    return answer.strip().lower() in ("y", "yes")
+
+
+def _port(port: str) -> str:
+    if "{" in port:
+        raise ValueError(
+            f"port {port} is that of a simulated cell: give the path of a device in the cell file,"
+            " such as /dev/serial/by-id/..."
+        )
+    return str(Path(port).expanduser())
+
+
+def _table(rows: list[Row]) -> Table:
+    table = Table("device", "setting", "found", "", "what to do")
+    for row in rows:
+        mark = "[green]ok[/]" if row.ok else "[red]wrong[/]"
+        setting, found, remedy = map(escape, (row.setting, row.found, row.remedy))
+        table.add_row(row.device, setting, found, mark, remedy)
+    return table

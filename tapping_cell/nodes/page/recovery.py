@@ -1,0 +1,69 @@
+"""The way back after a stop, a fault or a start without a homed arm: numbered steps."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from tapping_cell_msgs.msg import ArmState, TapperState
+
+ARM_HALTED = (ArmState.STOPPED, ArmState.FAULT)
+TAPPER_HALTED = (TapperState.STOPPED, TapperState.FAULT)
+
+
+class Step(NamedTuple):
+    """One step: what a person does, and the page's command that does it, where there is one."""
+
+    text: str
+    state: str
+    """done, now or later."""
+    command: str = ""
+
+
+class Recovery:
+    """Follows the cell from a halt until it may take goals again; steps tick themselves off."""
+
+    def __init__(self) -> None:
+        self._halted = False
+        self._tapper_halted = False
+
+    def steps(
+        self,
+        arm: ArmState | None,
+        tapper: TapperState | None,
+        holders: list[str],
+        simulated: bool,
+    ) -> list[Step]:
+        """What is to be done, in order; empty where nothing is.
+
+        ``arm`` and ``tapper`` are the states that are heard now, None where there is none.
+        ``holders`` names who holds a stop as far as it is known. In a simulated cell the page can
+        press the button at the tapper.
+        """
+        tapper_halted = tapper is not None and tapper.state in TAPPER_HALTED
+        halted = tapper_halted or (arm is not None and arm.state in ARM_HALTED)
+        homed = arm is not None and arm.homed
+        if halted and not self._halted:
+            self._tapper_halted = False
+        if not halted and (homed or arm is None):
+            self._halted = self._tapper_halted = False
+            return []
+        self._halted = self._halted or halted
+        self._tapper_halted = self._tapper_halted or tapper_halted
+        steps = []
+        if self._halted:
+            now = "now" if halted else "done"
+            steps.append(
+                Step("Remove the cause, and see that everybody is clear of the cell.", now)
+            )
+            if self._tapper_halted:
+                pressed = "now" if tapper_halted else "done"
+                button = "press_button" if simulated else ""
+                text = "Press the clear button at the tapper; clear the faults within 10 s of it."
+                steps.append(Step(text, pressed, button))
+            held = f" Stops held by: {', '.join(holders)}." if holders else ""
+            steps.append(Step(f"Clear the stop and the faults.{held}", now, "clear"))
+        home = "done" if homed and not halted else "later" if halted else "now"
+        busy = arm is not None and arm.state == ArmState.HOMING
+        text = "The arm is homing." if busy else "Home the arm: it finds its end switches."
+        steps.append(Step(text, home, "" if busy else "home"))
+        return steps

@@ -1,0 +1,146 @@
+"""The recorder's run folders, for the page: listed, found by name and packed to download.
+
+A name from outside only chooses among what lies directly in the recorder's folder. Links are not
+followed, and a folder without a run's ``summary.json`` is not served.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+import zipfile
+from pathlib import Path
+
+from tapping_cell.nodes.recorder.run_names import is_run_name
+
+SUMMARY = "summary.json"
+REPORT = "report.html"
+MOST_ROWS = 40
+LARGEST_SUMMARY = 4_000_000
+"""Bytes of a summary that is read."""
+
+
+class Runs:
+    """The runs in one folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder.expanduser().absolute()
+        self._rows: dict[str, tuple[int, dict[str, object]]] = {}
+
+    def rows(self) -> list[dict[str, object]]:
+        """The latest runs, newest first: name, time, outcome, goal, taps, residual, error, report.
+
+        Times in s, poses as [mm, mm, degrees] and residuals as [mm, degrees]; None where unknown.
+        """
+        found = []
+        for name, changed in self._summaries():
+            if name not in self._rows or self._rows[name][0] != changed:
+                self._rows[name] = (changed, self._row(name))
+            found.append({**self._rows[name][1], "report": self.report(name) is not None})
+        kept = {str(row["name"]) for row in found}
+        self._rows = {name: row for name, row in self._rows.items() if name in kept}
+        return found
+
+    def find(self, name: str) -> Path | None:
+        """The folder of a run; None where there is no run of this name."""
+        if not is_run_name(name):
+            return None
+        path = self.folder / name
+        try:
+            own = path.is_dir() and not path.is_symlink()
+            summary = path / SUMMARY
+            return path if own and summary.is_file() and not summary.is_symlink() else None
+        except OSError:
+            return None
+
+    def report(self, name: str) -> Path | None:
+        """The report of a run, where it has one."""
+        run = self.find(name)
+        report = run / REPORT if run is not None else None
+        return report if report and report.is_file() and not report.is_symlink() else None
+
+    def archive(self, name: str) -> Path | None:
+        """A ZIP file of a run, which the caller removes; None where there is no such run.
+
+        Links are left out, whatever they point to. Bags are compressed already, and only stored.
+
+        Raises:
+            OSError: the run cannot be read, or there is no room for the file.
+        """
+        run = self.find(name)
+        if run is None:
+            return None
+        handle, made = tempfile.mkstemp(prefix="tapping_cell-run-", suffix=".zip")
+        archive = Path(made)
+        try:
+            with os.fdopen(handle, "wb") as stream, zipfile.ZipFile(stream, "w") as packed:
+                for place, folders, files in os.walk(run, followlinks=False):
+                    folders.sort()
+                    for file in sorted(Path(place, each) for each in files):
+                        if file.is_file() and not file.is_symlink():
+                            how = (
+                                zipfile.ZIP_STORED
+                                if file.suffix == ".mcap"
+                                else zipfile.ZIP_DEFLATED
+                            )
+                            packed.write(file, Path(name) / file.relative_to(run), how)
+        except BaseException:
+            archive.unlink(missing_ok=True)
+            raise
+        return archive
+
+    def _summaries(self) -> list[tuple[str, int]]:
+        """Names and changes of the latest runs, newest first."""
+        found = []
+        try:
+            with os.scandir(self.folder) as entries:
+                for entry in entries:
+                    if entry.is_dir(follow_symlinks=False) and is_run_name(entry.name):
+                        try:
+                            changed = os.lstat(Path(entry.path, SUMMARY)).st_mtime_ns
+                        except OSError:
+                            continue
+                        found.append((entry.name, changed))
+        except OSError:
+            return []
+        found.sort(key=lambda each: each[1], reverse=True)
+        return found[:MOST_ROWS]
+
+    def _row(self, name: str) -> dict[str, object]:
+        row: dict[str, object] = {
+            "name": name,
+            "began": None,
+            "outcome": "unreadable",
+            "goal": None,
+            "taps": None,
+            "residual": None,
+            "error": "",
+        }
+        run = self.find(name)
+        if run is None:
+            return row
+        try:
+            with (run / SUMMARY).open(encoding="utf-8") as file:
+                content = json.loads(file.read(LARGEST_SUMMARY))
+            goal, residual = content["goal"], content["measured_residual"]
+            row |= {
+                "began": _number(content["began"]),
+                "goal": goal and [_number(goal[key]) for key in ("x_mm", "y_mm", "theta_deg")],
+                "taps": int(content["taps"]),
+                "residual": residual
+                and [_number(residual[key]) for key in ("distance_mm", "rotation_deg")],
+                "error": str(content["error_msg"])[:500],
+                "outcome": str(content["outcome"])[:40],
+            }
+        except (OSError, ValueError, TypeError, KeyError, OverflowError, RecursionError):
+            return row
+        return row
+
+
+def _number(value: object) -> float | None:
+    """A finite number; None for anything else."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        return None
+    return round(float(value), 3)

@@ -1,0 +1,89 @@
+"use strict";
+// What was: the remaining error of each tap as a plot, and the recorded runs as a table.
+
+const SVG = "http://www.w3.org/2000/svg";
+
+function drawn(name, attributes, text = "") {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.textContent = text;
+  return made;
+}
+
+// Distance to the goal before the first tap and after each, on a logarithmic scale, above the tolerance.
+function renderPlot(taps, tolerance) {
+  const plot = document.getElementById("plot");
+  const points = taps.length && taps[0].before[0] !== null ? [[0, taps[0].before[0]]] : [];
+  for (const tap of taps) if (tap.remaining[0] !== null) points.push([tap.number, tap.remaining[0]]);
+  if (points.length < 2 || !tolerance) {
+    plot.setAttribute("hidden", "");
+    return;
+  }
+  plot.removeAttribute("hidden");
+  const left = 44, right = 392, top = 10, bottom = 106;
+  const least = Math.log10(Math.max(0.01, Math.min(tolerance / 3, ...points.map((p) => p[1]))));
+  const most = Math.log10(Math.max(2 * tolerance, ...points.map((p) => p[1])));
+  const last = Math.max(points[points.length - 1][0], 3);
+  const x = (tap) => left + 8 + (right - left - 16) * tap / last;
+  const y = (mm) => bottom - (bottom - top) * (Math.log10(Math.max(mm, 10 ** least)) - least) / (most - least);
+  const parts = [drawn("rect", { class: "inside", x: left, width: right - left, y: y(tolerance), height: bottom - y(tolerance) })];
+  for (let power = Math.ceil(least); power <= most; power += 1) {
+    parts.push(drawn("line", { class: "grid", x1: left, x2: right, y1: y(10 ** power), y2: y(10 ** power) }));
+    parts.push(drawn("text", { x: left - 5, y: y(10 ** power) + 4, "text-anchor": "end" }, `${+(10 ** power).toFixed(2)}`));
+  }
+  const step = Math.ceil(last / 10);
+  for (let tap = 0; tap <= last; tap += step) parts.push(drawn("text", { x: x(tap), y: bottom + 14, "text-anchor": "middle" }, tap ? `${tap}` : "start"));
+  parts.push(drawn("text", { x: right, y: y(tolerance) - 4, "text-anchor": "end" }, `tolerance ${tolerance} mm`));
+  parts.push(drawn("text", { x: 2, y: top + 4 }, "mm"));
+  parts.push(drawn("polyline", { points: points.map(([tap, mm]) => `${x(tap).toFixed(1)},${y(mm).toFixed(1)}`).join(" ") }));
+  for (const [tap, mm] of points) parts.push(drawn("circle", { cx: x(tap), cy: y(mm), r: 3.5 }));
+  plot.replaceChildren(...parts);
+  plot.setAttribute("aria-label", "Distance to the goal: "
+    + points.map(([tap, mm]) => `${tap ? `after tap ${tap}` : "at the start"} ${mm.toFixed(1)} mm`).join(", "));
+}
+
+function runLink(key, run, file, text) {
+  const link = document.createElement("a");
+  link.href = `runs/${key}/${encodeURIComponent(run.name)}/${file}`;
+  link.textContent = text;
+  if (file === "report.html") {
+    link.target = "_blank";
+    link.rel = "noopener";
+  }
+  link.setAttribute("aria-label", `${text} of ${run.name}`);
+  return link;
+}
+
+function renderRuns(runs, key, hint, connected) {
+  const last = runs.find((run) => run.outcome !== "refused");
+  const words = hint || (last ? `Last run: ${last.name}, ${last.outcome}.` : "No run was recorded yet.");
+  const place = document.getElementById("run-words");
+  if (place.textContent !== words) place.textContent = words;
+  const report = document.getElementById("last-report"), archive = document.getElementById("download");
+  report.hidden = !connected || !last || !last.report;
+  archive.hidden = !connected || !last;
+  if (last) {
+    report.href = runLink(key, last, "report.html", "").href;
+    archive.href = runLink(key, last, "run.zip", "").href;
+  }
+  const body = document.getElementById("runs").tBodies[0], shown = JSON.stringify([key, runs]);
+  document.getElementById("runs-scroll").hidden = !runs.length;
+  if (body.dataset.key === shown) return;
+  body.dataset.key = shown;
+  body.replaceChildren(...runs.map((run) => {
+    const row = document.createElement("tr");
+    row.className = run.outcome === "refused" ? "refused" : "";
+    const when = run.began === null ? run.name : new Date(1000 * run.began).toLocaleString([], {
+      month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", hour12: false });
+    const goal = run.goal ? `${run.goal.map((n) => n === null ? "?" : n.toFixed(0)).join(", ")}\u00b0` : "?";
+    const residual = run.residual && run.residual[0] !== null
+      ? `${run.residual[0].toFixed(2)} mm, ${run.residual[1].toFixed(1)}\u00b0` : "";
+    for (const text of [when, goal, run.outcome, run.taps === null ? "" : String(run.taps), residual]) row.insertCell().textContent = text;
+    row.cells[2].title = run.error;
+    row.title = run.name;
+    const files = row.insertCell();
+    if (run.report) files.append(runLink(key, run, "report.html", "report"), " ");
+    files.append(runLink(key, run, "run.zip", "zip"));
+    return row;
+  }));
+}

@@ -1,0 +1,118 @@
+"""The page's hold on the process that serves STOP: started, watched and started again."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import asdict
+
+from tapping_cell.nodes.page.guard import Guard
+
+RESTART_PAUSE_S = 0.5
+END_PATIENCE_S = 2.0
+
+
+class StopLink:
+    """Keeps one process that serves STOP on sockets that are already bound.
+
+    A stop that was held when the process died is held again by the next.
+    """
+
+    def __init__(
+        self,
+        guard: Guard,
+        sockets: list[socket.socket],
+        page_port: int,
+        namespace: str,
+        topic: str,
+        on_level: Callable[[bool, str], None],
+    ) -> None:
+        """``topic`` of the stop, resolved; ``on_level`` is told of each stop, with who asked for
+        it, and of each release (in a thread of this link).
+        """
+        self.held = False
+        self.ready = threading.Event()
+        self._sockets = sockets
+        self._configuration = {
+            "guard": asdict(guard),
+            "sockets": [each.fileno() for each in sockets],
+            "page_port": page_port,
+            "namespace": namespace,
+            "topic": topic,
+        }
+        self._on_level = on_level
+        self._closing = threading.Event()
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._thread = threading.Thread(target=self._run, name="stop link", daemon=True)
+        self._thread.start()
+
+    def stop(self, who: str) -> bool:
+        """Hold the stop; False where the process does not take it. Does not block."""
+        return self._send({"do": "stop", "who": who})
+
+    def release(self) -> bool:
+        """A person releases the stop; False where the process does not take it."""
+        return self._send({"do": "release"})
+
+    def close(self) -> None:
+        """End the process."""
+        self._closing.set()
+        with self._lock:
+            process = self._process
+            if process is not None and process.stdin is not None:
+                process.stdin.close()
+        self._thread.join(END_PATIENCE_S)
+        if process is not None and process.poll() is None:
+            process.kill()
+        self._thread.join(END_PATIENCE_S)
+        for each in self._sockets:
+            each.close()
+
+    def _send(self, request: dict[str, object]) -> bool:
+        with self._lock:
+            process = self._process
+            if process is None or process.stdin is None or not self.ready.is_set():
+                return False
+            try:
+                os.write(process.stdin.fileno(), json.dumps(request).encode() + b"\n")
+            except (OSError, ValueError):  # it has died, or has not read for long
+                return False
+        return True
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            self._run_once()
+            self.ready.clear()
+            self._closing.wait(RESTART_PAUSE_S)
+
+    def _run_once(self) -> None:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tapping_cell.nodes.page.stop_process"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=[each.fileno() for each in self._sockets],
+        )
+        assert process.stdin is not None and process.stdout is not None
+        configuration = {**self._configuration, "held": self.held}
+        with process:
+            os.write(process.stdin.fileno(), json.dumps(configuration).encode() + b"\n")
+            os.set_blocking(process.stdin.fileno(), False)
+            with self._lock:
+                self._process = process
+            for line in process.stdout:
+                self._hear(json.loads(line))
+            with self._lock:
+                self._process = None
+
+    def _hear(self, told: dict[str, object]) -> None:
+        changed = told["held"] != self.held
+        self.held = bool(told["held"])
+        self.ready.set()
+        if changed or told["who"]:
+            self._on_level(self.held, str(told["who"]))

@@ -1,0 +1,80 @@
+"""The process that serves STOP and publishes the page's ``emergency_stop``.
+
+Started by :class:`tapping_cell.nodes.page.stop_link.StopLink`, which writes its configuration and
+then its requests to standard input, a JSON value a line, and reads each change of the level from
+standard output. It ends when standard input does, so it never outlives the page.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import os
+import signal
+import socket
+import sys
+from typing import Any
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Bool
+
+from tapping_cell.nodes.cell_node import LATCHED, choose_transport
+from tapping_cell.nodes.page.guard import Guard
+from tapping_cell.nodes.page.stop_server import StopLevel, StopServer
+
+NODE = "operator_page_stop"
+
+
+def main() -> int:
+    """Serve until standard input ends."""
+    # The page's node ends this process; a Ctrl-C in the terminal reaches both.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    logging.getLogger("tornado").setLevel(logging.CRITICAL)  # what hostile clients send is no news
+    configuration = json.loads(sys.stdin.readline())
+    choose_transport(pictures=False)
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node(
+        NODE,
+        namespace=configuration["namespace"],
+        enable_rosout=False,
+        start_parameter_services=False,
+    )
+    publisher = node.create_publisher(Bool, configuration["topic"], LATCHED)
+    try:
+        asyncio.run(_serve(configuration, lambda held: publisher.publish(Bool(data=held))))
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+async def _serve(configuration: dict[str, Any], publish: Any) -> None:
+    loop = asyncio.get_running_loop()
+    output = sys.stdout.fileno()
+
+    def report(held: bool, who: str) -> None:
+        # A parent that does not read must not stop the stop: what it misses, `check` tells.
+        try:
+            os.write(output, json.dumps({"held": held, "who": who}).encode() + b"\n")
+        except BlockingIOError:
+            return
+
+    os.set_blocking(output, False)
+    level = StopLevel(publish, report, configuration["held"])
+    server = StopServer.make(level, Guard(**configuration["guard"]), configuration["page_port"])
+    server.add_sockets([socket.socket(fileno=number) for number in configuration["sockets"]])
+    report(level.held, "")  # ready
+    requests = asyncio.StreamReader()
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(requests), sys.stdin)
+    while line := await requests.readline():
+        request = json.loads(line)
+        if request["do"] == "stop":
+            level.stop(request["who"])
+        else:
+            level.release()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,159 @@
+"""The HTTP server of STOP, with a port of its own: nothing else that pages do can delay it.
+
+One request is one JSON object in plain text, ``{"do": "stop", "token": ...}`` or ``{"do": "check",
+...}``, and the answer is ``{"held": ...}``. A stop needs no connection that was opened before: when
+too many are open, the oldest is closed for the newest, so that nobody can occupy the places. A
+check, and whatever is refused, is answered slowly, which limits what one connection can ask for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Callable
+from typing import Any
+
+from tornado.httpserver import HTTPServer
+from tornado.iostream import IOStream
+from tornado.web import Application, RequestHandler
+
+from tapping_cell.nodes.page.guard import Guard
+
+LONGEST_BODY = 1024
+MOST_CONNECTIONS = 256
+REPEAT_PERIOD_S = 0.02
+"""Stops within this time of the last are published together, as one."""
+SLOW_ANSWER_S = 0.1
+
+
+class StopLevel:
+    """The page's own stop: held from STOP until a person releases it."""
+
+    def __init__(
+        self, publish: Callable[[bool], None], report: Callable[[bool, str], None], held: bool
+    ) -> None:
+        """``publish`` the level to the cell; ``report`` it, and who asked, to the page's node.
+
+        With ``held`` a stop goes on that was held before this process started.
+        """
+        self.held = held
+        self._publish = publish
+        self._report = report
+        self._published_at = 0.0
+        self._repeat: asyncio.TimerHandle | None = None
+        if held:
+            self._publish_now()
+
+    def stop(self, who: str) -> None:
+        """Hold the stop. Published also where it is held: somebody may have reset the actors."""
+        self.held = True
+        wait = self._published_at + REPEAT_PERIOD_S - time.monotonic()
+        if wait <= 0:
+            self._publish_now()
+            self._report(True, who)
+        elif self._repeat is None:
+            self._repeat = asyncio.get_running_loop().call_later(wait, self._publish_again)
+
+    def release(self) -> None:
+        """A person ends the stop."""
+        if self._repeat is not None:
+            self._repeat.cancel()
+            self._repeat = None
+        self.held = False
+        self._publish_now()
+        self._report(False, "")
+
+    def _publish_again(self) -> None:
+        self._repeat = None
+        self._publish_now()
+
+    def _publish_now(self) -> None:
+        self._publish(self.held)
+        self._published_at = time.monotonic()
+
+
+class StopHandler(RequestHandler):
+    """One stop, or one check that a stop would be heard."""
+
+    def initialize(self, level: StopLevel, guard: Guard, page_port: int) -> None:
+        """Keep what every request needs."""
+        self._level = level
+        self._guard = guard
+        self._page_port = page_port
+
+    def set_default_headers(self) -> None:
+        """Nothing is stored, sniffed or framed."""
+        self.set_header("Cache-Control", "no-store")
+        self.set_header("X-Content-Type-Options", "nosniff")
+        self.set_header("Server", "tapping cell")
+
+    async def post(self) -> None:
+        """Serve a request."""
+        origin = self.request.headers.get("Origin")
+        refusal = self._guard.refusal(
+            self.request.host, origin, command=True, page_port=self._page_port
+        )
+        if refusal:
+            await self._refuse(403, refusal)
+            return
+        self.set_header("Access-Control-Allow-Origin", origin or "")
+        try:
+            content = json.loads(self.request.body)
+            asked, token = content["do"], content.get("token")
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            await self._refuse(400, "the request is not a JSON object with 'do'")
+            return
+        if not self._guard.admits(token):
+            await self._refuse(401, "the token is wrong or missing")
+        elif asked == "stop":
+            self._level.stop(self.request.remote_ip or "?")
+            self.write({"held": True})
+        elif asked == "check":
+            await asyncio.sleep(SLOW_ANSWER_S)
+            self.write({"held": self._level.held})
+        else:
+            await self._refuse(400, "'do' is neither stop nor check")
+
+    async def _refuse(self, status: int, sentence: str) -> None:
+        await asyncio.sleep(SLOW_ANSWER_S)
+        self.set_status(status)
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.write(sentence + "\n")
+
+    def write_error(self, status_code: int, **_: Any) -> None:
+        """Errors in a few words and without a trace."""
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        self.finish(f"{status_code} {self._reason}\n")
+
+
+class StopServer(HTTPServer):
+    """Serves on sockets that are already bound; the oldest connection makes room for the newest."""
+
+    def initialize(self, *arguments: Any, **options: Any) -> None:
+        """Begin without connections."""
+        super().initialize(*arguments, **options)
+        self._streams: list[IOStream] = []
+
+    @classmethod
+    def make(cls, level: StopLevel, guard: Guard, page_port: int) -> StopServer:
+        """A server of the level for pages of ``guard`` that are served at ``page_port``."""
+        handlers: list[Any] = [
+            ("/", StopHandler, {"level": level, "guard": guard, "page_port": page_port})
+        ]
+        application = Application(handlers, log_function=lambda _: None)
+        return cls(
+            application,
+            max_header_size=4096,
+            max_body_size=LONGEST_BODY,
+            idle_connection_timeout=20.0,
+            body_timeout=2.0,
+        )
+
+    def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
+        """Take a new connection."""
+        self._streams = [each for each in self._streams if not each.closed()]
+        while len(self._streams) >= MOST_CONNECTIONS:
+            self._streams.pop(0).close()
+        self._streams.append(stream)
+        super().handle_stream(stream, address)

@@ -1,0 +1,54 @@
+"""The error codes with their meaning and hint, read from ``ErrorCode.msg``, which declares them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cache
+
+from tapping_cell.report.message_types import definition_file
+
+_DECLARATION = re.compile(
+    r"^uint16 (?P<name>\w+) = (?P<number>\d+) +# (?P<meaning>[^|]+?)(?: \| (?P<hint>.+))?$",
+    re.MULTILINE,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """One error code: its name, when it is reported and what to do about it."""
+
+    name: str
+    meaning: str
+    hint: str
+
+
+@cache
+def codes() -> dict[int, Code]:
+    """Every error code by number."""
+    text = definition_file("tapping_cell_msgs/msg/ErrorCode").read_text(encoding="utf-8")
+    return {
+        int(found["number"]): Code(found["name"], found["meaning"], found["hint"] or "")
+        for found in _DECLARATION.finditer(text)
+    }
+
+
+def name(number: int) -> str:
+    """The name of a code; its number if it is not known, as in a bag of a later version."""
+    found = codes().get(number)
+    return found.name if found else str(number)
+
+
+def hint(number: int) -> str:
+    """What to do about a code; empty if there is nothing to do or the code is not known."""
+    found = codes().get(number)
+    return found.hint if found else ""
+
+
+def number(name: str) -> int:
+    """The number of a declared code.
+
+    Raises:
+        KeyError: no code has this name.
+    """
+    return {code.name: number for number, code in codes().items()}[name]

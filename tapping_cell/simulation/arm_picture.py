@@ -1,0 +1,75 @@
+"""What the overhead camera sees of the arm: links, quill, tool and striker, over the table."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tapping_cell.configuration.cell import ArmSection, TapperSection
+from tapping_cell.se2 import Pose, transform_points
+from tapping_cell.simulation.rendered_camera import Occluder
+
+Array = NDArray[np.float64]
+
+LINK_HALF_WIDTH = 0.030
+LINK_THICKNESS = 0.040
+"""Of both links, m; the kinematics give their lengths alone."""
+LINK_CLEARANCE = 0.030
+"""The links' undersides over the tip with the quill at zero, m."""
+QUILL_RADIUS = 0.010
+_LINK_LEVEL, _TOOL_LEVEL, _STRIKER_LEVEL = 70.0, 55.0, 120.0
+_ROUND = np.linspace(0.0, 2 * math.pi, 12, endpoint=False)
+
+
+def arm_solids(
+    arm: ArmSection, tapper: TapperSection, base: Pose, joints: ArrayLike
+) -> tuple[Occluder, ...]:
+    """The arm with these true joints (rad, rad, m, rad), the lowest part first.
+
+    ``base`` is the true pose of ``arm_base`` in table.
+    """
+    geometry = arm.geometry()
+    q = np.asarray(joints, dtype=float)
+    tip = geometry.forward(q)
+    striker = base @ Pose(tip.x, tip.y, tip.yaw)
+    elbow_angle = q[0] + q[1]
+    elbow = geometry.upper_arm * np.array([math.cos(q[0]), math.sin(q[0])])
+    wrist = elbow + geometry.forearm * np.array([math.cos(elbow_angle), math.sin(elbow_angle)])
+    low = arm.tip_height + LINK_CLEARANCE
+    pose = np.array([base.x, base.y, base.theta])
+    shoulder, elbow, wrist = transform_points(pose, np.array([[0.0, 0.0], elbow, wrist]))
+    held = np.array([striker.x, striker.y, striker.theta])
+    return (
+        _box(held, (-tapper.tool_start, 0.0), tapper.tip_radius, tip.z, _STRIKER_LEVEL),
+        _box(
+            held, (-tapper.tool_length, -tapper.tool_start), tapper.tool_radius, tip.z, _TOOL_LEVEL
+        ),
+        _solid(_circle(wrist, QUILL_RADIUS), max(tip.z, 0.0), low, _TOOL_LEVEL),
+        _link(elbow, wrist, low),
+        _link(shoulder, elbow, low),
+    )
+
+
+def _box(
+    pose: Array, along: tuple[float, float], half: float, height: float, level: float
+) -> Occluder:
+    """A bar along the line of travel, as wide as it is high, ``height`` m over the table."""
+    (start, end), low = along, max(height - half, 0.0)
+    corners = np.array([[start, -half], [end, -half], [end, half], [start, half]])
+    return _solid(transform_points(pose, corners), low, height + half, level)
+
+
+def _link(start: Array, end: Array, low: float) -> Occluder:
+    ends = np.concatenate([_circle(start, LINK_HALF_WIDTH), _circle(end, LINK_HALF_WIDTH)])
+    return _solid(ends, low, low + LINK_THICKNESS, _LINK_LEVEL)
+
+
+def _circle(middle: Array, radius: float) -> Array:
+    return np.asarray(middle + radius * np.stack([np.cos(_ROUND), np.sin(_ROUND)], axis=-1))
+
+
+def _solid(outline: Array, low: float, high: float, level: float) -> Occluder:
+    points = [np.column_stack([outline, np.full(len(outline), z)]) for z in (low, high)]
+    return Occluder(np.concatenate(points), level, convex=True)

@@ -1,0 +1,249 @@
+"""The contact of the striker's ball with the object, integrated in time.
+
+A spring stands between the two along the normal. It is loaded along F = k d and unloaded along the
+steeper F = (k / e^2) (d - d0), which returns the share e^2 of the work (Walton and Braun, J.
+Rheology 30, 1986): e is the restitution at any speed and for any masses. Along the tangent the
+contact sticks or slides by Coulomb's law, and while it sticks it may be compliant as well (Maw,
+Barber and Fawcett, Wear 38, 1976). Nothing is taken from the impulses that the planner uses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tapping_cell.mechanics import Disk, Polygon, Ring, Striker
+from tapping_cell.simulation.sliding import Acceleration, Motion
+
+TOUCH_M = 1e-8
+"""Ball and object closer than this touch."""
+SMALLEST_RESTITUTION = 0.05
+"""Below this the unloading spring is so stiff that the steps would have to be too short."""
+_STEPS = 100
+"""Of the contact time, in a contact that decides how the object is launched."""
+_COARSE_STEPS = 10
+"""In a contact that begins slower than ``_SLOW``, as where the striker pushes the object."""
+_SLOW = 0.005
+_FRICTION_EVERY = 8
+"""Steps after which the friction with the table, far weaker than the contact, is computed anew."""
+_LONGEST_CONTACT_S = 0.02
+"""A contact that lasts longer is continued in a further one, with the table's friction at work."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContactLaw:
+    """restitution: of a head-on impact; friction: of the contact; contact_time: of an elastic
+    central impact, s; tangential_stiffness: over the normal one, 0 for a contact that is rigid
+    along the tangent; oblique_loss: share of the restitution that a grazing impact loses, as the
+    square of the sine of its angle from the normal."""
+
+    restitution: float
+    friction: float
+    contact_time: float
+    tangential_stiffness: float = 0.0
+    oblique_loss: float = 0.0
+
+
+@dataclass(slots=True)
+class Flight:
+    """A released striker: its ball's centre and velocity in table, m and m/s, its axis, and the
+    travel that is left until its stroke ends. ``dent`` is the depth, m, that the last contact left
+    and that the ball has not come out of yet."""
+
+    x: float
+    y: float
+    vx: float
+    vy: float
+    axis: tuple[float, float]
+    left: float
+    dent: float = 0.0
+
+    @property
+    def speed(self) -> float:
+        """Along the axis, m/s."""
+        return self.vx * self.axis[0] + self.vy * self.axis[1]
+
+    def fly(self, time: float) -> None:
+        """Move on freely, guided by the bearing."""
+        speed = self.speed
+        self.vx, self.vy = speed * self.axis[0], speed * self.axis[1]
+        self.x += time * self.vx
+        self.y += time * self.vy
+        self.left -= time * speed
+
+
+class Outline:
+    """The outline of a body as the striker's ball meets it."""
+
+    def __init__(self, body: Disk | Ring | Polygon, centre: tuple[float, float]) -> None:
+        """``centre``: the centre of mass in the object's frame, m."""
+        self._centre = centre
+        self._radius = None if isinstance(body, Polygon) else body.radius
+        self._corners: list[tuple[float, float]] = []
+        self._edges: list[tuple[float, float, float]] = []
+        if isinstance(body, Polygon):
+            self._corners = [(x - centre[0], y - centre[1]) for x, y in body.points.tolist()]
+            directions = np.roll(body.points, -1, axis=0) - body.points
+            self._edges = [
+                (x / length, y / length, length)
+                for (x, y), length in zip(
+                    directions.tolist(), body.edge_lengths.tolist(), strict=True
+                )
+            ]
+
+    def nearest(self, motion: Motion, x: float, y: float) -> tuple[float, float, float]:
+        """Distance (m, negative inside) of a point in table from the outline, and the unit normal
+        out of the object there."""
+        cos, sin = math.cos(motion.theta), math.sin(motion.theta)
+        dx, dy = x - motion.x, y - motion.y
+        px, py = cos * dx + sin * dy, cos * dy - sin * dx
+        distance, nx, ny = self._nearest(px, py)
+        return distance, cos * nx - sin * ny, sin * nx + cos * ny
+
+    def _nearest(self, px: float, py: float) -> tuple[float, float, float]:
+        if self._radius is not None:
+            dx, dy = px + self._centre[0], py + self._centre[1]
+            away = math.hypot(dx, dy) or 1e-12
+            return away - self._radius, dx / away, dy / away
+        inside, best = -math.inf, (1.0, 0.0)
+        outside, out = math.inf, (1.0, 0.0)
+        for (cx, cy), (tx, ty, length) in zip(self._corners, self._edges, strict=True):
+            dx, dy = px - cx, py - cy
+            height = dx * ty - dy * tx
+            if height > inside:
+                inside, best = height, (ty, -tx)
+            along = min(max(dx * tx + dy * ty, 0.0), length)
+            ox, oy = dx - along * tx, dy - along * ty
+            away = math.hypot(ox, oy)
+            if away < outside:
+                outside, out = away, (ox, oy)
+        if inside <= 0 or outside == 0.0:
+            return inside, *best
+        return outside, out[0] / outside, out[1] / outside
+
+
+class Contact:
+    """The striker of one tapper on one object."""
+
+    def __init__(
+        self,
+        outline: Outline,
+        mass: float,
+        inertia: float,
+        striker: Striker,
+        law: ContactLaw,
+        friction: Callable[[Motion], Acceleration],
+    ) -> None:
+        """``friction``: what the table does to the object meanwhile; mass in kg, inertia in
+        kg m^2 about the centre of mass."""
+        self._outline = outline
+        self._mass, self._inertia = mass, inertia
+        self._striker_mass = striker.mass
+        self._guided = striker.constraint == "linear_bearings"
+        self._tip = striker.tip_radius
+        self._law = law
+        self._friction = friction
+        self._stiffness = (math.pi / law.contact_time) ** 2 / (1 / mass + 1 / striker.mass)
+
+    def gap(self, motion: Motion, flight: Flight) -> float:
+        """Distance between ball and object, m."""
+        return self._outline.nearest(motion, flight.x, flight.y)[0] - self._tip + flight.dent
+
+    def closing_speed(self, motion: Motion, flight: Flight) -> float:
+        """How fast the gap shrinks, m/s."""
+        away, nx, ny = self._outline.nearest(motion, flight.x, flight.y)
+        rx, ry = flight.x - away * nx - motion.x, flight.y - away * ny - motion.y
+        ux = motion.vx - motion.omega * ry - flight.vx
+        uy = motion.vy + motion.omega * rx - flight.vy
+        return ux * nx + uy * ny
+
+    def collide(self, motion: Motion, flight: Flight) -> tuple[Motion, float]:
+        """From the first touch until the two come apart: the object's motion then, and after how
+        many s. ``flight`` goes on with what is left to the striker."""
+        law, tip = self._law, self._tip
+        x, y, theta, vx, vy, omega = motion
+        approach = self.closing_speed(motion, flight)
+        restitution = self._restitution(motion, flight, approach)
+        unloading = 1 / restitution**2
+        steps = _STEPS if approach > _SLOW else _COARSE_STEPS
+        step = law.contact_time * restitution / steps
+        loading_stiffness = self._stiffness
+        unloading_stiffness = loading_stiffness * unloading
+        tangential_stiffness = law.tangential_stiffness * loading_stiffness
+        ax, ay = flight.axis
+        dent, stretch, elapsed, count = flight.dent, 0.0, 0.0, 0
+        drag = Acceleration(0.0, 0.0, 0.0)
+        while elapsed < _LONGEST_CONTACT_S:
+            if count % _FRICTION_EVERY == 0:
+                drag = self._friction(Motion(x, y, theta, vx, vy, omega))
+            count += 1
+            # Half a step of the way, a whole one of the speeds, half a step of the way.
+            half = step / 2
+            x, y, theta = x + half * vx, y + half * vy, theta + half * omega
+            flight.x += half * flight.vx
+            flight.y += half * flight.vy
+            away, out_x, out_y = self._outline.nearest(Motion(x, y, theta), flight.x, flight.y)
+            depth = tip - away
+            rx, ry = flight.x - away * out_x - x, flight.y - away * out_y - y
+            nx, ny = -out_x, -out_y
+            tx, ty = -ny, nx
+            lever_n, lever_t = rx * ny - ry * nx, rx * ty - ry * tx
+            ux = vx - omega * ry - flight.vx
+            uy = vy + omega * rx - flight.vy
+            force = max(0.0, unloading_stiffness * (depth - dent))
+            if 0 < loading_stiffness * depth < force:
+                force = loading_stiffness * depth
+                dent = depth * (1 - restitution**2)
+            if force == 0.0 and (ux * nx + uy * ny > 0 or depth < dent - TOUCH_M):
+                break
+            push_n = force * step
+            if self._guided:
+                a_n, a_t = ax * nx + ay * ny, ax * tx + ay * ty
+                b1 = 1 / self._mass + lever_t**2 / self._inertia + a_t**2 / self._striker_mass
+                b3 = lever_n * lever_t / self._inertia + a_n * a_t / self._striker_mass
+            else:
+                b1 = 1 / self._mass + lever_t**2 / self._inertia + 1 / self._striker_mass
+                b3 = lever_n * lever_t / self._inertia
+            sliding = ux * tx + uy * ty
+            most = law.friction * push_n
+            if tangential_stiffness > 0:
+                stretch += sliding * step
+                push_t = -tangential_stiffness * stretch * step
+                if abs(push_t) > most:
+                    push_t = math.copysign(most, push_t)
+                    stretch = -push_t / (tangential_stiffness * step)
+            else:
+                push_t = min(max(-(sliding + b3 * push_n) / b1, -most), most)
+            jx, jy = push_n * nx + push_t * tx, push_n * ny + push_t * ty
+            vx += jx / self._mass + step * drag.x
+            vy += jy / self._mass + step * drag.y
+            omega += (push_n * lever_n + push_t * lever_t) / self._inertia + step * drag.angular
+            if self._guided:
+                along = (jx * ax + jy * ay) / self._striker_mass
+                jx, jy = along * ax, along * ay
+            else:
+                jx, jy = jx / self._striker_mass, jy / self._striker_mass
+            flight.vx -= jx
+            flight.vy -= jy
+            x, y, theta = x + half * vx, y + half * vy, theta + half * omega
+            flight.x += half * flight.vx
+            flight.y += half * flight.vy
+            flight.left -= step * flight.speed
+            if flight.left <= 0 and flight.speed > 0:
+                flight.vx = flight.vy = 0.0  # the end of its stroke stops it dead
+            elapsed += step
+        flight.dent = max(0.0, dent)
+        return Motion(x, y, theta, vx, vy, omega), elapsed
+
+    def _restitution(self, motion: Motion, flight: Flight, approach: float) -> float:
+        """Of an impact that begins so; ``approach`` is the speed along the normal, m/s."""
+        law = self._law
+        restitution = law.restitution
+        if law.oblique_loss > 0:
+            total = math.hypot(motion.vx - flight.vx, motion.vy - flight.vy)
+            straight = min(1.0, max(0.0, approach / total)) if total > 0 else 1.0
+            restitution *= 1 - law.oblique_loss * (1 - straight**2)
+        return max(SMALLEST_RESTITUTION, restitution)

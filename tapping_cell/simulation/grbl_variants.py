@@ -1,0 +1,106 @@
+"""How the controllers of the Grbl family differ, as far as a host can see it.
+
+Written from the firmwares' sources, apart from the driver's own table of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+GREETING = b"\r\n%s ['$' for help]\r\n"
+
+
+@dataclass(frozen=True, slots=True)
+class GrblVariant:
+    """One firmware; the arm behind it is a ``GrblMachine``."""
+
+    banner: bytes = GREETING % b"Grbl 1.1h"
+    information: tuple[bytes, ...] = (b"[VER:1.1h.20190825:]", b"[OPT:V,15,128]")
+    """Answer to ``$I``."""
+    axes: int = 4
+    """Axes in a report; those behind the arm's four stand at zero."""
+    unlisted: frozenset[int] = frozenset()
+    """Settings that ``$$`` leaves out."""
+    names: dict[str, str] = field(default_factory=dict)
+    """Settings under names, such as ``/stepping/idle_ms``."""
+    hold_name: str = ""
+    """The named setting that takes the part of ``$1``."""
+    alarm_cuts_torque: bool = True
+    """Motors lose their power on an alarm and on a reset in motion."""
+    reset_delay: float = 0.0
+    """From a soft reset out of a motion to the greeting, s; lines sent meanwhile are lost."""
+    unhomed_alarm: int | None = None
+    """Alarm told after the greeting while nothing has been homed."""
+    reports_while_homing: bool = False
+    homing_masks: tuple[int, ...] = ()
+    """Settings that choose the axes of each homing cycle; empty: all four axes home."""
+    unhomed_axes: frozenset[int] = frozenset()
+    """Axes that homing leaves alone, by the build."""
+    forces_origin: bool = False
+    """Homing ends at zero, by the build."""
+    ends_at_place: bool = False
+    """Homing ends at the named ``mpos_mm`` of each axis."""
+
+
+GRBL = GrblVariant()
+GRBL_3_AXES = GrblVariant(axes=3)
+MEGA_5X = GrblVariant(
+    banner=GREETING % b"Grbl 1.1q",
+    information=(b"[VER:1.1q.20210103:]", b"[AXS:5:XYZAB]", b"[OPT:VMH,35,255]"),
+    axes=5,
+    unhomed_axes=frozenset({3}),
+)
+GRBL_HAL = GrblVariant(
+    banner=b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n",
+    information=(
+        b"[VER:1.1f.20260817:]",
+        b"[OPT:VNML+,100,1024,4,0]",
+        b"[AXS:4:XYZA]",
+        b"[NEWOPT:ENUMS,RT+,TC,SED]",
+        b"[FIRMWARE:grblHAL]",
+        b"[NVS STORAGE:*FLASH]",
+    ),
+    reports_while_homing=True,
+    homing_masks=(44, 45, 46, 47),
+)
+
+
+def fluid_nc(version: str, unlisted: frozenset[int]) -> GrblVariant:
+    """FluidNC of one version: its settings live in a file, ``$$`` lists a few."""
+    names = {
+        "/stepping/idle_ms": "255",
+        "/report_inches": "false",
+    }
+    for axis, place in zip("xyza", ("0.000", "0.000", "0.000", "0.000"), strict=True):
+        names[f"/axes/{axis}/homing/cycle"] = "1"
+        names[f"/axes/{axis}/homing/mpos_mm"] = place
+    short = ".".join(version.split(".")[:2])
+    return GrblVariant(
+        banner=f"\r\nGrbl {short} [FluidNC v{version} (wifi) '$' for help]\r\n".encode(),
+        information=(
+            f"[VER:{short} FluidNC v{version}:]".encode(),
+            b"[OPT:PHS]",
+            b"[MSG: Machine: arm]",
+        ),
+        unlisted=unlisted,
+        names=names,
+        hold_name="/stepping/idle_ms",
+        alarm_cuts_torque=False,
+        reset_delay=0.5,
+        unhomed_alarm=14,
+        reports_while_homing=True,
+        ends_at_place=True,
+    )
+
+
+FLUID_NC_3 = fluid_nc("3.9.5", frozenset({0, 1, 11, 12, 13, 24, 25, 26, 27, 28}))
+FLUID_NC_4 = fluid_nc("4.0.3", frozenset({0, 1, 3, 11, 12, 13, 24, 25, 26, 27, 28}))
+
+VARIANTS = {
+    "grbl": GRBL,
+    "grbl-mega-5x": MEGA_5X,
+    "grblhal": GRBL_HAL,
+    "fluidnc3": FLUID_NC_3,
+    "fluidnc4": FLUID_NC_4,
+}
+"""Those with four axes at least, by name."""

@@ -1,0 +1,276 @@
+"""The tapper's carriage on its spring: what the steps are counted to do, and what they truly do.
+
+The same rules as ``firmware/tapper/drive.c``, computed from one end of a movement to the next
+instead of step by step. Places are in steps from where the front switch closes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+LEAVE_STEPS = 400
+"""Longest way off a closed front switch."""
+HYSTERESIS_LIMIT = 50
+"""From this count on the switch must be open."""
+SLACK = 6
+"""Greatest difference of the switch from the place where it closed at homing."""
+SETTLE_TIME = 0.002
+"""The switch's level counts when it was the same for this long, s; no steps are made meanwhile."""
+WAKE_TIME = 0.010
+"""From enabling the motor to its first step, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpringMechanism:
+    """Figures of the spring, its carriage and its motor."""
+
+    stiffness: float = 500.0
+    """N/m."""
+    step_length: float = 5e-6
+    """m: 8 mm lead, 200 steps a turn, eighth steps."""
+    step_rate: float = 4000.0
+    """1/s."""
+    longest_draw: int = 12000
+    """Steps."""
+    switch_hysteresis: float = 24.0
+    """The switch opens so many steps behind where it closes."""
+    back_drive: float = 4000.0
+    """Speed with which the spring pushes the carriage back while the motor is off, steps/s."""
+
+    def steps_for(self, energy: float) -> int:
+        """Whole steps that store ``energy`` in J best."""
+        return math.floor(math.sqrt(2 * energy / self.stiffness) / self.step_length + 0.5)
+
+    def energy_at(self, place: float) -> float:
+        """Energy in J at ``place`` in steps."""
+        return 0.5 * self.stiffness * (place * self.step_length) ** 2
+
+    def can_store(self, energy: float) -> bool:
+        """Whether whole steps store ``energy`` in J to within 3 %."""
+        steps = self.steps_for(energy)
+        return (
+            0 < steps <= self.longest_draw and abs(self.energy_at(steps) - energy) <= 0.03 * energy
+        )
+
+
+class Status(Enum):
+    """How far the last movement has come."""
+
+    THERE = "there"
+    MOVING = "moving"
+    UNKNOWN = "unknown"
+    """The motor is off, and the place not known."""
+
+
+class Phase(Enum):
+    """What the drive is at."""
+
+    OFF = "off"
+    LEAVING = "leaving"
+    SEEKING = "seeking"
+    OUT = "out"
+    BACK = "back"
+    HOLDING = "holding"
+
+
+@dataclass(frozen=True, slots=True)
+class _End:
+    """How the movement under way ends: after so many steps, when, and in which phase."""
+
+    at: float
+    steps: int
+    phase: Phase
+    count: int
+
+
+class SpringDrive:
+    """One carriage; ``now`` in s never goes back from call to call."""
+
+    def __init__(self, mechanism: SpringMechanism, now: float, place: float = 0.0) -> None:
+        self.mechanism = mechanism
+        self._phase = Phase.OFF
+        self._count = 0
+        self._target = 0
+        self._opened = False
+        self._place = place
+        self._closed = place <= 0.0
+        self._powered = True
+        self._stuck: bool | None = None
+        self._lose = 0
+        self._since = now
+        self._end: _End | None = None
+
+    @property
+    def status(self) -> Status:
+        """How far the last movement has come."""
+        if self._phase is Phase.OFF:
+            return Status.UNKNOWN
+        return Status.THERE if self._phase is Phase.HOLDING else Status.MOVING
+
+    def place(self, now: float) -> float:
+        """Where the carriage truly is, in steps from where the switch closes."""
+        self.advance(now)
+        self._take(now)
+        return self._place
+
+    # What the firmware orders.
+
+    def home(self, now: float) -> None:
+        """Leave the front switch if it is closed, and look for it."""
+        wake = WAKE_TIME if self._phase is Phase.OFF else 0.0
+        self._begin(Phase.LEAVING, now, wake)
+
+    def out(self, steps: int, now: float) -> None:
+        """Draw the spring; only where the place is known."""
+        if self._phase is Phase.HOLDING:
+            self._target, self._opened = steps, False
+            self._begin(Phase.OUT, now)
+
+    def back(self, now: float) -> None:
+        """Go back to the front switch; nothing while the place is unknown."""
+        if self._phase in (Phase.LEAVING, Phase.SEEKING):
+            self.halt(now)
+        elif self._phase is not Phase.OFF and not (
+            self._phase is Phase.HOLDING and self._count == 0
+        ):
+            self._begin(Phase.BACK, now)
+
+    def halt(self, now: float) -> None:
+        """Switch the motor off."""
+        self._begin(Phase.OFF, now)
+
+    # What can be wrong with it.
+
+    def set_power(self, on: bool, now: float) -> None:
+        """The motor's supply; the emergency stop cuts it."""
+        self._take(now)
+        self._powered = on
+        self._begin(self._phase, now)
+
+    def set_switch(self, stuck: bool | None, now: float) -> None:
+        """The front switch is stuck closed (True) or open (False), or works (None)."""
+        self._take(now)
+        self._stuck = stuck
+        self._begin(self._phase, now)
+
+    def lose_steps(self, count: int, now: float) -> None:
+        """The next ``count`` steps move nothing."""
+        self._take(now)
+        self._lose = count
+        self._begin(self._phase, now)
+
+    # Time.
+
+    def next_event(self) -> float | None:
+        """When the movement under way ends."""
+        return None if self._end is None else self._end.at
+
+    def advance(self, now: float) -> None:
+        """Let every movement end that is due."""
+        while self._end is not None and self._end.at <= now:
+            end = self._end
+            self._move(end.steps)
+            self._count = end.count
+            self._begin(end.phase, end.at, taken=True)
+
+    def _begin(self, phase: Phase, now: float, wake: float = 0.0, taken: bool = False) -> None:
+        if not taken:
+            self._take(now)
+        self._phase = phase
+        self._since = now + wake
+        if phase is Phase.LEAVING and not self._switch():
+            self._phase = Phase.SEEKING
+        self._end = self._plan()
+
+    def _direction(self) -> int:
+        return {Phase.LEAVING: 1, Phase.OUT: 1, Phase.SEEKING: -1, Phase.BACK: -1}.get(
+            self._phase, 0
+        )
+
+    def _take(self, now: float) -> None:
+        """Bring place and count to where they are at ``now``."""
+        if self._phase is Phase.OFF:
+            if now > self._since and self._place > 0.0:
+                slip = self.mechanism.back_drive * (now - self._since)
+                self._place = max(0.0, self._place - slip)
+            self._since = max(self._since, now)
+        elif self._direction() and now > self._since:
+            steps = math.floor((now - self._since) * self.mechanism.step_rate + 1e-9)
+            if self._end is not None:
+                steps = min(steps, self._end.steps)
+            self._move(steps)
+            self._count += self._direction() * steps
+            self._since = now
+        self._closed = self._switch_after(0)
+
+    def _effective(self, steps: int) -> int:
+        return max(0, steps - self._lose) if self._powered else 0
+
+    def _move(self, steps: int) -> None:
+        self._closed = self._switch_after(steps)
+        self._opened |= self._phase is Phase.OUT and not self._closed
+        self._place += self._direction() * self._effective(steps)
+        self._lose = max(0, self._lose - steps)
+
+    def _switch_after(self, steps: int) -> bool:
+        """The working switch after so many more steps."""
+        place = self._place + self._direction() * self._effective(steps)
+        return place < self.mechanism.switch_hysteresis if self._closed else place <= 0.0
+
+    def _switch(self) -> bool:
+        return self._closed if self._stuck is None else self._stuck
+
+    def _steps_until(self, distance: float) -> float:
+        """Steps until the switch changes after ``distance`` of true steps; inf for never."""
+        if not self._powered or self._stuck is not None:
+            return math.inf
+        return self._lose + max(0.0, math.ceil(distance))
+
+    def _plan(self) -> _End | None:
+        """How the phase ends; None for never."""
+        rate, hysteresis = self.mechanism.step_rate, self.mechanism.switch_hysteresis
+
+        def after(steps: float, phase: Phase, count: int, settle: float = 0.0) -> _End:
+            whole = int(steps)
+            return _End(self._since + whole / rate + settle, whole, phase, count)
+
+        if self._phase is Phase.LEAVING:
+            needed = self._steps_until(hysteresis - self._place)
+            if needed <= LEAVE_STEPS:
+                return after(needed, Phase.SEEKING, 0, SETTLE_TIME)
+            return after(LEAVE_STEPS, Phase.OFF, 0)
+        if self._phase is Phase.SEEKING:
+            needed = 0 if self._switch() else self._steps_until(self._place)
+            longest = self.mechanism.longest_draw + LEAVE_STEPS
+            if needed <= longest:
+                return after(needed, Phase.HOLDING, 0, SETTLE_TIME)
+            return after(longest, Phase.OFF, 0)
+        if self._phase is Phase.OUT:
+            check = max(0, HYSTERESIS_LIMIT - self._count)
+            steps = self._target - self._count
+            if check <= steps:
+                closed = self._switch_after(check) if self._stuck is None else self._stuck
+                if closed:
+                    return after(check, Phase.OFF, self._count + check)
+            crossing = self._switch() and steps >= self._steps_until(hysteresis - self._place)
+            return after(steps, Phase.HOLDING, self._target, SETTLE_TIME if crossing else 0.0)
+        if self._phase is Phase.BACK:
+            return self._plan_back(after)
+        return None
+
+    def _plan_back(self, after: Callable[..., _End]) -> _End:
+        lost = after(self._count + SLACK, Phase.OFF, -SLACK)
+        if not self._opened:
+            if self._switch_after(self._count) if self._stuck is None else self._stuck:
+                return after(max(self._count, 0), Phase.HOLDING, 0)
+            return lost
+        needed = 0.0 if self._switch() else self._steps_until(self._place)
+        closes_at = self._count - needed
+        if closes_at > SLACK:
+            return after(needed, Phase.OFF, self._count, SETTLE_TIME)
+        if closes_at > -SLACK:
+            return after(needed, Phase.HOLDING, 0, SETTLE_TIME)
+        return lost

@@ -1,0 +1,125 @@
+"""What the object rests on: how its weight is spread over its underside.
+
+The underside is a set of points with a share of the weight each. However the shares are drawn, they
+are brought into balance: a body at rest presses so that the centre of pressure lies under its
+centre of mass. As under a rigid body on an elastic foundation, the correction is linear in the
+place, and a point that would have to pull lifts off.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.mechanics import Disk, Polygon, Ring
+from tapping_cell.simulation.truth import SupportTruth
+
+Array = NDArray[np.float64]
+
+_RINGS, _SPOKES = 8, 32
+"""Of a disk's sample: 256 points, by which a slide is within 0.5 % of the exact one."""
+_RIM_POINTS = 180
+_GRID = 20
+"""Points along the longer side of a polygon."""
+
+
+def sample_support(body: Disk | Ring | Polygon, truth: SupportTruth) -> tuple[Array, Array]:
+    """Points (n, 2) in the object's frame, m, and the grip (n,) of each, with sum 1.
+
+    Grip is the share of the weight times the point's friction relative to the mean (``lean``).
+    """
+    points: Array
+    shares: Array
+    if truth.pressure == "three_points":
+        angles = truth.feet_turn + np.arange(3) * (2 * math.pi / 3)
+        points = truth.feet_radius * np.asarray(body.boundary(angles))
+        shares = np.ones(3)
+    elif truth.pressure == "rim":
+        points, shares = _rim(body)
+    elif truth.pressure == "pads":
+        points = _grid_inside(body, truth.pads)
+        random = np.random.default_rng(truth.pad_seed)
+        shares = np.exp(truth.pad_scatter * random.standard_normal(len(points)))
+    else:
+        points, shares = _face(body)
+        points = points - points.mean(axis=0)
+    reach = float(np.max(np.hypot(points[:, 0], points[:, 1])))
+    relative = points / reach
+    shares = shares * (1 + truth.edge_weight * np.sum(relative**2, axis=1))
+    points, shares = balanced(points, shares, np.asarray(truth.mass_offset))
+    grip = np.maximum(shares * (1 + points / reach @ np.asarray(truth.lean)), 0.0)
+    return points, grip / grip.sum()
+
+
+def balanced(points: Array, shares: Array, centre: Array) -> tuple[Array, Array]:
+    """The points that carry, and their shares of the weight, centred on ``centre`` (m).
+
+    Raises:
+        ValueError: the centre is outside all points, so that the object would tip over.
+    """
+    scale = float(np.max(np.hypot(points[:, 0], points[:, 1])))
+    for _ in range(len(points)):
+        lever = (points - centre) / scale
+        basis = np.column_stack([np.ones(len(points)), lever])
+        moments = basis.T @ (shares[:, None] * basis)
+        if len(points) < 3 or np.linalg.cond(moments) > 1e12:
+            break
+        carried = shares * (basis @ np.linalg.solve(moments, [1.0, 0.0, 0.0]))
+        if np.all(carried >= 0):
+            return points, carried / carried.sum()
+        points, shares = points[carried > 0], shares[carried > 0]
+    raise ValueError(
+        f"the centre of mass at {1e3 * centre[0]:.1f}, {1e3 * centre[1]:.1f} mm is not over the "
+        "support: the object would tip over; move support.mass_offset towards the middle"
+    )
+
+
+def _face(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
+    """Points of equal share all over the underside of a body that presses evenly."""
+    if isinstance(body, Ring):
+        return _rim(body)
+    if isinstance(body, Disk):
+        radius = body.radius * np.sqrt((np.arange(_RINGS) + 0.5) / _RINGS)
+        # Each ring is turned against the next, so that the points do not stand in rows.
+        turn = np.arange(_RINGS) * (math.pi * (3 - math.sqrt(5)))
+        angles = (np.arange(_SPOKES) + 0.5) * (2 * math.pi / _SPOKES) + turn[:, None]
+        circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        points = (radius[:, None, None] * circle).reshape(-1, 2)
+    else:
+        points = _grid_inside(body, _GRID)
+    return points, np.ones(len(points))
+
+
+def _rim(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
+    """Points along the outline, with shares as their lengths of it."""
+    if isinstance(body, Polygon):
+        lengths = body.edge_lengths
+        points, shares = [], []
+        following = np.roll(body.points, -1, axis=0)
+        for start, end, length in zip(body.points, following, lengths, strict=True):
+            count = max(4, round(_RIM_POINTS * length / lengths.sum()))
+            along = (np.arange(count) + 0.5)[:, None] / count
+            points.append(start + along * (end - start))
+            shares.append(np.full(count, length / count))
+        return np.concatenate(points), np.concatenate(shares)
+    angles = (np.arange(_RIM_POINTS) + 0.5) * (2 * math.pi / _RIM_POINTS)
+    return np.asarray(body.boundary(angles)), np.ones(_RIM_POINTS)
+
+
+def _grid_inside(body: Disk | Ring | Polygon, per_side: int) -> Array:
+    """Centres of a square grid's cells that lie inside the outline."""
+    outline = (
+        body.points
+        if isinstance(body, Polygon)
+        else np.asarray(body.boundary(np.linspace(0, 2 * math.pi, 96, endpoint=False)))
+    )
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    pitch = float(np.max(high - low)) / per_side
+    axes = [np.arange(a + pitch / 2, b, pitch) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    edges = np.roll(outline, -1, axis=0) - outline
+    offsets = grid[:, None, :] - outline[None, :, :]
+    inside = np.all(edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0] >= 0, axis=1)
+    return np.asarray(grid[inside])

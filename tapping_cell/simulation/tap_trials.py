@@ -1,0 +1,68 @@
+"""Taps in the simulated world for the evaluation of planners: many trials, no devices, no pictures.
+
+One tap takes about 10 ms; an answer has the form that ``planning.evaluation`` asks of its worlds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.configuration.objects import ObjectFile
+from tapping_cell.mechanics import Tap
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.truth import TruthFile
+from tapping_cell.simulation.world import World
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedTaps:
+    """The striker is put where the planner's mechanics say, and the world answers.
+
+    model: the mechanics that the planner believes, by which a displacement becomes a strike;
+    content: the object file that the truth is relative to; standoff: from the tip at rest to the
+    contact, m; stroke: the most that the tip travels, m; round_position, round_angle: the tip's
+    pose at rest is rounded to multiples of these (m, rad), 0 for none.
+    """
+
+    model: Tap
+    content: ObjectFile
+    truth: TruthFile
+    standoff: float = 0.015
+    stroke: float = 0.05
+    round_position: float = 0.0
+    round_angle: float = 0.0
+
+    def answer(
+        self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator
+    ) -> Array:
+        """True displacements (n, 3) of taps commanded at the objects' poses (n, 3), in table axes.
+
+        ``gains`` (n, 2) multiply distance and rotation on top; a tap that misses moves nothing.
+        """
+        plan = self.model.plan(commanded, poses)
+        tips = np.array(plan.strike_pose)
+        tips[..., 0] -= self.standoff * np.cos(tips[..., 2])
+        tips[..., 1] -= self.standoff * np.sin(tips[..., 2])
+        if self.round_position > 0.0:
+            tips[..., :2] = self.round_position * np.round(tips[..., :2] / self.round_position)
+        if self.round_angle > 0.0:
+            tips[..., 2] = self.round_angle * np.round(tips[..., 2] / self.round_angle)
+        world = World(self.content, self.model.impact.striker, self.stroke, self.truth, rng)
+        world.advance(0.0)
+        moved = np.empty((len(tips), 3))
+        now = 0.0
+        for index, (pose, tip, speed) in enumerate(
+            zip(poses.tolist(), tips.tolist(), plan.striker_speed.tolist(), strict=True)
+        ):
+            start = Pose(*pose)
+            world.place(start)
+            world.strike(Pose(*tip), self.content.height / 2, speed, now)
+            now = world.settle()
+            end = world.pose
+            moved[index] = end.x - start.x, end.y - start.y, start.rotation_to(end)
+        return moved * np.asarray(gains)[:, [0, 0, 1]]

@@ -1,0 +1,100 @@
+"""doctor against emulated devices on pseudo-terminals: what it finds, stores, and leaves alone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tapping_cell.cli import main
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.simulation.devices import arm_emulator
+from tapping_cell.simulation.grbl_emulator import GrblEmulator
+from tapping_cell.simulation.marlin_emulator import MarlinEmulator
+from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
+from tapping_cell.simulation.truth import ArmTruth
+
+Plug = Callable[..., PseudoTerminal]
+
+
+def a_cell(folder: Path, plug: Plug, dialect: str) -> tuple[Path, GrblEmulator | MarlinEmulator]:
+    """A cell file whose two devices are plugged in."""
+    shutil.copytree(shared_folder(), folder / "config")
+    path = folder / "config" / "cell.yaml"
+    document = yaml.safe_load(path.read_text())
+    document["arm"]["dialect"] = dialect
+    now = time.monotonic()
+    tapper = plug(TapperEmulator(on_fire=lambda *_: None, now=now), "tapper")
+    document["tapper"]["port"] = str(tapper.path)
+    document["arm"]["port"] = str(folder / "arm")
+    path.write_text(yaml.safe_dump(document))
+    emulator = arm_emulator(load_cell(path).file.arm, ArmTruth(), 1, now)
+    plug(emulator, "arm")
+    return path, emulator
+
+
+@pytest.mark.parametrize("dialect", ["grbl", "marlin"])
+def test_a_cell_that_is_set_up_is_all_green(
+    tmp_path: Path, plug: Plug, dialect: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, _ = a_cell(tmp_path, plug, dialect)
+    assert main(["doctor", "--cell", str(path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["ok"]
+    assert {row["device"] for row in told["findings"]} == {"arm", "tapper"}
+
+
+def test_a_difference_is_named_with_its_command_and_stored_after_a_yes(
+    tmp_path: Path,
+    plug: Plug,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path, emulator = a_cell(tmp_path, plug, "grbl")
+    emulator.receive(b"$1=25\n$110=100\n", time.monotonic())
+    before = emulator.joints(time.monotonic())
+    assert main(["doctor", "--cell", str(path), "--json"]) == 1
+    rows = {row["setting"]: row for row in json.loads(capsys.readouterr().out)["findings"]}
+    assert not rows["$1"]["ok"] and rows["$1"]["remedy"].endswith("send $1=255")
+    assert "send $110=" in rows["$110"]["remedy"]
+
+    asked: list[str] = []
+
+    def answer(question: str) -> str:
+        asked.append(question)
+        return "n" if len(asked) == 1 else "y"
+
+    monkeypatch.setattr("builtins.input", answer)
+    assert main(["doctor", "--cell", str(path), "--json", "--write"]) == 1
+    rows = {row["setting"]: row for row in json.loads(capsys.readouterr().out)["findings"]}
+    assert not rows["$1"]["ok"], "nothing is stored after a no"
+    assert main(["doctor", "--cell", str(path), "--json", "--write"]) == 1
+    rows = {row["setting"]: row for row in json.loads(capsys.readouterr().out)["findings"]}
+    assert rows["$1"]["ok"] and not rows["$110"]["ok"]
+    assert all("$110" not in question for question in asked), "speeds are left to a person"
+    assert emulator.joints(time.monotonic()) == before
+
+
+def test_devices_that_are_not_there_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tapping_cell.cli.doctor.PATIENCE", 0.2)
+    shutil.copytree(shared_folder(), tmp_path / "config")
+    path = tmp_path / "config" / "cell.yaml"
+    document = yaml.safe_load(path.read_text())
+    document["arm"]["port"] = str(tmp_path / "nothing")
+    document["tapper"]["port"] = "~/{cell}/tapper"
+    path.write_text(yaml.safe_dump(document))
+    assert main(["doctor", "--cell", str(path), "--json"]) == 1
+    arm, tapper = json.loads(capsys.readouterr().out)["findings"]
+    assert str(tmp_path / "nothing") in arm["remedy"]
+    assert "that of a simulated cell" in tapper["remedy"]
+    assert main(["doctor", "--cell", str(path)]) == 1
+    assert "wrong" in capsys.readouterr().out

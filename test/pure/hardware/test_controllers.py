@@ -1,0 +1,355 @@
+"""The arm's driver against every controller by name, with the quirks of each; in told time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
+from tapping_cell.hardware.marlin_dialect import MarlinDialect
+from tapping_cell.hardware.scara import Joints, ScaraGeometry
+from tapping_cell.simulation.fault_layer import Direction, FaultKind, FaultLayer, LineFault
+from tapping_cell.simulation.grbl_emulator import GrblEmulator
+from tapping_cell.simulation.grbl_machine import GrblMachine, default_settings
+from tapping_cell.simulation.grbl_variants import GRBL_3_AXES, VARIANTS
+from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
+from tapping_cell.simulation.virtual_line import VirtualClock, VirtualTransport
+
+HOME = (0.0, math.pi / 2, 0.0, 0.0)
+START = (0.3, 1.2, -0.030, 0.0)
+GRBL_NAMES = tuple(VARIANTS)
+NAMES = (*GRBL_NAMES, "marlin")
+SPOKEN = {
+    "grbl": "Grbl",
+    "grbl-mega-5x": "grbl-Mega-5X",
+    "grblhal": "grblHAL",
+    "fluidnc3": "FluidNC",
+    "fluidnc4": "FluidNC",
+    "marlin": "Marlin",
+}
+
+
+class Cell:
+    """One emulated controller with its arm, and the driver, in a time of their own."""
+
+    def __init__(
+        self,
+        name: str,
+        settings: dict[int, float] | None = None,
+        change: Callable[[GrblMachine], GrblMachine] = lambda machine: machine,
+        arm: ArmSettings | None = None,
+    ) -> None:
+        self.clock = VirtualClock()
+        self.clock.limit = 1e4
+        self.emulator: GrblEmulator | MarlinEmulator
+        if name == "marlin":
+            self.emulator = MarlinEmulator(MarlinMachine(start_joints=START, home_joints=HOME))
+        else:
+            machine = GrblMachine(
+                start_joints=START,
+                home_joints=HOME,
+                settings=default_settings() | (settings or {}),
+                variant=VARIANTS[name],
+            )
+            self.emulator = GrblEmulator(change(machine))
+        self.line = FaultLayer(self.emulator)
+        transport = VirtualTransport(self.line, self.clock, "port")
+        self.transport = transport
+        # The shipped grbl-Mega-5X homes X, Y and Z alone.
+        without = (3,) if name == "grbl-mega-5x" else ()
+        self.dialect: GrblDialect | MarlinDialect = (
+            MarlinDialect(transport, draw_number=lambda below: below // 2)
+            if name == "marlin"
+            else GrblDialect(transport, GrblSettings(without_switch=without, needs_homing=True))
+        )
+        self.driver = ArmDriver(
+            transport, self.dialect, ScaraGeometry(), arm or ArmSettings(home_joints=HOME)
+        )
+
+    def ready(self) -> ArmDriver:
+        self.driver.connect()
+        if self.driver.read().alarm:
+            self.driver.clear_fault()
+        self.driver.home(HomingStrategy.FIRMWARE)
+        return self.driver
+
+    def truth(self) -> Joints:
+        return Joints(*self.emulator.joints(self.clock.now))
+
+    def wait(self, duration: float) -> None:
+        self.transport.sleep(duration)
+
+    def during_the_next_move(self, after: float, act: Callable[[], object]) -> None:
+        """Do something when so many seconds of the cell's time have passed."""
+        at = self.clock.now + after
+        step = self.clock.step
+
+        def stepped(until: float, reading: FaultLayer | None = None) -> None:
+            nonlocal at
+            step(min(until, max(at, self.clock.now)), reading)
+            if self.clock.now >= at:
+                at = math.inf
+                act()
+
+        self.clock.step = stepped  # type: ignore[method-assign]
+
+
+FAR = (1.5, 0.5, -0.1, 1.0)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_controller_is_recognised_homed_and_moved(name: str) -> None:
+    cell = Cell(name)
+    driver = cell.ready()
+    assert driver.firmware is not None and driver.firmware.name == SPOKEN[name]
+    rng = np.random.default_rng(3)
+    for _ in range(25):
+        goal = rng.uniform((-1.0, 0.4, -0.12, -1.5), (1.0, 2.0, 0.0, 1.5))
+        reading = driver.move_to(goal, 1.0)
+        assert np.allclose(reading.joints, goal, atol=1e-3)
+        assert np.allclose(cell.truth(), goal, atol=1e-3)
+    assert driver.line_counters.bad_lines == 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_stop_in_mid_move_is_told_as_a_stop_and_ends_with_homing(name: str) -> None:
+    cell = Cell(name)
+    driver = cell.ready()
+    cell.during_the_next_move(0.4, driver.stop)
+    with pytest.raises(HardwareFault) as caught:
+        driver.move_to(FAR, 0.3)
+    assert caught.value.reason is FaultReason.STOPPED
+    here = cell.truth()
+    cell.wait(2.0)
+    assert np.allclose(cell.truth()[:2], here[:2], atol=0.02) and not driver.homed
+    assert driver.fault is not None and "a quill without a brake sinks" in driver.fault.sentence
+    driver.clear_fault()
+    with pytest.raises(HardwareFault) as caught:
+        driver.move_to(HOME)
+    assert caught.value.reason is FaultReason.NOT_HOMED
+    if name == "grbl-mega-5x":
+        # What a person does to the axis without a switch.
+        cell.emulator.push(cell.truth()._replace(tool=0.0), cell.clock.now)  # type: ignore[union-attr]
+    driver.home(HomingStrategy.FIRMWARE)
+    driver.move_to((0.1, 1.4, -0.01, 0.1))
+    assert np.allclose(cell.truth(), (0.1, 1.4, -0.01, 0.1), atol=1e-3)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_unplug_in_mid_move_drops_the_target(name: str) -> None:
+    cell = Cell(name)
+    driver = cell.ready()
+    cell.during_the_next_move(0.4, lambda: cell.line._hang_up(cell.clock.now, 0.3))
+    with pytest.raises(HardwareFault) as caught:
+        driver.move_to(FAR, 0.3)
+    assert caught.value.reason is FaultReason.DISCONNECTED
+    cell.wait(10.0)
+    driver.connect()
+    with pytest.raises(HardwareFault) as caught:
+        driver.move_to(HOME)
+    assert caught.value.reason is FaultReason.NOT_HOMED
+
+
+@pytest.mark.parametrize("name", GRBL_NAMES)
+def test_an_alarm_in_mid_move_stays_the_cause_when_the_board_restarts_after_it(name: str) -> None:
+    """C6: real firmware greets after its alarm, which read as "restarted"."""
+    cell = Cell(name)
+    driver = cell.ready()
+    emulator = cell.emulator
+    assert isinstance(emulator, GrblEmulator)
+
+    def hit() -> None:
+        emulator.hit_limit(cell.clock.now)
+        emulator.receive(b"\x18", cell.clock.now)
+
+    cell.during_the_next_move(0.4, hit)
+    with pytest.raises(HardwareFault, match="a limit switch was hit"):
+        driver.move_to(FAR, 0.3)
+    for _ in range(5):
+        with pytest.raises(HardwareFault, match="a limit switch was hit") as caught:
+            driver.read()
+            driver.read_joints()
+        assert caught.value.reason is FaultReason.ALARM
+    driver.clear_fault()
+    assert driver.fault is None and not driver.homed
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_restart_is_noticed_and_homing_demanded(name: str) -> None:
+    cell = Cell(name)
+    driver = cell.ready()
+    cell.emulator.power_cycle(cell.clock.now)
+    with pytest.raises(HardwareFault) as caught:
+        driver.move_to(FAR, 0.3)
+    assert caught.value.reason is FaultReason.BOARD_RESET
+    driver.clear_fault()
+    assert not driver.homed
+
+
+# C1: torque.
+
+
+def released(name: str) -> dict[int, float] | None:
+    return {1: 25.0} if not name.startswith("fluidnc") else None
+
+
+@pytest.mark.parametrize("name", GRBL_NAMES)
+def test_a_controller_that_lets_its_motors_go_is_refused_with_the_remedy(name: str) -> None:
+    cell = Cell(name, released(name))
+    emulator = cell.emulator
+    assert isinstance(emulator, GrblEmulator)
+    if name.startswith("fluidnc"):
+        emulator.receive(b"$/stepping/idle_ms=25\n", 0.0)
+    words = r"is 25, must be 255: .*torque.*\(send \$(1|/stepping/idle_ms)=255"
+    with pytest.raises(HardwareFault, match=words) as caught:
+        cell.driver.connect()
+    assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
+
+
+def test_an_arm_without_torque_sinks_and_its_controller_does_not_notice() -> None:
+    """What the refusal guards against: the emulated world has it."""
+    machine = GrblMachine(start_joints=START, settings=default_settings() | {1: 25.0, 22: 0.0})
+    emulator = GrblEmulator(machine)
+    emulator.advance(1.0)
+    assert not emulator.holds
+    assert emulator.joints(2.0)[2] < START[2] - 0.01
+    emulator.receive(b"G21G90G94G1X5F5000\n?", 2.0)
+    emulator.advance(5.0)
+    emulator.take_output(5.0)
+    emulator.receive(b"?", 5.0)
+    assert b"MPos:5.000,0.000,0.000,0.000" in emulator.take_output(6.0)
+    assert emulator.joints(5.0)[2] < START[2] - 0.01
+
+
+def test_marlin_holds_its_arm_for_as_long_as_it_stands() -> None:
+    cell = Cell("marlin")
+    driver = cell.ready()
+    driver.move_to(FAR)
+    cell.wait(1000.0)
+    assert np.allclose(cell.truth(), FAR, atol=1e-3)
+    alone = MarlinEmulator(MarlinMachine(start_joints=START))
+    alone.advance(500.0)
+    assert alone.joints(500.0)[2] < START[2] - 0.1
+
+
+@pytest.mark.parametrize("name", GRBL_NAMES)
+def test_a_controller_that_went_to_sleep_is_not_believed(name: str) -> None:
+    cell = Cell(name)
+    driver = cell.ready()
+    cell.emulator.receive(b"$SLP\n", cell.clock.now)
+    with pytest.raises(HardwareFault, match="asleep: its motors may have been") as caught:
+        driver.read()
+    assert caught.value.reason is FaultReason.POSITION_LOST
+    assert not driver.homed
+
+
+# C3: what each controller does in its own way.
+
+
+def test_three_axes_are_refused_in_those_words() -> None:
+    cell = Cell("grbl", change=lambda machine: replace(machine, variant=GRBL_3_AXES))
+    with pytest.raises(HardwareFault, match=r"has 3 axes \(XYZ\), 4 are needed") as caught:
+        cell.driver.connect()
+    assert caught.value.reason is FaultReason.UNKNOWN_FIRMWARE
+
+
+def test_an_axis_without_a_switch_must_be_named() -> None:
+    cell = Cell("grblhal", {46: 0.0})
+    with pytest.raises(HardwareFault, match=r"leaves out axis A .*axes_without_switch"):
+        cell.driver.connect()
+
+
+def test_a_forced_origin_is_where_homing_ends() -> None:
+    cell = Cell("grblhal", {22: 9.0})
+    cell.ready().move_to(FAR, 1.0)
+    assert np.allclose(cell.truth(), FAR, atol=1e-3)
+
+
+def test_a_tool_that_homing_leaves_alone_is_where_a_person_put_it() -> None:
+    cell = Cell("grbl-mega-5x")
+    driver = cell.ready()
+    assert driver.read_joints().tool == 0.0
+    driver.move_to((0.1, 1.4, -0.01, 0.7))
+    assert cell.truth().tool == pytest.approx(0.7, abs=1e-3)
+
+
+# C4, C5, C7: what is told, and when.
+
+
+def test_reports_of_the_work_position_are_refused_at_connect() -> None:
+    cell = Cell("grbl", {10: 0.0})
+    with pytest.raises(HardwareFault, match=r"\$10 is 0, must be odd.*send \$10=1"):
+        cell.driver.connect()
+    assert cell.clock.now < 5.0
+
+
+@pytest.mark.parametrize("delay", [0.6, 1.0, 1.4, 1.9])
+def test_a_late_answer_is_never_credited_to_another_line(delay: float) -> None:
+    """C5: the `ok` of a move came after 0.5 s and was taken for that of the next line."""
+    for place in range(0, 12):
+        cell = Cell("grbl")
+        driver = cell.ready()
+        at = cell.line.count(Direction.TO_HOST) + 40 + place
+        cell.line.add(LineFault(FaultKind.DELAY, Direction.TO_HOST, at, duration=delay))
+        for number in range(4):
+            goal = (0.2 * number, 1.2, -0.02, 0.1 * number)
+            reading = driver.move_to(goal, 1.0)
+            assert not cell.emulator.moving(cell.clock.now)
+            assert np.allclose(reading.joints, goal, atol=1e-3)
+            assert np.allclose(cell.truth(), goal, atol=1e-3)
+        assert driver.fault is None
+
+
+def test_a_slowed_move_is_stopped_and_told_with_its_override() -> None:
+    cell = Cell("grbl")
+    driver = cell.ready()
+    driver.read()
+    cell.emulator.receive(b"\x92" * 9, cell.clock.now)
+    with pytest.raises(HardwareFault, match="override of 10 %.*the arm was stopped") as caught:
+        driver.move_to(FAR, 0.5)
+    assert caught.value.reason is FaultReason.TIMEOUT
+    cell.wait(0.5)
+    assert not cell.emulator.moving(cell.clock.now)
+    assert not driver.homed
+
+
+def test_an_override_is_put_back_at_connect() -> None:
+    cell = Cell("grbl")
+    cell.emulator.receive(b"\x92" * 9, 0.0)
+    cell.ready().move_to(FAR, 1.0)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_homing_that_does_not_end_is_stopped_and_named(name: str) -> None:
+    cell = Cell(name, arm=ArmSettings(home_joints=HOME, homing_timeout=1.0))
+    cell.driver.connect()
+    if cell.driver.read().alarm:
+        cell.driver.clear_fault()
+    if name == "marlin":
+        assert isinstance(cell.emulator, MarlinEmulator)
+        cell.emulator.machine = replace(cell.emulator.machine, homing_rate=2.0)
+    else:
+        cell.emulator._settings.update({24: 60.0, 25: 60.0})  # type: ignore[union-attr]
+    words = "homing has not ended within .* s .*arm.homing_timeout.*the arm was stopped"
+    with pytest.raises(HardwareFault, match=words) as caught:
+        cell.driver.home(HomingStrategy.FIRMWARE)
+    assert caught.value.reason is FaultReason.TIMEOUT
+    cell.wait(0.5)
+    assert not cell.emulator.moving(cell.clock.now)
+
+
+def test_a_halted_marlin_goes_on_saying_so() -> None:
+    cell = Cell("marlin")
+    driver = cell.ready()
+    cell.emulator.receive(b"\nM112\n", cell.clock.now)
+    with pytest.raises(HardwareFault, match="halted"):
+        driver.read()
+    with pytest.raises(HardwareFault, match="it was halted .*M112.*press the reset button"):
+        driver.read()

@@ -1,0 +1,25 @@
+"""Error codes are declared once, in ErrorCode.msg, and every one of them is reported somewhere."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from tapping_cell.report import error_codes
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def test_every_line_of_the_declaration_is_read() -> None:
+    text = (ROOT / "msg_defs" / "msg" / "ErrorCode.msg").read_text(encoding="utf-8")
+    assert len(error_codes.codes()) == len(re.findall("^uint16 ", text, re.MULTILINE)) > 50
+
+
+def test_every_code_has_a_meaning_and_a_hint() -> None:
+    for number, code in error_codes.codes().items():
+        assert code.meaning, code.name
+        assert number == 0 or code.hint.endswith("."), code.name
+
+
+def test_a_code_of_a_later_version_has_no_hint_and_its_number_for_a_name() -> None:
+    assert (error_codes.name(999), error_codes.hint(999)) == ("999", "")
