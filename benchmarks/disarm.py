@@ -61,7 +61,7 @@ class DrawnCell:
         arm, tapper = folder / "arm", folder / "tapper"
         parameters: dict[str, dict[str, object]] = {
             "sim_world": {"arm_port": arm, "tapper_port": folder / "nobody", "seed": 8},
-            "scara_arm": {"port": arm},
+            "scara_arm": {"port": arm, "home_on_activate": True},
             "tapper_trigger": {"port": tapper},
             "tap_planner": {"resume_within": 60.0},
         }

@@ -20,7 +20,12 @@ def generate_launch_description() -> LaunchDescription:
         LaunchedNode("sim_world", {**FILES, **WORLD}),
         LaunchedNode("camera_pose", FILES, respawn=True),
         LaunchedNode("tap_planner", {**FILES, "planner": "planner"}),
-        LaunchedNode("scara_arm", {**CELL, "arm_port": "port"}),
+        LaunchedNode(
+            "scara_arm",
+            {**CELL, "arm_port": "port"},
+            # Nobody can be hurt by a simulated arm.
+            parameters={"home_on_activate": True},
+        ),
         LaunchedNode("tapper_trigger", {**CELL, "tapper_port": "port"}),
         LaunchedNode("run_recorder", {**FILES, "runs": "folder", "seed": "seed"}, respawn=True),
     )

@@ -17,21 +17,21 @@ from collections.abc import Callable, Sequence
 from tapping_cell.nodes import security
 
 VERBS = {
-    "demo": "position a disk in the simulated world, from nothing to the goal",
-    "up": "start the graph, simulated or on hardware, and stay",
+    "demo": "run one goal in the simulated cell, from start to finish",
+    "up": "start the nodes, simulated or on hardware, and keep them running",
     "goal": "send a goal pose to a running graph",
-    "evaluate": "many positioning trials of a planning method",
-    "single-tap": "measure an object: a designed experiment of single taps",
-    "fit": "an object's friction and impact from records of single taps",
-    "sensitivity": "how the tap's result answers errors of the striker's pose",
-    "locate": "where the object is in image files",
-    "calibrate": "camera, table, arm, tapper: from measurements to a file; printed sheets",
-    "faults": "taps over bad serial lines: is anything unsafe, hanging or untrue?",
-    "report": "make run folders again, and compare runs",
-    "check-config": "what is wrong with configuration files, without starting anything",
+    "evaluate": "evaluate a planning method in many simulated trials",
+    "single-tap": "measure an object with an experiment of single taps",
+    "fit": "fit friction and impact of an object to records of single taps",
+    "sensitivity": "sensitivity of a tap's result to errors of the striker's pose",
+    "locate": "measure the object's pose in image files",
+    "calibrate": "calibrate camera, table, arm or tapper; print sheets",
+    "faults": "test the drivers with taps over faulty serial lines",
+    "report": "write the reports of run folders again, and compare runs",
+    "check-config": "check configuration files without starting anything",
     "doctor": "connect to arm and tapper, compare their settings, move nothing",
-    "urdf": "the arm of a cell file, for RViz and Foxglove",
-    "completion": "shell code that completes verbs and options",
+    "urdf": "write the URDF of the arm, for RViz and Foxglove",
+    "completion": "print shell code that completes verbs and options",
 }
 
 MOVED = {

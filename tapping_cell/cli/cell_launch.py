@@ -43,6 +43,8 @@ class LaunchedNode:
     arguments: Mapping[str, str] = field(default_factory=dict)
     """Parameter by launch argument."""
     respawn: bool = False
+    parameters: Mapping[str, object] = field(default_factory=dict)
+    """Values that this graph gives to every such node."""
 
 
 PAGE = LaunchedNode(
@@ -99,6 +101,7 @@ def _start(
             namespace=given["namespace"],
             parameters=[
                 *shared,
+                dict(node.parameters),
                 # An argument that was left empty leaves the parameter to params_file.
                 {
                     name: LaunchConfiguration(key)

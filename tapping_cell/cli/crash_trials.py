@@ -125,7 +125,7 @@ class CrashCell:
         arm, tapper = folder / "arm", folder / "tapper"
         parameters: dict[str, dict[str, object]] = {
             WORLD: {"arm_port": arm, "tapper_port": tapper, "seed": seed},
-            "scara_arm": {"port": arm},
+            "scara_arm": {"port": arm, "home_on_activate": True},
             "tapper_trigger": {"port": tapper},
         }
         # The planner's memory of its goal is kept apart from that of other cells.

@@ -225,10 +225,11 @@ def parameter_text(value: object) -> str:
 def with_own_ports(
     parameters: dict[str, dict[str, object]], ports: Path = STATE / "{cell}"
 ) -> dict[str, dict[str, object]]:
-    """Parameters of a simulated graph, with serial ports in a folder of its own."""
+    """Parameters of a simulated graph, with serial ports in a folder of its own. Nobody can be hurt
+    in it, so that its arm homes by itself."""
     own = {name: dict(values) for name, values in parameters.items()}
     own["sim_world"] |= {"arm_port": ports / "arm", "tapper_port": ports / "tapper"}
-    own["scara_arm"]["port"] = ports / "arm"
+    own["scara_arm"] |= {"port": ports / "arm", "home_on_activate": True}
     own["tapper_trigger"]["port"] = ports / "tapper"
     return own
 

@@ -130,7 +130,7 @@ def compare(told: list[tuple[Run, Path]], folder: Path) -> Path:
 def table_of(rows: list[Row]) -> Table:
     """The runs for people."""
     table = Table(box=None, pad_edge=False)
-    for name in ("run", "outcome", "planner", "taps", "mm to go", "deg to go", "time s"):
+    for name in ("run", "outcome", "planner", "taps", "remaining mm", "remaining deg", "time s"):
         table.add_column(name, justify="left" if name in ("run", "outcome", "planner") else "right")
     for row in rows:
         table.add_row(

@@ -50,6 +50,8 @@ RESETS = 3
 """Soft resets sent until the banner comes."""
 RESET_TIME = 1.5
 """Longest wait for the banner after a soft reset, s: FluidNC takes 0.5 s after an alarm."""
+IDENTIFICATIONS = 5
+"""Further answers to ``$I`` of which one must agree with the one before."""
 MARKERS = (1001, 9999)
 """Range of the numbers by which answers to one resynchronisation are told from those to others."""
 DRAIN_SILENCE = 0.05
@@ -123,6 +125,7 @@ class GrblDialect:
         """Who is there, and how its settings compare with what is needed; nothing moves."""
         offset = self._offset if self._frozen else None
         self._forget()
+        self._count = 0
         self._known = False
         banner = self._drain() or self._await_first_status(deadline)
         if banner is not None:
@@ -270,7 +273,6 @@ class GrblDialect:
         self._frames.clear()
         self._offset, self._frozen = None, False
         self._unanswered = False
-        self._count = 0
 
     def _pump(self, wait: float) -> bool:
         """Read for up to ``wait`` s and decode what came; False when nothing came."""
@@ -465,8 +467,14 @@ class GrblDialect:
 
     def _identify(self, deadline: float, banner: grbl.Banner | None) -> str:
         """Recognise the controller and count its axes; returns its version."""
-        heard = self._retried(b"$I\n", deadline)
-        messages = [frame for frame in heard if isinstance(frame, grbl.Message)]
+        # No answer has a checksum: a lost line would make one controller of another.
+        messages = self._information(deadline)
+        for _ in range(IDENTIFICATIONS):
+            again = self._information(deadline)
+            if identify(again) == identify(messages):
+                break
+            self.counters.retries += 1
+            messages = again
         identity = identify(messages)
         letters = DEFAULT_LETTERS
         if identity is not None:
@@ -490,8 +498,7 @@ class GrblDialect:
                 )
             self._controller, self._forces_origin = GRBL, False
             version = banner.version
-        status = self._ask_status(deadline)
-        count = len(status.machine or status.work or ())
+        count = self._count_axes(deadline)
         known = letters[:count]
         missing = [letter for letter in self._settings.letters if letter not in known]
         if count < AXIS_COUNT or missing:
@@ -505,6 +512,21 @@ class GrblDialect:
         self._columns = [letters.index(letter) for letter in self._settings.letters]
         self._count = count
         return version
+
+    def _information(self, deadline: float) -> list[grbl.Message]:
+        """What ``$I`` tells."""
+        heard = self._retried(b"$I\n", deadline)
+        return [frame for frame in heard if isinstance(frame, grbl.Message)]
+
+    def _count_axes(self, deadline: float) -> int:
+        """How many axes two reports in a row name."""
+        before = 0
+        while True:
+            status = self._ask_status(deadline)
+            count = len(status.machine or status.work or ())
+            if count == before:
+                return count
+            before = count
 
     def _compared(self, deadline: float) -> list[Finding]:
         """The findings; asked for twice where one is not met, for a line may have been bad."""

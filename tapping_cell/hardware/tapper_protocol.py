@@ -13,6 +13,7 @@ firmware's version, whose first part is the version of the protocol.
 
 from __future__ import annotations
 
+import binascii
 import re
 from dataclasses import dataclass
 from enum import Enum
@@ -142,13 +143,7 @@ class Decoded:
 
 def crc16(data: bytes) -> int:
     """CRC-16/CCITT-FALSE; its check value over ``123456789`` is 0x29B1."""
-    value = 0xFFFF
-    for byte in data:
-        value ^= byte << 8
-        for _ in range(8):
-            value = (value << 1) ^ 0x1021 if value & 0x8000 else value << 1
-        value &= 0xFFFF
-    return value
+    return binascii.crc_hqx(data, 0xFFFF)
 
 
 def encode(session: int, sequence: int, command: Command, *arguments: int | Mode) -> bytes:

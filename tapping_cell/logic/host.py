@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Content, Effect, JobEnded, JobProgress, Message, Token
 
@@ -19,14 +21,22 @@ from tapping_cell.logic.effects import Content, Effect, JobEnded, JobProgress, M
 class Configured:
     """Files are read, ports are open; nothing may move."""
 
+    cell: Cell
     connected: Any = None
-    """What the driver's ``connect`` returned."""
+    """What the driver's ``connect`` returned; of a planner its GoalHandling."""
     kept_stop: Content | None = None
     """Of the last KeepStop of the node's life before."""
     kept_goal: Content | None = None
     """Of the last KeepGoal."""
     kept_goal_age: float = 0.0
     """s since the goal was kept or touched."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unreachable:
+    """The device did not answer when the node was to be configured; tried again later."""
+
+    fault: HardwareFault
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +54,7 @@ class ShutDown:
     """The node ends in order: port closed, worker ended. Nothing of the job under way follows."""
 
 
-LifecycleEvent = Configured | Activated | Deactivated | ShutDown
+LifecycleEvent = Configured | Unreachable | Activated | Deactivated | ShutDown
 
 
 class Logic(Protocol):

@@ -20,6 +20,11 @@ Trouble = tuple[int, str]
 """An error code and a sentence."""
 
 
+def largest_id(last_tap_id: int, now: Now) -> int:
+    """The greatest id that is taken for one."""
+    return max(last_tap_id, now.ros // NANOSECONDS) + LARGEST_JUMP
+
+
 def refusal(command: TapCommand, now: Now, last_tap_id: int) -> Trouble | None:
     """Code and sentence where a TAP must not be taken; None where it is sound.
 
@@ -37,7 +42,7 @@ def refusal(command: TapCommand, now: Now, last_tap_id: int) -> Trouble | None:
         return ErrorCode.COMMAND_INVALID, "it holds a number that is not finite"
     if abs(quaternion_norm(command.strike_pose) - 1) > 0.01:
         return ErrorCode.COMMAND_INVALID, "the quaternion of its strike pose has no unit length"
-    largest = max(last_tap_id, now.ros // NANOSECONDS) + LARGEST_JUMP
+    largest = largest_id(last_tap_id, now)
     if not 0 < command.tap_id <= largest:
         return (
             ErrorCode.COMMAND_INVALID,

@@ -15,7 +15,6 @@ from typing import Any, Generic, TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from lifecycle_msgs.msg import State as LifecycleState
 from rcl_interfaces.msg import SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -62,7 +61,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     """
 
     actor = False
-    """True for a node that moves something: an emergency stop latches it until clear_fault."""
+    """True for a node that moves something: its ``stopped`` tells of a latched stop."""
     carries_pictures = True
     """False for a node that sends and takes no pictures: see :func:`choose_transport`."""
     changeable: tuple[str, ...] = ()
@@ -74,14 +73,18 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._parameter_class = parameter_class
         self.settings = parameters.read(self, parameter_class)
-        self.stopped = False
+        self.active = False
+        """True while the node may act."""
+        self.configured = False
+        """True from configured on (inactive or active)."""
+        self.stop_profile = LATCHED
         self.fatal = ""
         self._last_complaint = ""
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Two subscriptions, because one with transient local durability misses volatile publishers
         # and a volatile one misses a stop that was published before this node came up.
         for profile in (LATCHED, COMMAND):
-            self.create_subscription(Bool, "emergency_stop", self._on_emergency_stop, profile)
+            self.create_subscription(Bool, "emergency_stop", self.hear_stop, profile)
         self.create_timer(1.0, self._publish_diagnostics)
         self._autostart = self.create_timer(0.05, self._start) if self.settings.autostart else None
 
@@ -118,17 +121,9 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     # Life cycle
 
     @property
-    def active(self) -> bool:
-        """True while the node may act."""
-        return bool(self._state_machine.current_state[0] == LifecycleState.PRIMARY_STATE_ACTIVE)
-
-    @property
-    def configured(self) -> bool:
-        """True from configured on (inactive or active)."""
-        return self._state_machine.current_state[0] in (
-            LifecycleState.PRIMARY_STATE_INACTIVE,
-            LifecycleState.PRIMARY_STATE_ACTIVE,
-        )
+    def stopped(self) -> bool:
+        """Whether a stop is latched here."""
+        return False
 
     def on_configure(self, state: Previous) -> TransitionCallbackReturn:
         """Life cycle: configure."""
@@ -144,13 +139,16 @@ class CellNode(LifecycleNode, Generic[Parameters]):
             self._complain(str(error))
             self.cleanup()
             return TransitionCallbackReturn.FAILURE
+        self.configured = True
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: Previous) -> TransitionCallbackReturn:
         """Life cycle: activate."""
+        self.active = True
         try:
             self.activate()
         except NotReady as error:
+            self.active = False
             self._complain(str(error))
             return TransitionCallbackReturn.FAILURE
         self._last_complaint = ""
@@ -158,16 +156,19 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
     def on_deactivate(self, state: Previous) -> TransitionCallbackReturn:
         """Life cycle: deactivate."""
+        self.active = False
         self.deactivate()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: Previous) -> TransitionCallbackReturn:
         """Life cycle: clean up."""
+        self.configured = False
         self.cleanup()
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: Previous) -> TransitionCallbackReturn:
         """Life cycle: shut down."""
+        self.active = self.configured = False
         self.cleanup()
         return TransitionCallbackReturn.SUCCESS
 
@@ -194,12 +195,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
     # Emergency stop
 
-    def _on_emergency_stop(self, message: Bool) -> None:
-        if message.data and not self.stopped:
-            self.stopped = self.actor
+    def hear_stop(self, message: Bool) -> None:
+        """Hear a level of ``emergency_stop``."""
+        if message.data:
             self.stop_now()
-            if self.actor:
-                self.get_logger().error("emergency stop: latched until the service clear_fault")
 
     # Parameters at run time
 

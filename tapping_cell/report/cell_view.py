@@ -39,7 +39,7 @@ def _headline(run: Run) -> str:
         return result
     turn = math.degrees(run.start.rotation_to(run.goal))
     away = 1000 * run.start.distance_to(run.goal)
-    return f"{away:.1f} mm and {turn:+.1f} deg to go: {result}"
+    return f"{away:.1f} mm and {turn:+.1f} deg from the goal: {result}"
 
 
 def _moves(run: Run) -> str:
@@ -159,8 +159,8 @@ def _draw_residuals(upper: Axes, lower: Axes, run: Run) -> None:
     distance = [1000 * pose.distance_to(goal) for pose in poses if goal is not None]
     rotation = [abs(math.degrees(pose.rotation_to(goal))) for pose in poses if goal is not None]
     series = (
-        (upper, distance, 1000 * run.tolerance[0], "distance to go (mm)"),
-        (lower, rotation, math.degrees(run.tolerance[1]), "rotation to go (deg)"),
+        (upper, distance, 1000 * run.tolerance[0], "remaining distance (mm)"),
+        (lower, rotation, math.degrees(run.tolerance[1]), "remaining rotation (deg)"),
     )
     for axes, values, limit, label in series:
         axes.axhspan(0, limit, color=GOAL, alpha=0.15)

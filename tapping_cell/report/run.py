@@ -50,7 +50,7 @@ class Phase:
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """Something that a node complained of: when (s since the run began), who, code, sentence."""
+    """A warning or error of a node: time (s since the start of the run), node, code, message."""
 
     at: float
     source: str

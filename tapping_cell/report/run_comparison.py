@@ -119,7 +119,7 @@ def comparison_page(runs: Sequence[Run], links: Sequence[str]) -> str:
 def _table(rows: Sequence[Row], links: Sequence[str]) -> str:
     head = (
         "<tr><th>run</th><th>outcome</th><th>planner</th><th>object</th><th>taps</th>"
-        "<th>to go at the start</th><th>measured residual</th><th>true residual</th>"
+        "<th>distance at the start</th><th>measured residual</th><th>true residual</th>"
         "<th>time</th></tr>"
     )
     lines = []
@@ -179,8 +179,8 @@ def _charts(runs: Sequence[Run]) -> str:
         for name in planners
     )
     return (
-        f'<section class="two">{chart(distances, distance_limit, "distance to go (mm)")}'
-        f"{chart(rotations, angle_limit, 'rotation to go (deg)')}<p>{legend}</p></section>"
+        f'<section class="two">{chart(distances, distance_limit, "remaining distance (mm)")}'
+        f"{chart(rotations, angle_limit, 'remaining rotation (deg)')}<p>{legend}</p></section>"
     )
 
 

@@ -85,9 +85,8 @@ def _head(run: Run) -> str:
     task = ""
     if run.start is not None and run.goal is not None:
         turn = math.degrees(run.start.rotation_to(run.goal))
-        task = (
-            f"{1000 * run.start.distance_to(run.goal):.1f}&nbsp;mm and {turn:+.1f}&nbsp;deg to go. "
-        )
+        away = 1000 * run.start.distance_to(run.goal)
+        task = f"{away:.1f}&nbsp;mm and {turn:+.1f}&nbsp;deg from the goal. "
     told = " &middot; ".join(
         escape(word)
         for word in (when, run.object_name, run.planner and f"planner {run.planner}")
@@ -199,9 +198,11 @@ def _charts(run: Run) -> str:
     rotation = [abs(math.degrees(pose.rotation_to(goal))) for pose in poses]
     return (
         '<section class="two">'
-        + chart([("distance", distance, REST)], 1000 * run.tolerance[0], "distance to go (mm)")
+        + chart([("distance", distance, REST)], 1000 * run.tolerance[0], "remaining distance (mm)")
         + chart(
-            [("rotation", rotation, REST)], math.degrees(run.tolerance[1]), "rotation to go (deg)"
+            [("rotation", rotation, REST)],
+            math.degrees(run.tolerance[1]),
+            "remaining rotation (deg)",
         )
         + "</section>"
     )
@@ -262,7 +263,7 @@ def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> str:
         ("striker", f"{1000 * tap.striker_speed:.0f} mm/s{gate}; {tap.outcome}"),
     ]
     if run.goal is not None:
-        rows.append(("then to go", _to_go(tap.measured, run.goal)))
+        rows.append(("remaining", _to_go(tap.measured, run.goal)))
     if math.isfinite(tap.fired_at):
         at_rest = f", at rest at {tap.at_rest_at:.1f} s" if math.isfinite(tap.at_rest_at) else ""
         rows.append(("when", f"fired at {tap.fired_at:.1f} s{at_rest}"))
@@ -354,7 +355,7 @@ def _troubles(run: Run) -> str:
         for trouble in run.troubles
     )
     return (
-        "<section><h2>What was complained of</h2><div class='scroll'><table class='wide'>"
+        "<section><h2>Warnings and errors</h2><div class='scroll'><table class='wide'>"
         "<tr><th>when</th><th>topic</th><th>code</th><th>what, and what to do</th></tr>"
         f"{rows}</table></div></section>"
     )

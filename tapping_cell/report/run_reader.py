@@ -247,7 +247,7 @@ def _phases(plans: list[Any], began: float) -> tuple[Phase, ...]:
 
 
 def _troubles(bag: Bag, began: float, ended: float) -> tuple[Trouble, ...]:
-    """What was complained of while the goal was under way; a lasting complaint counts once."""
+    """Warnings and errors while the goal was active; one that persists counts once."""
     found = []
     for speaker in _SPEAKERS:
         before = 0

@@ -17,7 +17,7 @@ _GLOW = 12.0
 """Grey levels over ``dark`` that noise and lamps on the camera may reach in a dark image."""
 
 
-class FrameGate:
+class FrameValidator:
     """Remembers the last good frame's stamp and looks, and refuses what cannot be one.
 
     ``dark`` and ``bright`` are grey levels: below the one, or above the other, there is no picture.

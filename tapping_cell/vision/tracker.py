@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tapping_cell.se2 import Pose, transform_points, wrap_angle
 from tapping_cell.vision.camera import Array, CameraModel, Image, View
-from tapping_cell.vision.frame_validation import FrameGate
+from tapping_cell.vision.frame_validation import FrameValidator
 from tapping_cell.vision.markers.detection import (
     UNIT_CORNERS,
     ObjectMarker,
@@ -20,7 +20,7 @@ from tapping_cell.vision.markers.detection import (
 from tapping_cell.vision.markers.edges import MarkerEdges, join, no_edges, take
 from tapping_cell.vision.markers.measurement import measure
 from tapping_cell.vision.markers.object_pose import PoseFit, fit_marker, marker_pose, object_pose
-from tapping_cell.vision.markers.search import Census, census, efforts, near
+from tapping_cell.vision.markers.search import Detections, detect, efforts, near
 from tapping_cell.vision.markers.shape_consistency import Form, Suspicion, judge_form
 from tapping_cell.vision.markers.stationary_marker import RestingMarker
 from tapping_cell.vision.observation import Observation, Problem
@@ -48,8 +48,8 @@ _JUDGED_AGAIN = 0.003, 0.03
 """Motion (m) of an object at rest and of a moving one after which the lens error is asked again."""
 
 
-_UNMET = 3
-"""Looks in vain for a reference marker after which it counts as covered."""
+_MISSED = 3
+"""Consecutive misses before a reference marker is reported as occluded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ class PoseTracker:
             self._suspicion = Suspicion(seen)
         self._form: Form | None = None
         self._track = Track(rest)
-        self._gate = FrameGate(camera, self.settings.dark, self.settings.bright)
+        self._gate = FrameValidator(camera, self.settings.dark, self.settings.bright)
         self._group = 0
         self._last_search = -math.inf
         self._last_thorough = -math.inf
@@ -136,7 +136,7 @@ class PoseTracker:
         self._working: View | None = None
         self._reference_quads: Array | None = None
         self._warning: tuple[float, str] = (-math.inf, "")
-        self._unmet: dict[int, int] = {}
+        self._missed: dict[int, int] = {}
         self._doubled: list[int] = []
         self._change = SceneChange()
         self._last: Observation | None = None
@@ -201,7 +201,7 @@ class PoseTracker:
         """Look at a good frame, measure and judge."""
         seen, object_quad, trouble = self._look(image, stamp)
         found = self._measure(image, seen, object_quad, stamp == self._last_search)
-        self._count_unmet(seen, found)
+        self._count_missed(seen, found)
         marked = self._finder is None
         if marked and found.object_row is None and trouble is None and self.view is not None:
             found = self._search_object(image, stamp, found)
@@ -266,15 +266,15 @@ class PoseTracker:
         # first frame, which may be the only one; later once in a while, and only if it is needed.
         lost = self._object is None or stamp - self._object[0] > 0.2
         slow = lost and stamp - self._last_thorough >= self.settings.audit_period
-        table = objects = Census({}, ())
+        table = objects = Detections({}, ())
         for effort in efforts(first, slow):
             if effort:
                 self._last_thorough = stamp
-            table = table.and_more(census(image, self._map.dictionary, effort))
+            table = table.and_more(detect(image, self._map.dictionary, effort))
             if same:
                 objects = table
             else:
-                objects = objects.and_more(census(image, self.marker.dictionary, effort))
+                objects = objects.and_more(detect(image, self.marker.dictionary, effort))
             enough = len(rows.keys() & table.single) >= self.settings.table.least_references
             if enough and (not marked or self.marker.id in {*objects.single, *objects.repeated}):
                 break
@@ -304,10 +304,10 @@ class PoseTracker:
         return quads, None, self._trouble
 
     def _explain(
-        self, image: Image, objects: Census, expected: set[int]
+        self, image: Image, objects: Detections, expected: set[int]
     ) -> tuple[Problem, str] | None:
         """Why the object's marker may not be there."""
-        mirrored = census(np.ascontiguousarray(image[:, ::-1]), self.marker.dictionary)
+        mirrored = detect(np.ascontiguousarray(image[:, ::-1]), self.marker.dictionary)
         if self.marker.id in mirrored.single:
             return (
                 Problem.MIRRORED_MARKER,
@@ -343,13 +343,13 @@ class PoseTracker:
             return _Found(take(edges, kept), chosen, None)
         return _Found(take(edges, np.append(kept, len(rows))), chosen, len(kept))
 
-    def _count_unmet(self, looked_for: dict[int, Array], found: _Found) -> None:
+    def _count_missed(self, looked_for: dict[int, Array], found: _Found) -> None:
         """How often in a row each reference marker that was once seen is not."""
         met = set(found.rows.tolist())
-        self._unmet |= dict.fromkeys(met, 0)
+        self._missed |= dict.fromkeys(met, 0)
         for row in looked_for.keys() - met:
-            if row in self._unmet:
-                self._unmet[row] += 1
+            if row in self._missed:
+                self._missed[row] += 1
 
     def _search_object(self, image: Image, stamp: float, found: _Found) -> _Found:
         """The object is not where it was expected: search around, then everywhere."""
@@ -490,8 +490,8 @@ class PoseTracker:
         instant = _INSTANT * motion.velocity
         since, sentence = self._warning
         if stamp - since > 2.0:
-            unmet = [row for row, looks in self._unmet.items() if looks >= _UNMET]
-            sentence = table_notice(self.table, self._doubled, unmet)
+            missed = [row for row, looks in self._missed.items() if looks >= _MISSED]
+            sentence = table_notice(self.table, self._doubled, missed)
         elif self.table.displaced:
             sentence = table_notice(self.table, [], [])
         if self._form is not None:

@@ -48,7 +48,7 @@ def main() -> int:
     ports = {"arm_port": folder / "arm", "tapper_port": folder / "tapper"}
     parameters: dict[str, dict[str, object]] = {
         "sim_world": dict(ports),
-        "scara_arm": {"port": folder / "arm"},
+        "scara_arm": {"port": folder / "arm", "home_on_activate": True},
         "tapper_trigger": {"port": folder / "tapper"},
         "operator_page": {"port": PORT},
     }

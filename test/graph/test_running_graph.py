@@ -84,10 +84,13 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
     folder = tmp_path_factory.mktemp("cell")
     parameters: dict[str, dict[str, object]] = {
         "sim_world": {"arm_port": folder / "arm", "tapper_port": folder / "tapper", "seed": 4},
-        "scara_arm": {"port": folder / "arm"},
+        "scara_arm": {"port": folder / "arm", "home_on_activate": True},
         "tapper_trigger": {"port": folder / "tapper"},
     }
-    with Graph(SIMULATED, parameters, folder / "logs") as graph, GoalClient() as client:
+    with (
+        Graph(SIMULATED, parameters, folder / "logs", {"HOME": str(folder)}) as graph,
+        GoalClient() as client,
+    ):
         plans: list[PlanState] = []
         commands: list[TapCommand] = []
         client.node.create_subscription(PlanState, "plan_state", plans.append, LATCHED)

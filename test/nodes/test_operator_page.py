@@ -27,6 +27,7 @@ from tapping_cell_msgs.msg import (
     ErrorCode,
     ObjectState,
     PlanState,
+    StopState,
     TapperState,
     TapRecord,
 )
@@ -309,6 +310,8 @@ def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_said(cell: Cell) 
 
     def clear(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         cleared.append("scara_arm")
+        link = cell.page._stop
+        assert link is not None and not link.held, "the page's own stop is released first"
         response.success, response.message = True, "clearing"
         return response
 
@@ -334,6 +337,10 @@ def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_said(cell: Cell) 
                 assert answer["ok"] is False and "does not answer" in answer["text"]
             await page.say({"do": "goal", "x": 0, "y": 0, "angle": 0})
             assert "start tap_planner" in (await page.answer("goal"))["text"]
+            cell.publish("arm_state", ArmState(state=ArmState.STOPPED))
+            held = StopState(stopped=True, sources=["emergency_stop of /panel"])
+            cell.publish("scara_arm/stop_state", held)
+            await page.state(lambda s: "of /panel" in json.dumps(s["recovery"]))
             log = (await page.state(lambda s: len(s["log"]) >= 2))["log"]
             assert any("STOP pressed on the page" in line["text"] for line in log)
 

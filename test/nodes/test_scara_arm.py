@@ -9,16 +9,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import Bench, bench
 from rclpy.duration import Duration
+from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
-from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand
+from tapping_cell_msgs.msg import ArmState, ErrorCode, StopState, TapCommand, TapperState
+from tapping_cell_msgs.srv import HoldStill
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from tapping_cell.configuration.cell import load_cell
@@ -59,6 +62,7 @@ class Cell:
             name: node.create_client(Trigger, f"scara_arm/{name}")
             for name in ("home", "stop", "clear_fault")
         }
+        self.services["hold_still"] = node.create_client(HoldStill, "hold_still")
 
     @property
     def last(self) -> ArmState:
@@ -76,6 +80,12 @@ class Cell:
 
     def withdraw(self, tap_id: int) -> None:
         self.commands.publish(TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id))
+
+    def call(self, service: str, request: object = None) -> Any:
+        """The answer of one of the arm's services."""
+        future = self.services[service].call_async(request or Trigger.Request())
+        self.bench.wait(future.done, f"{service} answers")
+        return future.result()
 
     def moving(self) -> bool:
         """Whether the emulated arm moves now."""
@@ -106,7 +116,7 @@ def arm_cell(folder: Path, dialect: str = "grbl", **parameters: object) -> Itera
         nodes.append(ScaraArm())
         return nodes
 
-    given = {"port": path, "cell_file": cell_file} | parameters
+    given = {"port": path, "cell_file": cell_file, "home_on_activate": True} | parameters
     with PseudoTerminal(device, path) as terminal, bench(make, {"scara_arm": given}) as b:
         made = Cell(
             b,
@@ -221,13 +231,121 @@ def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> 
     assert not cell.moves(0.5)
     cell.command(101)
     assert not cell.moves(0.5)
-    cell.services["clear_fault"].call_async(Trigger.Request())
+    refused = cell.call("clear_fault")
+    assert (
+        not refused.success
+        and "still held; publishers of emergency_stop: /probe" in refused.message
+    )
+    assert cell.last.state == ArmState.STOPPED
+    cell.stop.publish(Bool(data=False))
+    time.sleep(0.1)
+    assert cell.call("clear_fault").success
     cell.wait_state(ArmState.NOT_HOMED)
     assert not cell.moves(0.3)
     cell.services["home"].call_async(Trigger.Request())
     cell.wait_state(ArmState.IDLE)
     cell.command(102)
     cell.wait_state(ArmState.IN_POSITION)
+
+
+def test_a_stop_outlives_its_node_and_homes_nothing(tmp_path: Path) -> None:
+    """S5: killed and started again after a stop, the arm must not home by itself."""
+    with arm_cell(tmp_path) as cell:
+        cell.wait_state(ArmState.IDLE)
+        assert cell.call("stop").success
+        cell.wait_state(ArmState.STOPPED)
+    shutil.rmtree(tmp_path / "config")
+    with arm_cell(tmp_path) as cell:
+        cell.wait_state(ArmState.STOPPED)
+        assert not cell.moves(1.0)
+        assert cell.call("clear_fault").success
+        cell.wait_state(ArmState.NOT_HOMED)
+        assert not cell.moves(0.5)
+
+
+def test_nothing_homes_by_itself_unless_a_parameter_says_so(tmp_path: Path) -> None:
+    with arm_cell(tmp_path, home_on_activate=False) as cell:
+        cell.wait_state(ArmState.NOT_HOMED)
+        assert not cell.moves(1.0)
+        assert cell.call("home").success
+        cell.wait_state(ArmState.IDLE)
+
+
+def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell) -> None:
+    """S4: who clears must have seen what became of the panel that stopped the cell."""
+    panel = Node("panel")
+    lost = panel.create_publisher(Bool, "emergency_stop", LATCHED)
+    cell.bench.wait(lambda: lost.get_subscription_count() >= 1, "the panel is known")
+    lost.publish(Bool(data=True))
+    cell.wait_state(ArmState.STOPPED)
+    panel.destroy_node()
+    time.sleep(0.5)
+    first = cell.call("clear_fault")
+    assert not first.success and "vanished without releasing it" in first.message
+    assert cell.last.state == ArmState.STOPPED
+    assert cell.call("clear_fault").success
+    cell.wait_state(ArmState.NOT_HOMED)
+
+
+def test_the_stops_that_hold_are_told_to_late_joiners(cell: Cell) -> None:
+    cell.stop.publish(Bool(data=True))
+    cell.wait_state(ArmState.STOPPED)
+    heard = cell.bench.listen(StopState, "scara_arm/stop_state", LATCHED)
+    cell.bench.wait(lambda: heard, "the level is told")
+    assert heard[-1].stopped and list(heard[-1].sources) == ["emergency_stop"]
+    assert "release the emergency stop" in heard[-1].error_msg
+
+
+def test_a_withdrawal_of_no_tap_moves_nothing(cell: Cell) -> None:
+    """S6: the default id of a message is 0."""
+    cell.withdraw(0)
+    cell.withdraw(7)
+    assert not cell.moves(0.5)
+    cell.trajectory.publish(a_trajectory(np.array([0.3, 1.0, -0.01, 0.5]), 2.0))
+    cell.wait_state(ArmState.MOVING)
+    cell.withdraw(0)
+    cell.wait_state(ArmState.IDLE)
+    cell.bench.wait(
+        lambda: np.allclose(cell.joints[-1].position, [0.3, 1.0, -0.01, 0.5], atol=2e-3),
+        "the trajectory was not cut off",
+    )
+
+
+def test_an_inactive_arm_is_still(cell: Cell) -> None:
+    cell.arm.trigger_deactivate()
+    cell.wait_state(ArmState.FAULT)
+    cell.withdraw(0)
+    assert not cell.call("home").success
+    assert not cell.moves(0.5)
+
+
+def hold(cell: Cell, tap_id: int, duration: float = 0.25) -> Any:
+    return cell.call("hold_still", HoldStill.Request(tap_id=tap_id, duration=duration))
+
+
+def test_the_arm_stands_still_for_as_long_as_it_promised(cell: Cell) -> None:
+    """S1: a withdrawal, whoever sends it, waits for the promise to end."""
+    assert not hold(cell, 100).granted
+    cell.command(100)
+    cell.wait_state(ArmState.IN_POSITION)
+    assert not hold(cell, 99).granted
+    assert not hold(cell, 100, duration=0.3).granted
+    asked = time.monotonic()
+    answer = hold(cell, 100)
+    assert answer.granted and answer.duration == 0.25
+    cell.withdraw(100)
+    cell.bench.wait(cell.moving, "it withdraws in the end")
+    assert time.monotonic() - asked > 0.25
+    cell.wait_state(ArmState.IDLE)
+
+
+def test_an_outcome_ends_the_promise(cell: Cell) -> None:
+    tapper = cell.node.create_publisher(TapperState, "tapper_state", LATCHED)
+    cell.command(100)
+    cell.wait_state(ArmState.IN_POSITION)
+    assert hold(cell, 100).granted
+    tapper.publish(TapperState(tap_id=100, outcome=TapperState.FIRED))
+    cell.bench.wait(lambda: not hold(cell, 100).granted, "the tap is over")
 
 
 def test_withdrawing_in_mid_move_never_reports_in_position(cell: Cell) -> None:
@@ -237,6 +355,12 @@ def test_withdrawing_in_mid_move_never_reports_in_position(cell: Cell) -> None:
     cell.withdraw(100)
     cell.wait_state(ArmState.IDLE)
     assert all(state.state != ArmState.IN_POSITION for state in cell.states[heard:])
+
+
+def a_trajectory(target: np.ndarray, seconds: float) -> JointTrajectory:
+    point = JointTrajectoryPoint(positions=target.tolist())
+    point.time_from_start.sec = int(seconds)
+    return JointTrajectory(joint_names=JOINT_NAMES, points=[point])
 
 
 def test_a_joint_trajectory_is_followed_in_any_order_of_names(cell: Cell) -> None:
@@ -333,7 +457,9 @@ def test_a_stop_published_before_the_node_was_there_keeps_it_from_homing(tmp_pat
         cell.arm.trigger_activate()
         assert not cell.moves(1.0)
         cell.wait_state(ArmState.STOPPED)
-        cell.services["clear_fault"].call_async(Trigger.Request())
+        cell.stop.publish(Bool(data=False))
+        time.sleep(0.1)
+        assert cell.call("clear_fault").success
         cell.wait_state(ArmState.NOT_HOMED)
         assert not cell.moves(0.3)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovariance
 from harness import Bench, bench
 from rclpy.duration import Duration
 from std_msgs.msg import Bool
@@ -22,9 +24,12 @@ from tapping_cell_msgs.msg import (
     TapCommand,
     TapperState,
 )
+from tapping_cell_msgs.srv import HoldStill
 
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
+from tapping_cell.se2 import Pose
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.spring_drive import SpringMechanism
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
@@ -49,6 +54,16 @@ class Cell:
         self.camera = node.create_publisher(ObjectState, "object_state", LATCHED)
         self.stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
         self.clear = node.create_client(Trigger, "tapper_trigger/clear_fault")
+        self.arm_holds = True
+        node.create_service(HoldStill, "hold_still", self._hold_still)
+
+    def _hold_still(
+        self, request: HoldStill.Request, response: HoldStill.Response
+    ) -> HoldStill.Response:
+        response.granted = self.arm_holds
+        response.duration = request.duration
+        response.error_code = 0 if self.arm_holds else ErrorCode.TAPPER_ARM_NOT_IN_POSITION
+        return response
 
     def ready(self) -> None:
         self.bench.wait(
@@ -233,6 +248,77 @@ def test_a_cable_pulled_at_the_release_leaves_an_unknown_outcome_and_a_working_n
     assert cell.shots() == [100, 101]
 
 
+def test_nothing_is_fired_while_the_arm_does_not_promise_to_stand_still(cell: Cell) -> None:
+    """S1: in position is not enough."""
+    cell.arm_holds = False
+    cell.command(100)
+    cell.say_until(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired", tap_id=100)
+    assert cell.states[-1].error_code == ErrorCode.TAPPER_ARM_NOT_IN_POSITION
+    assert cell.shots() == []
+    cell.arm_holds = True
+    cell.fire(101)
+
+
+@pytest.mark.parametrize(
+    ("pose", "visible", "code"),
+    [
+        (Pose(0.0, 0.0, math.radians(40)), True, ErrorCode.OBJECT_MOVED),
+        (Pose(0.004, 0.0, 0.0), True, ErrorCode.OBJECT_MOVED),
+        (Pose(0.0, 0.0, 0.0), False, ErrorCode.OBJECT_NOT_SEEN),
+    ],
+    ids=["turned", "moved", "hidden"],
+)
+def test_an_object_that_is_not_where_the_tap_was_planned_is_not_struck(
+    cell: Cell, pose: Pose, visible: bool, code: int
+) -> None:
+    """S11."""
+    cell.command(100, valid=1.0)
+
+    def say() -> bool:
+        seen = ObjectState(visible=visible, pose=PoseWithCovariance(pose=to_message(pose)))
+        seen.header.stamp = cell.node.get_clock().now().to_msg()
+        cell.camera.publish(seen)
+        cell.say_arm(100)
+        time.sleep(0.03)
+        return cell.outcome(100) == TapperState.NOT_FIRED
+
+    cell.bench.wait(say, "not fired")
+    assert cell.shots() == []
+    words = {ErrorCode.OBJECT_MOVED: "from where the tap was planned"}
+    assert words.get(code, "has not been seen") in cell.states[-1].error_msg
+
+
+def test_the_state_of_a_tap_under_way_is_never_overwritten_by_a_read(tmp_path: Path) -> None:
+    """S7: CHARGING was told as SAFE, and a second tap was taken."""
+    with tapper_cell(tmp_path, SLOW) as cell:
+        for number in range(4):
+            tap_id = 100 + number
+            cell.command(tap_id)
+            cell.say_until(
+                lambda: cell.states[-1].state == TapperState.CHARGING, "charging", tap_id=tap_id
+            )
+            start = len(cell.states)
+            keep_saying(cell, 0.4, tap_id=tap_id)
+            cell.command(200 + number)
+            keep_saying(cell, 0.3, tap_id=tap_id)
+            told = {(s.state, s.tap_id) for s in cell.states[start:]}
+            assert told == {(TapperState.CHARGING, tap_id)}
+            cell.withdraw(tap_id)
+            cell.bench.wait(
+                lambda tap_id=tap_id: cell.outcome(tap_id) == TapperState.NOT_FIRED, "let down"
+            )
+        assert cell.shots() == []
+
+
+def test_an_id_that_cannot_be_refuses_no_tap_after_it(cell: Cell) -> None:
+    """S9."""
+    cell.command(2**64 - 1)
+    cell.command(2**63)
+    time.sleep(0.2)
+    cell.fire(100)
+    assert cell.shots() == [100]
+
+
 LET_DOWN = ("DISCHARGING", "SAFE")
 SLOW = TapperMachine(SpringMechanism(step_rate=100.0))
 """A spring that takes so long to charge that whoever falls silent does so in mid-draw."""
@@ -250,7 +336,7 @@ def test_whoever_falls_silent_has_the_striker_let_down(tmp_path: Path, lost: str
             if but != "planner":
                 cell.plan.publish(PlanState(state=PlanState.FIRING))
             if but != "camera":
-                seen = ObjectState()
+                seen = ObjectState(visible=True)
                 # The node of a camera whose last picture is old, or shows nothing, still speaks.
                 seen.header.stamp = (last if but == "pictures" else now).to_msg()
                 if but == "usable pictures":

@@ -96,6 +96,8 @@ class CellView:
         self._recovery = Recovery()
         self.emergency_stop = False
         self.held_by_page = False
+        self.stops: dict[str, tuple[str, ...]] = {}
+        """What stopped each actor and was not reset."""
         self.simulated = False
         self.on_object = self._monitor.on_object
         self.on_arm = self._monitor.on_arm
@@ -107,6 +109,7 @@ class CellView:
         self.on_object = self._monitor.on_object
         self.on_arm = self._monitor.on_arm
         self.on_tapper = self._monitor.on_tapper
+        self.stops.clear()
         self._mode = ""
 
     def note(self, text: str, kind: str = "", at: float | None = None) -> None:
@@ -216,6 +219,7 @@ class CellView:
     def _recovery_steps(self) -> list[Step]:
         arm, tapper = self._monitor.arm, self._monitor.tapper
         holders = ["this page's STOP"] if self.held_by_page else []
+        holders += sorted({source for sources in self.stops.values() for source in sources})
         return self._recovery.steps(
             None if arm is None or self._monitor.silent("arm") else arm,
             None if tapper is None or self._monitor.silent("tapper") else tapper,

@@ -33,6 +33,7 @@ from tapping_cell_msgs.msg import (
     GoalReport,
     ObjectState,
     PlanState,
+    StopState,
     TapperState,
 )
 
@@ -73,6 +74,10 @@ STOP_NOT_SENT = (
 )
 LATEST = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+)
+
+STOP_NOT_RELEASED = (
+    "the page's own stop cannot be released: the process that holds it is starting; try again"
 )
 
 
@@ -133,6 +138,7 @@ class OperatorPage(CellNode[Parameters]):
         self._home_client = self.create_client(Trigger, "scara_arm/home")
         self._button_client = self.create_client(Trigger, "sim_world/press_clear_button")
         self._last_run = ""
+        self._clearing: list[server.Answer] = []
         self.create_subscription(PlanState, "plan_state", self._view.on_plan, LATCHED)
         self.create_subscription(GoalReport, "goal_report", self._view.on_report, LATCHED)
         self.create_subscription(String, "last_run", self._on_last_run, LATCHED)
@@ -218,8 +224,9 @@ class OperatorPage(CellNode[Parameters]):
             return DiagnosticStatus.WARN, "the process that serves STOP is starting", values
         return DiagnosticStatus.OK, "ok", values
 
-    def _on_emergency_stop(self, message: Bool) -> None:
-        super()._on_emergency_stop(message)
+    def hear_stop(self, message: Bool) -> None:
+        """Show the level, too."""
+        super().hear_stop(message)
         self._view.emergency_stop = message.data
 
     def _on_last_run(self, message: String) -> None:
@@ -253,6 +260,10 @@ class OperatorPage(CellNode[Parameters]):
             subscribe(ObjectState, "object_state", view.on_object, LATCHED),
             subscribe(ArmState, "arm_state", view.on_arm, LATCHED),
             subscribe(TapperState, "tapper_state", view.on_tapper, LATCHED),
+            *(
+                subscribe(StopState, f"{actor}/stop_state", _on_stop_state(view, actor), LATCHED)
+                for actor in self._clear_clients
+            ),
             subscribe(PoseStamped, "camera/pose", self._on_camera_pose, LATCHED),
             subscribe(Image, "camera/image_annotated", self._on_picture, LATEST),
         ]
@@ -365,6 +376,10 @@ class OperatorPage(CellNode[Parameters]):
     def _note_stop(self, held: bool, who: str) -> None:
         if held and who:
             self._view.note(f"STOP pressed on the page ({who})", "bad")
+        if not held:
+            answers, self._clearing = self._clearing, []
+            for answer in answers:
+                self._clear_actors(answer)
 
     def _do(self, function: Callable[..., None], *arguments: object) -> None:
         """Call in the executor's thread, from any other."""
@@ -431,9 +446,16 @@ class OperatorPage(CellNode[Parameters]):
         self._view.note(f"cancel pressed on the page ({who})")
 
     def _clear(self, who: str, answer: server.Answer) -> None:
-        if self._stop is not None:
-            self._stop.release()
-        self._view.note(f"faults cleared on the page ({who})")
+        self._view.note(f"clearing asked for on the page ({who})")
+        # The actors refuse to clear while a stop is held: the page's own is released first.
+        if self._stop is None or not self._stop.held:
+            self._clear_actors(answer)
+        elif self._stop.release():
+            self._clearing.append(answer)
+        else:
+            answer(_answer("clear", False, STOP_NOT_RELEASED))
+
+    def _clear_actors(self, answer: server.Answer) -> None:
         for name, client in self._clear_clients.items():
             self._call(client, Trigger.Request(), "clear", name, answer)
 
@@ -465,6 +487,13 @@ class OperatorPage(CellNode[Parameters]):
             answer(_answer(to, response.success, f"{name}: {response.message}"))
 
         client.call_async(request).add_done_callback(done or told)
+
+
+def _on_stop_state(view: CellView, actor: str) -> Callable[[StopState], None]:
+    def hear(message: StopState) -> None:
+        view.stops[actor] = tuple(message.sources) if message.stopped else ()
+
+    return hear
 
 
 def _answer(to: str, ok: bool, sentence: str) -> dict[str, object]:

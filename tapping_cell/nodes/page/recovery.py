@@ -60,7 +60,7 @@ class Recovery:
                 button = "press_button" if simulated else ""
                 text = "Press the clear button at the tapper; clear the faults within 10 s of it."
                 steps.append(Step(text, pressed, button))
-            held = f" Stops held by: {', '.join(holders)}." if holders else ""
+            held = f" Stops: {', '.join(holders)}." if holders else ""
             steps.append(Step(f"Clear the stop and the faults.{held}", now, "clear"))
         home = "done" if homed and not halted else "later" if halted else "now"
         busy = arm is not None and arm.state == ArmState.HOMING

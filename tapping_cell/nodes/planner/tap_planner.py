@@ -31,10 +31,10 @@ from tapping_cell_msgs.msg import (
 
 from tapping_cell.configuration.cell import load_cell, load_other_objects
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
+from tapping_cell.logic.tapper_peers import TAPPING
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import from_message
-from tapping_cell.nodes.drivers.peer_watch import TAPPING
 from tapping_cell.nodes.planner.cell_monitor import CellMonitor
 from tapping_cell.nodes.planner.deferred_action_server import ActionDoor
 from tapping_cell.nodes.planner.goal_handling import GoalDesk, Request
@@ -404,7 +404,10 @@ class TapPlanner(CellNode[Parameters]):
         assert self._task is not None and self._desk is not None
         # Whole seconds of the system clock: ids rise over restarts of every node, and fit the
         # tapper's 32 bits until 2106. Two taps are always more than a second apart.
-        self._last_tap_id = max(self._last_tap_id + 1, int(time.time()))
+        # A clock that was set back must not bring ids that the tapper has seen.
+        tapper = self._monitor.tapper
+        seen_last = tapper.tap_id if tapper is not None else 0
+        self._last_tap_id = max(self._last_tap_id, seen_last, int(time.time()) - 1) + 1
         self._shot = Shot(self._last_tap_id, strike, before)
         now = self.get_clock().now()
         allowance = self.settings.place_deadline + self.settings.fire_deadline

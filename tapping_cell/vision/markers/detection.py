@@ -82,7 +82,9 @@ def marker_pattern(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
     book = marker_dictionary(dictionary)
     count = len(book.bytesList)
     if not 0 <= marker_id < count:
-        raise MarkerError(f"{dictionary} has the ids 0 to {count - 1}; {marker_id} is none of them")
+        raise MarkerError(
+            f"marker id {marker_id} is out of range for {dictionary} (0 to {count - 1})"
+        )
     modules = book.markerSize + 2
     return np.asarray(aruco.draw_marker(book, marker_id, modules) > 127)
 

@@ -17,13 +17,13 @@ _BITS_WRONG = 0.04
 
 
 @dataclass(frozen=True, slots=True)
-class Census:
+class Detections:
     """A full search, by id: markers seen once, and those seen more than once."""
 
     single: dict[int, Array]
     repeated: tuple[int, ...]
 
-    def and_more(self, other: Census) -> Census:
+    def and_more(self, other: Detections) -> Detections:
         """This and what another search of the same image found."""
         repeated = {*self.repeated, *other.repeated}
         repeated |= {
@@ -32,17 +32,17 @@ class Census:
             if _apart(self.single[i], other.single[i])
         }
         both = other.single | self.single
-        return Census({i: both[i] for i in both.keys() - repeated}, tuple(sorted(repeated)))
+        return Detections({i: both[i] for i in both.keys() - repeated}, tuple(sorted(repeated)))
 
 
-def census(image: Image, dictionary: str, effort: Effort = Effort.QUICK) -> Census:
+def detect(image: Image, dictionary: str, effort: Effort = Effort.QUICK) -> Detections:
     """Every marker of a dictionary in the whole image; nested doubles of one square count once."""
     by_id: dict[int, list[Detection]] = {}
     for found in find_markers(image, dictionary, effort=effort):
         others = by_id.setdefault(found.id, [])
         if all(_apart(found.corners, other.corners) for other in others):
             others.append(found)
-    return Census(
+    return Detections(
         {i: found[0].corners for i, found in by_id.items() if len(found) == 1},
         tuple(sorted(i for i, found in by_id.items() if len(found) > 1)),
     )

@@ -42,10 +42,10 @@ def table_refusal(
     return None
 
 
-def table_notice(table: TableTracker, doubled: list[int], unmet: list[int]) -> str:
+def table_notice(table: TableTracker, doubled: list[int], missed: list[int]) -> str:
     """What of the reference markers does not spoil the pose but should be known; empty for nothing.
 
-    ``doubled`` are ids that are seen more than once, ``unmet`` rows of the map that are not seen.
+    ``doubled`` are ids that are seen more than once, ``missed`` rows of the map that are not seen.
     """
     if table.displaced:
         names = ", ".join(map(str, table.displaced))
@@ -53,8 +53,8 @@ def table_notice(table: TableTracker, doubled: list[int], unmet: list[int]) -> s
     if doubled:
         names = ", ".join(map(str, doubled))
         return f"reference marker {names} is seen more than once; cover the others"
-    names = ", ".join(map(str, sorted(int(table.ids[row]) for row in unmet)))
-    return f"reference marker {names} is not seen; uncover it" if unmet else ""
+    names = ", ".join(map(str, sorted(int(table.ids[row]) for row in missed)))
+    return f"reference marker {names} is not seen; uncover it" if missed else ""
 
 
 def _contradiction(table: TableTracker) -> str:

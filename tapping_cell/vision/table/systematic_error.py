@@ -67,7 +67,7 @@ class _Members:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ErrorField:
+class SystematicError:
     """The field conditioned on the references; see :func:`condition`."""
 
     lens: Array
@@ -106,7 +106,7 @@ def condition(
     trend: Array,
     gain: Array,
     stated: bool = False,
-) -> ErrorField:
+) -> SystematicError:
     """Condition the field on the references.
 
     ``points`` (M, 4, 2) are the corners in the map, ``residuals`` (M, 4, 2) by how much they are
@@ -143,7 +143,7 @@ def condition(
         moved @ basis,
         moved @ gain.T,
     )
-    return ErrorField(lens, gain, basis, data, members)
+    return SystematicError(lens, gain, basis, data, members)
 
 
 def _prior(field: Array, print_: Array, stated: bool) -> Array:

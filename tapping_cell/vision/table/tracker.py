@@ -28,7 +28,7 @@ from tapping_cell.vision.table.fit import (
     side_noise,
     whitening,
 )
-from tapping_cell.vision.table.systematic_error import ErrorField, condition, lens_shifts
+from tapping_cell.vision.table.systematic_error import SystematicError, condition, lens_shifts
 
 _SIDE_BIAS = 0.0007
 """Pixels that an averaged side may be off by where it lies between pixels (measured: 0.0005)."""
@@ -84,7 +84,7 @@ class TableTracker:
         self._noise = np.zeros(count)
         self._strayed = np.zeros(count, dtype=int)
         self._astray = np.zeros(count, dtype=bool)
-        self._field: ErrorField | None = None
+        self._field: SystematicError | None = None
         self._field_frames = 0.0
 
     def update(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
@@ -216,7 +216,9 @@ class TableTracker:
         flat = np.concatenate([self.points, np.zeros((*self.points.shape[:2], 1))], axis=-1)
         return float(np.linalg.norm(after.apply(flat) - before.apply(flat), axis=-1).max())
 
-    def _condition(self, fit: TableFit, points: Array, rays: Array, noise: Array) -> ErrorField:
+    def _condition(
+        self, fit: TableFit, points: Array, rays: Array, noise: Array
+    ) -> SystematicError:
         """The error of the lens over the table, from what the markers still disagree about."""
         view = View(self.camera, fit.pose)
         seen, shifts = lens_shifts(view, points[fit.used], 0.0)

@@ -41,8 +41,7 @@ def test_every_shipped_object_makes_a_cell(path: Path) -> None:
 @pytest.mark.parametrize("path", sorted((shared_folder() / "truth").glob("*.yaml")), ids=str)
 def test_every_shipped_truth_is_read_and_differs_from_the_planners_model(path: Path) -> None:
     truth = load(TruthFile, path)
-    assert truth.support.friction_factor != 1.0
-    assert truth.scatter.speed > 0
+    assert truth != TruthFile(object_start=truth.object_start, camera=truth.camera)
 
 
 def test_the_papers_disk_reproduces_the_papers_task() -> None:

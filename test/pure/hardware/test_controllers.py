@@ -266,6 +266,25 @@ def test_an_axis_without_a_switch_must_be_named() -> None:
         cell.driver.connect()
 
 
+@pytest.mark.parametrize("lost", [b"[FIRMWARE:grblHAL]", b"[AXS:4:XYZA]"])
+def test_one_bad_line_does_not_make_another_controller_of_it(lost: bytes) -> None:
+    """Without the first, grblHAL looks like grbl-Mega-5X; without both, like Grbl."""
+    cell = Cell("grblhal", {22: 9.0})
+    original = cell.emulator.take_output
+    spoilt: list[bytes] = []
+
+    def take(now: float) -> bytes:
+        out = original(now)
+        if lost in out and not spoilt:
+            spoilt.append(out)
+            out = out.replace(lost, b"[FIRM:" + lost[-5:])
+        return out
+
+    cell.emulator.take_output = take  # type: ignore[method-assign]
+    driver = cell.ready()
+    assert spoilt and driver.firmware is not None and driver.firmware.name == "grblHAL"
+
+
 def test_a_forced_origin_is_where_homing_ends() -> None:
     cell = Cell("grblhal", {22: 9.0})
     cell.ready().move_to(FAR, 1.0)
@@ -278,6 +297,30 @@ def test_a_tool_that_homing_leaves_alone_is_where_a_person_put_it() -> None:
     assert driver.read_joints().tool == 0.0
     driver.move_to((0.1, 1.4, -0.01, 0.7))
     assert cell.truth().tool == pytest.approx(0.7, abs=1e-3)
+
+
+def test_a_report_that_lost_an_axis_is_a_bad_line_also_after_a_fault_was_cleared() -> None:
+    cell = Cell("grblhal")
+    driver = cell.ready()
+    driver.clear_fault()
+    driver.stop()
+    driver.clear_fault()
+    driver.home(HomingStrategy.FIRMWARE)
+    original = cell.emulator.take_output
+    spoilt: list[bytes] = []
+
+    def take(now: float) -> bytes:
+        out = original(now)
+        if b"MPos:" in out and not spoilt:
+            spoilt.append(out)
+            head, _, rest = out.partition(b"MPos:")
+            out = head + b"MPos:0" + rest[rest.index(b",") + 1 :]
+        return out
+
+    cell.emulator.take_output = take  # type: ignore[method-assign]
+    before = driver.line_counters.bad_lines
+    driver.move_to(FAR, 1.0)
+    assert spoilt and driver.line_counters.bad_lines == before + 1
 
 
 # C4, C5, C7: what is told, and when.

@@ -9,7 +9,7 @@ import pytest
 from tapping_cell.vision.markers.detection import Effort, find_markers, marker_pattern
 from tapping_cell.vision.markers.initial_corners import better_corners
 from tapping_cell.vision.markers.measurement import measure
-from tapping_cell.vision.markers.search import Census
+from tapping_cell.vision.markers.search import Detections
 from tapping_cell.vision.markers.small_markers import as_edges, fit_pattern
 from tapping_cell.vision.table.tracker import side_noise
 
@@ -164,8 +164,8 @@ def test_searches_of_one_image_add_up():
     """What one search finds is not lost in the next; two places of one id are two markers."""
     here, beside = square(20.0, 0.0), square(20.0, 0.0) + 0.4
     elsewhere = square(20.0, 0.0, (40.0, 40.0))
-    first = Census({1: here, 2: here, 3: here}, (7,))
-    both = first.and_more(Census({1: beside, 2: elsewhere, 4: elsewhere, 7: here}, (3,)))
+    first = Detections({1: here, 2: here, 3: here}, (7,))
+    both = first.and_more(Detections({1: beside, 2: elsewhere, 4: elsewhere, 7: here}, (3,)))
     assert both.repeated == (2, 3, 7)
     assert both.single.keys() == {1, 4}
     assert both.single[1] is here

@@ -1,0 +1,614 @@
+"""The arm's machine: homed before it moves, in position by read-back, still while a shot may go.
+
+Before the tapper fires it asks ``hold_still``. By granting it the arm promises not to begin any
+motion for a while; docs/safety.md shows why nothing is then fired while the arm moves.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import partial
+from typing import Any
+
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.hardware.arm_settings import HomingStrategy
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.motion import MotionSettings, check_limits
+from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
+from tapping_cell.logic import arm_jobs, tap_commands
+from tapping_cell.logic.arm_jobs import MotionEnd, Reading
+from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
+from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
+from tapping_cell.logic.effects import Answer, JobEnded, LogLevel, Message, Publish, Token
+from tapping_cell.logic.error_codes import of_arm
+from tapping_cell.logic.host import Configured
+from tapping_cell.logic.poses import from_message, to_message
+from tapping_cell.logic.tap_commands import Trouble
+from tapping_cell.logic.transitions import StateMachine, table
+from tapping_cell.messages import (
+    ArmState,
+    ErrorCode,
+    HoldStill,
+    JointState,
+    JointTrajectory,
+    TapCommand,
+    TapperState,
+    Time,
+)
+from tapping_cell.se2 import Pose
+
+READ_PERIOD_S = 0.05
+"""Between read-backs while the arm stands: a strike pose is confirmed twenty times a second."""
+LONGEST_HOLD_S = 0.25
+"""Longest promise to stand still; a node that was restarted keeps that of its predecessor."""
+FRESH_READING_S = 0.25
+"""Greatest age of the read-back with which a promise is given."""
+RELEASE_S = 0.05
+"""From hearing that the striker was released to moving: longer than the release's pulse."""
+SET_UP_SPEED = 0.25
+"""Fraction of the ordinary speed in set-up mode."""
+
+
+class State(Enum):
+    """States of the arm."""
+
+    DISCONNECTED = "Disconnected"
+    NOT_HOMED = "NotHomed"
+    HOMING = "Homing"
+    IDLE = "Idle"
+    PLACING = "Placing"
+    IN_POSITION = "InPosition"
+    LEAVING = "Leaving"
+    """The tap is over; waits until its job has ended and the promise to stand still is over."""
+    WITHDRAWING = "Withdrawing"
+    FOLLOWING = "Following"
+    INACTIVE = "Inactive"
+    FAULT = "Fault"
+    STOPPED = "Stopped"
+    CLEARING = "Clearing"
+
+
+class Event(Enum):
+    """Events of the arm."""
+
+    CONNECTED = "connected"
+    ACTIVATED = "activated"
+    DEACTIVATED = "deactivated"
+    HOME = "home"
+    HOMED = "homed"
+    TAP = "tap"
+    PLACED = "placed"
+    GIVEN_UP = "withdraw or expiry"
+    FREE = "promise over"
+    WITHDRAWN = "withdrawn"
+    TRAJECTORY = "trajectory"
+    FOLLOWED = "followed"
+    FAILED = "failed"
+    STOP = "stop"
+    CLEAR = "clear_fault"
+    CLEARED = "cleared"
+    CLOSED = "closed"
+
+
+S = State
+UNSTOPPED = tuple(state for state in State if state is not S.STOPPED)
+TABLE = table(
+    [
+        ((S.DISCONNECTED,), Event.CONNECTED, (S.NOT_HOMED, S.IDLE, S.INACTIVE)),
+        ((S.NOT_HOMED, S.IDLE, S.INACTIVE), Event.ACTIVATED, (S.NOT_HOMED, S.IDLE)),
+        (UNSTOPPED, Event.DEACTIVATED, (S.INACTIVE,)),
+        ((S.NOT_HOMED, S.IDLE), Event.HOME, (S.HOMING,)),
+        ((S.HOMING,), Event.HOMED, (S.IDLE,)),
+        ((S.IDLE,), Event.TAP, (S.PLACING,)),
+        ((S.PLACING,), Event.PLACED, (S.IN_POSITION,)),
+        ((S.PLACING, S.IN_POSITION), Event.GIVEN_UP, (S.LEAVING,)),
+        ((S.LEAVING,), Event.FREE, (S.WITHDRAWING,)),
+        ((S.WITHDRAWING,), Event.WITHDRAWN, (S.IDLE,)),
+        ((S.IDLE,), Event.TRAJECTORY, (S.FOLLOWING,)),
+        ((S.FOLLOWING,), Event.FOLLOWED, (S.IDLE,)),
+        (UNSTOPPED, Event.FAILED, (S.FAULT, S.NOT_HOMED, S.DISCONNECTED)),
+        (tuple(State), Event.STOP, (S.STOPPED,)),
+        (
+            (S.FAULT, S.STOPPED, S.DISCONNECTED, S.NOT_HOMED, S.INACTIVE),
+            Event.CLEAR,
+            (S.CLEARING,),
+        ),
+        ((S.CLEARING,), Event.CLEARED, (S.NOT_HOMED, S.IDLE, S.INACTIVE)),
+        (UNSTOPPED, Event.CLOSED, (S.DISCONNECTED,)),
+    ]
+)
+WIRE = {
+    S.DISCONNECTED: ArmState.DISCONNECTED,
+    S.NOT_HOMED: ArmState.NOT_HOMED,
+    S.HOMING: ArmState.HOMING,
+    S.IDLE: ArmState.IDLE,
+    S.PLACING: ArmState.MOVING,
+    S.IN_POSITION: ArmState.IN_POSITION,
+    S.LEAVING: ArmState.WITHDRAWING,
+    S.WITHDRAWING: ArmState.WITHDRAWING,
+    S.FOLLOWING: ArmState.MOVING,
+    S.INACTIVE: ArmState.FAULT,
+    S.FAULT: ArmState.FAULT,
+    S.STOPPED: ArmState.STOPPED,
+    S.CLEARING: ArmState.FAULT,
+}
+"""What each state is called in ``arm_state``."""
+HEALTHY = frozenset(
+    {S.HOMING, S.IDLE, S.PLACING, S.IN_POSITION, S.LEAVING, S.WITHDRAWING, S.FOLLOWING}
+)
+UNHOMED = (FaultReason.NOT_HOMED, FaultReason.HOMING_FAILED)
+
+
+@dataclass(frozen=True, slots=True)
+class ArmOptions:
+    """The node's parameters that the machine needs."""
+
+    home_on_activate: bool = False
+    state_rate: float = 20.0
+    """Hz."""
+
+
+class ArmLogic(DeviceLogic[State, Event]):
+    """See the module's docstring. Nothing but its jobs moves the arm."""
+
+    stop_trouble = (
+        ErrorCode.ARM_STOPPED,
+        "the arm was stopped; make the cell safe, call clear_fault, then home",
+    )
+
+    def __init__(self, options: ArmOptions) -> None:
+        super().__init__(StateMachine(TABLE, S.DISCONNECTED), 1.0 / options.state_rate)
+        self._cell: Cell
+        self._geometry: ScaraGeometry
+        self._options = options
+        self._trouble = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected yet")
+        self._reading_kept: Reading | None = None
+        self._read_stamp = Time()
+        self._joints_told = Time()
+        self._placed: Joints | None = None
+        self._strayed = 0
+        self._clear_of_camera = False
+        self._tap_id = 0
+        self._last_tap_id = 0
+        self._expiry = 0
+        self._halting = False
+        self._promised_tap = 0
+        self._promise_end = -math.inf
+        self._outcome_told = 0
+        self._set_up = False
+
+    # Messages and requests
+
+    def _handle_message(self, topic: str, message: Message, now: Now) -> None:
+        if topic == "tap_command":
+            self._tap_command(message, now)
+        elif topic == "tapper_state":
+            self._tapper_told(message, now)
+        elif topic == "joint_trajectory":
+            self._trajectory(message)
+
+    def _handle_request(self, service: str, request: Message, token: Token, now: Now) -> None:
+        if service == "~/home":
+            self._home(token)
+        elif service == "hold_still":
+            self._effects.append(Answer(token, self._hold_still(request, now)))
+
+    def _handle_answer(self, token: Token, response: Message | None, now: Now) -> None:
+        raise AssertionError(f"the arm asked nothing as {token!r}")
+
+    def _tap_command(self, command: TapCommand, now: Now) -> None:
+        if command.request == TapCommand.WITHDRAW:
+            ours = command.tap_id != 0 and command.tap_id == self._tap_id
+            if ours and self.state in (S.PLACING, S.IN_POSITION):
+                self._give_up(now)
+            return
+        refusal = self._refusal(command, now)
+        if refusal is not None:
+            code, sentence = refusal
+            self._refuse(code, f"tap {command.tap_id} refused: {sentence}")
+            return
+        self._machine.move(Event.TAP, S.PLACING)
+        self._tap_id = self._last_tap_id = command.tap_id
+        self._expiry = to_nanoseconds(command.expiry)
+        self._trouble = (ErrorCode.NONE, "")
+        self._clear_of_camera = False
+        arm = self._cell.file.arm
+        tip = self._cell.arm_base.inverse() @ from_message(command.strike_pose)
+        place = TipPose(tip.x, tip.y, arm.strike_height, tip.theta)
+        self._run(
+            "place",
+            partial(
+                arm_jobs.place,
+                tip=place,
+                motion=self._motion(),
+                expiry=self._expiry,
+                not_before=self._promise_end,
+            ),
+        )
+
+    def _refusal(self, command: TapCommand, now: Now) -> Trouble | None:
+        """Why a tap command is not taken; None when it is."""
+        if not self._active:
+            return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
+        if self.state is not S.IDLE:
+            return ErrorCode.ARM_BUSY, f"the arm is not idle ({self._trouble[1] or 'it is busy'})"
+        if tap_commands.expired(command, now):
+            return ErrorCode.ARM_COMMAND_EXPIRED, "its expiry has passed"
+        return tap_commands.refusal(command, now, self._last_tap_id)
+
+    def _refuse(self, code: int, sentence: str) -> None:
+        """Tell why a command is not taken; an idle arm keeps telling it until the next command."""
+        if self.state is S.IDLE:
+            self._say(code, sentence)
+        else:
+            self._log(LogLevel.ERROR, sentence)
+
+    def _trajectory(self, message: JointTrajectory) -> None:
+        if not self._active or self.state is not S.IDLE:
+            code = ErrorCode.ARM_BUSY if self._active else ErrorCode.NOT_ACTIVE
+            reason = self._trouble[1] or "busy"
+            self._refuse(code, f"trajectory refused: the arm is not idle ({reason})")
+            return
+        try:
+            targets = trajectory_targets(message)
+            for target, _ in targets:
+                check_limits(self._geometry, target)
+        except (ValueError, HardwareFault) as error:
+            self._refuse(ErrorCode.TRAJECTORY_INVALID, f"trajectory refused: {error}")
+            return
+        self._machine.move(Event.TRAJECTORY, S.FOLLOWING)
+        self._trouble = (ErrorCode.NONE, "")
+        self._clear_of_camera = False
+        scale = SET_UP_SPEED if self._set_up else 1.0
+        self._run(
+            "follow",
+            partial(arm_jobs.follow, targets=targets, scale=scale, not_before=self._promise_end),
+        )
+
+    def _home(self, token: Token) -> None:
+        if not self._active:
+            self._answer(token, False, "the node is not active; activate it first")
+        elif self.state not in (S.NOT_HOMED, S.IDLE):
+            reason = self._trouble[1] or "busy"
+            self._answer(token, False, f"the arm cannot home now: {reason}")
+        else:
+            self._begin_homing()
+            self._answer(token, True, "homing has begun; arm_state tells when it is done")
+
+    def _begin_homing(self) -> None:
+        self._machine.move(Event.HOME, S.HOMING)
+        self._trouble = (ErrorCode.NONE, "")
+        strategy = HomingStrategy(self._cell.file.arm.homing)
+        self._run(
+            "home",
+            partial(
+                arm_jobs.home,
+                strategy=strategy,
+                motion=self._motion(),
+                not_before=self._promise_end,
+            ),
+        )
+
+    # Standing still for the tapper
+
+    def _hold_still(self, request: HoldStill.Request, now: Now) -> HoldStill.Response:
+        trouble = self._unsteady(request, now)
+        if trouble is not None:
+            code, sentence = trouble
+            return HoldStill.Response(error_code=code, error_msg=sentence)
+        self._promised_tap = request.tap_id
+        # From the time of handling on, which is later than that of asking.
+        self._promise_end = max(self._promise_end, now.steady + request.duration)
+        return HoldStill.Response(granted=True, duration=request.duration)
+
+    def _unsteady(self, request: HoldStill.Request, now: Now) -> Trouble | None:
+        """Why the arm does not promise to stand still."""
+        if not 0 < request.duration <= LONGEST_HOLD_S:
+            return (
+                ErrorCode.COMMAND_INVALID,
+                f"the arm stands still for up to {LONGEST_HOLD_S:g} s, asked were"
+                f" {request.duration:g} s",
+            )
+        if not self._active or self.state is not S.IN_POSITION or request.tap_id != self._tap_id:
+            return (
+                ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
+                f"the arm is not in position for tap {request.tap_id} (it is {self.state.value},"
+                f" tap {self._tap_id})",
+            )
+        if self._outcome_told == request.tap_id:
+            return ErrorCode.COMMAND_REPEATED, f"tap {request.tap_id} has its outcome already"
+        reading = self._reading_kept
+        age = math.inf if reading is None else now.steady - reading.stamp
+        if age > FRESH_READING_S or self._strayed or now.ros > self._expiry:
+            return (
+                ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
+                f"the arm was last read back {age:.2f} s ago (limit {FRESH_READING_S:.2f} s), or"
+                " its tap has expired",
+            )
+        return None
+
+    def _tapper_told(self, message: TapperState, now: Now) -> None:
+        over = message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED)
+        if not over or message.tap_id in (0, self._outcome_told) or message.tap_id != self._tap_id:
+            return
+        self._outcome_told = message.tap_id
+        if message.tap_id == self._promised_tap:
+            rest = RELEASE_S if message.outcome == TapperState.FIRED else 0.0
+            self._promise_end = min(self._promise_end, now.steady + rest)
+        self._leave_when_free(now)
+
+    def _give_up(self, now: Now) -> None:
+        """The tap is over for the arm."""
+        self._machine.move(Event.GIVEN_UP, S.LEAVING)
+        self._abandon()
+        self._leave_when_free(now)
+
+    def _leave_when_free(self, now: Now) -> None:
+        if self.state is not S.LEAVING or self._job is not None:
+            return
+        # After an outcome the rest of the promise is short: the job waits it out while it reads.
+        told = self._outcome_told == self._tap_id
+        if told or now.steady >= self._promise_end:
+            self._machine.move(Event.FREE, S.WITHDRAWING)
+            self._run(
+                "withdraw",
+                partial(arm_jobs.withdraw, motion=self._motion(), not_before=self._promise_end),
+            )
+
+    # Jobs
+
+    def _job_told(self, name: str, content: Any, now: Now) -> None:
+        self._take_in(content, now)
+
+    def _job_done(self, name: str, result: Any, now: Now) -> None:
+        reading = result.reading if isinstance(result, MotionEnd) else result
+        complete = not isinstance(result, MotionEnd) or result.complete
+        self._take_in(reading, now)
+        if self._halting:
+            self._halt(now)
+        elif name == "connect":
+            self._stand(Event.CONNECTED)
+        elif name == "clear":
+            self._stand(Event.CLEARED)
+        elif self.state is S.LEAVING:
+            self._leave_when_free(now)
+        elif name == "place" and not complete:
+            self._give_up(now)
+        elif name == "place":
+            self._machine.move(Event.PLACED, S.IN_POSITION)
+            self._placed, self._strayed = reading.joints, 0
+        elif name == "follow":
+            self._machine.move(Event.FOLLOWED, S.IDLE)
+        else:
+            event = Event.HOMED if name == "home" else Event.WITHDRAWN
+            self._machine.move(event, S.IDLE)
+            self._tap_id = 0
+            self._clear_of_camera = True
+
+    def _job_failed(self, name: str, fault: HardwareFault, now: Now) -> None:
+        if name == "connect":
+            self.patience = patience_after(self.patience, fault)
+        if self.state is S.INACTIVE and fault.reason not in LOST:
+            return
+        if fault.reason in LOST:
+            target = S.DISCONNECTED
+        else:
+            target = S.NOT_HOMED if fault.reason in UNHOMED else S.FAULT
+        self._fail_to(target)
+        self._say(of_arm(fault), fault.sentence)
+
+    def _overtaken(self, event: JobEnded, now: Now) -> None:
+        result = event.result
+        reading = result.reading if isinstance(result, MotionEnd) else result
+        if isinstance(reading, Reading) and not self._stops.stopped:
+            self._take_in(reading, now)
+
+    def _read_done(self, result: Any, now: Now) -> None:
+        self._take_in(result, now)
+        if self.state is S.IN_POSITION:
+            self._check_place(result)
+
+    def _check_place(self, reading: Reading) -> None:
+        """The arm must stay where it was placed; one garbled report does not count."""
+        arm = self._cell.file.arm
+        angle, quill = 2 * arm.tolerance_angle, 2 * arm.tolerance_quill
+        limits = (angle, angle, quill, angle)
+        assert self._placed is not None
+        near = all(
+            abs(a - b) <= limit
+            for a, b, limit in zip(reading.joints, self._placed, limits, strict=True)
+        )
+        if reading.homed and near and not reading.moving:
+            self._strayed = 0
+            return
+        self._strayed += 1
+        if self._strayed >= 2:
+            self._fail_to(S.FAULT)
+            self._say(
+                ErrorCode.ARM_POSITION_MISMATCH,
+                "the arm does not stay at the strike pose; look for what pushes it, then call"
+                " clear_fault and home",
+            )
+
+    def _take_in(self, reading: Reading, now: Now) -> None:
+        self._reading_kept = reading
+        if reading.homed:
+            age = max(now.steady - reading.stamp, 0.0)
+            self._read_stamp = to_stamp(now.ros - round(1e9 * age))
+
+    # States
+
+    def _code_of(self, fault: HardwareFault) -> int:
+        return of_arm(fault)
+
+    def _configured_with(self, event: Configured, now: Now) -> None:
+        self._cell = event.cell
+        self._geometry = event.cell.file.arm.geometry()
+        # A predecessor of this node may have promised to stand still.
+        self._promise_end = max(self._promise_end, now.steady + LONGEST_HOLD_S)
+
+    def _closed(self) -> None:
+        self._tap_id = 0
+        self._reading_kept = None
+        if self.state is not S.STOPPED:
+            self._machine.move(Event.CLOSED, S.DISCONNECTED)
+            self._trouble = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected")
+
+    def _connected(self, answer: Any, now: Now) -> None:
+        self._reading_kept = answer if isinstance(answer, Reading) else None
+        if self._reading_kept is not None:
+            self._take_in(self._reading_kept, now)
+        self._stand(Event.CONNECTED)
+
+    def _stand(self, event: Event) -> None:
+        """The state of an arm that was just connected, cleared or activated."""
+        self.patience = patience_after(self.patience, None)
+        self._tap_id = 0
+        if not self._active and event is not Event.CONNECTED:
+            self._machine.move(event, S.INACTIVE)
+            self._trouble = INACTIVE_TROUBLE
+        elif self._homed():
+            self._machine.move(event, S.IDLE)
+            self._trouble = (ErrorCode.NONE, "")
+        else:
+            self._machine.move(event, S.NOT_HOMED)
+            self._trouble = (
+                ErrorCode.ARM_NOT_HOMED,
+                "the arm is not homed; see that its way is free, then call the service home",
+            )
+
+    def _homed(self) -> bool:
+        return self._reading_kept is not None and self._reading_kept.homed
+
+    def _activated(self, now: Now) -> None:
+        self._halting = False
+        if self.state not in (S.NOT_HOMED, S.IDLE, S.INACTIVE):
+            return
+        self._stand(Event.ACTIVATED)
+        if self._options.home_on_activate and self._cell.file.arm.homes_alone:
+            self._begin_homing()
+
+    def _deactivated(self, now: Now) -> None:
+        if self._stops.stopped:
+            return
+        if self._job is not None:
+            # The arm comes to a stand at the end of the move under way.
+            self._abandon()
+            self._halting = True
+        else:
+            self._halt(now)
+
+    def _halt(self, now: Now) -> None:
+        self._halting = False
+        self._machine.move(Event.DEACTIVATED, S.INACTIVE)
+        self._tap_id = 0
+        self._trouble = INACTIVE_TROUBLE
+        if self._active:
+            self._activated(now)
+
+    def _stop(self, now: Now) -> None:
+        self._overtake()
+        self._halting = False
+        self._tap_id = 0
+        self._reading_kept = None
+        self._machine.move(Event.STOP, S.STOPPED)
+        self._say(*self.stop_trouble)
+
+    def _fail(self, now: Now) -> None:
+        if not self._stops.stopped:
+            self._fail_to(S.FAULT)
+
+    def _fail_to(self, target: State) -> None:
+        self._overtake()
+        self._halting = False
+        self._reading_kept = None
+        self._machine.move(Event.FAILED, target)
+
+    def _healthy(self) -> bool:
+        return self.state in HEALTHY
+
+    def _begin_clear(self, now: Now) -> None:
+        if self.state is S.CLEARING:
+            return
+        self._machine.move(Event.CLEAR, S.CLEARING)
+        self._run("clear", arm_jobs.clear)
+
+    def _time_passed(self, now: Now) -> None:
+        if self.state is S.DISCONNECTED:
+            if self._job is None and now.steady >= self._read_at + READ_PERIOD_S:
+                self._read_at = now.steady
+                self._run("connect", partial(arm_jobs.connect, patience=self.patience))
+        elif self.state not in (S.STOPPED, S.FAULT):
+            self._read_when_due(READ_PERIOD_S, arm_jobs.read, now)
+        if self.state is S.IN_POSITION and now.ros > self._expiry:
+            # Nobody came back for this tap: the planner may be gone.
+            self._give_up(now)
+        self._leave_when_free(now)
+
+    def _motion(self) -> MotionSettings:
+        motion = self._cell.file.arm.motion()
+        if not self._set_up:
+            return motion
+        return replace(
+            motion,
+            travel_speed=SET_UP_SPEED * motion.travel_speed,
+            near_speed=SET_UP_SPEED * motion.near_speed,
+        )
+
+    # Reports
+
+    def _report(self, now: Now) -> Publish:
+        reading = self._reading_kept if self._homed() else None
+        code, sentence = self._trouble
+        message = ArmState(
+            state=WIRE[self.state],
+            tap_id=self._tap_id,
+            homed=reading is not None,
+            clear_of_camera=self._clear_of_camera,
+            error_code=code,
+            error_msg=sentence,
+        )
+        message.header.frame_id = "table"
+        message.header.stamp = self._read_stamp if reading is not None else to_stamp(now.ros)
+        if reading is not None:
+            tip = self._geometry.forward(reading.joints)
+            planar = self._cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
+            message.tip_pose = to_message(planar, tip.z)
+            if self._read_stamp != self._joints_told:
+                self._joints_told = self._read_stamp
+                joints = JointState(name=list(Joints._fields), position=list(reading.joints))
+                joints.header.stamp = self._read_stamp
+                self._effects.append(Publish("joint_states", joints))
+        return Publish("arm_state", message)
+
+    def _comparable(self, message: Message) -> Message:
+        return message.state, message.tap_id, message.error_code, message.error_msg
+
+
+INACTIVE_TROUBLE = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activate it")
+
+
+def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:
+    """Joints and time from the start in s of every point; ValueError with what is wrong."""
+    names = list(Joints._fields)
+    if sorted(message.joint_names) != sorted(names) or not message.points:
+        raise ValueError(
+            f"its joints are {list(message.joint_names)} with {len(message.points)} points; it"
+            f" needs points for {names}"
+        )
+    order = [list(message.joint_names).index(name) for name in names]
+    targets: list[tuple[Joints, float]] = []
+    for number, point in enumerate(message.points, start=1):
+        if len(point.positions) != len(names) or not all(map(math.isfinite, point.positions)):
+            raise ValueError(
+                f"point {number} has the positions {list(point.positions)}; it needs four finite"
+                " numbers (rad, rad, m, rad)"
+            )
+        at = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+        before = targets[-1][1] if targets else 0.0
+        if at < 0 or (targets and at <= before):
+            raise ValueError(f"point {number} is due at {at:g} s, the one before at {before:g} s")
+        targets.append((Joints(*(point.positions[index] for index in order)), at))
+    return targets

@@ -1,0 +1,143 @@
+"""The arm's blocking sequences: plain code on its driver, abandoned between two moves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.arm_settings import ArmReading, HomingStrategy
+from tapping_cell.hardware.motion import (
+    MotionSettings,
+    Waypoint,
+    move_duration,
+    strike_path,
+    withdraw_path,
+)
+from tapping_cell.hardware.scara import Joints, TipPose
+from tapping_cell.logic.effects import JobContext
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Where the arm is, as read back."""
+
+    homed: bool
+    """Whether the joints mean anything."""
+    joints: Joints
+    moving: bool
+    stamp: float
+    """Steady time at which it was asked for, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionEnd:
+    """How a motion ended: as planned, or abandoned between two moves."""
+
+    complete: bool
+    reading: Reading
+
+
+def reading_of(driver: ArmDriver) -> Reading:
+    """Ask where the arm stands."""
+    return _told(driver, driver.read())
+
+
+def _told(driver: ArmDriver, reading: ArmReading) -> Reading:
+    """A driver's reading with what it is worth."""
+    return Reading(driver.homed, reading.joints, reading.moving, reading.stamp)
+
+
+def connect(context: JobContext, patience: float) -> Reading:
+    """Open the line again and read where the arm is."""
+    driver: ArmDriver = context.driver
+    driver.connect(timeout=patience)
+    return reading_of(driver)
+
+
+def read(context: JobContext) -> Reading:
+    """Read back where the arm stands."""
+    return reading_of(context.driver)
+
+
+def clear(context: JobContext) -> Reading:
+    """End a stop or a fault."""
+    driver: ArmDriver = context.driver
+    driver.clear_fault()
+    return reading_of(driver)
+
+
+def home(
+    context: JobContext, strategy: HomingStrategy, motion: MotionSettings, not_before: float
+) -> MotionEnd:
+    """Find out where the arm is, then park it."""
+    driver: ArmDriver = context.driver
+    _wait(context, not_before)
+    driver.home(strategy)
+    return _park(context, driver.read_joints(), motion)
+
+
+def place(
+    context: JobContext, tip: TipPose, motion: MotionSettings, expiry: int, not_before: float
+) -> MotionEnd:
+    """Bring the tip to a pose in ``arm_base`` and settle there. ``expiry``: ROS time in ns."""
+    driver: ArmDriver = context.driver
+    _wait(context, not_before)
+    path = strike_path(driver.geometry, driver.read_joints(), tip, motion)
+    if not _move_along(context, path, expiry):
+        return MotionEnd(False, _told(driver, driver.read()))
+    reading = driver.settle(path[-1].joints if path else None)
+    return MotionEnd(not context.abandoned(), _told(driver, reading))
+
+
+def withdraw(context: JobContext, motion: MotionSettings, not_before: float) -> MotionEnd:
+    """Leave the strike pose and park, not before a time of the steady clock."""
+    driver: ArmDriver = context.driver
+    here = driver.read_joints()
+    _wait(context, not_before)
+    return _park(context, here, motion)
+
+
+def follow(
+    context: JobContext,
+    targets: Sequence[tuple[Joints, float]],
+    scale: float,
+    not_before: float,
+) -> MotionEnd:
+    """Go through joints at times from the start in s, stopping at each; ``scale``: of the speed."""
+    driver: ArmDriver = context.driver
+    _wait(context, not_before)
+    here, before, complete = driver.read_joints(), 0.0, True
+    for target, at in targets:
+        fastest = move_duration(driver.geometry, here, target, 1.0)
+        speed = min(1.0, fastest / (at - before)) if at > before else 1.0
+        waypoint = Waypoint(target, scale * speed, "trajectory")
+        if speed > 0 and not _move_along(context, (waypoint,)):
+            complete = False
+            break
+        here, before = target, at
+    return MotionEnd(complete, _told(driver, driver.settle(None)))
+
+
+def _wait(context: JobContext, until: float) -> None:
+    """Stand still until a time of the steady clock."""
+    left = until - context.now().steady
+    if left > 0:
+        context.sleep(left)
+
+
+def _park(context: JobContext, here: Joints, motion: MotionSettings) -> MotionEnd:
+    driver: ArmDriver = context.driver
+    complete = _move_along(context, withdraw_path(driver.geometry, here, motion))
+    return MotionEnd(complete, _told(driver, driver.read()))
+
+
+def _move_along(context: JobContext, path: Sequence[Waypoint], expiry: int | None = None) -> bool:
+    """Take the waypoints; False where the motion was abandoned between two of them."""
+    driver: ArmDriver = context.driver
+    for waypoint in path:
+        if context.abandoned() or (expiry is not None and context.now().ros > expiry):
+            return False
+        reading = driver.move_to(waypoint.joints, waypoint.speed, via=waypoint.via)
+        context.post(_told(driver, reading))
+    return not context.abandoned()

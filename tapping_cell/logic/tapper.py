@@ -1,0 +1,585 @@
+"""The tapper's machine: charges and fires once a tap, only while the arm holds still for it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import partial
+from typing import Any
+
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.hardware.energy import EnergyCurve
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.tapper import FireOutcome
+from tapping_cell.hardware.tapper_protocol import Reply
+from tapping_cell.logic import tap_commands, tapper_jobs
+from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
+from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
+from tapping_cell.logic.effects import Call, JobEnded, LogLevel, Message, Publish, Token
+from tapping_cell.logic.error_codes import of_tapper
+from tapping_cell.logic.host import Configured
+from tapping_cell.logic.poses import from_message
+from tapping_cell.logic.tap_commands import Trouble
+from tapping_cell.logic.tapper_jobs import ChargeEnd, FireEnd, Status
+from tapping_cell.logic.tapper_peers import PeerLimits, TapperPeers
+from tapping_cell.logic.transitions import StateMachine, table
+from tapping_cell.messages import ErrorCode, HoldStill, TapCommand, TapperState
+from tapping_cell.se2 import Pose
+
+READ_PERIOD_S = 0.1
+HOLD_S = 0.25
+"""For how long the arm is asked to stand still."""
+HOLD_TIMEOUT_S = 0.2
+"""After this the arm is asked anew."""
+FLIGHT_S = 0.08
+"""From the end of the release's pulse until the striker is back; the arm stands still for it."""
+SHOT_S = 0.18
+"""What must be left of the promise to begin a shot: a question to the board, the window, the
+pulse and the flight."""
+HOLD_ATTEMPTS = 5
+
+
+class State(Enum):
+    """States of the tapper."""
+
+    DISCONNECTED = "Disconnected"
+    SAFE = "Safe"
+    WAITING = "Waiting"
+    """A tap is taken; the arm is on its way."""
+    CHARGING = "Charging"
+    CHARGED = "Charged"
+    """The arm is asked to stand still."""
+    FIRING = "Firing"
+    DISCHARGING = "Discharging"
+    FAULT = "Fault"
+    STOPPED = "Stopped"
+    CLEARING = "Clearing"
+
+
+class Event(Enum):
+    """Events of the tapper."""
+
+    CONNECTED = "connected"
+    TAP = "tap"
+    ARM_READY = "arm in position"
+    CHARGED = "charged"
+    HELD = "arm holds still"
+    GIVEN_UP = "given up"
+    ENDED = "ended"
+    FAILED = "failed"
+    STOP = "stop"
+    CLEAR = "clear_fault"
+    CLEARED = "cleared"
+    CLOSED = "closed"
+
+
+S = State
+UNSTOPPED = tuple(state for state in State if state is not S.STOPPED)
+TABLE = table(
+    [
+        ((S.DISCONNECTED,), Event.CONNECTED, (S.SAFE, S.STOPPED)),
+        ((S.SAFE,), Event.TAP, (S.WAITING,)),
+        ((S.WAITING,), Event.ARM_READY, (S.CHARGING,)),
+        ((S.CHARGING,), Event.CHARGED, (S.CHARGED,)),
+        ((S.CHARGED,), Event.HELD, (S.FIRING,)),
+        ((S.WAITING,), Event.GIVEN_UP, (S.SAFE,)),
+        ((S.CHARGING, S.CHARGED, S.FIRING), Event.GIVEN_UP, (S.DISCHARGING,)),
+        ((S.CHARGING, S.FIRING, S.DISCHARGING), Event.ENDED, (S.SAFE,)),
+        (UNSTOPPED, Event.FAILED, (S.FAULT, S.DISCONNECTED, S.STOPPED)),
+        (tuple(State), Event.STOP, (S.STOPPED,)),
+        ((S.FAULT, S.STOPPED, S.DISCONNECTED), Event.CLEAR, (S.CLEARING,)),
+        ((S.CLEARING,), Event.CLEARED, (S.SAFE,)),
+        (UNSTOPPED, Event.CLOSED, (S.DISCONNECTED,)),
+    ]
+)
+WIRE = {
+    S.DISCONNECTED: TapperState.DISCONNECTED,
+    S.SAFE: TapperState.SAFE,
+    S.WAITING: TapperState.SAFE,
+    S.CHARGING: TapperState.CHARGING,
+    S.CHARGED: TapperState.CHARGED,
+    S.FIRING: TapperState.FIRING,
+    S.DISCHARGING: TapperState.CHARGED,
+    S.FAULT: TapperState.FAULT,
+    S.STOPPED: TapperState.STOPPED,
+    S.CLEARING: TapperState.STOPPED,
+}
+"""What each state is called in ``tapper_state``."""
+SERVING = frozenset({S.WAITING, S.CHARGING, S.CHARGED, S.FIRING, S.DISCHARGING})
+LOST_BOARD = (*LOST, FaultReason.TIMEOUT, FaultReason.BOARD_RESET)
+"""Faults that a new session ends."""
+OF_THE_TAP = (
+    FaultReason.INTERLOCK,
+    FaultReason.REJECTED,
+    FaultReason.SHOT_SPENT,
+    FaultReason.OUT_OF_RANGE,
+    FaultReason.PROTOCOL,
+)
+"""Faults that end a tap; once the board has discharged, the next may come."""
+STOPPED_BOARD = (FaultReason.STOPPED, FaultReason.NEEDS_PERSON)
+OUTCOMES = {
+    FireOutcome.FIRED: TapperState.FIRED,
+    FireOutcome.NOT_FIRED: TapperState.NOT_FIRED,
+    FireOutcome.UNKNOWN: TapperState.UNKNOWN,
+}
+LATCHED = (
+    ErrorCode.TAPPER_STOPPED,
+    "the tapper's stop is latched; make the cell safe, press the clear button at the cell, then"
+    " call clear_fault",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TapperOptions:
+    """The node's parameters that the machine needs."""
+
+    state_rate: float = 20.0
+    """Hz."""
+    limits: PeerLimits = field(default_factory=PeerLimits)
+
+
+@dataclass(frozen=True, slots=True)
+class Tap:
+    """The tap that is served."""
+
+    tap_id: int
+    energy: float
+    """J."""
+    expiry: int
+    """ROS time, ns."""
+    planned: Pose
+    """Where the object lay when the tap was planned."""
+
+
+@dataclass(frozen=True, slots=True)
+class Permit:
+    """The arm's promise to stand still for a tap, until a time of the own steady clock."""
+
+    tap_id: int
+    until: float
+
+
+class TapperLogic(DeviceLogic[State, Event]):
+    """See the module's docstring. Nothing but its jobs charges and fires."""
+
+    stop_trouble = (
+        ErrorCode.TAPPER_STOPPED,
+        "the tapper was stopped; make the cell safe, press the clear button at the cell, then call"
+        " clear_fault",
+    )
+
+    def __init__(self, options: TapperOptions) -> None:
+        super().__init__(StateMachine(TABLE, S.DISCONNECTED), 1.0 / options.state_rate)
+        self._curve: EnergyCurve | None = None
+        self._peers = TapperPeers(options.limits)
+        self._trouble = (ErrorCode.TAPPER_NOT_CONNECTED, "the tapper is not connected yet")
+        self._tap: Tap | None = None
+        self._given_up: Trouble | None = None
+        self._permit: Permit | None = None
+        self._asked_at = -math.inf
+        self._attempts = 0
+        self._last_tap_id = 0
+        self._told = TapperState(measured_speed=math.nan)
+        self._fire_job: int | None = None
+
+    # Queries of the running job: they answer and change nothing
+
+    def doubt_charging(self, now: Now) -> Trouble | None:
+        """What forbids to charge, or to go on with it; None when nothing does."""
+        tap = self._tap
+        if tap is None:
+            return ErrorCode.NONE, "the tap is over"
+        if self._given_up is not None:
+            return self._given_up
+        if self._stops.stopped or not self._active:
+            return ErrorCode.NONE, "the tapper was stopped or deactivated"
+        if now.ros > tap.expiry:
+            return ErrorCode.TAPPER_COMMAND_EXPIRED, "the tap's expiry passed while it was charged"
+        return self._peers.doubt(tap.tap_id, tap.planned, now)
+
+    def doubt_firing(self, release_by: float, now: Now) -> Trouble | None:
+        """The last check before FIRE. ``release_by``: when the release is over at the latest."""
+        doubt = self.doubt_charging(now)
+        if doubt is not None:
+            return doubt
+        permit = self._permit
+        if permit is None or self._tap is None or permit.tap_id != self._tap.tap_id:
+            return ErrorCode.TAPPER_ARM_NOT_IN_POSITION, "the arm has not promised to hold still"
+        end = max(release_by, now.steady) + FLIGHT_S
+        if self.state is not S.FIRING or end > permit.until:
+            return (
+                ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
+                f"the shot could end {end - permit.until:.3f} s after the arm's promise to hold"
+                " still",
+            )
+        return None
+
+    # Messages
+
+    def _handle_message(self, topic: str, message: Message, now: Now) -> None:
+        if topic == "tap_command":
+            self._tap_command(message, now)
+        elif topic == "arm_state":
+            self._peers.hear_arm(message, now)
+            self._charge_when_ready(now)
+        elif topic == "plan_state":
+            self._peers.hear_plan(message, now)
+            gone = self._peers.given_up()
+            if gone is not None and self.state in SERVING:
+                self._give_up(gone)
+        elif topic == "object_state":
+            self._peers.hear_object(message, now)
+
+    def _handle_request(self, service: str, request: Message, token: Token, now: Now) -> None:
+        raise AssertionError(f"the tapper has no service {service}")
+
+    def _tap_command(self, command: TapCommand, now: Now) -> None:
+        if command.request == TapCommand.WITHDRAW:
+            tap = self._tap
+            if tap is not None and command.tap_id == tap.tap_id:
+                self._give_up((ErrorCode.NONE, ""))
+            return
+        refusal = self._refusal(command, now)
+        if refusal is not None:
+            self._refuse(command, refusal, now)
+            return
+        assert self._curve is not None
+        self._machine.move(Event.TAP, S.WAITING)
+        self._last_tap_id = command.tap_id
+        self._tap = Tap(
+            command.tap_id,
+            self._curve.energy_for(command.striker_speed),
+            to_nanoseconds(command.expiry),
+            from_message(command.object_pose),
+        )
+        self._given_up = self._permit = None
+        self._peers.begin_tap()
+        self._trouble = (ErrorCode.NONE, "")
+        self._tell_tap(command.tap_id, TapperState.NONE)
+
+    def _tell_tap(self, tap_id: int, outcome: int) -> None:
+        self._told.tap_id, self._told.outcome = tap_id, outcome
+        self._told.measured_speed = math.nan
+
+    def _refusal(self, command: TapCommand, now: Now) -> Trouble | None:
+        """Why a tap command is not taken; None when it is."""
+        if not self._active or self._curve is None:
+            return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
+        if self.state in SERVING:
+            return ErrorCode.TAPPER_BUSY, f"it serves tap {self._told.tap_id}"
+        if self.state is not S.SAFE:
+            return ErrorCode.TAPPER_BUSY, f"the tapper is not at rest: {self._trouble[1]}"
+        if tap_commands.expired(command, now):
+            return ErrorCode.TAPPER_COMMAND_EXPIRED, "its expiry has passed"
+        speed = command.striker_speed
+        if math.isfinite(speed) and not self._curve.slowest <= speed <= self._curve.fastest:
+            return (
+                ErrorCode.TAPPER_SPEED_OUT_OF_RANGE,
+                f"a striker speed of {1000 * speed:.1f} mm/s is outside the tapper's "
+                f"{1000 * self._curve.slowest:.1f} to {1000 * self._curve.fastest:.1f} mm/s",
+            )
+        return tap_commands.refusal(command, now, self._last_tap_id)
+
+    def _refuse(self, command: TapCommand, refusal: Trouble, now: Now) -> None:
+        code, sentence = refusal
+        self._log(LogLevel.ERROR, f"tap {command.tap_id} refused: {sentence}")
+        # While a tap is under way the state tells of that one, and of no other; an id that cannot
+        # be must not become the last one.
+        new = self._last_tap_id < command.tap_id <= tap_commands.largest_id(self._last_tap_id, now)
+        if new and self.state not in SERVING:
+            self._last_tap_id = command.tap_id
+            self._tell_tap(command.tap_id, TapperState.NOT_FIRED)
+            if self.state is S.SAFE:
+                self._trouble = refusal
+
+    def _charge_when_ready(self, now: Now) -> None:
+        tap = self._tap
+        if self.state is not S.WAITING or tap is None or self.doubt_charging(now) is not None:
+            return
+        self._machine.move(Event.ARM_READY, S.CHARGING)
+        self._run(
+            "charge",
+            partial(
+                tapper_jobs.charge, shot=tap.tap_id, energy=tap.energy, doubt=self.doubt_charging
+            ),
+        )
+
+    def _give_up(self, why: Trouble) -> None:
+        """End the tap under way without a release, unless it was released already."""
+        if self._given_up is None:
+            self._given_up = why
+        if self.state is S.WAITING:
+            self._machine.move(Event.GIVEN_UP, S.SAFE)
+            self._tap = None
+            self._told.outcome = TapperState.NOT_FIRED
+            self._trouble = why
+        elif self.state is S.CHARGING:
+            self._machine.move(Event.GIVEN_UP, S.DISCHARGING)
+            self._abandon()
+        elif self.state is S.CHARGED:
+            self._discharge(why)
+        elif self.state is S.FIRING:
+            self._abandon()
+
+    # The arm's promise to stand still
+
+    def _ask_arm(self, now: Now) -> None:
+        assert self._tap is not None
+        self._attempts += 1
+        self._asked_at = now.steady
+        request = HoldStill.Request(tap_id=self._tap.tap_id, duration=HOLD_S)
+        token = ("hold", self._tap.tap_id, self._attempts)
+        self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))
+
+    def _handle_answer(self, token: Token, response: Message | None, now: Now) -> None:
+        tap = self._tap
+        if self.state is not S.CHARGED or tap is None:
+            return
+        if token != ("hold", tap.tap_id, self._attempts):
+            return
+        # Counted from before the question: the arm handled it later, so that its own end is later.
+        until = self._asked_at + HOLD_S
+        late = response is None or now.steady > until - SHOT_S
+        if response is not None and not response.granted:
+            self._discharge((response.error_code, response.error_msg))
+        elif not late:
+            self._permit = Permit(tap.tap_id, until)
+            self._machine.move(Event.HELD, S.FIRING)
+            self._run("fire", partial(tapper_jobs.fire, shot=tap.tap_id, doubt=self.doubt_firing))
+        elif self._attempts < HOLD_ATTEMPTS:
+            self._ask_arm(now)
+        else:
+            self._discharge(
+                (
+                    ErrorCode.ARM_SILENT,
+                    f"the arm did not answer hold_still in time, {HOLD_ATTEMPTS} times; check"
+                    " scara_arm and the network",
+                )
+            )
+
+    def _discharge(self, why: Trouble) -> None:
+        self._given_up = why
+        self._machine.move(Event.GIVEN_UP, S.DISCHARGING)
+        self._run("discharge", tapper_jobs.discharge)
+
+    # Jobs
+
+    def _job_told(self, name: str, content: Any, now: Now) -> None:
+        raise AssertionError(f"the job {name} tells nothing before its end")
+
+    def _job_done(self, name: str, result: Any, now: Now) -> None:
+        if isinstance(result, FireEnd):
+            self._fired(result)
+        elif isinstance(result, ChargeEnd):
+            self._charge_ended(result, now)
+        else:
+            assert isinstance(result, Status)
+            self._take_in(result)
+            if name == "discharge":
+                self._not_fired(self._given_up)
+            elif name == "connect":
+                self._board_ready(result.reply, Event.CONNECTED)
+            elif name == "clear":
+                self._board_ready(result.reply, Event.CLEARED)
+
+    def _charge_ended(self, end: ChargeEnd, now: Now) -> None:
+        self._take_in(end.status)
+        if end.charged and self.state is S.DISCHARGING:
+            # Given up in the moment in which it was charged.
+            self._run("discharge", tapper_jobs.discharge)
+        elif not end.charged:
+            self._not_fired(self._given_up or end.refusal)
+        else:
+            self._machine.move(Event.CHARGED, S.CHARGED)
+            self._attempts = 0
+            self._ask_arm(now)
+
+    def _not_fired(self, why: Trouble | None) -> None:
+        """The tap ended surely without a release, and the tapper is at rest."""
+        self._machine.move(Event.ENDED, S.SAFE)
+        self._tap = None
+        self._told.outcome = TapperState.NOT_FIRED
+        code, sentence = why or (ErrorCode.NONE, "")
+        self._trouble = (code, sentence if code else "")
+
+    def _fired(self, end: FireEnd) -> None:
+        """A shot ended: tell its outcome, then the state in which the board is."""
+        self._tap = None
+        self._told.outcome = OUTCOMES[end.outcome]
+        refused = end.outcome is FireOutcome.NOT_FIRED
+        refusal = self._given_up or end.refusal
+        if refused and refusal is not None:
+            self._trouble = (refusal[0], refusal[1] if refusal[0] else "")
+        elif refused:
+            self._trouble = (ErrorCode.TAPPER_FAULT, end.sentence)
+        elif end.outcome is FireOutcome.UNKNOWN:
+            self._trouble = (ErrorCode.TAPPER_OUTCOME_UNKNOWN, end.sentence)
+        if end.fault is not None:
+            trouble = self._trouble
+            self._meet(end.fault)
+            if trouble[0]:
+                self._trouble = trouble
+            return
+        assert end.status is not None
+        self._machine.move(Event.ENDED, S.SAFE)
+        self._take_in(end.status)
+        self._see_stop(end.status.reply)
+
+    def _job_failed(self, name: str, fault: HardwareFault, now: Now) -> None:
+        if name == "connect":
+            self.patience = patience_after(self.patience, fault)
+        # Every fault that a job raises was met before FIRE went out.
+        if fault.reason in OF_THE_TAP and self.state in (S.CHARGING, S.CHARGED, S.FIRING):
+            self._log(LogLevel.ERROR, fault.sentence)
+            self._discharge((of_tapper(fault), fault.sentence))
+            return
+        if self._tap is not None:
+            self._tap = None
+            self._told.outcome = TapperState.NOT_FIRED
+        self._meet(fault)
+
+    def _meet(self, fault: HardwareFault) -> None:
+        """Go where a fault leads."""
+        if fault.reason in LOST_BOARD:
+            self._fail_to(S.DISCONNECTED)
+        else:
+            self._fail_to(S.STOPPED if fault.reason in STOPPED_BOARD else S.FAULT)
+        self._say(of_tapper(fault), fault.sentence)
+
+    def _overtaken(self, event: JobEnded, now: Now) -> None:
+        # A stop came while the shot was under way: its outcome is as true as any.
+        if self._told.outcome == TapperState.NONE and self._told.tap_id:
+            if isinstance(event.result, FireEnd) and event.result.shot == self._told.tap_id:
+                self._told.outcome = OUTCOMES[event.result.outcome]
+            elif event.fault is not None and event.job == self._fire_job:
+                self._told.outcome = TapperState.NOT_FIRED
+
+    def _read_done(self, result: Any, now: Now) -> None:
+        self._take_in(result)
+        self._see_stop(result.reply)
+
+    def _see_stop(self, reply: Reply) -> None:
+        """A stop that was pressed at the cell."""
+        if reply.stop_latched:
+            self._stop_tap()
+            self._machine.move(Event.FAILED, S.STOPPED)
+            self._say(*LATCHED)
+
+    def _take_in(self, status: Status) -> None:
+        reply = status.reply
+        ours = reply.last_fired == self._told.tap_id and reply.speed is not None
+        self._told.measured_speed = reply.speed if ours and reply.speed is not None else math.nan
+        self._told.shots_fired = status.fired
+        self._told.boot_number = reply.boot
+        self._told.interlock_closed = reply.interlock_closed
+
+    # States
+
+    def _configured_with(self, event: Configured, now: Now) -> None:
+        assert isinstance(event.cell, Cell)
+        self._curve = event.cell.file.tapper.curve()
+
+    def _connected(self, answer: Any, now: Now) -> None:
+        assert isinstance(answer, Reply)
+        self._take_in(Status(answer, 0))
+        self._board_ready(answer, Event.CONNECTED)
+
+    def _board_ready(self, reply: Reply, event: Event) -> None:
+        self.patience = patience_after(self.patience, None)
+        if reply.stop_latched and event is Event.CONNECTED:
+            self._machine.move(event, S.STOPPED)
+            self._say(*LATCHED)
+            return
+        self._machine.move(event, S.SAFE)
+        unknown = self._told.outcome == TapperState.UNKNOWN
+        if not unknown or event is Event.CLEARED:
+            self._trouble = (ErrorCode.NONE, "")
+
+    def _activated(self, now: Now) -> None:
+        """Nothing moves by itself."""
+
+    def _deactivated(self, now: Now) -> None:
+        if self.state is S.WAITING:
+            self._give_up((ErrorCode.NOT_ACTIVE, "the node was deactivated"))
+        elif self.state in SERVING:
+            self._give_up((ErrorCode.NONE, ""))
+
+    def _code_of(self, fault: HardwareFault) -> int:
+        return of_tapper(fault)
+
+    def _closed(self) -> None:
+        if self.state is not S.STOPPED:
+            self._stop_tap()
+            self._machine.move(Event.CLOSED, S.DISCONNECTED)
+            self._trouble = (ErrorCode.TAPPER_NOT_CONNECTED, "the tapper is not connected")
+
+    def _stop_tap(self) -> None:
+        """End the tap; the outcome of a shot under way is told when its job has ended."""
+        if self._tap is not None and self.state is not S.FIRING:
+            self._told.outcome = TapperState.NOT_FIRED
+        self._fire_job = self._job if self.state is S.FIRING else None
+        self._tap = self._permit = None
+        self._overtake()
+
+    def _stop(self, now: Now) -> None:
+        self._stop_tap()
+        self._machine.move(Event.STOP, S.STOPPED)
+        self._say(*self.stop_trouble)
+
+    def _fail(self, now: Now) -> None:
+        self._stop_tap()
+        if self.state is not S.STOPPED:
+            self._fail_to(S.FAULT)
+
+    def _fail_to(self, target: State) -> None:
+        self._overtake()
+        self._machine.move(Event.FAILED, target)
+
+    def _healthy(self) -> bool:
+        return self.state in SERVING or self.state is S.SAFE
+
+    def _begin_clear(self, now: Now) -> None:
+        if self.state is not S.CLEARING:
+            self._machine.move(Event.CLEAR, S.CLEARING)
+            self._run("clear", tapper_jobs.clear)
+
+    def _time_passed(self, now: Now) -> None:
+        if self.state is S.DISCONNECTED:
+            if self._job is None and now.steady >= self._read_at + READ_PERIOD_S:
+                self._read_at = now.steady
+                self._run("connect", partial(tapper_jobs.connect, patience=self.patience))
+        elif self.state not in (S.STOPPED, S.FAULT):
+            self._read_when_due(READ_PERIOD_S, tapper_jobs.read, now)
+        tap = self._tap
+        if self.state is S.WAITING and tap is not None and now.ros > tap.expiry:
+            doubt = self._peers.doubt(tap.tap_id, tap.planned, now)
+            why = f": {doubt[1]}" if doubt is not None else ""
+            self._give_up(
+                (
+                    ErrorCode.TAPPER_COMMAND_EXPIRED,
+                    f"the tap's expiry passed before it could be fired{why}",
+                )
+            )
+
+    # Reports
+
+    def _report(self, now: Now) -> Publish:
+        code, sentence = self._trouble
+        told = self._told
+        message = TapperState(
+            state=WIRE[self.state],
+            tap_id=told.tap_id,
+            outcome=told.outcome,
+            measured_speed=told.measured_speed,
+            shots_fired=told.shots_fired,
+            boot_number=told.boot_number,
+            interlock_closed=told.interlock_closed,
+            error_code=code,
+            error_msg=sentence,
+        )
+        message.header.stamp = to_stamp(now.ros)
+        return Publish("tapper_state", message)
+
+    def _comparable(self, message: Message) -> Message:
+        return message.state, message.tap_id, message.outcome, message.error_code

@@ -1,0 +1,183 @@
+"""Whom a tapper must hear before it charges and fires: arm, planner and camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock
+from tapping_cell.logic.poses import from_message
+from tapping_cell.logic.tap_commands import Trouble
+from tapping_cell.messages import ArmState, ErrorCode, ObjectState, PlanState
+from tapping_cell.se2 import Pose
+
+TAPPING = (PlanState.PLACING, PlanState.FIRING)
+"""Phases of a planner that waits for its tap."""
+BLIND = frozenset(
+    {
+        ErrorCode.CAMERA_SILENT,
+        ErrorCode.CAMERA_NOT_CALIBRATED,
+        ErrorCode.IMAGE_INVALID,
+        ErrorCode.STAMP_INVALID,
+    }
+)
+"""Codes with which no usable picture comes: they do not count as a word of the camera."""
+IDLE_LIMIT_S = 1.5
+"""A planner whose tap it is not speaks twice a second: it is missed only after so long."""
+
+
+@dataclass(frozen=True, slots=True)
+class PeerLimits:
+    """What is tolerated of the peers."""
+
+    arm_freshness: float = 0.3
+    """Greatest age of the arm's read-back, s."""
+    silence: float = 0.45
+    """Longest silence of planner and camera, s."""
+    moved: float = 0.002
+    """Greatest distance of the object from where the tap was planned, m."""
+    turned: float = math.radians(3)
+    """Greatest rotation of the object from how the tap was planned, rad."""
+
+
+class TapperPeers:
+    """What arm, planner and camera said last, and when by the own steady clock.
+
+    A planner or camera that was never heard is not missed: a person or a program may command
+    single taps without it. One that was heard and falls silent is lost, hung processes included;
+    each word is as old as its stamp.
+    """
+
+    def __init__(self, limits: PeerLimits) -> None:
+        self._limits = limits
+        self._arm: ArmState | None = None
+        self._arm_heard = -math.inf
+        self._clocks = {"arm": PeerClock(), "planner": PeerClock(), "camera": PeerClock()}
+        self._plan_heard: float | None = None
+        self._phase = PlanState.IDLE
+        self._planners_tap = False
+        self._picture_at: float | None = None
+        self._seen: ObjectState | None = None
+        self._seen_at = -math.inf
+
+    def begin_tap(self) -> None:
+        """A tap was commanded: whose it is shows in what the planner says from now on."""
+        self._planners_tap = False
+
+    def hear_arm(self, message: ArmState, now: Now) -> None:
+        """Hear ``arm_state``."""
+        self._clocks["arm"].hear(message.header.stamp, now)
+        self._arm, self._arm_heard = message, now.steady
+
+    def hear_plan(self, message: PlanState, now: Now) -> None:
+        """Hear ``plan_state``."""
+        self._clocks["planner"].hear(message.header.stamp, now)
+        self._phase = message.state
+        self._plan_heard = self._clocks["planner"].to_steady(message.header.stamp, now)
+        if message.state in TAPPING:
+            self._planners_tap = True
+
+    def hear_object(self, message: ObjectState, now: Now) -> None:
+        """Hear ``object_state``."""
+        if message.error_code in BLIND:
+            return
+        self._clocks["camera"].hear(message.header.stamp, now)
+        self._picture_at = self._clocks["camera"].to_steady(message.header.stamp, now)
+        if message.visible and message.error_code == ErrorCode.NONE:
+            self._seen, self._seen_at = message, self._picture_at
+
+    def given_up(self) -> Trouble | None:
+        """Why the tap under way is nobody's any more: its planner does something else."""
+        if self._planners_tap and self._phase not in TAPPING:
+            return (
+                ErrorCode.NOT_READY,
+                "the planner that commanded the tap no longer waits for it; it was restarted or"
+                " gave the tap up",
+            )
+        return None
+
+    def doubt(self, tap_id: int, planned: Pose, now: Now) -> Trouble | None:
+        """What arm, planner or camera say, or fail to say, against this tap; None for nothing.
+
+        ``planned``: where the object lay when the tap was planned.
+        """
+        return (
+            self._arm_doubt(tap_id, now)
+            or self.given_up()
+            or self._skew(now)
+            or self._silence(now)
+            or self._disturbance(planned, now)
+        )
+
+    def _arm_doubt(self, tap_id: int, now: Now) -> Trouble | None:
+        arm, limit = self._arm, self._limits.arm_freshness
+        code = ErrorCode.TAPPER_ARM_NOT_IN_POSITION
+        if arm is None:
+            return code, "the arm has not reported yet"
+        if arm.state != ArmState.IN_POSITION or arm.tap_id != tap_id:
+            return (
+                code,
+                f"the arm is not in position for tap {tap_id} (state {arm.state}, tap"
+                f" {arm.tap_id})",
+            )
+        age = max(self._clocks["arm"].age(arm.header.stamp, now), now.steady - self._arm_heard)
+        if age > limit:
+            return code, f"the arm's read-back is {age:.2f} s old, more than {limit:.2f} s"
+        return None
+
+    def _skew(self, now: Now) -> Trouble | None:
+        for name, clock in self._clocks.items():
+            skew = clock.skew(now)
+            if abs(skew) > SKEW_LIMIT_S:
+                return (
+                    ErrorCode.CLOCKS_DIFFER,
+                    f"the clock of this computer is {skew:+.2f} s off that of the {name} (limit"
+                    f" {SKEW_LIMIT_S:.2f} s), or its messages are that late; synchronise the"
+                    " clocks",
+                )
+        return None
+
+    def _silence(self, now: Now) -> Trouble | None:
+        silence = self._limits.silence
+        of_planner = silence if self._planners_tap else max(silence, IDLE_LIMIT_S)
+        for heard, limit, code, sentence in (
+            (
+                self._plan_heard,
+                of_planner,
+                ErrorCode.NOT_READY,
+                "the planner has been silent for {:.2f} s, more than {:.2f} s; check its node",
+            ),
+            (
+                self._picture_at,
+                silence,
+                ErrorCode.CAMERA_SILENT,
+                "the camera's last usable picture is {:.2f} s old, more than {:.2f} s; check the"
+                " camera and its node",
+            ),
+        ):
+            if heard is not None and now.steady - heard > limit:
+                return code, sentence.format(now.steady - heard, limit)
+        return None
+
+    def _disturbance(self, planned: Pose, now: Now) -> Trouble | None:
+        """The object must be seen where the tap was planned."""
+        if self._picture_at is None:
+            return None
+        limits, unseen = self._limits, now.steady - self._seen_at
+        if self._seen is None or unseen > limits.silence:
+            return (
+                ErrorCode.OBJECT_NOT_SEEN,
+                f"the object has not been seen for {unseen:.2f} s (limit {limits.silence:.2f} s);"
+                " uncover it",
+            )
+        pose = from_message(self._seen.pose.pose)
+        moved, turned = planned.distance_to(pose), abs(planned.rotation_to(pose))
+        if moved <= limits.moved and turned <= limits.turned:
+            return None
+        return (
+            ErrorCode.OBJECT_MOVED,
+            f"the object lies {1000 * moved:.1f} mm and {math.degrees(turned):.1f} deg from where"
+            f" the tap was planned (limits {1000 * limits.moved:.1f} mm and"
+            f" {math.degrees(limits.turned):.1f} deg); it was moved",
+        )

@@ -1,0 +1,304 @@
+"""Runs a machine of ``tapping_cell.logic`` in a node: topics, services, jobs, timers.
+
+Handlers run one at a time under one lock, in the executor's thread or in the worker's; what only
+the executor may do (calls, new subscriptions) is handed to it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.task import Future
+from std_msgs.msg import Bool
+
+from tapping_cell import messages
+from tapping_cell.logic import effects as fx
+from tapping_cell.logic import stops
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.host import LifecycleEvent, Logic
+from tapping_cell.nodes.deferred_service import Respond, create_deferred_service
+from tapping_cell.nodes.kept_content import KeptContent
+from tapping_cell.nodes.message_conversion import from_ros, ros_class, to_ros
+from tapping_cell.nodes.worker import Worker
+
+LEVELS_WAIT_S = 0.5
+"""How long publishers of ``emergency_stop`` have to resend their level to a new subscription."""
+
+
+class LogicHost:
+    """The host of one machine; ``driver`` is what its jobs work with."""
+
+    def __init__(self, node: Node, logic: Logic, folder: Path) -> None:
+        """``folder``: where the cell keeps what must survive a crash."""
+        self.driver: Any = None
+        self._node = node
+        self._logic = logic
+        self._lock = threading.RLock()
+        self._worker: Worker | None = None
+        self._abandoned: set[int] = set()
+        self._publishers: dict[str, Any] = {}
+        self._clients: dict[str, Any] = {}
+        self._calls: dict[Any, tuple[Any, Any, float]] = {}
+        self._tokens = itertools.count(1)
+        self._requests: dict[int, Callable[[Any], None]] = {}
+        self._feedback: dict[int, Callable[[Any], None]] = {}
+        self._stop_publishers: dict[bytes, str] = {}
+        self._later: deque[Callable[[], None]] = deque()
+        self._wake = node.create_guard_condition(self._do_later)
+        self.stop_file = KeptContent(folder / f"stop-{node.get_name()}.json")
+        self.goal_file = KeptContent(folder / "goal.json")
+        node.create_timer(logic.tick_period, self._tick)
+
+    # Wiring
+
+    def publishes(self, kind: type, topic: str, profile: Any) -> None:
+        """Offer a topic under the name that the machine uses."""
+        name = ros_class(kind.ROS_TYPE)  # type: ignore[attr-defined]
+        self._publishers[topic] = self._node.create_publisher(name, topic, profile)
+
+    def subscribes(self, kind: type, topic: str, profile: Any) -> None:
+        """Hand a topic's messages to the machine."""
+        self._node.create_subscription(
+            ros_class(kind.ROS_TYPE),  # type: ignore[attr-defined]
+            topic,
+            lambda message: self.hear(topic, from_ros(message, kind)),
+            profile,
+        )
+
+    def serves(self, kind: Any, name: str) -> None:
+        """Hand a service's requests to the machine."""
+
+        def serve(request: Any, respond: Respond) -> None:
+            mirror = from_ros(request, kind.Request)
+            self.request(name, mirror, lambda response: respond(to_ros(response)))
+
+        create_deferred_service(self._node, ros_class(kind.ROS_TYPE), name, serve)
+
+    def calls(self, kind: Any, name: str) -> None:
+        """Prepare a service that the machine calls."""
+        self._clients[name] = self._node.create_client(ros_class(kind.ROS_TYPE), name)
+
+    # Events
+
+    def now(self) -> Now:
+        """The present moment."""
+        return Now(time.monotonic(), self._node.get_clock().now().nanoseconds)
+
+    def lifecycle(self, event: LifecycleEvent) -> None:
+        """Tell the machine of its node's life cycle."""
+        self._dispatch(lambda now: self._logic.on_lifecycle(event, now))
+
+    def hear(self, topic: str, message: Any) -> None:
+        """Hand a message to the machine."""
+        if topic == stops.TOPIC and message.data:
+            self._stop_publishers |= self._present_publishers()
+        self._dispatch(lambda now: self._logic.on_message(topic, message, now))
+
+    def request(
+        self,
+        service: str,
+        request: Any,
+        answer: Callable[[Any], None],
+        feedback: Callable[[Any], None] | None = None,
+    ) -> int:
+        """Hand a request to the machine, which answers now or later; returns its token."""
+        token = next(self._tokens)
+        self._requests[token] = answer
+        if feedback is not None:
+            self._feedback[token] = feedback
+        self._dispatch(lambda now: self._logic.on_request(service, request, token, now))
+        return token
+
+    def cancel(self, token: int) -> None:
+        """Tell the machine that a goal was cancelled."""
+        self._dispatch(lambda now: self._logic.on_request("cancel", None, token, now))
+
+    def ask(self, query: Callable[[Now], Any]) -> Any:
+        """A side-effect-free question to the machine, in exclusion with its handlers."""
+        with self._lock:
+            return query(self.now())
+
+    def _tick(self) -> None:
+        for token, (future, client, until) in list(self._calls.items()):
+            if time.monotonic() > until and self._calls.pop(token, None):
+                client.remove_pending_request(future)
+                self._answered(token, None)
+        self._dispatch(self._logic.on_tick)
+
+    def _answered(self, token: Any, response: Any) -> None:
+        self._dispatch(lambda now: self._logic.on_answer(token, response, now))
+
+    def _dispatch(self, handler: Callable[[Now], Sequence[fx.Effect]]) -> None:
+        with self._lock:
+            try:
+                made = handler(self.now())
+            except Exception as error:
+                self._node.get_logger().error(traceback.format_exc())
+                made = self._logic.on_defect(error, self.now())
+            for effect in made:
+                self._perform(effect)
+
+    # Effects
+
+    def _perform(self, effect: fx.Effect) -> None:
+        if isinstance(effect, fx.Publish):
+            # At the node's end the machine still tells its last state; nobody can hear it then.
+            if self._node.context.ok():
+                self._publishers[effect.topic].publish(to_ros(effect.message))
+        elif isinstance(effect, fx.StopWire):
+            if self.driver is not None:
+                self.driver.stop()
+        elif isinstance(effect, fx.RunJob):
+            self._run(effect.job)
+        elif isinstance(effect, fx.AbandonJob):
+            self._abandoned.add(effect.job)
+        elif isinstance(effect, fx.Call):
+            self._hand_over(lambda: self._call(effect))
+        elif isinstance(effect, fx.AskStops):
+            self._hand_over(lambda: self._ask_stops(effect.token))
+        elif isinstance(effect, fx.Answer):
+            self._feedback.pop(effect.token, None)
+            self._requests.pop(effect.token)(effect.response)
+        elif isinstance(effect, fx.Feedback):
+            self._feedback[effect.token](effect.message)
+        elif isinstance(effect, fx.Log):
+            log = self._node.get_logger()
+            # One call for each level: rclpy keeps the level of a line of code.
+            if effect.level is fx.LogLevel.ERROR:
+                log.error(effect.sentence)
+            elif effect.level is fx.LogLevel.WARNING:
+                log.warning(effect.sentence)
+            else:
+                log.info(effect.sentence)
+        else:
+            self._keep(effect)
+
+    def _keep(self, effect: fx.KeepStop | fx.KeepGoal | fx.TouchGoal) -> None:
+        try:
+            if isinstance(effect, fx.TouchGoal):
+                self.goal_file.touch()
+            elif isinstance(effect, fx.KeepGoal):
+                self.goal_file.keep(effect.content)
+            else:
+                if effect.content is None:
+                    self._stop_publishers.clear()
+                self.stop_file.keep(effect.content)
+        except OSError as error:
+            what = "stop" if isinstance(effect, fx.KeepStop) else "goal"
+            self._node.get_logger().warning(f"a restart would lose this {what}: {error}")
+
+    def _hand_over(self, action: Callable[[], None]) -> None:
+        self._later.append(action)
+        self._wake.trigger()
+
+    def _do_later(self) -> None:
+        while self._later:
+            self._later.popleft()()
+
+    def _call(self, call: fx.Call) -> None:
+        client = self._clients[call.service]
+        if not client.service_is_ready():
+            self._answered(call.token, None)
+            return
+        future = client.call_async(to_ros(call.request))
+        self._calls[call.token] = (future, client, time.monotonic() + call.timeout)
+        kind = getattr(messages, type(call.request).__qualname__.split(".")[0]).Response
+
+        def done(answered: Future) -> None:
+            if self._calls.pop(call.token, None):
+                self._answered(call.token, from_ros(answered.result(), kind))
+
+        future.add_done_callback(done)
+
+    def _ask_stops(self, token: Any) -> None:
+        """Every latched publisher resends its level to a subscription that is new."""
+        levels: list[bool] = []
+        profile = self._node.stop_profile
+        subscription = self._node.create_subscription(
+            Bool, stops.TOPIC, lambda message: levels.append(message.data), profile
+        )
+
+        def settle() -> None:
+            timer.cancel()
+            self._node.destroy_timer(timer)
+            self._node.destroy_subscription(subscription)
+            present = self._present_publishers()
+            gone = sorted({n for g, n in self._stop_publishers.items() if g not in present})
+            names = tuple(sorted(set(present.values())))
+            self._answered(token, fx.StopLevels(any(levels), names, tuple(gone)))
+
+        timer = self._node.create_timer(LEVELS_WAIT_S, settle)
+
+    def _present_publishers(self) -> dict[bytes, str]:
+        """Publishers of ``emergency_stop``, by their identity: the names of their nodes."""
+        return {
+            bytes(info.endpoint_gid): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in self._node.get_publishers_info_by_topic(stops.TOPIC)
+        }
+
+    # Jobs
+
+    def start(self, driver: Any) -> None:
+        """Begin to run jobs on a driver."""
+        self.driver = driver
+        self._worker = Worker(self._node.get_name(), lambda: None, 60.0)
+        self._worker.start()
+
+    def close(self) -> None:
+        """End the worker after the job under way."""
+        if self._worker is not None:
+            self._worker.close()
+        self._worker = None
+        self.driver = None
+
+    def _run(self, job: fx.Job) -> None:
+        if self._worker is not None:
+            self._worker.submit(lambda: self._work(job))
+
+    def _work(self, job: fx.Job) -> None:
+        try:
+            ended = fx.JobEnded(job.number, job.run(_Context(self, job.number)))
+        except Exception as error:
+            ended = fx.JobEnded(job.number, fault=error)
+        self._abandoned.discard(job.number)
+        self._dispatch(lambda now: self._logic.on_job(ended, now))
+
+    def abandoned(self, job: int) -> bool:
+        """Whether a job was abandoned."""
+        return job in self._abandoned
+
+    def progress(self, event: fx.JobProgress) -> None:
+        """Hand a job's progress to the machine."""
+        self._dispatch(lambda now: self._logic.on_job(event, now))
+
+
+class _Context:
+    """What a job uses of the host."""
+
+    def __init__(self, host: LogicHost, number: int) -> None:
+        self._host = host
+        self._number = number
+        self.driver = host.driver
+
+    def now(self) -> Now:
+        return self._host.now()
+
+    def sleep(self, duration: float) -> None:
+        time.sleep(duration)
+
+    def abandoned(self) -> bool:
+        return self._host.abandoned(self._number)
+
+    def post(self, content: object) -> None:
+        self._host.progress(fx.JobProgress(self._number, content))
+
+    def ask(self, query: Callable[[Now], Any]) -> Any:
+        return self._host.ask(query)

@@ -1,0 +1,61 @@
+"""Between ROS messages and their mirrors in ``tapping_cell.messages``, field by field."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import operator
+import typing
+from collections.abc import Callable
+from functools import cache
+from typing import Any, TypeVar
+
+from tapping_cell import messages
+
+Mirror = TypeVar("Mirror")
+Convert = Callable[[Any], Any]
+
+
+@cache
+def ros_class(name: str) -> Any:
+    """The ROS class of a mirror's ``ROS_TYPE``: ``package/msg/Name``, ``package/srv/Name.Part``."""
+    package, kind, title = name.split("/")
+    return operator.attrgetter(title)(importlib.import_module(f"{package}.{kind}"))
+
+
+def to_ros(message: Any) -> Any:
+    """The ROS message of a mirror."""
+    made = ros_class(message.ROS_TYPE)()
+    for field in dataclasses.fields(message):
+        value = getattr(message, field.name)
+        if isinstance(value, list):
+            value = [to_ros(v) if dataclasses.is_dataclass(v) else v for v in value]
+        elif dataclasses.is_dataclass(value):
+            value = to_ros(value)
+        setattr(made, field.name, value)
+    return made
+
+
+def from_ros(message: Any, kind: type[Mirror]) -> Mirror:
+    """The mirror of a ROS message."""
+    given = {name: convert(getattr(message, name)) for name, convert in _plan(kind)}
+    return kind(**given)
+
+
+@cache
+def _plan(kind: type[Any]) -> tuple[tuple[str, Convert], ...]:
+    """How each field of a mirror is read."""
+    hints = typing.get_type_hints(kind, vars(messages))
+    return tuple((field.name, _reader(hints[field.name])) for field in dataclasses.fields(kind))
+
+
+def _reader(hint: Any) -> Convert:
+    if typing.get_origin(hint) is list:
+        (inner,) = typing.get_args(hint)
+        if dataclasses.is_dataclass(inner):
+            return lambda values: [from_ros(value, inner) for value in values]
+        # Numbers come as arrays of numpy or of the standard library.
+        return lambda values: [inner(value) for value in values]
+    if dataclasses.is_dataclass(hint):
+        return lambda value: from_ros(value, hint)
+    return lambda value: value

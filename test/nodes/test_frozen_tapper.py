@@ -1,0 +1,86 @@
+"""S1: a tapper's process that is frozen in a tap fires nothing after the arm's promise."""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from harness import bench
+from rclpy.duration import Duration
+from tapping_cell_msgs.msg import ArmState, TapCommand, TapperState
+from tapping_cell_msgs.srv import HoldStill
+
+from tapping_cell.nodes import MODULES
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
+
+FREEZES = 12
+SERVED = (TapperState.FIRED, TapperState.NOT_FIRED, TapperState.UNKNOWN)
+
+
+def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
+    draw = random.Random(5)
+    device = TapperEmulator(now=time.monotonic())
+    fired: dict[int, float] = {}
+    device.on_fire = lambda shot, energy, now: fired.__setitem__(shot, now)
+    promised: dict[int, float] = {}
+    path = tmp_path / "tapper"
+    command = [sys.executable, "-m", MODULES["tapper_trigger"], "--ros-args", "-p", f"port:={path}"]
+    with PseudoTerminal(device, path), bench(lambda: [], {}) as b:
+        node = b.probe
+        assert node is not None
+        states: list[TapperState] = b.listen(TapperState, "tapper_state", LATCHED)
+        commands = node.create_publisher(TapCommand, "tap_command", COMMAND)
+        arm = node.create_publisher(ArmState, "arm_state", LATCHED)
+        freeze_at: list[float] = []
+        process = subprocess.Popen(command)
+
+        def hold(request: HoldStill.Request, response: HoldStill.Response) -> HoldStill.Response:
+            promised[request.tap_id] = time.monotonic() + request.duration
+            # Frozen at some moment between the grant and the release.
+            freeze_at[:] = [time.monotonic() + draw.uniform(0.0, 0.03)]
+            response.granted, response.duration = True, request.duration
+            return response
+
+        node.create_service(HoldStill, "hold_still", hold)
+        try:
+            b.wait(
+                lambda: states and states[-1].state == TapperState.SAFE, "the tapper is safe", 40.0
+            )
+            for tap_id in range(100, 100 + FREEZES):
+                tap = TapCommand(request=TapCommand.TAP, tap_id=tap_id, striker_speed=0.3)
+                tap.header.frame_id = "table"
+                now = node.get_clock().now()
+                tap.expiry = (now + Duration(seconds=20)).to_msg()
+                commands.publish(tap)
+                frozen = False
+
+                def step(tap_id: int = tap_id) -> bool:
+                    nonlocal frozen
+                    told = ArmState(state=ArmState.IN_POSITION, tap_id=tap_id, homed=True)
+                    told.header.stamp = node.get_clock().now().to_msg()
+                    arm.publish(told)
+                    if freeze_at and not frozen:
+                        frozen = True
+                        time.sleep(max(freeze_at[0] - time.monotonic(), 0.0))
+                        process.send_signal(signal.SIGSTOP)
+                        time.sleep(draw.uniform(0.15, 0.6))
+                        process.send_signal(signal.SIGCONT)
+                    time.sleep(0.02)
+                    last = states[-1]
+                    return last.tap_id == tap_id and last.outcome in SERVED
+
+                b.wait(step, f"tap {tap_id} ends", 20.0)
+                freeze_at.clear()
+                b.wait(lambda: states[-1].state == TapperState.SAFE, "safe again")
+        finally:
+            process.send_signal(signal.SIGCONT)
+            process.terminate()
+            process.wait(10.0)
+    assert len(promised) == FREEZES
+    assert {shot for shot in fired if fired[shot] > promised[shot]} == set()

@@ -1,0 +1,87 @@
+"""The arm's machine, step by step in virtual time."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+from test_permit import CELL, TAP, Pair, at, jobs, messages
+
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.scara import Joints
+from tapping_cell.logic import arm as arms
+from tapping_cell.logic.arm_jobs import Reading
+from tapping_cell.logic.effects import JobEnded, RunJob
+from tapping_cell.messages import ArmState, Bool, ErrorCode, TapCommand, Trigger
+
+START = 1000.0
+
+
+def in_position() -> Pair:
+    pair = Pair()
+    pair.begin()
+    return pair
+
+
+def read(pair: Pair, joints: Joints, steady: float) -> list[ArmState]:
+    """Let the arm be read back."""
+    made = pair.arm.on_tick(at(steady))
+    (number,) = jobs(made)
+    made = pair.arm.on_job(JobEnded(number, Reading(True, joints, False, steady)), at(steady))
+    return messages(made, "arm_state")
+
+
+def test_an_arm_that_is_pushed_off_its_place_is_a_fault() -> None:
+    pair = in_position()
+    place = Joints(*CELL.file.arm.park)
+    pushed = place._replace(shoulder=place.shoulder + 0.01)
+    assert read(pair, place, START + 1.0) is not None
+    read(pair, pushed, START + 1.1)
+    assert pair.arm.state is arms.State.IN_POSITION
+    read(pair, place, START + 1.2)
+    read(pair, pushed, START + 1.3)
+    read(pair, pushed, START + 1.4)
+    assert pair.arm.state is arms.State.FAULT
+    assert pair.arm.trouble[0] == ErrorCode.ARM_POSITION_MISMATCH
+
+
+def test_a_fault_in_mid_move_after_a_withdrawal_can_be_cleared() -> None:
+    """S8: it said WITHDRAWING for ever, and neither clear_fault nor home was taken."""
+    pair = Pair()
+    now = at(START)
+    joints = Joints(*CELL.file.arm.park)
+    pair.begin()
+    arm = pair.arm
+    arm.on_message("tap_command", pair.command(TapCommand.WITHDRAW, now), now)
+    made = arm.on_tick(at(START + 1.0))
+    (withdraw,) = [e.job for e in made if isinstance(e, RunJob) and e.job.name == "withdraw"]
+    fault = HardwareFault(FaultReason.TIMEOUT, "a move was not finished in time")
+    arm.on_job(JobEnded(withdraw.number, fault=fault), at(START + 2.0))
+    assert arm.state is arms.State.FAULT
+    (clear,) = jobs(arm.on_request("~/clear_fault", Trigger.Request(), 1, at(START + 3.0)))
+    cleared = Reading(False, joints, False, START + 3.0)
+    arm.on_job(JobEnded(clear, cleared), at(START + 3.1))
+    assert arm.state is arms.State.NOT_HOMED
+    assert jobs(arm.on_request("~/home", Trigger.Request(), 2, at(START + 4.0)))
+
+
+@given(st.sampled_from([0, TAP - 1, TAP + 1]))
+def test_a_withdrawal_of_another_tap_does_nothing(tap_id: int) -> None:
+    pair = in_position()
+    command = pair.command(TapCommand.WITHDRAW, at(START))
+    command.tap_id = tap_id
+    assert jobs(pair.arm.on_message("tap_command", command, at(START + 1.0))) == []
+    assert pair.arm.state is arms.State.IN_POSITION
+
+
+def test_a_stop_overtakes_whatever_is_under_way() -> None:
+    """The end of a job that a stop overtook changes nothing."""
+    pair = in_position()
+    arm = pair.arm
+    arm.on_message("tap_command", pair.command(TapCommand.WITHDRAW, at(START)), at(START))
+    (number,) = jobs(arm.on_tick(at(START + 1.0)))[:1]
+    arm.on_message("emergency_stop", Bool(data=True), at(START + 1.1))
+    assert arm.state is arms.State.STOPPED
+    here = Reading(True, Joints(*CELL.file.arm.park), False, START)
+    arm.on_job(JobEnded(number, here), at(START + 1.2))
+    assert arm.state is arms.State.STOPPED
+    assert jobs(arm.on_tick(at(START + 2.0))) == []

@@ -1,0 +1,174 @@
+"""The striker is never released while the arm may move, whatever is late or frozen.
+
+Arm and tapper, two machines, run against each other in virtual time. Between any two steps either
+may be frozen for any time; the board releases within its window or not at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.hardware.scara import Joints
+from tapping_cell.hardware.tapper_protocol import LONGEST_PULSE, Mode, Reply, Result
+from tapping_cell.hardware.tapper_protocol import State as BoardState
+from tapping_cell.logic import arm as arms
+from tapping_cell.logic import tapper as tappers
+from tapping_cell.logic.arm_jobs import MotionEnd, Reading
+from tapping_cell.logic.clock import Now, to_stamp
+from tapping_cell.logic.effects import Answer, Call, Effect, JobEnded, Publish, RunJob
+from tapping_cell.logic.host import Activated, Configured
+from tapping_cell.logic.poses import to_message
+from tapping_cell.logic.tapper_jobs import WINDOW_S, ChargeEnd, Status
+from tapping_cell.messages import ArmState, TapCommand
+from tapping_cell.se2 import Pose
+
+CELL = load_cell()
+TAP = 100
+START = 1000.0
+
+
+def at(steady: float) -> Now:
+    return Now(steady, round(1e9 * (1e9 + steady)))
+
+
+def board(state: BoardState, shot: int = 0) -> Reply:
+    return Reply(
+        session=1,
+        sequence=1,
+        result=Result.OK,
+        state=state,
+        shot=shot,
+        energy=0.0,
+        interlock_closed=True,
+        stop_latched=False,
+        last_fired=0,
+        speed=None,
+        boot=1,
+        time_ms=0,
+        mode=Mode.RUN,
+        enabled=False,
+    )
+
+
+@dataclass
+class Pair:
+    """Both machines, brought to the point at which the tapper asks the arm to stand still."""
+
+    arm: arms.ArmLogic = field(default_factory=lambda: arms.ArmLogic(arms.ArmOptions()))
+    tapper: tappers.TapperLogic = field(
+        default_factory=lambda: tappers.TapperLogic(tappers.TapperOptions())
+    )
+
+    def command(self, request: int, now: Now) -> TapCommand:
+        message = TapCommand(request=request, tap_id=TAP, striker_speed=0.3)
+        message.header.frame_id = "table"
+        message.strike_pose = to_message(Pose(-0.08, 0.02, 0.3))
+        message.expiry = to_stamp(now.ros + 20 * 10**9)
+        return message
+
+    def begin(self) -> Call:
+        now = at(START)
+        joints = Joints(*CELL.file.arm.park)
+        here = Reading(True, joints, False, now.steady)
+        self.arm.on_lifecycle(Configured(CELL, here), now)
+        self.tapper.on_lifecycle(Configured(CELL, board(BoardState.SAFE)), now)
+        self.arm.on_lifecycle(Activated(), now)
+        self.tapper.on_lifecycle(Activated(), now)
+        tap = self.command(TapCommand.TAP, now)
+        self.tapper.on_message("tap_command", tap, now)
+        (place,) = jobs(self.arm.on_message("tap_command", tap, now))
+        placed = MotionEnd(True, Reading(True, joints, False, now.steady))
+        told = messages(self.arm.on_job(JobEnded(place, placed), now), "arm_state")[-1]
+        assert told.state == ArmState.IN_POSITION
+        (charge,) = jobs(self.tapper.on_message("arm_state", told, now))
+        status = Status(board(BoardState.CHARGED, TAP), 0)
+        made = self.tapper.on_job(JobEnded(charge, ChargeEnd(status, True, None)), now)
+        (call,) = [effect for effect in made if isinstance(effect, Call)]
+        self.told = told
+        return call
+
+
+def jobs(effects: list[Effect]) -> list[int]:
+    return [effect.job.number for effect in effects if isinstance(effect, RunJob)]
+
+
+def messages(effects: list[Effect], topic: str) -> list:
+    return [e.message for e in effects if isinstance(e, Publish) and e.topic == topic]
+
+
+delay = st.floats(0.0, 0.4)
+short = st.one_of(st.just(0.0), st.floats(0.0, 0.02), delay)
+
+
+@settings(max_examples=400)
+@given(
+    to_arm=short,
+    to_tapper=short,
+    to_check=short,
+    to_release=st.floats(0.0, 1.0),
+    withdrawn_after=delay,
+)
+def test_no_release_falls_into_a_motion_of_the_arm(
+    to_arm: float,
+    to_tapper: float,
+    to_check: float,
+    to_release: float,
+    withdrawn_after: float,
+) -> None:
+    pair = Pair()
+    call = pair.begin()
+    asked = START
+    handled = asked + to_arm
+    # A frozen or slow arm, network or tapper: each delay is anything.
+    (answer,) = [
+        effect
+        for effect in pair.arm.on_request("hold_still", call.request, 1, at(handled))
+        if isinstance(effect, Answer)
+    ]
+    moves = first_motion(pair, handled, handled + withdrawn_after)
+    if not answer.response.granted:
+        return
+    heard = handled + to_tapper
+    made = pair.tapper.on_answer(call.token, answer.response, at(heard))
+    if not jobs(made):
+        return
+    sampled = heard + to_check
+    # The arm and the planner go on speaking: only the permit is in doubt.
+    pair.told.header.stamp = to_stamp(at(sampled).ros)
+    pair.tapper.on_message("arm_state", pair.told, at(sampled))
+    release_by = sampled + (WINDOW_S + LONGEST_PULSE) * 1.01
+    if pair.tapper.doubt_firing(release_by, at(sampled)) is not None:
+        return
+    # The board releases up to its deadline, and not after it.
+    over = sampled + min(to_release, WINDOW_S) + LONGEST_PULSE
+    assert over < moves
+
+
+def first_motion(pair: Pair, start: float, withdrawn: float) -> float:
+    """When the arm begins to move, withdrawn at a time and ticked on."""
+    withdraw = pair.command(TapCommand.WITHDRAW, at(withdrawn))
+    made = pair.arm.on_message("tap_command", withdraw, at(withdrawn))
+    time = withdrawn
+    while pair.arm.state is not arms.State.WITHDRAWING:
+        time += 0.001
+        made = pair.arm.on_tick(at(time))
+        assert time < start + 1.0
+    assert made
+    return time
+
+
+def test_a_prompt_answer_lets_the_shot_go() -> None:
+    """The property above is not empty."""
+    pair = Pair()
+    call = pair.begin()
+    made = pair.arm.on_request("hold_still", call.request, 1, at(START + 0.002))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    assert answer.response.granted
+    assert jobs(pair.tapper.on_answer(call.token, answer.response, at(START + 0.004)))
+    release_by = START + 0.008 + (WINDOW_S + LONGEST_PULSE) * 1.01
+    assert pair.tapper.doubt_firing(release_by, at(START + 0.008)) is None
+    assert pair.tapper.doubt_firing(release_by + 0.2, at(START + 0.008)) is not None

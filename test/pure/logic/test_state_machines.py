@@ -1,0 +1,46 @@
+"""Every state has a way out that a person or time offers, and the page shows the tables."""
+
+import importlib.util
+from enum import Enum
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from tapping_cell.logic import arm, tapper
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def test_the_page_is_what_the_tables_draw() -> None:
+    """Run ``python environment/draw_state_machines.py`` after a change of a table."""
+    program = ROOT / "environment" / "draw_state_machines.py"
+    specification = importlib.util.spec_from_file_location("draw_state_machines", program)
+    assert specification is not None and specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    assert (ROOT / "docs" / "state_machines.md").read_text(encoding="utf-8") == module.page()
+
+
+@pytest.mark.parametrize(
+    ("machine", "rest"), [(arm, arm.State.IDLE), (tapper, tapper.State.SAFE)], ids=["arm", "tapper"]
+)
+def test_every_state_leads_back_to_rest(machine: ModuleType, rest: Enum) -> None:
+    """S8: no state without a way out."""
+    leads = {rest}
+    grown = True
+    while grown:
+        more = {
+            state
+            for (state, _), targets in machine.TABLE.items()
+            if targets & leads and state not in leads
+        }
+        leads |= more
+        grown = bool(more)
+    assert leads == set(machine.State)
+
+
+@pytest.mark.parametrize("machine", [arm, tapper], ids=["arm", "tapper"])
+def test_every_state_can_be_stopped(machine: ModuleType) -> None:
+    for state in machine.State:
+        assert machine.TABLE[state, machine.Event.STOP] == {machine.State.STOPPED}
