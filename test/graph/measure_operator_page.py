@@ -61,7 +61,9 @@ def main() -> int:
         f"--user-data-dir={folder}/browser",
     ):
         options.add_argument(flag)
-    with Graph((*SIMULATED, "operator_page"), parameters, folder / "logs") as graph:
+    with Graph(
+        (*SIMULATED, "operator_page"), parameters, folder / "logs", {"HOME": str(folder)}
+    ) as graph:
         process = graph.process_ids["operator_page"]
         log = folder / "logs" / "operator_page.log"
         while "operator page:" not in log.read_text():

@@ -127,7 +127,10 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     nodes = (*SIMULATED, RECORDER, "operator_page")
-    with Graph(nodes, parameters, folder / "logs") as graph, GoalClient() as client:
+    with (
+        Graph(nodes, parameters, folder / "logs", {"HOME": str(folder)}) as graph,
+        GoalClient() as client,
+    ):
         driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
         try:
             made = Page(driver, graph, client, f"http://localhost:{port}/", downloads)

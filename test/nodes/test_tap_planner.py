@@ -206,6 +206,15 @@ def test_an_arm_that_does_not_arrive_is_given_up_in_words(actors: Actors) -> Non
     assert actors.commands[-1].request == TapCommand.WITHDRAW
 
 
+def test_a_goal_ends_at_its_time_limit_and_takes_its_tap_back() -> None:
+    with acted(goal_time_limit=1.0, place_deadline=10.0) as made:
+        made.arm_arrives = False
+        made.send()
+        end = made.end(8.0)
+        assert end.error_code == ErrorCode.DEADLINE_EXCEEDED
+        made.bench.wait(lambda: made.arm_state == ArmState.IDLE, "the tap was withdrawn")
+
+
 def test_an_arm_that_does_not_withdraw_is_given_up_in_words(actors: Actors) -> None:
     actors.arm_withdraws = False
     actors.send()

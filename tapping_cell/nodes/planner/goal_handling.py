@@ -43,6 +43,8 @@ class Request:
     position_tolerance: float = 0.0
     angle_tolerance: float = 0.0
     max_taps: int = 0
+    time_limit: float = 0.0
+    """s; 0 for the planner's own."""
     handle: ServerGoalHandle | None = None
 
 
@@ -158,6 +160,11 @@ class GoalDesk:
         )
         if isinstance(tolerance, Refused):
             return tolerance
+        if not (math.isfinite(request.time_limit) and request.time_limit >= 0):
+            return Refused(
+                ErrorCode.COMMAND_INVALID,
+                f"time_limit is {request.time_limit:g} s; it must be 0 (the planner's own) or more",
+            )
         limit = self.cell.file.goal.max_taps
         if request.max_taps > limit:
             return Refused(

@@ -81,6 +81,9 @@ class Parameters:
     frames_needed: int = quantity(
         "pictures at rest that a look must be fused of", "", 1, 1000, default=10
     )
+    goal_time_limit: float = quantity(
+        "longest time for a goal that gives none itself", "s", 1.0, 86400.0, default=900.0
+    )
     ready_deadline: float = quantity(
         "longest wait for arm, tapper and camera", "s", 1.0, 3600.0, default=30.0
     )
@@ -239,6 +242,7 @@ class TapPlanner(CellNode[Parameters]):
             asked.position_tolerance,
             asked.angle_tolerance,
             asked.max_taps,
+            asked.time_limit,
             handle,
         )
         refused = self._take(request)
@@ -274,6 +278,8 @@ class TapPlanner(CellNode[Parameters]):
         if fault is not None:
             code, sentence = fault
             return Refused(code, f"the cell is faulted: {sentence}")
+        asked_limit = asked.time_limit if isinstance(asked, Request) else 0.0
+        task.deadline = time.monotonic() + (asked_limit or self.settings.goal_time_limit)
         self._begin(task)
         return None
 
@@ -312,6 +318,13 @@ class TapPlanner(CellNode[Parameters]):
             if self._task.canceled:
                 self._abandon()
                 self._finish(PlanState.CANCELED, ErrorCode.GOAL_CANCELED, "the goal was canceled")
+            elif time.monotonic() > self._task.deadline:
+                self._abandon()
+                self._fail(
+                    ErrorCode.DEADLINE_EXCEEDED,
+                    "the goal's time limit is over; send it again, with a longer time_limit if the"
+                    " cell worked all the time",
+                )
             else:
                 {
                     PlanState.WAITING_FOR_CELL: self._wait_for_cell,

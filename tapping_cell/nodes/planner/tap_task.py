@@ -103,6 +103,8 @@ class Task:
     not_fired: int = 0
     without_effect: int = 0
     canceled: bool = False
+    deadline: float = math.inf
+    """Steady time at which the goal is given up, s."""
     room: FreeSpace | None = None
     """The map that the session was last told to work in."""
 
