@@ -178,7 +178,7 @@ class PoseTracker:
         or while it is being found out whether a reference marker is covered."""
         self._measured_at = observation.stamp
         view, since = self.view, observation.at_rest_since
-        doubtful = any(0 < looks < _UNMET for looks in self._unmet.values())
+        doubtful = any(0 < looks < _MISSED for looks in self._missed.values())
         settled = observation.frames_fused >= self.settings.settled_frames
         self._last = observation if settled and not doubtful else None
         if since is None or observation.pose is None or view is None:
