@@ -4,7 +4,7 @@
 # make lint                     style and types
 # make clean                    remove everything that was made here
 # make reference                write what is made from declarations: messages, reference pages
-# make lock                     choose the versions in requirements.lock again (needs Python 3.10 to 3.13)
+# make lock                     choose the versions in requirements.lock again
 #
 # Each sets up what it needs first (see env.sh); there is nothing else to install or to call before.
 
@@ -34,4 +34,4 @@ reference:
 	@. ./env.sh; python environment/generate_messages.py; ruff format -q tapping_cell/messages; python environment/reference_pages.py
 
 lock:
-	@python3 environment/lock.py python3.10 python3.11 python3.12 python3.13
+	@python3 environment/lock.py

@@ -265,6 +265,11 @@ def run(words: list[str], log: Path, failure: str) -> None:
 
 
 CAUSES = (
+    (
+        r"DO NOT MATCH THE HASHES",
+        "the package index sent another file than requirements.lock names: do not install it;"
+        " try another index, and tell the maintainers if it goes on",
+    ),
     (r"No space left on device|Errno 28\b", "the disk is full: free some space and try again"),
     (
         r"NewConnectionError|ProxyError|Cannot connect to proxy|Name or service not known"
@@ -305,8 +310,11 @@ def cause_of(text: str) -> str:
 
 
 def pinned(lock: str, sourced: bool) -> list[str]:
-    """The lock's requirement lines to install: all, or those that ROS from apt leaves to us."""
-    lines = [line for line in lock.splitlines() if line and not line.startswith("#")]
+    """The lock's requirements to install, one with its hashes a line: all, or those that ROS from
+    apt leaves to us.
+    """
+    logical = lock.replace("\\\n", " ").splitlines()
+    lines = [line for line in logical if line and not line.startswith("#")]
     return [line for line in lines if not (sourced and line.startswith(FROM_APT))]
 
 
@@ -328,15 +336,21 @@ def make_venv(stamp: Path, wanted: str) -> None:
     venv = [str(python), "-I", "-m", "venv", *site, str(VENV)]
     run(venv, LOG / "venv.log", "making .venv failed")
 
-    from_source = [line for line in lines if line.startswith(SOURCE_DISTRIBUTIONS)]
-    (VENV / "wheels.txt").write_text("\n".join(x for x in lines if x not in from_source))
     install = [str(VENV / "bin" / "python"), "-m", "pip", "install", "--no-input", "--no-deps"]
     install += ["--progress-bar", "off", "--no-warn-script-location", "--retries", "2"]
-    wheels = ["--only-binary", ":all:", "-r", str(VENV / "wheels.txt")]
-    run([*install, *wheels], LOG / "pip.log", "installing packages failed")
-    if from_source:
-        source = ["--no-build-isolation", "--use-pep517", *from_source]
-        run([*install, *source], LOG / "pip_source.log", "installing packages failed")
+    install += ["--require-hashes"]
+    from_source = [line for line in lines if line.startswith(SOURCE_DISTRIBUTIONS)]
+    wheels = [line for line in lines if line not in from_source]
+    # Setuptools, by which the others are built, is among the wheels.
+    for name, part, how in (
+        ("wheels", wheels, ["--only-binary", ":all:"]),
+        ("sources", from_source, ["--no-build-isolation", "--use-pep517"]),
+    ):
+        if part:
+            wanted_here = VENV / f"{name}.txt"
+            wanted_here.write_text("\n".join(part))
+            log = LOG / f"pip_{name}.log"
+            run([*install, *how, "-r", str(wanted_here)], log, "installing packages failed")
     if not sourced:
         repair_exports(VENV)
     write_stamp(stamp, wanted)

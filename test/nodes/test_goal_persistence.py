@@ -13,13 +13,12 @@ GOAL = {"goal": [0.01, 0.02, 0.3], "tolerance": [0.001, 0.02], "max_taps": 20}
 
 
 @pytest.fixture
-def memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> goal_persistence.GoalMemory:
-    monkeypatch.setattr(goal_persistence, "FOLDER", tmp_path)
-    return goal_persistence.GoalMemory("/cell", 60.0)
+def memory(tmp_path: Path) -> goal_persistence.GoalMemory:
+    return goal_persistence.GoalMemory(tmp_path, 60.0)
 
 
 def leave(folder: Path, text: str) -> Path:
-    file = folder / "goal-_cell.json"
+    file = folder / "goal.json"
     file.write_text(text, encoding="utf-8")
     return file
 

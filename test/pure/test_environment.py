@@ -36,7 +36,6 @@ def load(path: Path):
 
 set_up = load(ROOT / "environment" / "set_up.py")
 run_tests = load(ROOT / "environment" / "run_tests.py")
-lock = load(ROOT / "environment" / "lock.py")
 
 
 # ---- the stages
@@ -139,6 +138,10 @@ def test_an_old_c_library_is_refused(monkeypatch):
             "the ROS 2 package geometry_msgs is not installed: call  rosdep",
         ),
         ("ModuleNotFoundError: No module named 'colcon_core'", "python3-colcon"),
+        (
+            "ERROR: THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE.",
+            "another file",
+        ),
         ("fine\nfatal error: no such type\nmore", "fatal error: no such type"),
         ("one\ntwo", "one"),
         ("", "printed nothing"),
@@ -218,10 +221,11 @@ def test_the_lock_holds_what_is_required():
     assert {name: locked.get(name) for name in required} == required
 
 
-def test_every_line_of_the_lock_is_exact():
+def test_every_line_of_the_lock_is_exact_and_has_hashes():
     lines = set_up.pinned((ROOT / "requirements.lock").read_text(), sourced=False)
-    marker = r'( ; python_version == "3\.1[0-3]")?'
-    assert [line for line in lines if not re.fullmatch(rf"[\w.-]+==[\w.]+{marker}", line)] == []
+    requirement = r"[\w.-]+==[\w.]+( ; [\w' <>=!.]+)?"
+    hashed = rf"{requirement}( +--hash=sha256:[0-9a-f]{{64}})+ *"
+    assert [line for line in lines if not re.fullmatch(hashed, line)] == []
 
 
 def test_ros_from_apt_keeps_its_own_ros_and_numpy():
@@ -231,16 +235,14 @@ def test_ros_from_apt_keeps_its_own_ros_and_numpy():
     assert not [name for name in names if name.startswith(("ros-", "colcon-", "numpy"))]
 
 
-def test_versions_that_differ_get_a_marker_each():
-    merged = lock.merge(
-        {"3.10": {"a": "1", "b": "2", "tomli": "2"}, "3.11": {"a": "1", "b": "3"}},
-    )
-    assert merged == [
-        "a==1",
-        'b==2 ; python_version == "3.10"',
-        'b==3 ; python_version == "3.11"',
-        'tomli==2 ; python_version == "3.10"',
+def test_a_requirement_and_its_hashes_are_one_line():
+    text = "# words\na==1 \\\n  --hash=sha256:0 \\\n  --hash=sha256:1\nros-b==2 --hash=sha256:2\n"
+    lines = [line.split() for line in set_up.pinned(text, sourced=False)]
+    assert lines == [
+        ["a==1", "--hash=sha256:0", "--hash=sha256:1"],
+        ["ros-b==2", "--hash=sha256:2"],
     ]
+    assert len(set_up.pinned(text, sourced=True)) == 1
 
 
 # ---- env.sh in a shell
