@@ -1,5 +1,6 @@
 # make demo [ARGS="--seed 3"]   position a disk in the simulated world
 # make test [ARGS="-k name"]    every ring of the tests
+# make oldest [ARGS=test/pure]  pure and driver tests and a demo with the versions of Ubuntu 24.04
 # make lint                     style and types
 # make clean                    remove everything that was made here
 # make reference                write what is made from declarations: messages, reference pages
@@ -11,13 +12,16 @@ SHELL := /bin/bash
 .SHELLFLAGS := -e -u -o pipefail -c
 ARGS ?=
 
-.PHONY: demo test lint clean lock reference
+.PHONY: demo test oldest lint clean lock reference
 
 demo:
 	@. ./env.sh; python -m tapping_cell demo $(ARGS)
 
 test:
 	@. ./env.sh; python environment/run_tests.py $(ARGS)
+
+oldest:
+	@. ./env.sh; python environment/run_oldest.py $(ARGS)
 
 lint:
 	@. ./env.sh; ruff check .; ruff format --check .; mypy

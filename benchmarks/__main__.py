@@ -29,6 +29,7 @@ LONG_SECTIONS = (
     "calibration",
     "demos",
     "disarm",
+    "idle",
     "lack-of-fit",
     "node",
     "outline",
@@ -67,7 +68,7 @@ def make_parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help="experiments of calibration and lack-of-fit, demos a truth, losses of disarm, scenes "
-        "of outline, scenes or frames of vision*, seconds of node",
+        "of outline, scenes or frames of vision*, seconds of node and idle",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(

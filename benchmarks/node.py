@@ -42,7 +42,7 @@ def measure(seconds: int) -> dict[str, Any]:
                 rclpy.try_shutdown()
                 raise
     try:
-        return report | {"pictures": node_pictures.measure(seconds, local, _cpu_seconds)}
+        return report | {"pictures": node_pictures.measure(seconds, local, cpu_seconds)}
     finally:
         rclpy.try_shutdown()
 
@@ -70,13 +70,13 @@ def _watch(graph: Graph, seconds: int) -> dict[str, Any]:
             raise TimeoutError(f"the object was not seen at rest within {PATIENCE_S:.0f} s")
         rclpy.spin_once(node, timeout_sec=0.1)
     states.clear()
-    before = {name: _cpu_seconds(pid) for name, pid in graph.process_ids.items()}
+    before = {name: cpu_seconds(pid) for name, pid in graph.process_ids.items()}
     begin = time.monotonic()
     while time.monotonic() - begin < seconds:
         rclpy.spin_once(node, timeout_sec=0.05)
     took = time.monotonic() - begin
     shares = {
-        name: (_cpu_seconds(pid) - before[name]) / took for name, pid in graph.process_ids.items()
+        name: (cpu_seconds(pid) - before[name]) / took for name, pid in graph.process_ids.items()
     }
     node.destroy_node()
     return {
@@ -88,7 +88,7 @@ def _watch(graph: Graph, seconds: int) -> dict[str, Any]:
     }
 
 
-def _cpu_seconds(pid: int) -> float:
+def cpu_seconds(pid: int) -> float:
     """User and system time of a process, its threads included (proc(5), fields 14 and 15)."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

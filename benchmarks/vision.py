@@ -25,6 +25,7 @@ from tapping_cell.nodes.memory import keep_memory
 from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
 from tapping_cell.vision import CameraPose, ObjectMarker, PoseTracker, View
+from tapping_cell.vision.markers import aruco
 from tapping_cell.vision.markers.detection import UNIT_CORNERS, find_markers, marker_pattern
 from tapping_cell.vision.markers.edges import refine
 from tapping_cell.vision.markers.object_pose import fit_marker, pose_of_corners
@@ -175,19 +176,15 @@ def _aruco(
     region: Callable[[np.ndarray], tuple[int, int, int, int]] | None,
 ) -> Callable[[np.ndarray, np.ndarray], Pose]:
     """OpenCV's detector as it comes, with one of its refinements."""
-    parameters = cv2.aruco.DetectorParameters()
+    parameters = aruco.detector_parameters()
     parameters.cornerRefinementMethod = refinement
     book = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36H11)
-    detector = cv2.aruco.ArucoDetector(book, parameters)
 
     def method(image: np.ndarray, true: np.ndarray) -> Pose:
         part, origin = _cut(image, region, true)
-        corners, ids, _ = detector.detectMarkers(part)
-        if ids is None:
-            return None
-        for found, number in zip(corners, ids.ravel(), strict=True):
+        for number, corners in aruco.detect_markers(part, book, parameters):
             if number == marker.id:
-                return pose_of_corners(view, found.reshape(4, 2) + origin, marker)
+                return pose_of_corners(view, corners + origin, marker)
         return None
 
     return method

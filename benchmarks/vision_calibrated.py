@@ -24,7 +24,8 @@ from benchmarks.vision_scenes import (
 from tapping_cell.calibration.camera import CameraCalibration, calibrate_camera
 from tapping_cell.calibration.target import Target, TargetView, find_target
 from tapping_cell.vision import CameraModel, CameraPose, PoseTracker, View
-from tapping_cell.vision.markers.detection import dictionary_name
+from tapping_cell.vision.markers import aruco
+from tapping_cell.vision.markers.detection import marker_dictionary
 
 DEFAULT_COUNT = 100
 VIEWS = 25
@@ -107,12 +108,10 @@ def _stated(calibration: CameraCalibration) -> tuple[float, ...]:
 
 def _board() -> np.ndarray:
     """The board's reflectance, a value a texel, blurred like a well focused picture of it."""
-    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary_name(TARGET.dictionary)))
-    board = cv2.aruco.CharucoBoard(
-        (TARGET.columns, TARGET.rows), TARGET.square, TARGET.marker, book
-    )
+    book = marker_dictionary(TARGET.dictionary)
     each = round(TARGET.square / TEXEL)
-    drawn = board.generateImage((TARGET.columns * each, TARGET.rows * each))
+    grid = (TARGET.columns, TARGET.rows)
+    drawn = aruco.draw_board(book, grid, TARGET.square, TARGET.marker, each)
     sheet = np.pad(drawn.astype(np.float32), each, constant_values=255.0)
     return np.asarray(cv2.GaussianBlur(30.0 + sheet * (170.0 / 255.0), (0, 0), 1.7))
 

@@ -324,7 +324,7 @@ class _Curve:
         noise: Array = np.geomspace(highest / 12.0, highest, _NOISES, dtype=np.float64)
         factors = np.linalg.cholesky(self._covariance(amplitude, stretch, noise))
         columns = np.stack([np.ones_like(self._drive), self._drive], axis=-1)
-        ones, drive = np.moveaxis(np.linalg.solve(factors, columns), -1, 0)
+        ones, drive = np.moveaxis(np.linalg.solve(factors, columns[None]), -1, 0)
         total = (ones**2).sum(axis=1)
         left = drive - ((ones * drive).sum(axis=1) / total)[:, None] * ones
         spread = 2.0 * np.log(np.diagonal(factors, axis1=1, axis2=2)).sum(axis=1)

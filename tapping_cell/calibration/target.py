@@ -16,13 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.vision.camera import Array, Image
-from tapping_cell.vision.markers.detection import dictionary_name
+from tapping_cell.vision.markers import aruco
+from tapping_cell.vision.markers.detection import marker_dictionary
 
 _SEARCH_WIDTH = 1600
 """Larger photographs are searched at this width; corners are refined at full size."""
 _LEAST_SHARE = 0.2
 _LEAST_CORNERS = 8
 """A view needs this share of the board's corners and this many."""
+_NEWER = "; a board drawn by OpenCV before 4.6 can only be detected with OpenCV 4.7 or newer"
 _STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
 
 
@@ -64,7 +66,7 @@ class Target:
                     f"markers of {self.marker * 1e3:g} mm in squares of {self.square * 1e3:g} mm:"
                     " give the markers' side in mm, smaller than the squares'"
                 )
-            held = len(_book(self.dictionary).bytesList)
+            held = len(marker_dictionary(self.dictionary).bytesList)
             needed = self.columns * self.rows // 2
             if needed > held:
                 raise TargetError(
@@ -172,27 +174,28 @@ def _charuco(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] | s
     best: tuple[NDArray[np.intp], Array] = (np.zeros(0, dtype=np.intp), np.zeros((0, 2)))
     markers = 0
     # Boards with an even number of rows made before OpenCV 4.6 begin with a marker.
-    for legacy in (False, True) if target.rows % 2 == 0 else (False,):
-        board = cv2.aruco.CharucoBoard(
-            (target.columns, target.rows), target.square, target.marker, _book(target.dictionary)
+    even = target.rows % 2 == 0
+    for legacy in (False, True) if even and aruco.LEGACY_BOARDS else (False,):
+        ids, corners, seen = aruco.detect_board(
+            image,
+            marker_dictionary(target.dictionary),
+            (target.columns, target.rows),
+            target.square,
+            target.marker,
+            legacy,
         )
-        board.setLegacyPattern(legacy)
-        corners, ids, _, marker_ids = cv2.aruco.CharucoDetector(board).detectBoard(image)
-        markers = max(markers, 0 if marker_ids is None else len(marker_ids))
-        if ids is not None and len(ids) > len(best[0]):
-            best = (np.ravel(ids).astype(np.intp), np.asarray(corners, float).reshape(-1, 2))
+        markers = max(markers, seen)
+        if len(ids) > len(best[0]):
+            best = (ids, corners)
     if markers == 0:
         return f"no target: no marker of {target.dictionary} is seen"
     if not len(best[0]):
         return (
             f"no target: {markers} markers of {target.dictionary} are seen but no corner of a board"
             f" of {target.columns} x {target.rows} squares between them"
+            + ("" if aruco.LEGACY_BOARDS or not even else _NEWER)
         )
     return best
-
-
-def _book(name: str) -> cv2.aruco.Dictionary:
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary_name(name)))
 
 
 def _neighbours(grid: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
-import numpy as np
-
 from tapping_cell.calibration.target import Target, TargetError, find_target
 from tapping_cell.vision.camera import Image
+from tapping_cell.vision.markers import aruco
+from tapping_cell.vision.markers.detection import marker_dictionary
 
 _FAMILIES = ("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL", "APRILTAG_36h11")
 
@@ -45,6 +44,5 @@ def hint(image: Image, target: Target) -> str | None:
 
 def _markers(image: Image, name: str) -> int:
     """How many markers of a dictionary the image shows."""
-    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
-    _, ids, _ = cv2.aruco.ArucoDetector(book).detectMarkers(image)
-    return 0 if ids is None else len(np.unique(ids))
+    found = aruco.detect_markers(image, marker_dictionary(name), aruco.detector_parameters())
+    return len({number for number, _ in found})

@@ -14,6 +14,8 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 
+from tapping_cell.nodes import security
+
 VERBS = {
     "demo": "run one goal in the simulated cell, from start to finish",
     "up": "start the nodes, simulated or on hardware, and keep them running",
@@ -76,6 +78,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status: int = execute(parser.parse_args(words[1:]))
         finally:
             sys.stdout.flush()
+    except RuntimeError as error:
+        # What rclpy raises derives from it; rclpy is not imported for verbs that do without.
+        refused = security.explain(error)
+        if refused is None:
+            raise
+        print(f"error: {refused}", file=sys.stderr)
+        return 1
     except BrokenPipeError:
         if not _reader_has_gone():
             raise

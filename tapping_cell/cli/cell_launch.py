@@ -16,6 +16,7 @@ from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from tapping_cell.configuration.cell import load_cell, refuse_simulated_ports
 from tapping_cell.hardware.urdf import urdf
+from tapping_cell.nodes import security
 
 COMMON = {
     "namespace": ("", "namespace of every node, one for each cell"),
@@ -109,6 +110,9 @@ def _start(
                 },
                 *overrides,
             ],
+            ros_arguments=(
+                ["--enclave", security.enclave_of(node.name)] if security.is_enabled() else []
+            ),
             output="screen",
             respawn=node.respawn,
             respawn_delay=1.0,

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
-from tapping_cell.nodes import MODULES
+from tapping_cell.nodes import MODULES, security
 from tapping_cell.nodes.cell_identity import STATE, cell_key, claim
 
 SIMULATED = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
@@ -116,6 +116,8 @@ class Graph:
 
     def _start(self, name: str) -> Child:
         command = [sys.executable, "-m", MODULES[name], "--ros-args"]
+        if security.is_enabled(self._environment):
+            command += ["--enclave", security.enclave_of(name)]
         if self._namespace:
             command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
         if self._parameter_file is not None:

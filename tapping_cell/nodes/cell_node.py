@@ -27,7 +27,7 @@ from std_msgs.msg import Bool
 
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError
-from tapping_cell.nodes import parameters
+from tapping_cell.nodes import parameters, security
 from tapping_cell.nodes.cell_identity import key_of
 from tapping_cell.nodes.memory import keep_memory
 
@@ -252,16 +252,20 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if pictures:
         keep_memory()
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.ALL)
     node: CellNode[Any] | None = None
-    executor = SingleThreadedExecutor()
+    executor: SingleThreadedExecutor | None = None
     try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.ALL)
+        executor = SingleThreadedExecutor()
         node = make_node()
         executor.add_node(node)
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
-    except (RCLError, SystemError):
+    except (RCLError, SystemError) as error:
+        if refused := security.explain(error):
+            print(f"error: {refused}", file=sys.stderr)
+            return 1
         # A signal that arrives in mid-call leaves the call without its context, or, where the
         # middleware was just warning, with an exception that it does not expect.
         if rclpy.ok():
@@ -276,6 +280,7 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
             signal.signal(number, signal.SIG_IGN)
         if node is not None:
             node.cleanup()
+            assert executor is not None
             executor.remove_node(node)
             node.destroy_node()
         rclpy.try_shutdown()

@@ -201,7 +201,8 @@ def _largest_run(missing: BoolArray) -> Array:
 def _neighbour_graph(workable: BoolArray) -> coo_array:
     """Symmetric graph of workable cells; an edge's weight is the distance of the centres."""
     columns, rows = workable.shape
-    index = np.arange(columns * rows).reshape(columns, rows)
+    # SciPy before 1.12 takes no other integers for a graph.
+    index = np.arange(columns * rows, dtype=np.int32).reshape(columns, rows)
     starts, ends, weights = [], [], []
     for dx, dy in STEPS:
         i0, i1 = max(0, -dx), columns - max(0, dx)

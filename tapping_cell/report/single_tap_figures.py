@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -22,6 +23,8 @@ VALUES = "single_tap_values.png"
 _SEEN = "#1c2733"
 _PREDICTED = "#c8372d"
 _PLAIN = "#8a97a5"
+# Matplotlib before 3.7, as in Ubuntu 24.04, cannot make room for a legend outside the axes.
+_BELOW = "outside lower center" if matplotlib.__version_info__ >= (3, 7) else "lower center"
 _GRID: dict[str, Any] = {"alpha": 0.25, "linewidth": 0.6}
 _MARKS = "osD^vP*X<>"
 
@@ -89,7 +92,7 @@ def _runs(figure: Figure, report: SingleTapReport) -> None:
         Line2D([], [], marker="o", mfc="white", mec=_SEEN, mew=2.2, ls="", ms=10),
     ]
     words += ["calculated from the other, each trial", "predicted from the striker, mean"]
-    figure.legend(handles, words, loc="outside lower center", ncols=6, fontsize=8, frameon=False)
+    figure.legend(handles, words, loc=_BELOW, ncols=6, fontsize=8, frameon=False)
 
 
 def _profiles(figure: Figure, report: SingleTapReport) -> None:
@@ -107,7 +110,7 @@ def _profiles(figure: Figure, report: SingleTapReport) -> None:
         "predicted from the displacement",
         "the same with a torque factor of 1",
     ]
-    figure.legend(handles, words, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    figure.legend(handles, words, loc=_BELOW, ncols=3, fontsize=8, frameon=False)
 
 
 def _profile(speed: Axes, spin: Axes, pose: Axes, view: ProfileView) -> None:
@@ -151,7 +154,7 @@ def _residuals(figure: Figure, report: SingleTapReport) -> None:
         axes.title.set_fontsize(10)
         axes.grid(**_GRID)
     handles, words = left.get_legend_handles_labels()
-    figure.legend(handles, words, loc="outside lower center", ncols=8, fontsize=8, frameon=False)
+    figure.legend(handles, words, loc=_BELOW, ncols=8, fontsize=8, frameon=False)
 
 
 def _percent(seen: Array, calculated: Array) -> Array:
@@ -186,7 +189,7 @@ def _errors(figure: Figure, report: SingleTapReport) -> None:
     all_axes[0].set_ylim(-1.25 * max(largest, 1.0), 1.25 * max(largest, 1.0))
     all_axes[0].set_ylabel("error of the run's mean (%)")
     handles, words = all_axes[0].get_legend_handles_labels()
-    figure.legend(handles, words, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+    figure.legend(handles, words, loc=_BELOW, ncols=2, fontsize=8, frameon=False)
 
 
 def _values(figure: Figure, report: SingleTapReport) -> None:

@@ -28,6 +28,7 @@ from tapping_cell.vision.outline.finder import OutlineFinder
 from tapping_cell.vision.outline.fit import OutlineFit
 from tapping_cell.vision.outline.shape import ObjectOutline
 from tapping_cell.vision.rest_detection import Motion, RestSettings, Track
+from tapping_cell.vision.scene_change import SceneChange
 from tapping_cell.vision.table.fit import TableSettings
 from tapping_cell.vision.table.problems import table_notice, table_refusal
 from tapping_cell.vision.table.tracker import (
@@ -57,7 +58,9 @@ class TrackerSettings:
     them while the object or the table is not seen; ``references_each`` reference markers measured
     in a frame; ``references_timeout`` (s) that the table may go unseen; ``size_tolerance``: share
     that the marker's apparent side may differ from the configured one; ``dark`` and ``bright`` grey
-    levels; ``other_ids`` markers of other objects, of the object's dictionary, that may be there.
+    levels; ``other_ids`` markers of other objects, of the object's dictionary, that may be there;
+    ``settled_frames`` fused from which a frame without change is measured only every
+    ``settled_period`` (s): in between the last pose holds for it, 0 measures every frame.
     """
 
     audit_period: float = 1.0
@@ -68,6 +71,8 @@ class TrackerSettings:
     dark: float = 12.0
     bright: float = 250.0
     other_ids: frozenset[int] = frozenset()
+    settled_frames: int = 30
+    settled_period: float = 0.2
     table: TableSettings = field(default_factory=TableSettings)
     rest: RestSettings = field(default_factory=RestSettings)
 
@@ -133,6 +138,10 @@ class PoseTracker:
         self._warning: tuple[float, str] = (-math.inf, "")
         self._missed: dict[int, int] = {}
         self._doubled: list[int] = []
+        self._change = SceneChange()
+        self._last: Observation | None = None
+        self._measured_at = -math.inf
+        self._resting_since: float | None = None
 
     @property
     def view(self) -> View | None:
@@ -151,6 +160,45 @@ class PoseTracker:
         refusal = self._gate.refuse(image, stamp)
         if refusal is not None:
             return self._nothing(stamp, *refusal)
+        last, period = self._last, self.settings.settled_period
+        if (
+            last is not None
+            and stamp - self._measured_at < period
+            and not self._search_next
+            and stamp - self._last_search < self.settings.audit_period
+            and self._change.unchanged(image)
+        ):
+            return replace(last, stamp=stamp)
+        observation = self._judge(image, stamp)
+        self._watch_settled(image, observation)
+        return observation
+
+    def _watch_settled(self, image: Image, observation: Observation) -> None:
+        """Keep what the next frame is compared with; nothing while the object is not long at rest,
+        or while it is being found out whether a reference marker is covered."""
+        self._measured_at = observation.stamp
+        view, since = self.view, observation.at_rest_since
+        doubtful = any(0 < looks < _MISSED for looks in self._missed.values())
+        settled = observation.frames_fused >= self.settings.settled_frames
+        self._last = observation if settled and not doubtful else None
+        if since is None or observation.pose is None or view is None:
+            self._resting_since = None
+        elif since == self._resting_since:
+            self._change.learn(image)
+        else:
+            self._resting_since = since
+            quads = view.project(self.table.points)
+            outline = view.project(self._outline(np.array(observation.pose)), self.height)
+            self._change.watch(image, [outline, *quads])
+
+    def _outline(self, pose: Array) -> Array:
+        """Points (N, 2) around what is seen of the object at a pose (3,), in ``table``."""
+        if isinstance(self._seen, ObjectOutline):
+            return transform_points(pose, self._seen.points())
+        return _square(marker_pose(pose, self._seen), self._seen.size)
+
+    def _judge(self, image: Image, stamp: float) -> Observation:
+        """Look at a good frame, measure and judge."""
         seen, object_quad, trouble = self._look(image, stamp)
         found = self._measure(image, seen, object_quad, stamp == self._last_search)
         self._count_missed(seen, found)

@@ -20,6 +20,7 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Bool
 
+from tapping_cell.nodes import security
 from tapping_cell.nodes.cell_node import LATCHED, choose_transport
 from tapping_cell.nodes.page.guard import Guard
 from tapping_cell.nodes.page.stop_server import StopLevel, StopServer
@@ -34,7 +35,9 @@ def main() -> int:
     logging.getLogger("tornado").setLevel(logging.CRITICAL)  # what hostile clients send is no news
     configuration = json.loads(sys.stdin.readline())
     choose_transport(pictures=False)
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    enclave = ["--ros-args", "--enclave", security.enclave_of(NODE)]
+    chosen = enclave if security.is_enabled() else []
+    rclpy.init(args=chosen, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(
         NODE,
         namespace=configuration["namespace"],

@@ -10,6 +10,7 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from tapping_cell.se2 import transform_points
 from tapping_cell.vision.camera import Array, Image
+from tapping_cell.vision.markers import aruco
 
 # The corners of a marker of side 1 in its own frame, in the order of detection.
 UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
@@ -66,7 +68,8 @@ def dictionary_name(name: str) -> str:
 
 
 @lru_cache(maxsize=32)
-def _dictionary(name: str) -> cv2.aruco.Dictionary:
+def marker_dictionary(name: str) -> cv2.aruco.Dictionary:
+    """The dictionary called e.g. apriltag_36h11. Raises MarkerError for an unknown name."""
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary_name(name)))
 
 
@@ -76,20 +79,19 @@ def marker_pattern(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
 
     Raises MarkerError for an unknown dictionary or an id that it does not hold.
     """
-    book = _dictionary(dictionary)
+    book = marker_dictionary(dictionary)
     count = len(book.bytesList)
     if not 0 <= marker_id < count:
         raise MarkerError(
             f"marker id {marker_id} is out of range for {dictionary} (0 to {count - 1})"
         )
     modules = book.markerSize + 2
-    drawn = cv2.aruco.generateImageMarker(book, marker_id, modules, borderBits=1)
-    return np.asarray(drawn > 127)
+    return np.asarray(aruco.draw_marker(book, marker_id, modules) > 127)
 
 
 @lru_cache(maxsize=32)
-def _detector(name: str, effort: Effort) -> cv2.aruco.ArucoDetector:
-    parameters = cv2.aruco.DetectorParameters()
+def _parameters(effort: Effort) -> Any:
+    parameters = aruco.detector_parameters()
     # Corners are refined afterwards by edges that use every pixel row (edges.py).
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     # Two copies of a marker must both come out, so that a duplicate is named and not dropped.
@@ -108,7 +110,7 @@ def _detector(name: str, effort: Effort) -> cv2.aruco.ArucoDetector:
     if effort is Effort.ENLARGED:
         # Blurred modules are less black and white than others.
         parameters.adaptiveThreshConstant = 5
-    return cv2.aruco.ArucoDetector(_dictionary(name), parameters)
+    return parameters
 
 
 def find_markers(
@@ -130,15 +132,12 @@ def find_markers(
     if scale > 1.0:
         larger = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
         image = np.asarray(larger, dtype=np.uint8)
-    corners, ids, _ = _detector(dictionary, effort).detectMarkers(np.ascontiguousarray(image))
-    if ids is None:
-        return []
+    found = aruco.detect_markers(
+        np.ascontiguousarray(image), marker_dictionary(dictionary), _parameters(effort)
+    )
     # Pixels count from their centres: the first one's is at (scale - 1) / 2 of the enlarged image.
     offset = np.array([x0, y0]) - 0.5 * (1.0 - 1.0 / scale)
-    return [
-        Detection(int(i), np.asarray(c, dtype=float).reshape(4, 2) / scale + offset)
-        for i, c in zip(np.ravel(ids), corners, strict=True)
-    ]
+    return [Detection(number, corners / scale + offset) for number, corners in found]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,154 @@
+"""What the idle cell takes of the processor, beside a bare pair of processes in the same run.
+
+The cell is the whole simulated graph with recorder and operator's page, its object at rest. The
+bare pair is what its messages cost without its work: one process publishes pictures of the same
+size at the same rate, one subscribes, and six idle nodes publish and take two topics at 10 Hz each.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from sensor_msgs.msg import Image
+from std_msgs.msg import Float64
+from tapping_cell_msgs.msg import ObjectState
+
+from benchmarks.node import PATIENCE_S, cpu_seconds
+from tapping_cell.cli.graph import RECORDER, SIMULATED, Graph, own_domain, with_own_ports
+from tapping_cell.nodes.camera.images import PICTURES, to_message
+from tapping_cell.nodes.cell_node import LATCHED, choose_transport
+
+DEFAULT_COUNT = 20
+"""Seconds that each is watched."""
+SETTLE_S = 5.0
+"""After the object is at rest, and after the pair has started."""
+RATE_HZ = 30.0
+SIZE = (1024, 1280)
+IDLE_NODES = 6
+LIMIT = 2.0
+
+
+def measure(seconds: int) -> dict[str, Any]:
+    """Shares of a core of every process, and the ratio of the two sums."""
+    domain = own_domain()
+    local = {"ROS_DOMAIN_ID": str(domain.number), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    os.environ.update(local)
+    choose_transport(pictures=True)
+    cell = _cell(seconds, local)
+    pair = _pair(seconds)
+    return {
+        "cell": cell,
+        "pair": pair,
+        "ratio": sum(cell.values()) / sum(pair.values()),
+        "limit": LIMIT,
+        "load": os.getloadavg()[0],
+    }
+
+
+def _cell(seconds: int, local: dict[str, str]) -> dict[str, float]:
+    nodes = (*SIMULATED, RECORDER, "operator_page")
+    with tempfile.TemporaryDirectory() as folder:
+        parameters = with_own_ports({name: {} for name in nodes}, Path(folder))
+        parameters[RECORDER]["folder"] = Path(folder) / "runs"
+        parameters["operator_page"]["port"] = 0
+        with Graph(nodes, parameters, Path(folder) / "logs", local) as graph:
+            _wait_for_rest(graph)
+            time.sleep(SETTLE_S)
+            shares = _shares(graph.process_ids, seconds)
+            graph.check()
+            return shares
+
+
+def _wait_for_rest(graph: Graph) -> None:
+    """The client that waits is gone when the processes are watched."""
+    rclpy.init()
+    try:
+        node = rclpy.create_node("idle_benchmark")
+        states: list[ObjectState] = []
+        node.create_subscription(ObjectState, "object_state", states.append, LATCHED)
+        deadline = time.monotonic() + PATIENCE_S
+        while not (states and states[-1].at_rest):
+            graph.check()
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"the object was not seen at rest within {PATIENCE_S:.0f} s")
+            rclpy.spin_once(node, timeout_sec=0.1)
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
+def _pair(seconds: int) -> dict[str, float]:
+    roles = ["publisher", "subscriber", *(f"idle_{number}" for number in range(IDLE_NODES))]
+    started: dict[str, subprocess.Popen[bytes]] = {}
+    try:
+        for role in roles:
+            started[role] = subprocess.Popen([sys.executable, "-m", "benchmarks.idle", role])
+        time.sleep(SETTLE_S)
+        shares = _shares({role: process.pid for role, process in started.items()}, seconds)
+        for role, process in started.items():
+            if process.poll() is not None:
+                raise RuntimeError(f"{role} of the bare pair ended with {process.returncode}")
+        return shares
+    finally:
+        for process in started.values():
+            process.kill()
+            process.wait()
+
+
+def _shares(processes: dict[str, int], seconds: int) -> dict[str, float]:
+    before = {name: cpu_seconds(process) for name, process in processes.items()}
+    began = time.monotonic()
+    time.sleep(seconds)
+    took = time.monotonic() - began
+    return {name: (cpu_seconds(pid) - before[name]) / took for name, pid in processes.items()}
+
+
+def _run_bare(role: str) -> None:
+    """One process of the bare pair, until it is killed."""
+    rclpy.init()
+    node = rclpy.create_node(role)
+    if role == "publisher":
+        import numpy as np
+
+        picture = to_message(np.full(SIZE, 128, dtype=np.uint8), "mono8")
+        publisher = node.create_publisher(Image, "bare/image_raw", PICTURES)
+        node.create_timer(1.0 / RATE_HZ, lambda: publisher.publish(picture))
+    elif role == "subscriber":
+        node.create_subscription(Image, "bare/image_raw", lambda _: None, PICTURES)
+    else:
+        _idle(node, int(role.rsplit("_", 1)[1]))
+    rclpy.spin(node)
+
+
+def _idle(node: rclpy.node.Node, number: int) -> None:
+    following = (number + 1) % IDLE_NODES
+    for topic in range(2):
+        publisher = node.create_publisher(Float64, f"bare/node_{number}/topic_{topic}", 10)
+        node.create_timer(0.1, lambda chosen=publisher: chosen.publish(Float64()))
+        node.create_subscription(
+            Float64, f"bare/node_{following}/topic_{topic}", lambda _: None, 10
+        )
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    text = []
+    for name in ("cell", "pair"):
+        shares = report[name]
+        listed = ", ".join(f"{node} {100 * share:.1f}" for node, share in shares.items())
+        text.append(f"{name}: {100 * sum(shares.values()):.1f} % of a core ({listed})")
+    return [
+        *text,
+        f"ratio {report['ratio']:.2f} (limit {report['limit']:.1f}; load {report['load']:.1f})",
+    ]
+
+
+if __name__ == "__main__":
+    _run_bare(sys.argv[1])

@@ -1,0 +1,93 @@
+"""Whether a frame shows what the last measured one showed, much cheaper than by measuring it.
+
+Windows around the reference markers and the object are compared pixel by pixel. Between two frames
+of a still scene the mean squared difference is twice the variance of the noise, and the more pixels
+a window has the less it scatters: an edge that moves by a twentieth of a pixel stands out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.vision.camera import Image
+
+Window = tuple[int, int, int, int]
+"""x0, y0, x1, y1 in pixels, the last two not included."""
+
+_LEARNT = 8
+"""Pairs of frames from which the noise of a window is known."""
+_CONFIDENCE = 6.0
+"""Standard deviations by which a difference must exceed that of noise to be a change."""
+_NOISY = 100.0
+"""Mean squared difference above which a window shows too little to be relied on."""
+_MARGIN = 0.25
+"""Of a window's size, added on each side."""
+
+
+class SceneChange:
+    """Compares frames with the last measured one inside fixed windows."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """The scene is another: nothing is known of its noise."""
+        self._windows: tuple[Window, ...] = ()
+        self._kept: list[Image] = []
+        self._noise: list[deque[float]] = []
+
+    def watch(self, image: Image, regions: list[NDArray[np.float64]]) -> None:
+        """Begin with a measured frame: ``regions`` are points (N, 2) in pixels, each to be
+        framed by a window."""
+        self._windows = tuple(_window(points, image) for points in regions)
+        self._noise = [deque(maxlen=4 * _LEARNT) for _ in self._windows]
+        self._keep(image)
+
+    def learn(self, image: Image) -> None:
+        """Take in a further measured frame of the same scene, whose difference is noise."""
+        for values, difference in zip(self._noise, self._differences(image), strict=True):
+            values.append(difference)
+        self._keep(image)
+
+    def unchanged(self, image: Image) -> bool:
+        """True where no window differs from the last measured frame by more than noise does."""
+        if not self._windows or len(self._noise[0]) < _LEARNT:
+            return False
+        for window, values, difference in zip(
+            self._windows, self._noise, self._differences(image), strict=True
+        ):
+            level = float(np.median(values))
+            scatter = 1.4826 * float(np.median(np.abs(np.asarray(values) - level)))
+            pixels = max(1, (window[2] - window[0]) * (window[3] - window[1]))
+            expected = level * math.sqrt(2.0 / pixels)
+            if level > _NOISY or difference > level + _CONFIDENCE * max(scatter, expected):
+                return False
+        return True
+
+    def _keep(self, image: Image) -> None:
+        self._kept = [image[y0:y1, x0:x1].copy() for x0, y0, x1, y1 in self._windows]
+
+    def _differences(self, image: Image) -> list[float]:
+        return [
+            cv2.norm(image[y0:y1, x0:x1], kept, cv2.NORM_L2SQR) / max(1, kept.size)
+            for (x0, y0, x1, y1), kept in zip(self._windows, self._kept, strict=True)
+        ]
+
+
+def _window(points: NDArray[np.float64], image: Image) -> Window:
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = _MARGIN * (high - low) + 2.0
+    x0, y0 = np.floor(low - margin).astype(int)
+    x1, y1 = np.ceil(high + margin).astype(int)
+    height, width = image.shape
+    return (
+        min(max(0, int(x0)), width - 1),
+        min(max(0, int(y0)), height - 1),
+        max(1, min(width, int(x1))),
+        max(1, min(height, int(y1))),
+    )

@@ -1,0 +1,170 @@
+"""The SROS 2 policy grants each node what it opens, and nothing else."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+import rclpy
+
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.nodes import MODULES, security
+from tapping_cell.nodes.cell_node import CellNode
+from tapping_cell.nodes.clients.goal_client import GoalClient
+
+FOLDER = shared_folder() / "security"
+SERVED = ("send_goal", "get_result", "cancel_goal")
+SENT = ("feedback", "status")
+
+OPENED_LATER: dict[str, dict[str, set[str]]] = {
+    # While a goal is recorded.
+    "run_recorder": {
+        "subscribe": {
+            "/camera/camera_info",
+            "/camera/image_annotated",
+            "/ground_truth",
+            "/object_pose",
+        }
+    },
+    # While somebody looks at the page.
+    "operator_page": {
+        "subscribe": {
+            "/arm_state",
+            "/camera/camera_info",
+            "/camera/image_annotated",
+            "/camera/pose",
+            "/diagnostics",
+            "/object_state",
+            "/tapper_state",
+        },
+        "request": {f"/{name}/get_state" for name in MODULES},
+    },
+}
+
+Endpoints = dict[str, set[str]]
+
+
+def granted() -> dict[str, Endpoints]:
+    """Full names by kind, by node."""
+    found: dict[str, Endpoints] = {}
+    for enclave in ElementTree.parse(FOLDER / "cell.policy.xml").iter("enclave"):
+        (profile,) = enclave.iter("profile")
+        node = profile.attrib["node"]
+        expected = "operator" if node == "goal" else node
+        assert enclave.attrib["path"] == security.enclave_of(expected)
+        rules: Endpoints = defaultdict(set)
+        for part in profile:
+            included = part.tag.endswith("}include")
+            group = (
+                ElementTree.parse(FOLDER / part.attrib["href"]).getroot() if included else [part]
+            )
+            for rule in group:
+                for kind, verdict in rule.attrib.items():
+                    assert verdict == "ALLOW"
+                    for entry in rule:
+                        _grant(rules, kind, _full(entry.text or "", node))
+        found[node] = rules
+    return found
+
+
+def _full(name: str, node: str) -> str:
+    return name if name.startswith("/") else "/" + name.replace("~", node)
+
+
+def _grant(rules: Endpoints, kind: str, name: str) -> None:
+    if kind not in ("execute", "call"):
+        rules[kind].add(name)
+        return
+    topics, services = ("publish", "reply") if kind == "execute" else ("subscribe", "request")
+    rules[topics] |= {f"{name}/_action/{part}" for part in SENT}
+    rules[services] |= {f"{name}/_action/{part}" for part in SERVED}
+
+
+def opened(node: Any, name: str) -> Endpoints:
+    """What a node has opened in the running middleware."""
+    asked = {
+        "publish": node.get_publisher_names_and_types_by_node,
+        "subscribe": node.get_subscriber_names_and_types_by_node,
+        "reply": node.get_service_names_and_types_by_node,
+        "request": node.get_client_names_and_types_by_node,
+    }
+    return {kind: {found for found, _ in ask(name, "/")} for kind, ask in asked.items()}
+
+
+def node_class(name: str) -> type[CellNode[Any]]:
+    module = importlib.import_module(MODULES[name])
+    wanted = name.replace("_", "")
+    (found,) = (
+        kind
+        for kind in vars(module).values()
+        if isinstance(kind, type) and issubclass(kind, CellNode) and kind.__name__.lower() == wanted
+    )
+    return found
+
+
+@pytest.mark.parametrize("name", [*MODULES, "goal"])
+def test_a_node_is_granted_what_it_opens_and_nothing_else(name: str) -> None:
+    if name == "goal":
+        with GoalClient("goal") as client:
+            real = opened(client.node, "goal")
+    else:
+        rclpy.init(args=["--ros-args", "-p", "autostart:=false"])
+        node = node_class(name)()
+        try:
+            real = opened(node, name)
+        finally:
+            node.cleanup()
+            node.destroy_node()
+            rclpy.try_shutdown()
+    rules, later = granted()[name], OPENED_LATER.get(name, {})
+    for kind, names in real.items():
+        assert names <= rules[kind], f"{name} may not {kind} {sorted(names - rules[kind])}"
+        needless = rules[kind] - names - later.get(kind, set())
+        assert not needless, f"{name} is granted to {kind} {sorted(needless)} and does not"
+
+
+@pytest.mark.parametrize(
+    ("topic", "publishers"),
+    [
+        ("/tap_command", {"tap_planner"}),
+        ("/plan_state", {"tap_planner"}),
+        ("/object_state", {"camera_pose"}),
+        ("/arm_state", {"scara_arm"}),
+        ("/tapper_state", {"tapper_trigger"}),
+        ("/camera/image_raw", {"overhead_camera", "sim_world"}),
+        ("/emergency_stop", {"operator_page_stop"}),
+        ("/goal_pose", set()),
+        ("/joint_trajectory", set()),
+        ("/clock", set()),
+    ],
+)
+def test_only_its_owner_may_publish_a_topic(topic: str, publishers: set[str]) -> None:
+    assert {name for name, rules in granted().items() if topic in rules["publish"]} == publishers
+
+
+def test_a_middleware_without_security_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "enclaves" / "tapping_cell" / "tap_planner").mkdir(parents=True)
+    environment = {
+        **os.environ,
+        "ROS_SECURITY_ENABLE": "true",
+        "ROS_SECURITY_STRATEGY": "Enforce",
+        "ROS_SECURITY_KEYSTORE": str(tmp_path),
+    }
+    for enclave, words in (
+        ("/tapping_cell/tap_planner", ("ROS_SECURITY_ENABLE is true",)),
+        ("/nowhere", ("keys cannot be used", "enclaves/nowhere", "ROS_SECURITY_KEYSTORE")),
+    ):
+        command = [sys.executable, "-m", MODULES["tap_planner"], "--ros-args", "--enclave", enclave]
+        ended = subprocess.run(
+            command, env=environment, capture_output=True, text=True, timeout=60, check=False
+        )
+        assert ended.returncode == 1
+        assert "Traceback" not in ended.stderr
+        assert all(word in ended.stderr for word in words), ended.stderr

@@ -1,0 +1,111 @@
+"""A still scene is measured rarely, and every change of it at once."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import CAMERA, MARKER, REFERENCES, renderer
+
+from tapping_cell.se2 import transform_points
+from tapping_cell.simulation.rendered_camera import Occluder, SceneRenderer
+from tapping_cell.vision import Observation, PoseTracker
+from tapping_cell.vision.scene_change import SceneChange
+
+HOME = np.array([0.1, 0.05, 0.4])
+FRAME = 1.0 / 30.0
+
+
+@pytest.fixture(scope="module")
+def scene() -> SceneRenderer:
+    return renderer()
+
+
+class CountingTracker(PoseTracker):
+    """Counts the frames that are measured."""
+
+    measured = 0
+
+    def _judge(self, image: np.ndarray, stamp: float) -> Observation:
+        self.measured += 1
+        return super()._judge(image, stamp)
+
+
+@pytest.fixture
+def settled(scene: SceneRenderer) -> CountingTracker:
+    tracker = CountingTracker(CAMERA, REFERENCES, MARKER)
+    for number in range(60):
+        tracker.update(scene.render(HOME), number * FRAME)
+    return tracker
+
+
+def test_a_still_scene_is_measured_five_times_a_second(
+    scene: SceneRenderer, settled: CountingTracker
+) -> None:
+    before = settled.measured
+    for number in range(60, 120):
+        seen = settled.update(scene.render(HOME), number * FRAME)
+        assert seen.stamp == number * FRAME
+        assert seen.visible and seen.at_rest and seen.frames_fused >= 30
+    assert 8 <= settled.measured - before <= 14
+
+
+@pytest.mark.parametrize(
+    "step",
+    [(1e-4, 0.0, 0.0), (0.0, -2e-4, 0.0), (0.0, 0.0, math.radians(0.3)), (0.02, 0.01, 1.0)],
+    ids=["0.1 mm", "0.2 mm", "0.3 deg", "far"],
+)
+def test_the_first_frame_after_a_motion_is_measured(
+    scene: SceneRenderer, settled: CountingTracker, step: tuple[float, float, float]
+) -> None:
+    settled.update(scene.render(HOME), 60 * FRAME)
+    before = settled.measured
+    settled.update(scene.render(HOME + np.array(step)), 61 * FRAME)
+    assert settled.measured == before + 1
+
+
+@pytest.mark.parametrize("where", ["object", "reference"])
+def test_what_covers_something_is_noticed_at_once(
+    scene: SceneRenderer, settled: CountingTracker, where: str
+) -> None:
+    marker = REFERENCES.markers[0]
+    place = HOME if where == "object" else np.array([marker.x, marker.y, 0.0])
+    square = 0.01 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    corners = transform_points(place, square)
+    cover = [Occluder(np.column_stack([corners, np.full(4, 0.001)]))]
+    settled.update(scene.render(HOME), 60 * FRAME)
+    before = settled.measured
+    seen = settled.update(scene.render(HOME, occluders=cover), 61 * FRAME)
+    assert settled.measured == before + 1
+    assert seen.visible == (where == "reference")
+
+
+@settings(max_examples=30)
+@given(
+    noise=st.floats(0.5, 2.0),
+    contrast=st.floats(120.0, 180.0),
+    seed=st.integers(0, 2**16),
+)
+def test_an_edge_that_moves_by_a_fifth_of_a_pixel_is_a_change_and_noise_is_none(
+    noise: float, contrast: float, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    columns = np.arange(120.0)
+
+    def frame(edge: float) -> np.ndarray:
+        ideal = 40.0 + contrast / (1.0 + np.exp(-(columns - edge) / 0.6))
+        noisy = ideal[None, :] + random.normal(0.0, noise, (100, 120))
+        return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
+
+    change = SceneChange()
+    assert not change.unchanged(frame(60.0))
+    change.watch(frame(60.0), [np.array([[40.0, 30.0], [80.0, 70.0]])])
+    for _ in range(20):
+        change.learn(frame(60.0))
+    same = [change.unchanged(frame(60.0)) for _ in range(20)]
+    assert sum(same) >= 19
+    assert not change.unchanged(frame(60.2))
+    assert not change.unchanged(frame(59.8))
