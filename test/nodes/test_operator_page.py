@@ -522,5 +522,5 @@ def test_a_port_in_use_is_said_and_taken_when_it_is_free() -> None:
             b.wait(complaints, "the taken port is said")
             assert "in use" in complaints()[0] and "set the parameters" in complaints()[0]
             taken.close()
-            b.wait(lambda: made[0].active, "the page is served")
+            b.wait(lambda: made[0].urls, "the page is served")
             assert made[0].urls == [f"http://localhost:{port}/"]
