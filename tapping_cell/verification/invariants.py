@@ -25,6 +25,10 @@ BUMP_RAD = math.radians(6.0)
 """From how much on an object that was moved by hand must not be struck as planned."""
 CHARGED_LIMIT_S = 12.0
 """Longest time that a striker may stay charged, whatever happened to the computers."""
+FLIGHT_S = 0.045
+"""The arm stands still for so long after a release: the pulse and the striker's flight."""
+ORPHAN_S = 1.5
+"""A release may follow the end of its planner by so much: heartbeats must have stopped by then."""
 STOP_MOTION_S = 1.5
 """An arm that was told to stop is at rest after so long, braking and delivery included."""
 
@@ -59,6 +63,10 @@ class Witness:
     hidden_since: float = math.inf
     moved_by_hand: tuple[float, Pose] | None = None
     """When the object was last moved by hand, and where it lay before."""
+    held_since: float = math.inf
+    """Since when the panel's emergency stop is held."""
+    planner_gone_since: float = math.inf
+    """Since when the planner's process does not exist."""
     tapper_ros_now: int = 0
     _released: int = 0
     _charged_since: float | None = None
@@ -102,6 +110,9 @@ class Witness:
             return
         self._check_place(release, command)
         self._check_time(release, command)
+        gone = release.time - self.planner_gone_since
+        if gone > ORPHAN_S:
+            self.violate("no planner", f"shot {shot} was released {gone:.2f} s after its planner")
         self._check_scene(release, command)
 
     def _check_place(self, release: Release, command: TapCommand) -> None:
@@ -178,11 +189,23 @@ class Witness:
             return
         if self._moving_since is None:
             self._moving_since = now
+            last = self.physical.releases[-1].time if self.physical.releases else -math.inf
+            if now < last + FLIGHT_S:
+                self.violate(
+                    "moved in flight", f"the arm began to move {now - last:.3f} s after a release"
+                )
             if not self.word_given:
                 self.violate(
                     "moved by itself",
                     "the arm began to move without a person's word after a crash or a stop",
                 )
+        if now > self.held_since + STOP_MOTION_S:
+            self.violate(
+                "moves while held",
+                f"the arm moves {now - self.held_since:.2f} s after the panel's"
+                " emergency stop was pressed, which is still held",
+            )
+            self.held_since = math.inf
         stopped = self.stopped_at.get("scara_arm")
         if stopped is not None and now > stopped + STOP_MOTION_S:
             self.violate("moves while stopped", f"the arm moves {now - stopped:.2f} s after a stop")

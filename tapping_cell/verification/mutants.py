@@ -26,7 +26,262 @@ class Mutant:
     new: str
 
 
-MUTANTS: tuple[Mutant, ...] = ()
+MUTANTS: tuple[Mutant, ...] = (
+    Mutant(
+        "fires after the arm's promise has ended",
+        "tapping_cell.logic.tapper",
+        "if self.state is not S.FIRING or end > permit.until:",
+        "if self.state is not S.FIRING:",
+    ),
+    Mutant(
+        "fires without asking the arm",
+        "tapping_cell.logic.tapper",
+        "            self._machine.move(Event.CHARGED, S.CHARGED)\n"
+        "            self._attempts = 0\n"
+        "            self._ask_arm(now)\n",
+        "            assert self._tap is not None\n"
+        "            self._machine.move(Event.CHARGED, S.CHARGED)\n"
+        "            self._permit = Permit(self._tap.tap_id, math.inf)\n"
+        "            self._machine.move(Event.HELD, S.FIRING)\n"
+        "            shot = self._tap.tap_id\n"
+        '            self._run("fire", partial(tapper_jobs.fire, shot=shot, '
+        "doubt=self.doubt_firing))\n",
+    ),
+    Mutant(
+        "counts the promise from its answer",
+        "tapping_cell.logic.tapper",
+        "until = self._asked_at + HOLD_S",
+        "until = now.steady + HOLD_S",
+    ),
+    Mutant(
+        "fires although the arm refuses to hold still",
+        "tapping_cell.logic.tapper",
+        "if response is not None and not response.granted:",
+        "if False:",
+    ),
+    Mutant(
+        "tells an unknown outcome as not fired",
+        "tapping_cell.logic.tapper",
+        "FireOutcome.UNKNOWN: TapperState.UNKNOWN",
+        "FireOutcome.UNKNOWN: TapperState.NOT_FIRED",
+    ),
+    Mutant(
+        "tells every shot as fired",
+        "tapping_cell.logic.tapper",
+        "FireOutcome.NOT_FIRED: TapperState.NOT_FIRED",
+        "FireOutcome.NOT_FIRED: TapperState.FIRED",
+    ),
+    Mutant(
+        "serves a tap id twice",
+        "tapping_cell.logic.tap_commands",
+        "if command.tap_id <= last_tap_id:",
+        "if False:",
+    ),
+    Mutant(
+        "takes a second tap while one is served",
+        "tapping_cell.logic.tapper",
+        "        if self.state in SERVING:\n            return ErrorCode.TAPPER_BUSY",
+        "        if False:\n            return ErrorCode.TAPPER_BUSY",
+    ),
+    Mutant(
+        "fires at an object that was moved",
+        "tapping_cell.logic.tapper_peers",
+        "            or self._disturbance(planned, now)\n",
+        "",
+    ),
+    Mutant(
+        "looks at the object's position only",
+        "tapping_cell.logic.tapper_peers",
+        "if moved <= limits.moved and turned <= limits.turned:",
+        "if moved <= limits.moved:",
+    ),
+    Mutant(
+        "fires without a planner",
+        "tapping_cell.logic.tapper_peers",
+        "            or self._silence(now)\n",
+        "",
+    ),
+    Mutant(
+        "does not miss the object",
+        "tapping_cell.logic.tapper_peers",
+        "if self._seen is None or unseen > limits.unseen:",
+        "if self._seen is None:",
+    ),
+    Mutant(
+        "fires whatever the last check says",
+        "tapping_cell.logic.tapper_jobs",
+        "refusal = context.ask(lambda now: doubt(release_by, now))\n"
+        "        return refusal is None and not context.abandoned()",
+        "refusal = context.ask(lambda now: doubt(release_by, now))\n"
+        "        refusal = None\n"
+        "        return True",
+    ),
+    Mutant(
+        "keeps the striker charged when the tap is given up",
+        "tapping_cell.logic.tapper",
+        "        elif self.state is S.CHARGED:\n            self._discharge(why)\n",
+        "        elif self.state is S.CHARGED:\n            pass\n",
+    ),
+    Mutant(
+        "does not stop the wire",
+        "tapping_cell.logic.device",
+        "                # Nothing goes before the stop on the wire.\n"
+        "                self._effects.append(StopWire())\n",
+        "                pass\n",
+    ),
+    Mutant(
+        "forgets a stop over a restart",
+        "tapping_cell.logic.device",
+        "            self._stops.recall(event.kept_stop)\n",
+        "",
+    ),
+    Mutant(
+        "does not keep a stop on disk",
+        "tapping_cell.logic.device",
+        "self._effects.append(KeepStop(self._stops.content()))",
+        "pass",
+    ),
+    Mutant(
+        "does not hear the emergency stop",
+        "tapping_cell.logic.stops",
+        "            changed = self._add(TOPIC) or changed\n",
+        "",
+    ),
+    Mutant(
+        "resets while the emergency stop is held",
+        "tapping_cell.logic.stops",
+        "        if levels.asserted:\n            self._asserted = True\n",
+        "        if False:\n            self._asserted = True\n",
+    ),
+    Mutant(
+        "a job that was overtaken changes the state",
+        "tapping_cell.logic.device",
+        "        elif event.job == self._job:\n            self._job = None\n",
+        "        elif True:\n            self._job = None\n",
+    ),
+    Mutant(
+        "does not promise to stand still",
+        "tapping_cell.logic.arm",
+        "        self._promise_end = max(self._promise_end, now.steady + request.duration)\n",
+        "",
+    ),
+    Mutant(
+        "promises while it moves",
+        "tapping_cell.logic.arm",
+        "if not self._active or self.state is not S.IN_POSITION or request.tap_id != self._tap_id:",
+        "if not self._active:",
+    ),
+    Mutant(
+        "moves in the flight of the striker",
+        "tapping_cell.logic.arm",
+        "rest = RELEASE_S if message.outcome == TapperState.FIRED else 0.0",
+        "rest = 0.0",
+    ),
+    Mutant(
+        "leaves before its promise is over",
+        "tapping_cell.logic.arm",
+        "partial(arm_jobs.withdraw, motion=self._motion(), not_before=self._promise_end)",
+        "partial(arm_jobs.withdraw, motion=self._motion(), not_before=0.0)",
+    ),
+    Mutant(
+        "takes a trajectory while a tap is pending",
+        "tapping_cell.logic.arm",
+        "        if not self._active or self.state is not S.IDLE:\n"
+        "            code = ErrorCode.ARM_BUSY",
+        "        if not self._active:\n            code = ErrorCode.ARM_BUSY",
+    ),
+    Mutant(
+        "homes by itself when activated",
+        "tapping_cell.logic.arm",
+        "        if self._options.home_on_activate and",
+        "        if",
+    ),
+    Mutant(
+        "believes an arm that was not homed",
+        "tapping_cell.logic.arm",
+        "        elif self._homed():\n            self._machine.move(event, S.IDLE)",
+        "        elif True:\n            self._machine.move(event, S.IDLE)",
+    ),
+    Mutant(
+        "takes a tap while it is busy",
+        "tapping_cell.logic.arm",
+        "        if self.state is not S.IDLE:\n            return ErrorCode.ARM_BUSY",
+        "        if False:\n            return ErrorCode.ARM_BUSY",
+    ),
+    Mutant(
+        "never gives a goal up",
+        "tapping_cell.logic.planner",
+        "        if now.steady > task.expires:",
+        "        if False:",
+    ),
+    Mutant(
+        "waits for ever for the arm",
+        "tapping_cell.logic.planner",
+        "        elif self._late(now):\n            self._fail(code, sentence",
+        "        elif False:\n            self._fail(code, sentence",
+    ),
+    Mutant(
+        "decides on an object that still slides",
+        "tapping_cell.logic.cell_monitor",
+        "            and seen.at_rest\n            and seen.error_code",
+        "            and seen.error_code",
+    ),
+    Mutant(
+        "does not withdraw a tap after its outcome",
+        "tapping_cell.logic.planner",
+        "        self._withdraw(shot.tap_id, now)\n        task.not_fired =",
+        "        task.not_fired =",
+    ),
+    Mutant(
+        "commands the same tap id again",
+        "tapping_cell.logic.planner",
+        "            self._last_tap_id + 1, now.ros // NANOSECONDS, "
+        "self._monitor.last_tap_id() + 1\n",
+        "            self._last_tap_id, now.ros // (100 * NANOSECONDS), "
+        "self._monitor.last_tap_id()\n",
+    ),
+    Mutant(
+        "samples the board's time after the last check",
+        "tapping_cell.hardware.tapper",
+        "        sample = self._request(Command.STATUS)\n"
+        "        sampled_at = self._transport.now()\n"
+        "        if sample",
+        "        asked_at = self._transport.now()\n"
+        "        allowed = still_allowed(self._latest_release(asked_at, window))\n"
+        "        sample = self._request(Command.STATUS)\n"
+        "        sampled_at = self._transport.now()\n"
+        "        still_allowed = lambda _: allowed  # noqa: E731\n"
+        "        if sample",
+    ),
+    Mutant(
+        "a missing reply to FIRE counts as not fired",
+        "tapping_cell.hardware.tapper",
+        '            return self._unknown(shot, release_by, "the tapper does not answer")',
+        '            return self._not_fired(shot, "the tapper does not answer")',
+    ),
+    Mutant(
+        "a restarted board's word counts for the shot",
+        "tapping_cell.hardware.tapper",
+        "        if reply.boot != boot:\n"
+        "            self._boot = None\n"
+        "            return self._unknown(shot, release_by",
+        "        if False:\n"
+        "            self._boot = None\n"
+        "            return self._unknown(shot, release_by",
+    ),
+    Mutant(
+        "a move counts as done wherever it ended",
+        "tapping_cell.hardware.arm",
+        "                if not reading.moving and self._agrees(goal, reading.joints):",
+        "                if True:",
+    ),
+    Mutant(
+        "homing is kept over a reset of the board",
+        "tapping_cell.hardware.arm",
+        "if not (firmware.continued and held and not reading.alarm):",
+        "if False:",
+    ),
+)
 
 
 class MutantError(Exception):

@@ -311,6 +311,12 @@ class Trial:
         last = max((fault.time for fault in faults if fault.moment is None), default=0.0)
         self.scheduler.run(max(self.scheduler.now, began + last) + 0.5)
         result = self._result
+        # What went wrong in the goal before may last into this one.
+        quiet = not faults and (number == 0 or not self.report.outcomes[-1].faults)
+        if quiet and result.error_code:
+            self.witness.violate(
+                "failed without a fault", f"code {result.error_code}: {result.error_msg}"
+            )
         self.report.outcomes.append(
             GoalOutcome(
                 number,
@@ -388,12 +394,16 @@ class Trial:
     def _lost_process(self, node: str) -> None:
         if node == "scara_arm":
             self.witness.word_given = False
+        if node == "tap_planner":
+            self.witness.planner_gone_since = self.scheduler.now
         if node == "tap_planner" and self._result is None:
             self._result = PositionObject.Result(error_code=-1, error_msg="its planner was lost")
 
     def _start_again(self, node: str) -> None:
         if not self.processes[node].alive:
             self.processes[node].start()
+            if node == "tap_planner":
+                self.witness.planner_gone_since = math.inf
 
     def hide_object(self, duration: float) -> None:
         """Hold a hand over the object."""
@@ -425,11 +435,20 @@ class Trial:
         """Hold the emergency stop of the panel for so long."""
         self._pressed_until = max(self._pressed_until, self.scheduler.now + duration)
         self.network.publish("panel", "emergency_stop", Bool(data=True))
+        self.witness.held_since = min(self.witness.held_since, self.scheduler.now)
+        self.scheduler.after(0.6 * duration, self._be_impatient)
         self.scheduler.at(self._pressed_until, self._release_emergency_stop)
 
     def _release_emergency_stop(self) -> None:
         if self.scheduler.now >= self._pressed_until:
+            self.witness.held_since = math.inf
             self.network.publish("panel", "emergency_stop", Bool(data=False))
+
+    def _be_impatient(self) -> None:
+        """Somebody clears and homes while the emergency stop is still held: it must not help."""
+        for node in ("tapper_trigger", "scara_arm"):
+            self._call(node, "~/clear_fault")
+        self.scheduler.after(1.0, lambda: self._call("scara_arm", "~/home"))
 
     def call_stop(self, node: str) -> None:
         """Call a node's service ``stop``."""

@@ -1,0 +1,78 @@
+"""The deterministic simulator: one seed is one trace, nothing unsafe happens, and it can fail."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from tapping_cell.verification.mutants import MUTANTS, mutated
+from tapping_cell.verification.scheduler import Fiber, HangError, Killed, Scheduler
+from tapping_cell.verification.trial import run_trial
+
+RUNS = 15
+GOALS = 10
+
+
+def test_events_happen_in_the_order_of_their_times() -> None:
+    scheduler, heard = Scheduler(), list[float]()
+    for time in (3.0, 1.0, 2.0, 1.0):
+        scheduler.at(time, lambda: heard.append(scheduler.now))
+    scheduler.at(1.5, lambda: heard.append(-1.0)).cancel()
+    scheduler.run(10.0)
+    assert heard == [1.0, 1.0, 2.0, 3.0] and scheduler.now == 10.0
+
+
+def test_a_fiber_waits_in_virtual_time_and_ends_where_it_is_killed() -> None:
+    scheduler, heard = Scheduler(), list[object]()
+
+    def body() -> None:
+        try:
+            fiber.wait_until(5.0)
+            heard.append(scheduler.now)
+            fiber.wait_until(math.inf)
+        except Killed:
+            heard.append("killed")
+            raise
+
+    fiber = Fiber(scheduler, "test", body)
+    fiber.start()
+    fiber.freeze(7.0)
+    scheduler.run(20.0)
+    assert heard == [7.0], "a frozen fiber goes on when it is thawed"
+    fiber.kill()
+    assert heard == [7.0, "killed"] and fiber.ended
+
+
+def test_events_without_time_are_a_hang() -> None:
+    scheduler = Scheduler()
+
+    def again() -> None:
+        scheduler.after(0.0, again)
+
+    again()
+    with pytest.raises(HangError):
+        scheduler.run(1.0)
+
+
+def test_the_same_seed_gives_the_same_trace() -> None:
+    first, second = (run_trial(7, 4, trace=True) for _ in range(2))
+    assert first.trace == second.trace
+    assert len(first.trace) > 100
+
+
+@pytest.mark.parametrize("seed", range(RUNS))
+def test_nothing_unsafe_happens_under_random_faults(seed: int) -> None:
+    report = run_trial(1000 + seed, GOALS)
+    assert report.violations == []
+    assert len(report.outcomes) == GOALS
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
+def test_every_mutant_fits_the_source(mutant: object) -> None:
+    compile(mutated(mutant), "mutant", "exec")  # type: ignore[arg-type]
+
+
+def test_there_are_enough_mutants_with_names_of_their_own() -> None:
+    names = [mutant.name for mutant in MUTANTS]
+    assert len(set(names)) == len(names) >= 30
