@@ -42,7 +42,8 @@ class SimulatedTaps:
     ) -> Array:
         """True displacements (n, 3) of taps commanded at the objects' poses (n, 3), in table axes.
 
-        ``gains`` (n, 2) multiply distance and rotation on top; a tap that misses moves nothing.
+        The first two of ``gains`` (n, 4) multiply distance and rotation on top (where the centre of
+        mass lies is told by the truth file, not by the other two); a tap that misses moves nothing.
         """
         plan = self.model.plan(commanded, poses)
         tips = np.array(plan.strike_pose)

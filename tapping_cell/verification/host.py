@@ -142,6 +142,7 @@ class Process:
         self._answers: dict[Any, Callable[[Any], None]] = {}
         self._tick: Timer | None = None
         self._life = 0
+        self._connected = False
         self._stop_publishers: set[str] = set()
         if program.line is not None:
             program.line.before_write = self._before_write
@@ -153,6 +154,7 @@ class Process:
         self._life += 1
         life = self._life
         self.alive, self.active, self.frozen_until = True, False, 0.0
+        self._connected = False
         self.logic, self._driver = self._program.make()
         self._jobs.clear()
         self._abandoned.clear()
@@ -295,7 +297,8 @@ class Process:
             elif isinstance(effect, AbandonJob):
                 self._abandoned.add(effect.job)
             elif isinstance(effect, StopWire):
-                if self._driver is not None:
+                # Before the port is open the ROS host has no driver to stop.
+                if self._connected:
                     self._driver.stop()
             elif isinstance(effect, Log):
                 self.on_log(self.name, effect.sentence)
@@ -351,6 +354,7 @@ class Process:
     def _come_up(self, connected: Any, life: int) -> None:
         if life != self._life:
             return
+        self._connected = self._driver is not None
         age = self._scheduler.now - self.disk.goal_touched
         self._when_awake(
             lambda: self._handle(

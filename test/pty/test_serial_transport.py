@@ -244,7 +244,7 @@ def test_however_connecting_fails_nothing_stays_open_or_locked(tmp_path: Path) -
         driver.close()
         assert len(os.listdir("/proc/self/fd")) == opened
         driver.connect()
-        assert driver.status().state.value == "SAFE"
+        assert driver.status().state.value == "UNHOMED"
         driver.close()
 
 

@@ -31,7 +31,7 @@ def commanded(count: int) -> tuple[np.ndarray, np.ndarray]:
 def test_without_errors_it_agrees_with_the_closed_forms() -> None:
     poses, wanted = commanded(12)
     random = np.random.default_rng(1)
-    gains = np.ones((12, 2))
+    gains = np.tile([1.0, 1.0, 0.0, 0.0], (12, 1))
     moved = SimulatedTaps(TAP, CELL.object, PLAIN).answer(poses, wanted, gains, random)
     still = Scatter(0.0, 0.0, 0.0)
     closed = PhysicsWorld(model=TAP, truth=TAP, scatter=still).answer(poses, wanted, gains, random)
