@@ -333,7 +333,7 @@ def test_a_tap_left_behind_by_a_dead_planner_is_withdrawn(actors: Actors) -> Non
 def test_only_a_goal_that_a_crash_left_a_moment_ago_is_gone_on_with(
     age: float, tmp_path: Path
 ) -> None:
-    folder = tmp_path / "state" / f"domain{os.environ['ROS_DOMAIN_ID']}"
+    folder = tmp_path / ".ros" / "tapping_cell" / f"domain{os.environ['ROS_DOMAIN_ID']}"
     folder.mkdir(parents=True)
     left = folder / "goal.json"
     content = {
@@ -360,7 +360,7 @@ def test_a_goal_under_way_is_kept_for_a_crash_and_forgotten_at_its_end(tmp_path:
         made.arm_arrives = False
         made.send()
         made.bench.wait(made.taps, "a tap")
-        (kept,) = (tmp_path / "state").glob("domain*/goal.json")
+        (kept,) = (tmp_path / ".ros" / "tapping_cell").glob("domain*/goal.json")
         assert json.loads(kept.read_text())["goal"] == pytest.approx(list(GOAL))
         made.end()
         assert not kept.exists()
