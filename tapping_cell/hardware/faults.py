@@ -22,6 +22,7 @@ class FaultReason(Enum):
     STOPPED = "stopped"
     NOT_HOMED = "not_homed"
     HOMING_FAILED = "homing_failed"
+    NOT_ENABLED = "not_enabled"
     OUT_OF_RANGE = "out_of_range"
     UNREACHABLE = "unreachable"
     POSITION_MISMATCH = "position_mismatch"

@@ -581,7 +581,7 @@ class TapperDriver:
             )
         elif reply.result is Result.NOT_ENABLED:
             reason, text = (
-                FaultReason.OUT_OF_RANGE,
+                FaultReason.NOT_ENABLED,
                 "the tapper is in set-up mode, where it takes more than its set-up energy only"
                 " while the enabling switch is held: hold it, use less energy, or set run mode",
             )

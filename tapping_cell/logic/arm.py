@@ -148,6 +148,8 @@ class ArmOptions:
     home_on_activate: bool = False
     state_rate: float = 20.0
     """Hz."""
+    set_up: bool = False
+    """Whether the arm moves at reduced speed, for commissioning and the first taps."""
 
 
 class ArmLogic(DeviceLogic[State, Event]):
@@ -177,7 +179,6 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._promised_tap = 0
         self._promise_end = -math.inf
         self._outcome_told = 0
-        self._set_up = False
 
     # Messages and requests
 
@@ -261,7 +262,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._machine.move(Event.TRAJECTORY, S.FOLLOWING)
         self._trouble = (ErrorCode.NONE, "")
         self._clear_of_camera = False
-        scale = SET_UP_SPEED if self._set_up else 1.0
+        scale = SET_UP_SPEED if self._options.set_up else 1.0
         self._run(
             "follow",
             partial(arm_jobs.follow, targets=targets, scale=scale, not_before=self._promise_end),
@@ -549,7 +550,7 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _motion(self) -> MotionSettings:
         motion = self._cell.file.arm.motion()
-        if not self._set_up:
+        if not self._options.set_up:
             return motion
         return replace(
             motion,

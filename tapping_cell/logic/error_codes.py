@@ -36,6 +36,7 @@ _TAPPER = {
     FaultReason.REJECTED: ErrorCode.TAPPER_FAULT,
     FaultReason.STOPPED: ErrorCode.TAPPER_STOPPED,
     FaultReason.OUT_OF_RANGE: ErrorCode.TAPPER_SPEED_OUT_OF_RANGE,
+    FaultReason.NOT_ENABLED: ErrorCode.ENABLING_RELEASED,
     FaultReason.INTERLOCK: ErrorCode.TAPPER_INTERLOCK_OPEN,
     FaultReason.SHOT_SPENT: ErrorCode.TAPPER_SPENT,
     FaultReason.NEEDS_PERSON: ErrorCode.TAPPER_STOPPED,

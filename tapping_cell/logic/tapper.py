@@ -114,6 +114,7 @@ OF_THE_TAP = (
     FaultReason.REJECTED,
     FaultReason.SHOT_SPENT,
     FaultReason.OUT_OF_RANGE,
+    FaultReason.NOT_ENABLED,
     FaultReason.PROTOCOL,
 )
 """Faults that end a tap; once the board has discharged, the next may come."""

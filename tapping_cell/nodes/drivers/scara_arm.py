@@ -32,6 +32,10 @@ class Parameters:
         default=False,
     )
     state_rate: float = quantity("rate of arm_state", "Hz", 1.0, 200.0, default=20.0)
+    set_up: bool = text(
+        "set-up mode: move at a quarter of the speed, for commissioning and the first taps",
+        default=False,
+    )
 
 
 class ScaraArm(DriverNode[Parameters, ArmDriver]):
@@ -88,7 +92,9 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
 
 def make_logic(parameters: Parameters) -> ArmLogic:
     """The arm's machine for these parameters."""
-    return ArmLogic(ArmOptions(parameters.home_on_activate, parameters.state_rate))
+    return ArmLogic(
+        ArmOptions(parameters.home_on_activate, parameters.state_rate, parameters.set_up)
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

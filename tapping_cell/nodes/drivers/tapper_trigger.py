@@ -13,7 +13,8 @@ from tapping_cell import messages
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.hardware.serial_transport import SerialTransport
-from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.hardware.tapper import TapperDriver, TapperSettings
+from tapping_cell.hardware.tapper_protocol import Mode
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.logic.tapper_peers import PeerLimits
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
@@ -28,6 +29,11 @@ class Parameters:
     cell_file: str = text("path of the cell file; empty for the package's own", default="")
     port: str = text("path of the tapper's serial port; empty for the cell file's", default="")
     state_rate: float = quantity("rate of tapper_state", "Hz", 1.0, 200.0, default=20.0)
+    set_up: bool = text(
+        "set-up mode: the board charges its small set-up energy only, unless the enabling switch "
+        "at the cell is held",
+        default=False,
+    )
     arm_freshness: float = quantity(
         "greatest age of the arm's read-back at the moment of firing", "s", 0.02, 2.0, default=0.3
     )
@@ -81,7 +87,8 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver]):
         cell = load_cell(self.settings.cell_file or None)
         tapper = cell.file.tapper
         port = str(self.port_path(self.settings.port or tapper.port))
-        driver = TapperDriver(SerialTransport(port, tapper.baud))
+        mode = Mode.SETUP if self.settings.set_up else Mode.RUN
+        driver = TapperDriver(SerialTransport(port, tapper.baud), TapperSettings(mode=mode))
         self.connect(driver, port, cell, lambda reply: reply)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
