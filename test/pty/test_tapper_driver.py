@@ -360,7 +360,7 @@ def test_set_up_mode_limits_the_energy_unless_the_switch_is_held(
     driver.set_mode(Mode.SETUP)
     with pytest.raises(HardwareFault, match="enabling switch") as caught:
         driver.charge(1, 0.01)
-    assert caught.value.reason is FaultReason.OUT_OF_RANGE
+    assert caught.value.reason is FaultReason.NOT_ENABLED
     driver.charge(1, 0.005)
     assert fire(driver, 1).outcome is FireOutcome.FIRED
     # The mode survives a new session, though the board forgets it.

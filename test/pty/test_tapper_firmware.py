@@ -525,7 +525,7 @@ def test_the_real_firmware_keeps_shot_numbers_until_a_person_forgets_them(board:
 def test_the_real_firmware_in_set_up_mode(board: Board) -> None:
     driver = connected(board, Mode.SETUP)
     assert driver.status().mode is Mode.SETUP
-    with fault(FaultReason.OUT_OF_RANGE):
+    with fault(FaultReason.NOT_ENABLED):
         driver.charge(1, 0.006)
     assert driver.charge(1, 0.005).state is State.CHARGED
     board.tell("enabling 1")
