@@ -279,10 +279,11 @@ def test_stop_takes_one_click_and_the_way_back_is_confirmed(page: Page) -> None:
         if page.mode() != "stopped":
             break
     assert page.mode() != "stopped", page.text("attention")
-    if page.client.arm_state.state == ArmState.NOT_HOMED:
-        page.wait(lambda: page.driver.find_elements("id", "step-home"), "the page offers to home")
-        page.element("step-home").click()
-        page.element("confirm-yes").click()
+    # A stopped arm does not know where it is, and homes only when a person says so.
+    page.wait(lambda: client.arm_state.state == ArmState.NOT_HOMED, "the arm asks to be homed")
+    page.wait(lambda: page.driver.find_elements("id", "step-home"), "the page offers to home")
+    page.element("step-home").click()
+    page.element("confirm-yes").click()
     page.ready()
     assert not page.element("attention").is_displayed()
     assert page.fields() == typed, "what was typed stays"
