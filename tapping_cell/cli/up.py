@@ -107,6 +107,9 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(f"[red]error:[/red] {error}", highlight=False)
         return 2
     parameters = node_parameters(arguments, cell)
+    if not arguments.hardware:
+        # Nobody can be hurt in the simulated cell, so that its arm homes by itself.
+        parameters["scara_arm"]["home_on_activate"] = True
     if not arguments.hardware and not has_simulated_ports(cell):
         # A file of a real cell names real ports: the simulated devices take none of them.
         parameters = with_own_ports(parameters)
