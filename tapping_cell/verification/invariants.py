@@ -72,6 +72,7 @@ class Witness:
     _charged_since: float | None = None
     _safe_reported: float | None = None
     _moving_since: float | None = None
+    _plan_state: int = PlanState.IDLE
 
     def violate(self, name: str, sentence: str) -> None:
         """Note a broken invariant."""
@@ -228,8 +229,9 @@ class Witness:
                 )
 
     def _on_plan_state(self, message: PlanState) -> None:
-        if message.state != PlanState.REACHED or message.header.frame_id != "table":
-            return
+        before, self._plan_state = self._plan_state, message.state
+        if message.state != PlanState.REACHED or before == PlanState.REACHED:
+            return  # what is repeated was true when it was told first
         true = self.physical.object_pose(self.scheduler.now)
         goal = pose_of(message.goal.pose)
         off, turned = goal.distance_to(true), abs(goal.rotation_to(true))

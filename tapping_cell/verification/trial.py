@@ -453,7 +453,8 @@ class Trial:
     def _home_impatiently(self) -> None:
         if math.isinf(self.witness.held_since):
             # It was released meanwhile: then this is a person's word like any other.
-            self._give_word("scara_arm")
+            for node in ("tapper_trigger", "scara_arm"):
+                self._give_word(node)
             self.witness.word_given = True
         self._call("scara_arm", "~/home")
 
