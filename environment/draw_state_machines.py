@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tapping_cell.logic import arm, tapper
+from tapping_cell.logic import arm, planner, tapper
 from tapping_cell.logic.transitions import diagram
 
 TARGET = Path(__file__).resolve().parents[1] / "docs" / "state_machines.md"
@@ -19,7 +19,7 @@ def page() -> str:
 
 Generated from the tables in `tapping_cell/logic` by `python environment/draw_state_machines.py`.
 What is not drawn cannot happen: an undefined transition is an error, told as code 904 in a safe
-state. Any state can be left by `stop`, which `clear_fault` ends.
+state. Any state of arm and tapper can be left by `stop`, which `clear_fault` ends.
 
 ## Arm
 
@@ -37,6 +37,15 @@ asked to stand still.
 
 ```mermaid
 {diagram(tapper.TABLE, tapper.State.DISCONNECTED)}
+```
+
+## Planner
+
+The planner does not latch a stop: an emergency stop ends its goal, and arm and tapper refuse the
+next one until they are cleared.
+
+```mermaid
+{diagram(planner.TABLE, planner.State.IDLE)}
 ```
 """
 

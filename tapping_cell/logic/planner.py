@@ -58,16 +58,16 @@ tapper discharges the striker when this heartbeat ends."""
 class State(Enum):
     """Where the planner is with its goal."""
 
-    IDLE = "idle"
-    WAITING_FOR_CELL = "waiting for cell"
-    LOOKING = "looking"
-    PLANNING = "planning"
-    PLACING = "placing"
-    FIRING = "firing"
-    SETTLING = "settling"
-    REACHED = "reached"
-    FAILED = "failed"
-    CANCELED = "canceled"
+    IDLE = "Idle"
+    WAITING_FOR_CELL = "WaitingForCell"
+    LOOKING = "Looking"
+    PLANNING = "Planning"
+    PLACING = "Placing"
+    FIRING = "Firing"
+    SETTLING = "Settling"
+    REACHED = "Reached"
+    FAILED = "Failed"
+    CANCELED = "Canceled"
 
 
 class Event(Enum):
