@@ -39,18 +39,6 @@ def is_finite(message: PoseMessage) -> bool:
     return all(math.isfinite(value) for value in (p.x, p.y, p.z, q.x, q.y, q.z, q.w))
 
 
-def quaternion_norm(message: PoseMessage) -> float:
-    """Length of the orientation quaternion; 1 for a rotation."""
-    q = message.orientation
-    return math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
-
-
-def tilt(message: PoseMessage) -> float:
-    """Angle between the pose's z axis and the table's, in rad, of a unit quaternion."""
-    q = message.orientation
-    return math.acos(max(-1.0, min(1.0, 1 - 2 * (q.x**2 + q.y**2))))
-
-
 def covariance_to_message(covariance: NDArray[np.float64]) -> list[float]:
     """A 3 x 3 covariance of (x, y, theta) as the 36 numbers of a ROS pose covariance."""
     full = np.zeros((6, 6))

@@ -12,9 +12,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tapping_cell.logic.clock import to_stamp
+from tapping_cell.logic.poses import to_message
 from tapping_cell.messages import ObjectState, PoseWithCovariance
 from tapping_cell.se2 import Array, Pose
-from tapping_cell.verification.message_values import pose_message, time_message
 from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.vision.rest_detection import RestSettings, Track
 
@@ -108,7 +109,7 @@ class Camera:
 
     def _state(self, stamp: int, code: int = 0) -> ObjectState:
         state = ObjectState(object_id=self._object_id, error_code=code)
-        state.header.stamp = time_message(stamp)
+        state.header.stamp = to_stamp(stamp)
         state.header.frame_id = "table"
         if code:
             state.error_msg = f"no image for {SILENCE_LIMIT_S:.1f} s; check the camera"
@@ -127,9 +128,9 @@ class Camera:
         state.at_rest = motion.rest_since is not None
         state.frames_fused = motion.frames
         if motion.rest_since is not None:
-            state.at_rest_since = time_message(stamp - round(1e9 * (now - motion.rest_since)))
+            state.at_rest_since = to_stamp(stamp - round(1e9 * (now - motion.rest_since)))
         state.pose = PoseWithCovariance(
-            pose=pose_message(Pose(*map(float, motion.pose))),
+            pose=to_message(Pose(*map(float, motion.pose))),
             covariance=_planar_covariance(motion.covariance),
         )
         vx, vy, omega = map(float, motion.velocity)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.host import Activated, Deactivated
 from tapping_cell.messages import (
     ArmState,
@@ -20,7 +21,6 @@ from tapping_cell.messages import (
 )
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, random_fault
-from tapping_cell.verification.message_values import time_message
 
 if TYPE_CHECKING:
     from tapping_cell.verification.trial import Trial
@@ -209,8 +209,8 @@ def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
             command.object_pose, command.predicted_pose = model.object_pose, model.predicted_pose
         now = t.clocks["tap_planner"].now().ros
         command.header.frame_id = "table"
-        command.header.stamp = time_message(now)
-        command.expiry = time_message(now + int(rng_expiry * 1e9))
+        command.header.stamp = to_stamp(now)
+        command.expiry = to_stamp(now + int(rng_expiry * 1e9))
         if not withdraw:
             t.witness.commands.setdefault(number, command)
         t.network.publish("somebody_else", "tap_command", command)

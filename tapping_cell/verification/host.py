@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 from tapping_cell.configuration.cell import Cell
@@ -45,7 +45,6 @@ from tapping_cell.logic.host import (
     Unreachable,
 )
 from tapping_cell.messages import Bool
-from tapping_cell.verification.message_values import copy_of
 from tapping_cell.verification.network import Network
 from tapping_cell.verification.scheduler import Fiber, Scheduler, Timer
 from tapping_cell.verification.serial_line import SerialLine
@@ -56,6 +55,18 @@ RETRY_S = 1.0
 """Between two tries to configure."""
 QUEUE = 10
 """Messages of one topic that wait for a frozen process; the oldest are lost."""
+
+
+def copy_of(value: Any) -> Any:
+    """A copy of a message that shares nothing with it that could change."""
+    if isinstance(value, list):
+        return [copy_of(item) for item in value]
+    if not is_dataclass(value):
+        return value
+    made = object.__new__(type(value))
+    for item in fields(value):
+        object.__setattr__(made, item.name, copy_of(getattr(value, item.name)))
+    return made
 
 
 @dataclass(slots=True)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from tapping_cell.logic.clock import to_nanoseconds
+from tapping_cell.logic.poses import from_message
 from tapping_cell.messages import PlanState, TapCommand, TapperState
 from tapping_cell.se2 import Pose
-from tapping_cell.verification.message_values import pose_of, time_of
 from tapping_cell.verification.physical_cell import PhysicalCell, Release
 from tapping_cell.verification.scheduler import Scheduler
 
@@ -52,7 +53,6 @@ class Witness:
 
     scheduler: Scheduler
     physical: PhysicalCell
-    tolerance: tuple[float, float]
     violations: list[Violation] = field(default_factory=list)
     commands: dict[int, TapCommand] = field(default_factory=dict)
     ended_taps: dict[int, float] = field(default_factory=dict)
@@ -70,7 +70,6 @@ class Witness:
     tapper_ros_now: int = 0
     _released: int = 0
     _charged_since: float | None = None
-    _safe_reported: float | None = None
     _moving_since: float | None = None
     _plan_state: int = PlanState.IDLE
 
@@ -117,7 +116,7 @@ class Witness:
         self._check_scene(release, command)
 
     def _check_place(self, release: Release, command: TapCommand) -> None:
-        wanted = pose_of(command.strike_pose)
+        wanted = from_message(command.strike_pose)
         distance = wanted.distance_to(release.tip)
         turn = abs(wanted.rotation_to(release.tip))
         lift = abs(release.height - command.strike_pose.position.z)
@@ -143,7 +142,7 @@ class Witness:
                 "after a stop",
                 f"shot {release.shot} was released {release.time - stopped:.3f} s after a stop",
             )
-        late = 1e-9 * (self.tapper_ros_now - time_of(command.expiry)) - WINDOW_S
+        late = 1e-9 * (self.tapper_ros_now - to_nanoseconds(command.expiry)) - WINDOW_S
         if late > 0:
             self.violate("expired", f"shot {release.shot} was released {late:.3f} s too late")
 
@@ -154,7 +153,7 @@ class Witness:
                 f"shot {release.shot} was released {release.time - self.hidden_since:.2f} s after"
                 " the camera last saw the object",
             )
-        planned = pose_of(command.object_pose)
+        planned = from_message(command.object_pose)
         off, turned = (
             planned.distance_to(release.object_pose),
             abs(planned.rotation_to(release.object_pose)),
@@ -233,7 +232,7 @@ class Witness:
         if message.state != PlanState.REACHED or before == PlanState.REACHED:
             return  # what is repeated was true when it was told first
         true = self.physical.object_pose(self.scheduler.now)
-        goal = pose_of(message.goal.pose)
+        goal = from_message(message.goal.pose)
         off, turned = goal.distance_to(true), abs(goal.rotation_to(true))
         position, angle = message.position_tolerance, message.angle_tolerance
         moved = self.moved_by_hand

@@ -26,6 +26,7 @@ from tapping_cell.logic.host import Logic
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_settings import PlannerSettings
+from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.logic.tapper_peers import PeerLimits
@@ -46,7 +47,6 @@ from tapping_cell.verification.camera import Camera
 from tapping_cell.verification.faults import Fault, draw_faults
 from tapping_cell.verification.host import HostClock, Process, Program
 from tapping_cell.verification.invariants import Violation, Witness
-from tapping_cell.verification.message_values import pose_message
 from tapping_cell.verification.network import Network, Quality
 from tapping_cell.verification.physical_cell import PhysicalCell
 from tapping_cell.verification.scheduler import HangError, Scheduler
@@ -143,7 +143,7 @@ class Trial:
         truth = load(TruthFile, shared_folder() / "truth" / "default.yaml")
         self.physical = PhysicalCell(self.scheduler, cell, truth, seed)
         self.network = Network(self.scheduler, np.random.default_rng([seed, 2]), QUALITIES)
-        self.witness = Witness(self.scheduler, self.physical, cell.tolerance)
+        self.witness = Witness(self.scheduler, self.physical)
         self.network.on_publish = self._on_publish
         self.scheduler.after_event = self._after_event
         self.joint_names = Joints._fields
@@ -337,7 +337,7 @@ class Trial:
 
     def send_goal(self, goal: Pose, foreign: bool = False) -> None:
         """Send an action goal to the planner, if it is there."""
-        message = PoseStamped(pose=pose_message(goal))
+        message = PoseStamped(pose=to_message(goal))
         message.header.frame_id = "table"
         process = self.processes["tap_planner"]
         if foreign:
