@@ -128,9 +128,7 @@ def _sliding(fit: ObjectFit, torque_factor: float) -> Sliding:
     return Sliding(fit.content.body(), fit.slide.friction, torque_factor, GRAVITY).approximated()
 
 
-def _curve(
-    fit: ObjectFit, index: int, torque_factor: float
-) -> tuple[NDArray[np.float64], Profile]:
+def _curve(fit: ObjectFit, index: int, torque_factor: float) -> tuple[NDArray[np.float64], Profile]:
     """Times in ms and the profile of the launch that makes the trial's displacement."""
     sliding = _sliding(fit, torque_factor)
     distance, rotation = fit.measured.distance[index], fit.measured.rotation[index]
