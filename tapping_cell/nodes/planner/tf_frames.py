@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import yaml
+from geometry_msgs.msg import TransformStamped
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.time import Time
@@ -42,7 +43,7 @@ class TfFrames:
             orientation=Quaternion(x=turn.x, y=turn.y, z=turn.z, w=turn.w),
         )
 
-    def _look_up(self, frame: str, at: Time):
+    def _look_up(self, frame: str, at: Time) -> TransformStamped:
         try:
             return self._buffer.lookup_transform(TABLE, frame, at)
         except tf2_ros.ExtrapolationException:
