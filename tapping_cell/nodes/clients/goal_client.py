@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import TracebackType
+from typing import TypeVar
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
@@ -60,6 +61,7 @@ class Finished:
     taps: int
 
 
+Client = TypeVar("Client", bound="GoalClient")
 Event = PhaseChanged | TapDone | Finished
 
 
@@ -93,7 +95,7 @@ class GoalClient:
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._spin, name="goal client", daemon=True)
 
-    def __enter__(self) -> GoalClient:
+    def __enter__(self: Client) -> Client:
         self._thread.start()
         return self
 
