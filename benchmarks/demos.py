@@ -158,9 +158,9 @@ def _position(
 
 def _true_tip(cell: Cell, asked: Pose, arm: ArmTruth, random: np.random.Generator) -> Pose:
     """Where the arm truly holds the tip that it was asked for."""
-    geometry = cell.file.arm.geometry()
+    geometry = cell.arm.geometry()
     local = cell.arm_base.inverse() @ asked
-    solution = geometry.inverse((local.x, local.y, cell.file.arm.strike_height, local.theta))
+    solution = geometry.inverse((local.x, local.y, cell.arm.strike_height, local.theta))
     assert solution.joints is not None, solution.reason
     play = np.array(arm.backlash) * (random.random(4) - 0.5)
     off = np.array(arm.joint_offset) + np.array(arm.repeatability) * random.standard_normal(4)

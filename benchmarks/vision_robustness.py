@@ -185,7 +185,7 @@ def _grain(stage: Stage) -> Iterator[Shot]:
 def _arm(stage: Stage) -> Iterator[Shot]:
     """The arm reaches over the object for a tap, from any side, and withdraws."""
     cell = load_cell()
-    arm, geometry = cell.file.arm, cell.file.arm.geometry()
+    arm, geometry = cell.arm, cell.arm.geometry()
     aim = Pose(*stage.place) @ Pose(0.0, 0.0, stage.random.uniform(-math.pi, math.pi))
     tip = cell.arm_base.inverse() @ (aim @ Pose(-0.07, 0.0, 0.0))
     reached = geometry.inverse((tip.x, tip.y, arm.strike_height, tip.theta))

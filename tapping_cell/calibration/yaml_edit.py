@@ -85,3 +85,25 @@ def _line_end(text: str, index: int) -> int:
 
 def _end(text: str, section: yaml.Node) -> int:
     return _line_end(text, _last(section))
+
+
+def with_entry(text: str, path: Sequence[str], index: int, values: Mapping[str, str]) -> str:
+    """The text with keys of one entry of the list at ``path`` set to YAML ``values``.
+
+    Raises:
+        ConfigurationError: there is no such list or entry, or a key is missing in it.
+    """
+    node: yaml.Node | None = yaml.compose(text)
+    for name in path:
+        node = _child(node, name)
+    if not isinstance(node, yaml.SequenceNode) or index >= len(node.value):
+        raise ConfigurationError(f"there is no entry {index} of the list '{'.'.join(path)}'")
+    changes = []
+    for key, value in values.items():
+        place = _child(node.value[index], key)
+        if place is None:
+            raise ConfigurationError(f"'{'.'.join(path)}[{index}]' has no key '{key}'")
+        changes.append((place.start_mark.index, place.end_mark.index, value))
+    for start, stop, new in sorted(changes, reverse=True):
+        text = text[:start] + new + text[stop:]
+    return text

@@ -1,4 +1,4 @@
-"""Calibrate the camera, the table's markers, the arm, the tapper; print what that takes.
+"""Calibrate camera, table, arm, tapper and fixed mounts; print what that takes.
 
 Each sub-verb reads photographs or a CSV record and writes a file that the nodes read, with
 residuals, standard deviations, date and inputs in it. No file is replaced unless --force is given,
@@ -11,6 +11,8 @@ and one with smaller residuals or uncertainty only with --accept-worse as well.
       --output table.yaml
   python -m tapping_cell calibrate arm arm.csv --cell config/cell.yaml --output cell.yaml
   python -m tapping_cell calibrate tapper taps.csv --cell config/cell.yaml --output cell.yaml
+  python -m tapping_cell calibrate mounts taps.csv --cell config/positioning_cell/cell.yaml \\
+      --output cell.yaml
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ SUBVERBS = {
     "camera": "focal lengths and lens from photographs of a target",
     "table": "where the reference markers are, from images or a printed sheet",
     "arm": "pose of the arm and zero of its elbow, from a record of poses",
+    "mounts": "line and speed of each fixed tapper, from single taps",
     "tapper": "draw to speed, from how far the object went",
     "print": "true-to-scale sheets: targets, reference markers, object markers",
 }

@@ -140,7 +140,7 @@ def _describe_arm(
             package="robot_state_publisher",
             executable="robot_state_publisher",
             namespace=namespace,
-            parameters=[*shared, {"robot_description": urdf(cell.file.arm.geometry())}],
+            parameters=[*shared, {"robot_description": urdf(cell.arm.geometry())}],
             remappings=_own_frames(namespace),
         )
     ]

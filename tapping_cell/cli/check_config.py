@@ -64,6 +64,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of the verb."""
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="file to look at")
     parser.add_argument("--kind", choices=KINDS, help="of all files (default: told from the keys)")
+    parser.add_argument(
+        "--drawing",
+        type=Path,
+        metavar="FILE",
+        help="draw the layout of the cell's fixed tappers (png, svg or pdf)",
+    )
     parser.add_argument("--json", action="store_true", help="print the findings for a program")
 
 
@@ -74,6 +80,8 @@ def run(arguments: argparse.Namespace) -> int:
         found += check(path, arguments.kind)
     # A file that several cells name is told once.
     told = list({entry.file.resolve(): entry for entry in reversed(found)}.values())[::-1]
+    if arguments.drawing is not None:
+        told += _draw(arguments.files, arguments.drawing)
     good = not any(entry.errors for entry in told)
     if arguments.json:
         files = [
@@ -89,6 +97,21 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _tell(told, Console(soft_wrap=True))
     return 0 if good else 1
+
+
+def _draw(files: list[Path], drawing: Path) -> list[Findings]:
+    """Draw the first cell with fixed tappers; a finding where there is none, or it cannot be."""
+    from tapping_cell.report.layout_figure import draw_layout
+
+    problems = []
+    for path in files:
+        try:
+            draw_layout(load_cell(path), drawing)
+        except (ConfigurationError, OSError, ValueError) as error:
+            problems.append(f"no drawing: {error}")
+        else:
+            return []
+    return [Findings(drawing, "drawing", problems)]
 
 
 def _tell(told: list[Findings], console: Console) -> None:

@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def check_arm(cell: Cell, confirm: Callable[[Finding], bool] | None = None) -> list[Row]:
     """The arm's controller; ``confirm`` is asked before each setting that is stored."""
-    arm = cell.file.arm
+    arm = cell.arm
     try:
         port = _port(arm.port)
         transport = SerialTransport(port, arm.baud)

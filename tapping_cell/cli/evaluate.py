@@ -7,7 +7,10 @@ Lengths are in mm, angles in degrees, shares in percent. The model "abstract" an
 wanted displacement and its scatter; "physics" strikes, collides and slides by true parameters that
 the planner does not know (--truth; --truth-object where the planner believes a fitted --object).
 With --table the trials run on the cell's table, within the arm's reach, with edges and keep-outs;
-goals that cannot be reached must be refused before the first tap.
+goals that cannot be reached must be refused before the first tap. A cell with fixed tappers is
+evaluated on its own working area, a row of the table for each of --start-angles:
+
+  python -m tapping_cell evaluate --cell config/positioning_cell/cell.yaml --camera-noise 0.05 0.05
 """
 
 from __future__ import annotations
@@ -25,7 +28,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tapping_cell.cli.evaluate_fixed import add_fixed_arguments, run_fixed
+
 if TYPE_CHECKING:
+    from tapping_cell.configuration.cell import Cell
     from tapping_cell.planning.evaluation import Evaluation, PhysicsWorld, Results
     from tapping_cell.planning.settings import PlannerSettings
     from tapping_cell.planning.strike import StrikeSpace
@@ -156,6 +162,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="object file that the true parameters start from, where the planner believes another "
         "(physics; --object)",
     )
+    add_fixed_arguments(parser)
     numbers("--most-taps", type=int, default=100, metavar="N", help="then a trial is endless (100)")
     numbers("--seed", type=int, default=0, help="of the random numbers (0)")
     numbers("--processes", type=int, metavar="N", help="default: one a core")
@@ -172,6 +179,9 @@ def run(arguments: argparse.Namespace) -> int:
     from tapping_cell.planning import PlanningError
 
     try:
+        fixed = _fixed_cell(arguments)
+        if fixed is not None:
+            return run_fixed(arguments, fixed)
         if arguments.all:
             return _compare(arguments)
         if arguments.report is not None:
@@ -186,6 +196,16 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print(_text(arguments.planner, figures))
     return 0
+
+
+def _fixed_cell(arguments: argparse.Namespace) -> Cell | None:
+    """The cell that was asked for, if it has fixed tappers."""
+    from tapping_cell.configuration.cell import load_cell
+
+    if arguments.cell is None:
+        return None
+    cell = load_cell(arguments.cell, arguments.object)
+    return cell if cell.file.fixed_tappers is not None else None
 
 
 def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:

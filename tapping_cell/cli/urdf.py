@@ -26,5 +26,5 @@ def run(arguments: argparse.Namespace) -> int:
     except ConfigurationError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    sys.stdout.write(urdf(cell.file.arm.geometry()))
+    sys.stdout.write(urdf(cell.arm.geometry()))
     return 0

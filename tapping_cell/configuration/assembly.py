@@ -18,7 +18,8 @@ from tapping_cell.planning import (
     StrikeSpace,
     Workspace,
 )
-from tapping_cell.se2 import Array, compose
+from tapping_cell.planning.fixed_tappers import FixedStrikeSpace, FixedTapper, WorkingArea
+from tapping_cell.se2 import Array, Pose, compose
 
 
 def make_tap(cell: Cell) -> Tap:
@@ -50,7 +51,7 @@ def make_scatter(cell: Cell) -> Scatter:
 
 def make_strike_settings(cell: Cell) -> StrikeSettings:
     """The striker's shape, heights and speeds."""
-    arm, tapper, curve = cell.file.arm, cell.file.tapper, cell.file.tapper.curve()
+    arm, tapper, curve = cell.arm, cell.file.tapper, cell.file.tapper.curve()
     return StrikeSettings(
         standoff=tapper.standoff,
         strike_height=arm.strike_height,
@@ -65,9 +66,9 @@ def make_strike_settings(cell: Cell) -> StrikeSettings:
 
 def make_arm_reach(cell: Cell) -> ArmReach:
     """Which tip poses (..., 3) in ``table`` the arm can strike from: one column an elbow side."""
-    geometry = cell.file.arm.geometry()
+    geometry = cell.arm.geometry()
     into_base = cell.arm_base.inverse()
-    height = cell.file.arm.strike_height
+    height = cell.arm.strike_height
 
     def reach(tip_poses: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
         planar = compose(into_base, tip_poses)
@@ -89,15 +90,53 @@ def make_strike_space(cell: Cell, scatter: Scatter | None = None) -> StrikeSpace
     )
 
 
-def make_planner_settings(cell: Cell, tolerance: tuple[float, float]) -> PlannerSettings:
-    """What a planning method is told, for a tolerance in m and rad."""
+def make_fixed_space(cell: Cell, scatter: Scatter | None = None) -> FixedStrikeSpace:
+    """Which taps the cell's fixed tappers can make; ``scatter`` in the place of the object file's.
+
+    Raises:
+        ConfigurationError: the cell has an arm.
+    """
+    fixed = cell.fixed_tappers
+    tappers = []
+    for entry in fixed.tappers:
+        own = cell.tapper_of(entry)
+        curve = own.curve()
+        tappers.append(
+            FixedTapper(
+                name=entry.name,
+                mount=Pose(*entry.position, entry.direction),
+                stroke=own.stroke,
+                tap=cell.object.tap(own.striker()),
+                slowest=curve.slowest,
+                fastest=curve.fastest,
+            )
+        )
+    return FixedStrikeSpace(
+        tappers,
+        make_workspace(cell),
+        WorkingArea(*fixed.working_area),
+        scatter or make_scatter(cell),
+        smallest_distance=cell.object.smallest_tap,
+        tool_radius=cell.file.tapper.tool_radius,
+    )
+
+
+def make_planner_settings(
+    cell: Cell,
+    tolerance: tuple[float, float],
+    *,
+    scatter: Scatter | None = None,
+    camera: CameraNoise | None = None,
+) -> PlannerSettings:
+    """What a planning method is told, for a tolerance in m and rad; ``scatter`` and ``camera`` in
+    the place of the files'."""
     tap = make_tap(cell)
-    camera = cell.file.camera
+    noise = cell.file.camera
     return PlannerSettings(
         cone_slope=tap.cone_slope,
         smallest_distance=cell.object.smallest_tap,
-        scatter=make_scatter(cell),
-        camera=CameraNoise(camera.position_noise, camera.angle_noise),
+        scatter=scatter or make_scatter(cell),
+        camera=camera or CameraNoise(noise.position_noise, noise.angle_noise),
         tolerance_position=tolerance[0],
         tolerance_angle=tolerance[1],
     )

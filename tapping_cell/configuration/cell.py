@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -274,6 +274,59 @@ class TapperSection:
 
 
 @dataclass(frozen=True, slots=True)
+class FixedTapperSection:
+    """One tapper at a fixed mount. What is left out is as in ``tapper``."""
+
+    name: str = text("name of the tapper, its own in the cell", longest=40)
+    position: tuple[float, float] = quantity(
+        "centre of the tip at rest, in the frame table: x, y", "m", -5.0, 5.0
+    )
+    direction: float = quantity("direction of the striker's travel, in table", "rad", -7.0, 7.0)
+    channel: int = quantity("channel of the tapper on its board", "", 0, 31, default=0)
+    port: str | None = text("serial port of its board; left out: tapper.port", default=None)
+    stroke: float | None = quantity("maximum travel of the tip", "m", 0.001, 0.5, default=None)
+    tip_radius: float | None = quantity(
+        "radius of the ball at the tip", "m", 0.0005, 0.1, default=None
+    )
+    energies: tuple[float, ...] | None = quantity(
+        "energies of its calibration curve, increasing", "J", 0.0, 1000.0, default=None
+    )
+    speeds: tuple[float, ...] | None = quantity(
+        "striker speeds at these energies, increasing", "m/s", 0.0, 100.0, default=None
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FixedTappersSection:
+    """Tappers at fixed mounts and the disc that they serve."""
+
+    working_area: tuple[float, float, float] = quantity(
+        "disc in which the object's centre may lie: middle x and y in m, in table, and radius",
+        "m",
+        -5.0,
+        5.0,
+    )
+    strike_height: float = quantity("height of the tips over the table", "m", 0.001, 0.2)
+    tappers: tuple[FixedTapperSection, ...] = section("the tappers")
+    calibration: Provenance | None = section(
+        "record of the calibration of the mounts", default=None
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse lists and areas that make no cell (ValueError)."""
+        names = [tapper.name for tapper in self.tappers]
+        if not names:
+            raise ValueError("'tappers' is empty; give at least one")
+        if "" in names or len(set(names)) < len(names):
+            twice = sorted({name for name in names if names.count(name) > 1 or not name})
+            raise ValueError(f"each tapper needs a name of its own; given twice or empty: {twice}")
+        if self.working_area[2] <= 0.0:
+            raise ValueError(
+                f"the radius of 'working_area' is {self.working_area[2]:g} m, must be above 0"
+            )
+
+
+@dataclass(frozen=True, slots=True)
 class CameraSection:
     """Accuracy of a pose measured at rest, as the planner assumes it."""
 
@@ -306,11 +359,22 @@ class CellFile:
     camera_info: str = text("camera_info file, relative to this file")
     object: str = text("object file, relative to this file")
     table: TableSection = section("usable area of the table")
-    arm: ArmSection = section("the arm")
-    tapper: TapperSection = section("the tapper")
+    tapper: TapperSection = section("the tapper, or what is common to all fixed tappers")
     camera: CameraSection = section("the camera")
     goal: GoalSection = section("goals")
+    arm: ArmSection | None = section("the arm that carries the tapper", default=None)
+    fixed_tappers: FixedTappersSection | None = section(
+        "tappers at fixed mounts, in the place of an arm", default=None
+    )
     keep_outs: KeepOutSection = section("keep-out zones", default=KeepOutSection())
+
+    def __post_init__(self) -> None:
+        """Refuse a cell with neither arm nor fixed tappers, or with both (ValueError)."""
+        if (self.arm is None) == (self.fixed_tappers is None):
+            raise ValueError(
+                "give either the key 'arm' (an arm that carries the tapper) or the key "
+                "'fixed_tappers' (tappers at fixed mounts)"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,12 +396,63 @@ class Cell:
     @property
     def arm_base(self) -> Pose:
         """X of arm_base in table."""
-        return Pose(*self.file.arm.base)
+        return Pose(*self.arm.base)
 
     @property
     def tapper_names(self) -> tuple[str, ...]:
         """Names of the cell's tappers, as commands and states say them."""
-        return (ARM_TAPPER,)
+        fixed = self.file.fixed_tappers
+        return (ARM_TAPPER,) if fixed is None else tuple(entry.name for entry in fixed.tappers)
+
+    @property
+    def arm(self) -> ArmSection:
+        """The arm.
+
+        Raises:
+            ConfigurationError: the cell has fixed tappers in its place.
+        """
+        if self.file.arm is None:
+            raise ConfigurationError(
+                f"{self.path}: this cell has fixed tappers and no arm, which is needed here; give "
+                "a cell file with the key 'arm'"
+            )
+        return self.file.arm
+
+    @property
+    def fixed_tappers(self) -> FixedTappersSection:
+        """The fixed tappers.
+
+        Raises:
+            ConfigurationError: the cell has an arm in their place.
+        """
+        if self.file.fixed_tappers is None:
+            raise ConfigurationError(
+                f"{self.path}: this cell has an arm and no fixed tappers, which are needed here; "
+                "give a cell file with the key 'fixed_tappers'"
+            )
+        return self.file.fixed_tappers
+
+    def tapper_of(self, entry: FixedTapperSection) -> TapperSection:
+        """A fixed tapper with what it shares with the others."""
+        own = {
+            name: value
+            for name in ("port", "stroke", "tip_radius", "energies", "speeds")
+            if (value := getattr(entry, name)) is not None
+        }
+        return replace(self.file.tapper, **own)
+
+    @property
+    def tapper_sections(self) -> dict[str, TapperSection]:
+        """Every tapper by its name."""
+        fixed = self.file.fixed_tappers
+        if fixed is None:
+            return {ARM_TAPPER: self.file.tapper}
+        return {entry.name: self.tapper_of(entry) for entry in fixed.tappers}
+
+    @property
+    def strike_height(self) -> float:
+        """Height of the tips over the table while they strike, m."""
+        return (self.file.fixed_tappers or self.arm).strike_height
 
     def outline(self) -> tuple[tuple[float, float], ...]:
         """The object's outline in its own frame: points (x, y) in m, counter-clockwise."""
@@ -364,14 +479,15 @@ def load_cell(path: Path | str | None = None, object_path: Path | str | None = N
     chosen = Path(object_path) if object_path else folder / content.object
     chosen = chosen.expanduser().resolve()
     try:
-        content.arm.driver_settings()
-        content.arm.controller_needs()
-        content.arm.motion()
+        if content.arm is not None:
+            content.arm.driver_settings()
+            content.arm.controller_needs()
+            content.arm.motion()
         content.tapper.striker()
         content.tapper.curve()
     except ValueError as error:
         raise ConfigurationError(f"{cell_path}: {error}") from error
-    return Cell(
+    cell = Cell(
         path=cell_path,
         file=content,
         object_path=chosen,
@@ -379,6 +495,13 @@ def load_cell(path: Path | str | None = None, object_path: Path | str | None = N
         references=load_reference_map(folder / content.reference_markers),
         camera=load_camera_model(folder / content.camera_info),
     )
+    for name, tapper in cell.tapper_sections.items():
+        try:
+            tapper.striker()
+            tapper.curve()
+        except ValueError as error:
+            raise ConfigurationError(f"{cell_path}: tapper '{name}': {error}") from error
+    return cell
 
 
 def has_simulated_ports(cell: Cell) -> bool:
@@ -401,7 +524,9 @@ def refuse_simulated_ports(cell: Cell) -> None:
 
 
 def _simulated_ports(cell: Cell) -> dict[str, str]:
-    ports = {"arm.port": cell.file.arm.port, "tapper.port": cell.file.tapper.port}
+    ports = {f"{name}.port": tapper.port for name, tapper in cell.tapper_sections.items()}
+    if cell.file.arm is not None:
+        ports["arm.port"] = cell.file.arm.port
     return {
         key: port
         for key, port in ports.items()
@@ -429,6 +554,8 @@ def load_other_objects(paths: str, cell: Cell) -> tuple[ObjectFile, ...]:
         marker_ids([file.seen() for file in (cell.object, *files)])
     except ValueError as error:
         raise ConfigurationError(f"parameter other_object_files: {error}") from error
+    if cell.file.arm is None:
+        return files
     travel = cell.file.arm.travel_height
     for file in files:
         if file.height >= travel:

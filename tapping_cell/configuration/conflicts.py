@@ -10,6 +10,7 @@ import numpy as np
 
 from tapping_cell.configuration.assembly import make_planner_settings, make_strike_space
 from tapping_cell.configuration.cell import Cell
+from tapping_cell.configuration.fixed_conflicts import fixed_conflicts
 from tapping_cell.mechanics import MechanicsError
 from tapping_cell.planning import FreeSpace, PlanningError, make_planner, planner_names
 
@@ -21,6 +22,9 @@ NOISE_ROOM = 3.0
 
 def conflicts(cell: Cell) -> tuple[list[str], list[str]]:
     """Errors (a goal would fail) and warnings (it may, or something is not there yet)."""
+    if cell.file.fixed_tappers is not None:
+        errors = [*_markers(cell), *fixed_conflicts(cell)]
+        return errors, [*_lens(cell), *_noise(cell), *_ports(cell)]
     errors = [*_markers(cell), *_heights(cell), *_joints(cell), *_curve(cell), *_planner(cell)]
     warnings = [*_lens(cell), *_noise(cell), *_ports(cell), *_brake(cell)]
     reach_errors, reach_warnings = _reach(cell)
@@ -49,7 +53,7 @@ def _markers(cell: Cell) -> Iterator[str]:
 
 
 def _heights(cell: Cell) -> Iterator[str]:
-    arm, tapper, path = cell.file.arm, cell.file.tapper, cell.path
+    arm, tapper, path = cell.arm, cell.file.tapper, cell.path
     if arm.strike_height >= cell.object.height:
         yield (
             f"{path}: key 'arm.strike_height' is {1e3 * arm.strike_height:.1f} mm, but the object "
@@ -74,7 +78,7 @@ def _heights(cell: Cell) -> Iterator[str]:
 
 
 def _joints(cell: Cell) -> Iterator[str]:
-    arm = cell.file.arm
+    arm = cell.arm
     for name, joints in (("park", arm.park), ("home", arm.home)):
         for index, (low, value, high) in enumerate(zip(arm.lower, joints, arm.upper, strict=True)):
             if not low <= value <= high:
@@ -185,7 +189,7 @@ def _noise(cell: Cell) -> Iterator[str]:
 
 
 def _brake(cell: Cell) -> Iterator[str]:
-    if not cell.file.arm.quill_brake:
+    if not cell.arm.quill_brake:
         yield (
             f"{cell.path}: key 'arm.quill_brake' is false: whenever the quill's motor loses its "
             "power (emergency stop, alarm, M112) the quill sinks onto whatever lies below it; fit "
@@ -194,12 +198,17 @@ def _brake(cell: Cell) -> Iterator[str]:
 
 
 def _ports(cell: Cell) -> Iterator[str]:
-    ports = {"arm": cell.file.arm.port, "tapper": cell.file.tapper.port}
-    for name, port in ports.items():
+    boards: dict[str, list[str]] = {}
+    for name, tapper in cell.tapper_sections.items():
+        boards.setdefault(tapper.port, []).append(name)
+    arm = cell.file.arm
+    if arm is not None:
+        if arm.port in boards:
+            yield f"{cell.path}: arm and tapper have the same port {arm.port}"
+        boards.setdefault(arm.port, []).append("arm")
+    for port, names in boards.items():
         if not Path(port).expanduser().exists():
             yield (
-                f"{cell.path}: key '{name}.port': {port} is not there (yet); the simulated world "
-                "makes it, a device has to be plugged in"
+                f"{cell.path}: the port {port} of {', '.join(names)} is not there (yet); the "
+                "simulated world makes it, a device has to be plugged in"
             )
-    if ports["arm"] == ports["tapper"]:
-        yield f"{cell.path}: arm and tapper have the same port {ports['arm']}"

@@ -215,7 +215,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._expiry = to_nanoseconds(command.expiry)
         self._trouble = (ErrorCode.NONE, "")
         self._clear_of_camera = False
-        arm = self._cell.file.arm
+        arm = self._cell.arm
         tip = self._cell.arm_base.inverse() @ from_message(command.strike_pose)
         place = TipPose(tip.x, tip.y, arm.strike_height, tip.theta)
         self._run(
@@ -281,7 +281,7 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _begin_homing(self) -> None:
         self._machine.move(Event.HOME, S.HOMING)
         self._trouble = (ErrorCode.NONE, "")
-        strategy = HomingStrategy(self._cell.file.arm.homing)
+        strategy = HomingStrategy(self._cell.arm.homing)
         self._run(
             "home",
             partial(
@@ -413,7 +413,7 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _check_place(self, reading: Reading) -> None:
         """The arm must stay where it was placed; one garbled report does not count."""
-        arm = self._cell.file.arm
+        arm = self._cell.arm
         angle, quill = 2 * arm.tolerance_angle, 2 * arm.tolerance_quill
         limits = (angle, angle, quill, angle)
         assert self._placed is not None
@@ -446,7 +446,7 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _configured_with(self, event: Configured, now: Now) -> None:
         self._cell = event.cell
-        self._geometry = event.cell.file.arm.geometry()
+        self._geometry = event.cell.arm.geometry()
         # A predecessor of this node may have promised to stand still.
         self._promise_end = max(self._promise_end, now.steady + LONGEST_HOLD_S)
 
@@ -488,7 +488,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state not in (S.NOT_HOMED, S.IDLE, S.INACTIVE):
             return
         self._stand(Event.ACTIVATED)
-        if self._options.home_on_activate and self._cell.file.arm.homes_alone:
+        if self._options.home_on_activate and self._cell.arm.homes_alone:
             self._begin_homing()
 
     def _deactivated(self, now: Now) -> None:
@@ -549,7 +549,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._leave_when_free(now)
 
     def _motion(self) -> MotionSettings:
-        motion = self._cell.file.arm.motion()
+        motion = self._cell.arm.motion()
         if not self._options.set_up:
             return motion
         return replace(

@@ -29,6 +29,7 @@ REFUSALS = {
     RefusalReason.NO_STRIKE: ErrorCode.NO_TAP_FOUND,
     RefusalReason.PROBE_NEEDED: ErrorCode.PROBE_NEEDED,
     RefusalReason.NO_CONTACT: ErrorCode.NO_CONTACT_FOUND,
+    RefusalReason.GOAL_OUTSIDE_WORKING_AREA: ErrorCode.GOAL_OUTSIDE_WORKING_AREA,
     RefusalReason.CAMERA_TOO_COARSE: ErrorCode.OBJECT_NOT_SEEN,
     RefusalReason.TOO_MANY_TAPS: ErrorCode.TAP_LIMIT_REACHED,
     RefusalReason.TAP_LEAVES_TABLE: ErrorCode.TAP_LEAVES_TABLE,

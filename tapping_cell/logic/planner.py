@@ -500,7 +500,7 @@ class PlannerLogic:
         shot = self._shot = Shot(self._last_tap_id, strike, before)
         allowance = self._settings.place_deadline + self._settings.fire_deadline
         expiry = now.ros + round(allowance * NANOSECONDS)
-        height = self.goals.cell.file.arm.strike_height
+        height = self.goals.cell.strike_height
         self._effects.append(Publish("tap_command", shot.command(now.ros, expiry, height)))
         if strike.detour:
             self._log(LogLevel.INFO, f"tap {len(task.records) + 1}: {strike.detour}")

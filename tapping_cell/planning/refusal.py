@@ -23,6 +23,7 @@ class RefusalReason(IntEnum):
     TAP_LEAVES_VIEW = 12
     PROBE_NEEDED = 13
     NO_CONTACT = 14
+    GOAL_OUTSIDE_WORKING_AREA = 15
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,13 +43,13 @@ class SimulatedDevices:
         on_strike: OnStrike,
         seed: int,
     ) -> None:
-        self._file = cell.file
-        self._geometry = cell.file.arm.geometry()
+        self._arm_section, self._tapper_section = cell.arm, cell.file.tapper
+        self._geometry = cell.arm.geometry()
         self._base = cell.arm_base @ Pose(*truth.base_offset)
         self._curve = cell.file.tapper.curve()
         self._on_strike = on_strike
         now = time.monotonic()
-        self._arm = arm_emulator(cell.file.arm, truth, seed, now)
+        self._arm = arm_emulator(cell.arm, truth, seed, now)
         # A world that is started anew is a board that was switched on anew: another boot number.
         boot = int(time.time()) % LARGEST_BOOT + 1
         self._tapper = TapperEmulator(on_fire=self._fire, boot=boot, now=now)
@@ -84,7 +84,7 @@ class SimulatedDevices:
         """What the camera sees of the arm where it truly is."""
         with self._arm_port.lock:
             joints = self._arm.joints(now)
-        return arm_solids(self._file.arm, self._file.tapper, self._base, joints)
+        return arm_solids(self._arm_section, self._tapper_section, self._base, joints)
 
     def tip(self, now: float) -> tuple[Pose, float]:
         """Where the striker's tip truly is: its pose in ``table`` and its height in m."""

@@ -45,13 +45,13 @@ class PhysicalCell:
         self.truth = truth
         self.releases: list[Release] = []
         self._scheduler = scheduler
-        self.geometry = cell.file.arm.geometry()
+        self.geometry = cell.arm.geometry()
         self._base = cell.arm_base @ Pose(*truth.arm.base_offset)
         self._curve = cell.file.tapper.curve()
         self.world = World(
             cell.object, cell.file.tapper.striker(), cell.file.tapper.stroke, truth, seed
         )
-        self.arm_board = arm_emulator(cell.file.arm, truth.arm, seed, scheduler.now)
+        self.arm_board = arm_emulator(cell.arm, truth.arm, seed, scheduler.now)
         self.tapper_board = TapperEmulator(on_fire=self._release, boot=1, now=scheduler.now)
         self.arm_line = SerialLine(scheduler, FaultLayer(self.arm_board), "arm")
         self.tapper_line = SerialLine(scheduler, FaultLayer(self.tapper_board), "tapper")

@@ -219,7 +219,7 @@ class Trial:
         def arm() -> tuple[ArmLogic, ArmDriver]:
             line = self.physical.arm_line
             line.set_clock(self.clocks["scara_arm"].steady_offset)
-            return ArmLogic(ArmOptions()), make_arm_driver(cell.file.arm, line)
+            return ArmLogic(ArmOptions()), make_arm_driver(cell.arm, line)
 
         def tapper() -> tuple[TapperLogic, TapperDriver]:
             line = self.physical.tapper_line

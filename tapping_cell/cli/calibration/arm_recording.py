@@ -67,7 +67,7 @@ def _visit(
     assert here is not None
     corners = cell.references.corners().reshape(-1, 2)
     half = np.minimum(np.abs(corners).max(axis=0), [cell.file.table.length, cell.file.table.width])
-    geometry = cell.file.arm.geometry()
+    geometry = cell.arm.geometry()
     _check_same_arm(cell, client, here)
     places = arm_places(
         geometry,
@@ -114,7 +114,7 @@ def _visit(
 def _check_same_arm(cell: Cell, client: ArmPoseClient, here: Joints) -> None:
     """Refuse a cell file that is not the running cell's: postures would be others than thought."""
     assert client.arm_state is not None
-    tip = cell.file.arm.geometry().forward(here)
+    tip = cell.arm.geometry().forward(here)
     thought = cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
     told = from_message(client.arm_state.tip_pose)
     if thought.distance_to(told) > _SAME_TIP:

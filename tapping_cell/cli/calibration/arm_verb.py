@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
         if not make_record(arguments, cell, recording_console(arguments)):
             return 130
     table = read_csv(arguments.record, RECORD_COLUMNS)
-    result = calibrate_arm(record_of(table), cell.file.arm.geometry(), arguments.links)
+    result = calibrate_arm(record_of(table), cell.arm.geometry(), arguments.links)
     values = file_values(result, cell, arguments.marker_on_tip)
     record = _provenance(result, table, arguments)
     text = calibrated_cell(cell, "arm", values, record, output.path)
@@ -108,7 +108,7 @@ def file_values(
     result: ArmCalibration, cell: Cell, marker: list[float] | None
 ) -> dict[str, float | list[float]]:
     """What changes in the section arm of the cell file."""
-    v, arm = result.values, cell.file.arm
+    v, arm = result.values, cell.arm
     offset = list(arm.joint_offset)
     # The shoulder's zero of the file goes on, so its part is taken off the base's yaw.
     base = [v["base_x"], v["base_y"], math.remainder(v["base_yaw"] - offset[0], 2 * math.pi)]

@@ -71,7 +71,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
     def configure(self) -> None:
         """Read the cell file, open the port, identify the controller."""
         cell = load_cell(self.settings.cell_file or None)
-        arm = cell.file.arm
+        arm = cell.arm
         self._send_base(arm)
         port = str(self.port_path(self.settings.port or arm.port))
         driver = make_arm_driver(arm, SerialTransport(port, arm.baud))

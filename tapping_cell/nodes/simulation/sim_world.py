@@ -112,7 +112,7 @@ class SimWorld(CellNode[Parameters]):
             devices = SimulatedDevices(
                 cell,
                 truth.arm,
-                arm_port=self.port_path(settings.arm_port or cell.file.arm.port),
+                arm_port=self.port_path(settings.arm_port or cell.arm.port),
                 tapper_port=self.port_path(settings.tapper_port or cell.file.tapper.port),
                 on_strike=self._on_strike,
                 seed=settings.seed,

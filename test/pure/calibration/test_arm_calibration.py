@@ -75,7 +75,7 @@ def test_twenty_noisy_poses_reach_the_target_figures(tmp_path: Path) -> None:
         assert main([*words, "--marker-on-tip", *place]) == 0
         # The file that the nodes read says where the tip is, at poses that were not measured.
         cell = load_cell(output)
-        calibrated = cell.file.arm.geometry()
+        calibrated = cell.arm.geometry()
         for row in simulated(100 + seed, count=30)[2]:
             joints = [row[0], row[1], -0.05, row[2]]
             a, b = geometry.forward(joints), calibrated.forward(joints)
@@ -83,8 +83,8 @@ def test_twenty_noisy_poses_reach_the_target_figures(tmp_path: Path) -> None:
             told = cell.arm_base @ Pose(b.x, b.y, b.yaw)
             assert true.distance_to(told) < 2e-4
             assert abs(true.rotation_to(told)) < math.radians(0.09)
-        assert cell.file.arm.calibration is not None
-        assert cell.file.arm.calibration.residual == pytest.approx(1.4e-4, rel=0.5)
+        assert cell.arm.calibration is not None
+        assert cell.arm.calibration.residual == pytest.approx(1.4e-4, rel=0.5)
 
 
 def test_outliers_are_named_by_row_and_change_nothing(tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ def test_a_shape_that_is_not_convex_is_refused(tmp_path: Path) -> None:
 def test_arm_reach_agrees_with_forward_kinematics() -> None:
     """Every tip pose that the arm can truly take from joints within limits is called reachable."""
     cell = load_cell()
-    geometry = cell.file.arm.geometry()
+    geometry = cell.arm.geometry()
     random = np.random.default_rng(5)
     low, high = np.array(geometry.lower), np.array(geometry.upper)
     joints = random.uniform(low, high, size=(500, 4))

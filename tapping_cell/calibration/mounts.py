@@ -1,0 +1,189 @@
+"""Line and speed of each fixed tapper from single taps seen by the camera.
+
+A tap tells three numbers: the direction in which the object went, its rotation per distance and its
+distance. The first two follow from where and under which angle the line meets the object, the third
+from the speed. Three unknowns a tapper (offset of the line to its left in m, its angle in rad, and
+the logarithm of the speed's factor) are fitted to all of its taps by least squares, each number
+weighed by the tap's scatter and the camera's noise; taps that nothing explains count little
+(soft-l1). Taps at one place fix the line there; taps at several places along the line fix its angle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from tapping_cell.calibration.camera import CalibrationRefused
+from tapping_cell.calibration.csv_table import Column
+from tapping_cell.mechanics import Tap
+from tapping_cell.se2 import Pose, wrap_angle
+
+Array = NDArray[np.float64]
+
+RECORD_COLUMNS = (
+    Column("speed", "m/s", 0.001, 50.0),
+    Column("x_before", "m", -5.0, 5.0),
+    Column("y_before", "m", -5.0, 5.0),
+    Column("theta_before", "rad", -7.0, 7.0),
+    Column("x_after", "m", -5.0, 5.0),
+    Column("y_after", "m", -5.0, 5.0),
+    Column("theta_after", "rad", -7.0, 7.0),
+)
+
+LEAST_TAPS = 4
+"""Of each tapper."""
+
+LEAST_MOVE = 0.003
+"""Shorter taps, m, tell more of the camera than of the line."""
+
+WIDEST = np.array([0.010, math.radians(5.0), 0.5])
+"""Standard deviations of the three unknowns before any tap: m, rad, relative."""
+
+WANTED = 0.0003
+"""Standard deviation of the line where it meets the object, m, that planning needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class TapScatter:
+    """Standard deviations of a tap (shares of distance and rotation; rad) and of one look (m,
+    rad)."""
+
+    distance: float
+    rotation: float
+    direction: float
+    look_position: float
+    look_angle: float
+
+
+@dataclass(frozen=True, slots=True)
+class MountFit:
+    """One tapper. mount: its measured line. speed_factor: true over commanded speed.
+
+    line_deviation: standard deviation of the line where it meets the object, m; angle_deviation:
+    rad. residual: root mean square of the weighted residuals (1 where the scatter is as told).
+    """
+
+    name: str
+    mount: Pose
+    offset: float
+    angle: float
+    speed_factor: float
+    line_deviation: float
+    angle_deviation: float
+    residual: float
+    taps: int
+    left_out: int
+
+    @property
+    def taps_wanted(self) -> int:
+        """About how many taps in all bring the line to ``WANTED``."""
+        return max(self.taps, math.ceil(self.taps * (self.line_deviation / WANTED) ** 2))
+
+
+def fit_mount(
+    name: str,
+    nominal: Pose,
+    tap: Tap,
+    speeds: Array,
+    before: Array,
+    after: Array,
+    scatter: TapScatter,
+) -> MountFit:
+    """Fit one tapper to its taps.
+
+    Args:
+        name: of the tapper.
+        nominal: its mount as the cell file gives it.
+        tap: the mechanics of the object and this tapper's striker.
+        speeds: (n,) commanded, m/s.
+        before, after: (n, 3) poses of the object at rest, m and rad.
+        scatter: of taps and looks.
+
+    Raises:
+        CalibrationRefused: too few taps moved the object.
+    """
+    moved = after - before
+    moved[:, 2] = wrap_angle(moved[:, 2])
+    size = np.hypot(moved[:, 0], moved[:, 1])
+    used = size >= LEAST_MOVE
+    if int(used.sum()) < LEAST_TAPS:
+        raise CalibrationRefused(
+            f"tapper '{name}': {int(used.sum())} of {speeds.size} taps moved the object by "
+            f"{1e3 * LEAST_MOVE:.0f} mm or more; at least {LEAST_TAPS} are needed"
+        )
+    speeds, before, moved, size = speeds[used], before[used], moved[used], size[used]
+    look = math.sqrt(2.0) * scatter.look_position / size
+    weight = np.stack(
+        [
+            np.hypot(scatter.direction, look),
+            np.hypot(
+                math.hypot(scatter.rotation, scatter.distance)
+                * np.maximum(np.abs(moved[:, 2] / size), 0.5),
+                math.sqrt(2.0) * scatter.look_angle / size,
+            ),
+            np.hypot(scatter.distance, look),
+        ],
+        axis=-1,
+    )
+    went = np.arctan2(moved[:, 1], moved[:, 0])
+
+    def residuals(unknown: Array) -> Array:
+        line = _moved(nominal, unknown[0], unknown[1])
+        told = tap.outcome(
+            before, np.array([line.x, line.y, line.theta]), speeds * math.exp(unknown[2])
+        )
+        length = np.hypot(told[:, 0], told[:, 1])
+        hit = length > 0.0
+        safe = np.where(hit, length, 1.0)
+        each = np.stack(
+            [
+                wrap_angle(went - np.arctan2(told[:, 1], told[:, 0])),
+                moved[:, 2] / size - told[:, 2] / safe,
+                np.log(size / safe),
+            ],
+            axis=-1,
+        )
+        each = np.where(hit[:, None], each / weight, 10.0)
+        return np.concatenate([each.reshape(-1), unknown / WIDEST])
+
+    found = least_squares(
+        residuals,
+        np.zeros(3),
+        loss="soft_l1",
+        x_scale=np.array([1e-4, 1e-3, 1e-2]),
+        diff_step=1e-4,
+    )
+    jacobian = found.jac
+    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    offset, angle, speed = (float(value) for value in found.x)
+    mount = _moved(nominal, offset, angle)
+    reach = np.hypot(before[:, 0] - mount.x, before[:, 1] - mount.y).mean() - (
+        tap.body.bounding_radius
+    )
+    lever = np.array([1.0, float(reach), 0.0])
+    rest = residuals(found.x)[:-3]
+    spread = max(1.0, float(np.sqrt(np.mean(rest**2))))
+    return MountFit(
+        name=name,
+        mount=mount,
+        offset=offset,
+        angle=angle,
+        speed_factor=math.exp(speed),
+        line_deviation=spread * math.sqrt(float(lever @ covariance @ lever)),
+        angle_deviation=spread * math.sqrt(float(covariance[1, 1])),
+        residual=float(np.sqrt(np.mean(rest**2))),
+        taps=int(used.sum()),
+        left_out=int((~used).sum()),
+    )
+
+
+def _moved(mount: Pose, offset: float, angle: float) -> Pose:
+    return Pose(
+        mount.x - float(offset) * math.sin(mount.theta),
+        mount.y + float(offset) * math.cos(mount.theta),
+        mount.theta + float(angle),
+    )

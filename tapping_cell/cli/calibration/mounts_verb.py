@@ -1,0 +1,179 @@
+"""Line and speed of each fixed tapper, from single taps seen by the camera.
+
+One row a tap: tapper (its name in the cell file), speed (m/s; or speed_mm_s) and the object's pose
+at rest before and after it: x_before, y_before, theta_before, x_after, y_after, theta_after (m and
+rad; or with the endings _mm and _deg). Put the object down by hand in the working area, at several
+places along each tapper's line. Twelve taps a tapper are usual. Writes a copy of the cell file with
+the measured positions and directions. A tapper without taps keeps its place.
+
+  python -m tapping_cell calibrate mounts taps.csv --cell config/positioning_cell/cell.yaml \\
+      --output cell.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.calibration.cell_file import calibrated_cell
+from tapping_cell.calibration.csv_table import CsvTable, RecordError, read_csv
+from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
+from tapping_cell.calibration.mounts import (
+    RECORD_COLUMNS,
+    WANTED,
+    MountFit,
+    TapScatter,
+    fit_mount,
+)
+from tapping_cell.calibration.yaml_edit import numbers_text, with_entry
+from tapping_cell.cli.output_arguments import add_output_arguments, output_of
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.provenance import Provenance
+from tapping_cell.se2 import Pose
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("record", type=Path, metavar="RECORD.csv", help="the taps")
+    parser.add_argument(
+        "--cell", type=Path, metavar="FILE", required=True, help="cell file to start from"
+    )
+    parser.add_argument(
+        "--object", type=Path, metavar="FILE", help="object that was tapped (the cell's)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_output_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Calibrate; 0 if the file was written."""
+    output = output_of(arguments, ("fixed_tappers", "calibration"))
+    refuse_existing(output)
+    cell = load_cell(arguments.cell, arguments.object)
+    table = read_csv(arguments.record, RECORD_COLUMNS, texts=("tapper",))
+    fits = fit_all(cell, table)
+    record = _provenance(fits, table, cell)
+    text = calibrated_cell(cell, "fixed_tappers", {}, record, output.path)
+    entries = [entry.name for entry in cell.fixed_tappers.tappers]
+    for fit in fits:
+        values = {
+            "position": numbers_text([fit.mount.x, fit.mount.y]),
+            "direction": numbers_text(fit.mount.theta),
+        }
+        text = with_entry(text, ("fixed_tappers", "tappers"), entries.index(fit.name), values)
+    write_kept(output, text, record, load_cell)
+    found = report(fits, table, output.path, entries)
+    print(json.dumps(found, indent=1) if arguments.json else "\n".join(lines(found)))
+    return 0
+
+
+def fit_all(cell: Cell, table: CsvTable) -> list[MountFit]:
+    """Every tapper that has taps, in the order of the cell file.
+
+    Raises:
+        RecordError: a row names a tapper that the cell does not have.
+        CalibrationRefused: a tapper has too few taps.
+    """
+    names = np.array(table.texts["tapper"])
+    entries = cell.fixed_tappers.tappers
+    unknown = sorted(set(names.tolist()) - {entry.name for entry in entries})
+    if unknown:
+        raise RecordError(
+            f"{table.path}: there is no tapper {', '.join(map(repr, unknown))} in {cell.path}; "
+            f"its tappers are {', '.join(entry.name for entry in entries)}"
+        )
+    scatter, camera = cell.object.scatter, cell.file.camera
+    noise = TapScatter(
+        scatter.distance,
+        scatter.rotation,
+        scatter.direction,
+        camera.position_noise,
+        camera.angle_noise,
+    )
+    before = table.columns("x_before", "y_before", "theta_before")
+    after = table.columns("x_after", "y_after", "theta_after")
+    fits = []
+    for entry in entries:
+        rows = names == entry.name
+        if not np.any(rows):
+            continue
+        tap = cell.object.tap(cell.tapper_of(entry).striker())
+        tap = replace(tap, sliding=tap.sliding.approximated(), smallest_distance=0.0)
+        nominal = Pose(*entry.position, entry.direction)
+        speeds = table.values["speed"][rows]
+        fits.append(fit_mount(entry.name, nominal, tap, speeds, before[rows], after[rows], noise))
+    return fits
+
+
+def _provenance(fits: list[MountFit], table: CsvTable, cell: Cell) -> Provenance:
+    return Provenance(
+        by="calibrate mounts",
+        made=now(),
+        inputs=fingerprints([table.path, cell.object_path]),
+        observations=sum(fit.taps for fit in fits),
+        left_out=sum(fit.left_out for fit in fits) + len(table.faults),
+        residual=math.sqrt(sum(fit.residual**2 for fit in fits) / len(fits)),
+        residual_of="residuals over the scatter that the object file tells",
+        uncertainty=max(fit.line_deviation for fit in fits),
+        uncertainty_of="line where it meets the object, the worst tapper, m",
+        deviations={f"{fit.name}_direction": fit.angle_deviation for fit in fits},
+        notes=tuple(
+            f"{fit.name}: speed {100 * (fit.speed_factor - 1):+.1f} % of the curve's, if the "
+            "object's friction is as its file says"
+            for fit in fits
+        ),
+    )
+
+
+def report(fits: list[MountFit], table: CsvTable, path: Path, entries: list[str]) -> dict[str, Any]:
+    """The result for programs: SI."""
+    return {
+        "output": str(path),
+        "tappers": [
+            {
+                "name": fit.name,
+                "position": [fit.mount.x, fit.mount.y],
+                "direction": fit.mount.theta,
+                "offset": fit.offset,
+                "angle": fit.angle,
+                "speed_factor": fit.speed_factor,
+                "line_deviation": fit.line_deviation,
+                "angle_deviation": fit.angle_deviation,
+                "residual": fit.residual,
+                "taps": fit.taps,
+                "left_out": fit.left_out,
+                "taps_wanted": fit.taps_wanted,
+            }
+            for fit in fits
+        ],
+        "without_taps": [name for name in entries if name not in {fit.name for fit in fits}],
+        "faults": [str(fault) for fault in table.faults],
+    }
+
+
+def lines(found: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    rows = [f"{'tapper':<12} {'taps':>5} {'offset mm':>16} {'angle deg':>9} {'speed %':>8}"]
+    for fit in found["tappers"]:
+        rows.append(
+            f"{fit['name']:<12} {fit['taps']:>5} {1e3 * fit['offset']:>8.2f} +- "
+            f"{1e3 * fit['line_deviation']:>4.2f} {math.degrees(fit['angle']):>9.2f} "
+            f"{100 * (fit['speed_factor'] - 1):>+8.1f}"
+        )
+    for fit in found["tappers"]:
+        if fit["line_deviation"] > WANTED:
+            rows.append(
+                f"note: the line of '{fit['name']}' is known to {1e3 * fit['line_deviation']:.2f} "
+                f"mm where it meets the object, {1e3 * WANTED:.1f} mm is wanted; make about "
+                f"{fit['taps_wanted']} taps"
+            )
+    if found["without_taps"]:
+        rows.append(f"note: without taps, unchanged: {', '.join(found['without_taps'])}")
+    rows += [f"left out: {fault}" for fault in found["faults"]]
+    return [*rows, f"written: {found['output']}"]

@@ -1,0 +1,79 @@
+"""Where in the working area of fixed tappers a tap leads inward, and where none does."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
+from tapping_cell.planning.interface import Array
+from tapping_cell.planning.strike import BoolArray
+
+STEP = 0.004
+"""Of the grid over the working area, m."""
+
+ANGLES = 12
+"""Orientations tried of an object that is not round."""
+
+INWARD = math.radians(80.0)
+"""Largest angle between a tap and the way to the middle with which the tap counts as inward."""
+
+MIDDLE = 0.25
+"""Share of the working radius within which every direction counts as inward: there taps must only
+go in more than one direction."""
+
+WIDEST_GAP = math.radians(170.0)
+"""Most that neighbouring directions of taps may be apart near the middle, below a half plane."""
+
+
+class Coverage(NamedTuple):
+    """points: (n, 2) over the working area, m. reached: (n, tappers), whether each tapper can tap
+    an object there at every orientation. dead: (n,), whether no tap leads on from there."""
+
+    points: Array
+    reached: BoolArray
+    dead: BoolArray
+
+
+def coverage(space: FixedStrikeSpace) -> Coverage:
+    """What the tappers reach of the working area, for the space's object."""
+    area = space.area
+    count = math.ceil(area.radius / STEP)
+    steps = np.linspace(-area.radius, area.radius, 2 * count + 1)
+    grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    grid = grid[np.hypot(grid[:, 0], grid[:, 1]) <= area.radius + 1e-12]
+    points = grid + np.array([area.x, area.y])
+    angles = np.arange(ANGLES) * (2.0 * math.pi / ANGLES)
+    if space.is_round:
+        angles = angles[:1]
+    poses = np.concatenate(
+        [
+            np.broadcast_to(points[:, None, :], (len(points), angles.size, 2)),
+            np.broadcast_to(angles[:, None], (len(points), angles.size, 1)),
+        ],
+        axis=-1,
+    )
+    lines = space.lines(poses)
+    inward = np.arctan2(-grid[:, 1], -grid[:, 0])[:, None, None]
+    off = np.abs((lines.heading - inward + math.pi) % (2.0 * math.pi) - math.pi)
+    leads = np.any(lines.usable & (off <= INWARD), axis=-1)
+    near = np.hypot(grid[:, 0], grid[:, 1]) <= MIDDLE * area.radius
+    around = _widest_gap(lines.heading, lines.usable) <= WIDEST_GAP
+    dead = ~np.all(np.where(near[:, None], around, leads), axis=-1)
+    return Coverage(points, np.all(lines.usable, axis=1), dead)
+
+
+def _widest_gap(heading: Array, usable: BoolArray) -> Array:
+    """Widest angle between neighbouring usable directions, rad: (...,) for (..., tappers)."""
+    angle = np.where(usable, heading % (2.0 * math.pi), math.inf)
+    ordered = np.sort(angle, axis=-1)
+    some = np.isfinite(ordered)
+    first = ordered[..., :1]
+    following = np.concatenate([ordered[..., 1:], np.full_like(first, math.inf)], axis=-1)
+    following = np.where(np.isfinite(following), following, first + 2.0 * math.pi)
+    with np.errstate(invalid="ignore"):
+        gap = np.where(some, following - ordered, 0.0)
+    widest = np.max(gap, axis=-1)
+    return np.asarray(np.where(np.any(usable, axis=-1), widest, 2.0 * math.pi))

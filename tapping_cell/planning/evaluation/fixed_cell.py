@@ -1,0 +1,184 @@
+"""Trials of a cell with fixed tappers: whole sessions, one after the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tapping_cell.mechanics import Tap
+from tapping_cell.planning.errors import PlanningError
+from tapping_cell.planning.evaluation.task import End, Results
+from tapping_cell.planning.fixed_session import FixedTapperSession, GoalSolver
+from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
+from tapping_cell.planning.interface import Array
+from tapping_cell.planning.session import Decision, Done, LookAgain, Strike
+from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.stopping import LONG_LOOK
+from tapping_cell.se2 import Pose, wrap_angle
+
+
+@dataclass(frozen=True, slots=True)
+class FixedEvaluation:
+    """One evaluation. Lengths in m, angles in rad.
+
+    space: the cell as its file says. goal: x, y, theta in `table`. start_angle: starts lie anywhere
+    in the working area, turned by up to this much from the goal. mount_error: standard deviations
+    of the true lines' offset (m) and angle (rad), drawn anew for each trial. truth: the mechanics
+    that answers; None for the one that the planner believes.
+    """
+
+    space: FixedStrikeSpace
+    settings: PlannerSettings
+    trials: int = 400
+    goal: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    start_angle: float = math.radians(30.0)
+    mount_error: tuple[float, float] = (0.0, 0.0)
+    truth: Tap | None = None
+    adapt: bool = True
+    seed: int = 0
+    most_taps: int = 40
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no evaluation (PlanningError)."""
+        if not 1 <= self.trials <= 10**7:
+            raise PlanningError(f"{self.trials} trials: needs 1 to 10000000")
+        if not np.all(np.isfinite(self.goal)):
+            raise PlanningError(f"the goal {self.goal} must be three finite numbers")
+        if not 0.0 <= self.start_angle <= math.pi:
+            raise PlanningError(
+                f"the start angle is {math.degrees(self.start_angle):g} degrees; "
+                "allowed is 0 to 180"
+            )
+        if not all(0.0 <= error <= 0.1 for error in self.mount_error):
+            raise PlanningError(
+                f"mount errors of {self.mount_error}: allowed is 0 to 0.1 m and rad"
+            )
+
+
+def evaluate_fixed(
+    evaluation: FixedEvaluation, progress: Callable[[int], None] | None = None
+) -> Results:
+    """Run all trials of an evaluation; ``progress`` is called with the trials just finished."""
+    solver, rows = GoalSolver(), []
+    for stream in np.random.SeedSequence(evaluation.seed).spawn(evaluation.trials):
+        rows.append(_run_one(evaluation, solver, np.random.default_rng(stream)))
+        if progress is not None:
+            progress(1)
+    taps, end, inside, distance, rotation, over = (
+        np.array(column) for column in zip(*rows, strict=True)
+    )
+    return Results(taps.astype(np.int64), end.astype(np.int64), inside, distance, rotation, over)
+
+
+def _run_one(
+    evaluation: FixedEvaluation, solver: GoalSolver, rng: np.random.Generator
+) -> tuple[int, int, bool, float, float, bool]:
+    space, settings = evaluation.space, evaluation.settings
+    true, goal = _true_space(evaluation, rng), np.array(evaluation.goal)
+    area = space.area
+    radius, angle = (
+        area.radius * math.sqrt(rng.random()),
+        rng.uniform(-math.pi, math.pi),
+    )
+    turned = rng.uniform(-evaluation.start_angle, evaluation.start_angle)
+    pose = np.array(
+        [
+            area.x + radius * math.cos(angle),
+            area.y + radius * math.sin(angle),
+            goal[2] + turned,
+        ]
+    )
+    session = FixedTapperSession(
+        goal,
+        settings,
+        space,
+        solver,
+        adapt=evaluation.adapt,
+        most_taps=evaluation.most_taps,
+    )
+    camera = settings.camera
+    look = np.array([camera.position, camera.position, camera.angle])
+    left = False
+    decision, seen = _decide(session, pose, look, rng)
+    while isinstance(decision, Strike):
+        pose = pose + _answer(true, decision, pose, settings, rng)
+        pose[2] = wrap_angle(pose[2])
+        left = left or float(area.room(pose[:2])) < 0.0
+        before = seen
+        session.observe(decision, before, pose + look * rng.standard_normal(3))
+        decision, seen = _decide(session, pose, look, rng)
+    if isinstance(decision, Done):
+        end = End.DONE
+    elif session.taps >= evaluation.most_taps:
+        end = End.ENDLESS
+    else:
+        end = End.REFUSED_BEFORE if session.taps == 0 else End.REFUSED_LATER
+    error = session.residual(pose)
+    distance, rotation = math.hypot(error[0], error[1]), float(error[2])
+    within = distance <= settings.tolerance_position and abs(rotation) <= settings.tolerance_angle
+    return session.taps, int(end), within, distance, rotation, left
+
+
+def _true_space(evaluation: FixedEvaluation, rng: np.random.Generator) -> FixedStrikeSpace:
+    """The tappers as they truly stand and strike in one trial."""
+    space = evaluation.space
+    off, turn = evaluation.mount_error
+    drawn = rng.standard_normal((len(space.tappers), 2)) * np.array([off, turn])
+    made = space.with_mounts(
+        [
+            Pose(
+                tapper.mount.x - float(error[0]) * math.sin(tapper.mount.theta),
+                tapper.mount.y + float(error[0]) * math.cos(tapper.mount.theta),
+                tapper.mount.theta + float(error[1]),
+            )
+            for tapper, error in zip(space.tappers, drawn, strict=True)
+        ]
+    )
+    if evaluation.truth is not None:
+        truth = evaluation.truth
+        made.tappers = tuple(replace(tapper, tap=truth) for tapper in made.tappers)
+    return made
+
+
+def _answer(
+    true: FixedStrikeSpace,
+    strike: Strike,
+    pose: Array,
+    settings: PlannerSettings,
+    rng: np.random.Generator,
+) -> Array:
+    """The true displacement (3,) of a strike, with its scatter; zero where the striker misses."""
+    index = [tapper.name for tapper in true.tappers].index(strike.plan.tapper)
+    tapper, speed = true.tappers[index], strike.plan.striker_speed
+    line = np.array([tapper.mount.x, tapper.mount.y, tapper.mount.theta])
+    hit = tapper.tap.strike(pose, line, speed)
+    if bool(hit.missed) or not 0.0 <= float(hit.travel) <= tapper.stroke:
+        return np.zeros(3)
+    scatter, noise = settings.scatter, rng.standard_normal(3)
+    moved = hit.displacement
+    length = float(np.hypot(moved[0], moved[1])) * (1.0 + scatter.distance * noise[0])
+    heading = math.atan2(moved[1], moved[0]) + scatter.direction * noise[2]
+    return np.array(
+        [
+            length * math.cos(heading),
+            length * math.sin(heading),
+            float(moved[2]) * (1.0 + scatter.rotation * noise[1]),
+        ]
+    )
+
+
+def _decide(
+    session: FixedTapperSession, pose: Array, look: Array, rng: np.random.Generator
+) -> tuple[Decision, Array]:
+    """The session's decision and the pose that it was made on, after looking longer if it asks."""
+    camera = session.settings.camera
+    seen = pose + look * rng.standard_normal(3)
+    for looks in range(1, LONG_LOOK + 1):
+        decision = session.decide(seen, camera.covariance / looks, look_again=looks < LONG_LOOK)
+        if not isinstance(decision, LookAgain):
+            break
+        seen = seen + (pose + look * rng.standard_normal(3) - seen) / (looks + 1)
+    return decision, seen

@@ -1,0 +1,406 @@
+"""One positioning task with tappers at fixed mounts: look, decide, tap, observe. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tapping_cell.planning.fixed_policy import (
+    LOST,
+    OUTER,
+    Solution,
+    expected_taps,
+    scatter_points,
+    solve_goal,
+    states_after,
+)
+from tapping_cell.planning.fixed_tappers import FixedStrikeSpace, Lines
+from tapping_cell.planning.gains import Gains
+from tapping_cell.planning.goal import place_text
+from tapping_cell.planning.interface import Array
+from tapping_cell.planning.mounts import MountBelief, believed
+from tapping_cell.planning.refusal import Refusal, RefusalReason
+from tapping_cell.planning.session import (
+    MISSED,
+    MOST_TAPS,
+    WORTH_A_LOOK,
+    Decision,
+    Done,
+    LookAgain,
+    Strike,
+    noise_of,
+)
+from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.stopping import (
+    CONFIDENCE,
+    StoppingBox,
+    inside_probability,
+    stopping_box,
+)
+from tapping_cell.planning.strike import BoolArray
+from tapping_cell.se2 import Pose, wrap_angle
+
+METHOD = "fixed tappers"
+"""Name of the planning method, for records."""
+
+LENGTHS = 32
+"""Lengths in a geometric row that a decision compares for every tapper."""
+
+AROUND = np.array([0.94, 0.97, 1.0, 1.03])
+"""Shares of the lengths that end nearest to the goal, and that end the rotation."""
+
+POINTS = 24
+"""Equally likely points of the scatter that a decision compares taps with."""
+
+DEVIATIONS = 3.0
+"""Of all that is not known of a slide that must stay in the working area."""
+
+WAY = np.linspace(0.25, 1.0, 4)
+"""Shares of a slide at which it is held against keep-outs."""
+
+KEPT_SOLUTIONS = 16
+
+
+class GoalSolver:
+    """Solves goals and keeps the last ones solved, for one object and cell."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[str, Solution] = OrderedDict()
+
+    def solution(self, space: FixedStrikeSpace, settings: PlannerSettings, goal: Array) -> Solution:
+        """The solution for a goal; seconds where it is new."""
+        turn = 0.0 if space.is_round else float(goal[2])
+        place = np.array([goal[0], goal[1], turn])
+        key = f"{space.key()};{settings.key()};{np.round(place, 6).tolist()}"
+        if key not in self._kept:
+            self._kept[key] = solve_goal(space, settings, place)
+            while len(self._kept) > KEPT_SOLUTIONS:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return self._kept[key]
+
+
+class FixedTapperSession:
+    """Goal, solved policy, learnt gains and lines of one task; as ``PositioningSession``.
+
+    Args:
+        goal_pose: x, y (m), theta (rad) of the object in `table`.
+        settings: tolerance, scatter and camera.
+        space: the tappers, the object and what stands in their way.
+        solver: keeps solved goals; one of its own where none is given.
+        gains, mounts: what is known of the object and of the lines from earlier runs.
+        adapt: whether ``observe`` learns.
+        most_taps: a limit against endless runs.
+    """
+
+    method = METHOD
+
+    def __init__(
+        self,
+        goal_pose: ArrayLike,
+        settings: PlannerSettings,
+        space: FixedStrikeSpace,
+        solver: GoalSolver | None = None,
+        gains: Gains | None = None,
+        mounts: MountBelief | None = None,
+        *,
+        adapt: bool = True,
+        most_taps: int = MOST_TAPS,
+    ) -> None:
+        self.goal = np.asarray(goal_pose, dtype=float)
+        self.settings = settings
+        self.gains = Gains.start() if gains is None else gains
+        self.mounts = MountBelief.start(len(space.tappers)) if mounts is None else mounts
+        self.taps = 0
+        self._adapt = adapt
+        self._most_taps = most_taps
+        self._missed: frozenset[int] = frozenset()
+        self._solver = GoalSolver() if solver is None else solver
+        self._points = scatter_points(settings, POINTS)
+        self.use_room(space)
+
+    def use_room(self, space: FixedStrikeSpace) -> None:
+        """Work in this space from now on: what stands on the table may have changed."""
+        self._nominal = space
+        self._space = believed(space, self.mounts)
+        self._solution: Solution | None = None
+        self._goal_refusal = check_fixed_goal(self.goal, space)
+        if self._goal_refusal is None:
+            self._solution = self._solver.solution(space, self.settings, self.goal)
+
+    def residual(self, object_pose: ArrayLike) -> Array:
+        """Goal less object: (dx, dy, dtheta) in `table`, the rotation the short way round."""
+        left: Array = self.goal - np.asarray(object_pose, dtype=float)
+        left[2] = wrap_angle(left[2])
+        return left
+
+    def stopping(self, covariance: ArrayLike | None) -> StoppingBox:
+        """The box in which a look with this covariance, (3, 3) in m and rad, may say done."""
+        settings = self.settings
+        noise = settings.camera if covariance is None else noise_of(covariance)
+        return stopping_box(
+            settings.tolerance_position,
+            settings.tolerance_angle,
+            noise.position,
+            noise.angle,
+            settings.box,
+        )
+
+    def decide(
+        self,
+        object_pose: ArrayLike,
+        covariance: ArrayLike | None = None,
+        *,
+        look_again: bool = False,
+    ) -> Decision:
+        """What to do with the object at rest; see ``PositioningSession.decide``."""
+        if self._goal_refusal is not None:
+            return self._goal_refusal
+        pose = np.asarray(object_pose, dtype=float)
+        if pose.shape != (3,) or not np.all(np.isfinite(pose)):
+            return Refusal(
+                RefusalReason.OBJECT_POSE_NOT_FINITE,
+                f"the object's pose {pose.tolist()} is not three finite numbers; look again",
+            )
+        left, box, settings = (
+            self.residual(pose),
+            self.stopping(covariance),
+            self.settings,
+        )
+        spread = settings.camera.covariance if covariance is None else covariance
+        limits = settings.tolerance_position, settings.tolerance_angle
+        probability = float(inside_probability(left, spread, *limits))
+        residual = Pose(*left.tolist())
+        if probability >= CONFIDENCE and box.camera_suffices:
+            return Done(residual, box)
+        if look_again and probability >= WORTH_A_LOOK:
+            return LookAgain(residual, probability)
+        return self._refusal(pose, left, box) or self._strike(pose, left, self._missed)
+
+    def observe(
+        self,
+        strike: Strike,
+        pose_before: ArrayLike,
+        pose_after: ArrayLike,
+        covariance: ArrayLike | None = None,
+    ) -> None:
+        """Learn from a tap that was fired; see ``PositioningSession.observe``."""
+        self.taps += 1
+        before = np.asarray(pose_before, dtype=float)
+        moved = np.asarray(pose_after, dtype=float) - before
+        moved[2] = wrap_angle(moved[2])
+        asked = math.hypot(strike.wanted.x, strike.wanted.y)
+        index = self._index(strike)
+        missed = math.hypot(moved[0], moved[1]) < MISSED * asked
+        self._missed = self._missed | {index} if missed else frozenset()
+        if not self._adapt or not np.all(np.isfinite(moved)):
+            return
+        noise = self.settings.camera if covariance is None else noise_of(covariance)
+        self.mounts = self.mounts.observe(
+            index,
+            self._nominal.tappers[index],
+            before,
+            moved,
+            float(self.gains.value[1]),
+            self.settings.scatter,
+            noise,
+        )
+        self._space = believed(self._nominal, self.mounts)
+        lines = self._space.lines(before)
+        length = lines.reach[index] * strike.plan.striker_speed**2
+        if length > 0.0:
+            commanded = _displacement(lines.heading[index], lines.slope[index], length)
+            self.gains = self.gains.observe(
+                commanded, moved, before[2], self.settings.scatter, noise
+            )
+
+    def edge_warning(self, pose: ArrayLike) -> str:
+        """A sentence where the object has left the working area; an empty text else."""
+        room = float(self._space.area.room(np.asarray(pose, dtype=float)[:2]))
+        if room >= 0.0:
+            return ""
+        return (
+            f"the object at {place_text(pose)} lies {-1e3 * room:.1f} mm outside the working area; "
+            "only taps that bring it back are made"
+        )
+
+    def _index(self, strike: Strike) -> int:
+        names = [tapper.name for tapper in self._nominal.tappers]
+        return names.index(strike.plan.tapper)
+
+    def _refusal(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
+        settings = self.settings
+        within = (
+            math.hypot(left[0], left[1]) <= settings.tolerance_position
+            and abs(left[2]) <= settings.tolerance_angle
+        )
+        if within and not box.camera_suffices:
+            return Refusal(
+                RefusalReason.CAMERA_TOO_COARSE,
+                "the object may be at the goal, but the camera is too uncertain to say so within "
+                f"{1e3 * settings.tolerance_position:.2f} mm and "
+                f"{math.degrees(settings.tolerance_angle):.2f} degrees; look longer at the object "
+                "at rest, calibrate the camera or widen the tolerance",
+            )
+        room = float(self._space.area.room(pose[:2]))
+        if room < -OUTER:
+            return Refusal(
+                RefusalReason.OBJECT_OFF_TABLE,
+                f"the object's centre at {place_text(pose)} is {-1e3 * room:.1f} mm outside the "
+                f"working area, the limit is {1e3 * OUTER:.0f} mm; put it back by hand",
+            )
+        if self.taps >= self._most_taps:
+            return Refusal(
+                RefusalReason.TOO_MANY_TAPS,
+                f"{self.taps} taps did not bring the object to the goal, the limit is "
+                f"{self._most_taps}; check the strikers, the camera and the object's file",
+            )
+        return None
+
+    def _strike(self, pose: Array, left: Array, missed: frozenset[int]) -> Strike | Refusal:
+        lines = self._space.lines(pose)
+        usable = [index for index in np.flatnonzero(lines.usable).tolist() if index not in missed]
+        chosen = self._best(pose, left, lines, usable) if usable else None
+        if chosen is None and missed:
+            return self._strike(pose, left, frozenset())
+        if chosen is None:
+            return Refusal(
+                RefusalReason.NO_STRIKE,
+                f"no tapper can move the object at {place_text(pose)} on safely: "
+                f"{int(lines.usable.sum())} of {lines.usable.size} meet it, and their taps would "
+                "leave the working area, enter a keep-out or lead nowhere; move the object by hand "
+                "towards the middle",
+            )
+        index, commanded, length = chosen
+        wanted = self.gains.predict(commanded, pose[2])
+        after = pose + wanted
+        after[2] = wrap_angle(after[2])
+        return Strike(
+            commanded=Pose(*commanded.tolist()),
+            wanted=Pose(*wanted.tolist()),
+            predicted=Pose(*after.tolist()),
+            residual=Pose(*left.tolist()),
+            plan=self._space.plan(index, pose, length),
+            method=METHOD,
+        )
+
+    def _best(
+        self, pose: Array, left: Array, lines: Lines, usable: list[int]
+    ) -> tuple[int, Array, float] | None:
+        """Tapper, commanded displacement (3,) and its length with the fewest expected taps."""
+        assert self._solution is not None
+        heading, slope = lines.heading[usable], lines.slope[usable]
+        gain = self.gains.value
+        least = lines.least[usable]
+        most = np.minimum(lines.most[usable], self.settings.largest_distance / gain[0])
+        length = _lengths(left, heading, slope, least, np.maximum(most, least), gain)
+        commanded = _displacement(heading[:, None], slope[:, None], length)
+        expected = self.gains.predict(commanded, pose[2])
+        allowed = self._ends_well(pose, commanded, expected)
+        if not np.any(allowed):
+            return None
+        size = np.hypot(expected[..., 0], expected[..., 1])
+        # The error is object less goal; to the states around the goal the scatter is as planned.
+        after = states_after(
+            np.broadcast_to(-left, (*size.shape, 3)),
+            np.arctan2(expected[..., 1], expected[..., 0]),
+            expected[..., 2] / np.maximum(size, 1e-12),
+            size,
+            self._points,
+        )
+        box = self.settings.stopping
+        cost = expected_taps(
+            self._solution.value,
+            self._solution.grid,
+            (box.distance, box.rotation),
+            after,
+        )
+        cost = np.where(allowed, cost, math.inf)
+        row, column = np.unravel_index(int(np.argmin(cost)), cost.shape)
+        if cost[row, column] >= LOST - 1.0:
+            return None
+        return usable[int(row)], commanded[row, column], float(length[row, column])
+
+    def _ends_well(self, pose: Array, commanded: Array, expected: Array) -> BoolArray:
+        """Which displacements (..., 3) may be made: they end in the working area, and with all that
+        is not known of them where the object can be brought back from, off the keep-outs. From
+        outside the area: they bring the object nearer."""
+        spread = self.gains.spread(commanded, self.settings.scatter, DEVIATIONS)
+        size = np.hypot(expected[..., 0], expected[..., 1])
+        heading = np.arctan2(expected[..., 1], expected[..., 0])
+        longest = size * (spread.longest if self._adapt else 1.0)
+        aside = np.concatenate([spread.aside, np.zeros_like(spread.aside[..., :1])], axis=-1)
+        rays = heading[..., None] + aside
+        way = longest[..., None, None] * WAY
+        points = np.stack(
+            [
+                pose[0] + way * np.cos(rays)[..., None],
+                pose[1] + way * np.sin(rays)[..., None],
+            ],
+            axis=-1,
+        )
+        here = float(self._space.area.room(pose[:2]))
+        room = self._space.area.room(points)
+        object_room = self._space.workspace.object_room(points)
+        needed = min(
+            self._space.object_radius,
+            float(self._space.workspace.object_room(pose[:2])),
+        )
+        safe = np.all(object_room >= needed - 1e-9, axis=(-2, -1))
+        if here >= 0.0:
+            end = pose[:2] + expected[..., :2]
+            safe &= self._space.area.room(end) >= 0.0
+            safe &= np.all(room >= -OUTER, axis=(-2, -1))
+        else:
+            safe &= np.all(room[..., -1] > here, axis=-1)
+        return np.asarray(safe)
+
+
+def check_fixed_goal(goal_pose: ArrayLike, space: FixedStrikeSpace) -> Refusal | None:
+    """Why no run to this goal (x, y, theta in `table`) can end well, or None."""
+    goal = np.asarray(goal_pose, dtype=float)
+    if goal.shape != (3,) or not np.all(np.isfinite(goal)):
+        return Refusal(
+            RefusalReason.GOAL_NOT_FINITE,
+            f"the goal {goal.tolist()} is not three finite numbers x, y, theta; send a valid pose",
+        )
+    room = float(space.area.room(goal[:2]))
+    if room < 0.0:
+        return Refusal(
+            RefusalReason.GOAL_OUTSIDE_WORKING_AREA,
+            f"the goal {place_text(goal)} lies {-1e3 * room:.1f} mm outside the working area of "
+            f"{1e3 * space.area.radius:.0f} mm radius about ({1e3 * space.area.x:.1f} mm, "
+            f"{1e3 * space.area.y:.1f} mm); send a goal inside it",
+        )
+    table = space.workspace
+    if float(table.object_room(goal[:2])) < space.object_radius:
+        near = table.nearest_keep_out(goal[:2]) or "the table's edge"
+        return Refusal(
+            RefusalReason.GOAL_IN_KEEP_OUT,
+            f"the object at the goal {place_text(goal)} would come too close to {near}; move the "
+            "goal away",
+        )
+    return None
+
+
+def _displacement(heading: ArrayLike, slope: ArrayLike, length: ArrayLike) -> Array:
+    """Displacements (..., 3) of lengths in m along headings in rad, with slopes in rad/m."""
+    size = np.asarray(length, dtype=float)
+    along = np.broadcast_to(np.asarray(heading, dtype=float), size.shape)
+    turn = np.broadcast_to(np.asarray(slope, dtype=float), size.shape)
+    return np.stack([size * np.cos(along), size * np.sin(along), size * turn], axis=-1)
+
+
+def _lengths(
+    left: Array, heading: Array, slope: Array, least: Array, most: Array, gain: Array
+) -> Array:
+    """Lengths to compare, (tappers, n): a geometric row and those about the goal."""
+    row = least[:, None] * (most / least)[:, None] ** np.linspace(0.0, 1.0, LENGTHS)
+    nearest = (left[0] * np.cos(heading) + left[1] * np.sin(heading)) / gain[0]
+    true_slope = slope * gain[1]
+    turned = left[2] / np.where(np.abs(true_slope) < 1e-3, np.inf, true_slope) / gain[0]
+    own = np.concatenate([nearest[:, None] * AROUND, turned[:, None] * AROUND], axis=-1)
+    return np.concatenate([row, np.clip(own, least[:, None], most[:, None])], axis=-1)

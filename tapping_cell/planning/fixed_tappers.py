@@ -1,0 +1,219 @@
+"""Tappers at fixed mounts: which taps each of them can make of an object at a pose.
+
+A fixed tapper has one line of travel. Where it hits an object and in which direction it sends it
+follows from the object's pose alone; only the speed is free. Sliding scales with the square of the
+speed, so that all taps of one tapper at one pose are one direction and one rotation per distance,
+and a length: the choice of a tap is a tapper and a length.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tapping_cell.mechanics import Polygon, Tap
+from tapping_cell.planning.errors import PlanningError
+from tapping_cell.planning.interface import Array
+from tapping_cell.planning.settings import Scatter
+from tapping_cell.planning.strike import BoolArray, StrikePlan
+from tapping_cell.planning.workspace import KeepOut, Workspace
+from tapping_cell.se2 import Pose
+
+STEEPEST = math.radians(60.0)
+"""Largest incidence of a tap that is used: beyond it a small error of the line decides whether the
+striker grazes the object or passes it."""
+
+STROKE_MARGIN = 0.003
+"""Least rest of the stroke at the contact, m."""
+
+WAY_POINTS = 40
+"""Points of a stroke that are held against the keep-outs."""
+
+
+@dataclass(frozen=True, slots=True)
+class FixedTapper:
+    """A tapper at a fixed mount.
+
+    mount: the tip's centre at rest and the direction of its travel, in `table`, m and rad.
+    stroke: largest travel of the tip, m. tap: the mechanics with this tapper's striker.
+    slowest, fastest: speeds that it can make, m/s.
+    """
+
+    name: str
+    mount: Pose
+    stroke: float
+    tap: Tap
+    slowest: float
+    fastest: float
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no tapper (PlanningError)."""
+        if not (self.stroke > 0.0 and 0.0 <= self.slowest < self.fastest):
+            raise PlanningError(
+                f"tapper '{self.name}': stroke {self.stroke!r} m must be above 0, and the speeds "
+                f"{self.slowest!r} to {self.fastest!r} m/s must rise"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class WorkingArea:
+    """The disc in which the object's centre may lie: middle x, y and radius, m, in `table`."""
+
+    x: float
+    y: float
+    radius: float
+
+    def room(self, points: ArrayLike) -> Array:
+        """Distance of points (..., 2) to the area's edge, negative outside, m."""
+        p = np.asarray(points, dtype=float)
+        return np.asarray(self.radius - np.hypot(p[..., 0] - self.x, p[..., 1] - self.y))
+
+
+class Lines(NamedTuple):
+    """What the tappers can do with objects; shapes (..., tappers).
+
+    usable: whether a tap of this tapper may be made at all. heading: direction in which it sends
+    the object, rad, in `table`. slope: rotation per distance, rad/m. reach: displacement per
+    squared speed, m/(m/s)^2. least, most: displacements that it can make, m. travel: of the tip
+    until the contact, m.
+    """
+
+    usable: BoolArray
+    heading: Array
+    slope: Array
+    reach: Array
+    least: Array
+    most: Array
+    travel: Array
+
+
+class FixedStrikeSpace:
+    """Which taps can be struck: one object's mechanics, one table, tappers at fixed mounts."""
+
+    def __init__(
+        self,
+        tappers: Sequence[FixedTapper],
+        workspace: Workspace,
+        area: WorkingArea,
+        scatter: Scatter | None = None,
+        *,
+        smallest_distance: float = 0.0017,
+        tool_radius: float = 0.009,
+    ) -> None:
+        if not tappers:
+            raise PlanningError("a cell with fixed tappers needs at least one")
+        self.tappers = tuple(
+            replace(
+                tapper,
+                tap=replace(
+                    tapper.tap,
+                    sliding=tapper.tap.sliding.approximated(),
+                    smallest_distance=0.0,
+                ),
+            )
+            for tapper in tappers
+        )
+        self.workspace = workspace
+        self.area = area
+        self.scatter = Scatter() if scatter is None else scatter
+        self.smallest_distance = smallest_distance
+        self.tool_radius = tool_radius
+        self.object_radius = float(tappers[0].tap.body.bounding_radius)
+        self._clear = self._clear_strokes()
+
+    @property
+    def is_round(self) -> bool:
+        """Whether taps do not depend on the object's orientation."""
+        return not isinstance(self.tappers[0].tap.body, Polygon)
+
+    def key(self) -> str:
+        """A text that is equal where the solved goals are: all but the names of the tappers."""
+        parts = [
+            f"{tapper.mount};{tapper.stroke};{tapper.slowest};{tapper.fastest};{tapper.tap}"
+            for tapper in self.tappers
+        ]
+        return f"{parts};{self.workspace};{self.area};{self.smallest_distance}"
+
+    def among(self, areas: Sequence[KeepOut]) -> FixedStrikeSpace:
+        """The same space with these keep-outs besides the workspace's own."""
+        made = copy(self)
+        made.workspace = replace(self.workspace, keep_outs=(*self.workspace.keep_outs, *areas))
+        made._clear = made._clear_strokes()
+        return made
+
+    def with_mounts(self, mounts: Sequence[Pose]) -> FixedStrikeSpace:
+        """The same tappers elsewhere, in order: mounts as they were measured or learnt."""
+        made = copy(self)
+        made.tappers = tuple(
+            replace(tapper, mount=mount) for tapper, mount in zip(self.tappers, mounts, strict=True)
+        )
+        made._clear = made._clear_strokes()
+        return made
+
+    def _clear_strokes(self) -> BoolArray:
+        """Which tappers touch no keep-out with their whole stroke: it ends where it ends, even
+        where the object is not met."""
+        clear = []
+        for tapper in self.tappers:
+            way = np.linspace(0.0, tapper.stroke, WAY_POINTS)
+            points = np.stack(
+                [
+                    tapper.mount.x + way * math.cos(tapper.mount.theta),
+                    tapper.mount.y + way * math.sin(tapper.mount.theta),
+                ],
+                axis=-1,
+            )
+            margin = self.workspace.keep_out_margin + self.tool_radius
+            clear.append(bool(np.all(self.workspace.keep_out_distance(points) >= margin)))
+        return np.array(clear)
+
+    def lines(self, object_poses: ArrayLike) -> Lines:
+        """What each tapper does with objects at rest at poses (..., 3)."""
+        poses = np.asarray(object_poses, dtype=float)
+        columns = [self._line(index, poses) for index in range(len(self.tappers))]
+        return Lines(*(np.stack(parts, axis=-1) for parts in zip(*columns, strict=True)))
+
+    def _line(self, index: int, poses: Array) -> Lines:
+        tapper = self.tappers[index]
+        mount = np.array([tapper.mount.x, tapper.mount.y, tapper.mount.theta])
+        hit = tapper.tap.strike(poses, mount, 1.0)
+        moved = hit.displacement
+        reach = np.hypot(moved[..., 0], moved[..., 1])
+        slope = moved[..., 2] / np.maximum(reach, 1e-12)
+        most = reach * tapper.fastest**2
+        least = np.maximum(reach * tapper.slowest**2, self.smallest_distance)
+        usable = ~hit.missed & (np.abs(hit.incidence) <= STEEPEST) & (most > least)
+        usable &= (hit.travel > 0.0) & (hit.travel <= tapper.stroke - STROKE_MARGIN)
+        usable &= bool(self._clear[index])
+        heading = np.arctan2(moved[..., 1], moved[..., 0])
+        return Lines(usable, heading, slope, reach, least, most, hit.travel)
+
+    def plan(self, index: int, pose: ArrayLike, distance: float) -> StrikePlan:
+        """The strike by which tapper ``index`` moves an object at (3,) by a distance in m."""
+        held = np.asarray(pose, dtype=float)
+        tapper = self.tappers[index]
+        mount = tapper.mount
+        hit = tapper.tap.strike(held, np.array([mount.x, mount.y, mount.theta]), 1.0)
+        reach = float(np.hypot(hit.displacement[0], hit.displacement[1]))
+        travel = float(hit.travel)
+        point = np.asarray(hit.point) - held[:2]
+        return StrikePlan(
+            contact_angle=float(np.arctan2(point[1], point[0]) - held[2]),
+            contact_pose=Pose(
+                mount.x + travel * math.cos(mount.theta),
+                mount.y + travel * math.sin(mount.theta),
+                mount.theta,
+            ),
+            strike_pose=mount,
+            striker_speed=math.sqrt(distance / reach),
+            elbow=0,
+            approach=(),
+            retreat=(),
+            tapper=tapper.name,
+        )

@@ -1,0 +1,110 @@
+"""Lines of fixed tappers from single taps, against the truth that made them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tapping_cell.calibration.mounts import WANTED, TapScatter, fit_mount
+from tapping_cell.cli import main
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.se2 import Pose, wrap_angle
+
+FILE = shared_folder() / "positioning_cell" / "cell.yaml"
+CELL = load_cell(FILE)
+SCATTER = TapScatter(0.05, 0.15, math.radians(1.0), 5e-5, math.radians(0.05))
+
+
+def moved(mount: Pose, offset: float, angle: float) -> Pose:
+    return Pose(
+        mount.x - offset * math.sin(mount.theta),
+        mount.y + offset * math.cos(mount.theta),
+        mount.theta + angle,
+    )
+
+
+def made_taps(entry, true: Pose, factor: float, count: int, rng: np.random.Generator):
+    """Objects put down by hand anywhere near the middle; what the camera saw of each tap."""
+    tap = CELL.object.tap(CELL.tapper_of(entry).striker())
+    angles, radii = rng.uniform(-math.pi, math.pi, count), 0.05 * np.sqrt(rng.random(count))
+    before = np.stack([radii * np.cos(angles), radii * np.sin(angles), angles], axis=-1)
+    speeds = np.full(count, 0.6)
+    told = tap.outcome(before, np.array([true.x, true.y, true.theta]), factor * speeds)
+    heading = np.arctan2(told[:, 1], told[:, 0]) + SCATTER.direction * rng.standard_normal(count)
+    size = np.hypot(told[:, 0], told[:, 1]) * (1.0 + 0.05 * rng.standard_normal(count))
+    turn = told[:, 2] * (1.0 + 0.15 * rng.standard_normal(count))
+    after = before + np.stack([size * np.cos(heading), size * np.sin(heading), turn], axis=-1)
+    look = np.array([5e-5, 5e-5, math.radians(0.05)])
+    seen = [pose + look * rng.standard_normal(pose.shape) for pose in (before, after)]
+    return speeds, seen[0], seen[1]
+
+
+def line_error(found: Pose, true: Pose) -> float:
+    """Distance of the lines where they meet an object in the middle, m."""
+    reach = math.hypot(true.x, true.y) - 0.05
+    point = np.array([true.x + reach * math.cos(true.theta), true.y + reach * math.sin(true.theta)])
+    off = point - np.array([found.x, found.y])
+    return float(off[0] * math.sin(found.theta) - off[1] * math.cos(found.theta))
+
+
+def test_twelve_taps_know_a_line_to_a_third_of_a_millimetre() -> None:
+    rng = np.random.default_rng(5)
+    errors, told = [], []
+    for trial in range(40):
+        entry = CELL.fixed_tappers.tappers[trial % 8]
+        nominal = Pose(*entry.position, entry.direction)
+        true = moved(nominal, 1e-3 * rng.standard_normal(), 0.01 * rng.standard_normal())
+        factor = 1.0 + 0.05 * rng.standard_normal()
+        tap = CELL.object.tap(CELL.tapper_of(entry).striker())
+        fit = fit_mount(entry.name, nominal, tap, *made_taps(entry, true, factor, 12, rng), SCATTER)
+        errors.append(line_error(fit.mount, true))
+        told.append(fit.line_deviation)
+        assert fit.speed_factor == pytest.approx(factor, rel=0.05)
+        assert abs(wrap_angle(fit.mount.theta - true.theta)) < 5.0 * fit.angle_deviation
+    assert np.sqrt(np.mean(np.square(errors))) < WANTED
+    # The uncertainty that is told is honest: not half, not twice of what is found.
+    assert 0.5 < np.sqrt(np.mean(np.square(errors))) / np.mean(told) < 2.0
+
+
+def write(path: Path, rows) -> Path:
+    names = "x_before,y_before,theta_before,x_after,y_after,theta_after"
+    lines = [f"tapper,speed,{names}"]
+    for name, speed, before, after in rows:
+        lines.append(",".join([name, *(f"{value:.7f}" for value in (speed, *before, *after))]))
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_the_verb_writes_the_measured_mounts(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    entry = CELL.fixed_tappers.tappers[1]
+    true = moved(Pose(*entry.position, entry.direction), 8e-4, -0.006)
+    taps = zip(*made_taps(entry, true, 1.0, 16, rng), strict=True)
+    record = write(tmp_path / "taps.csv", ((entry.name, *tap) for tap in taps))
+    made = tmp_path / "cell.yaml"
+    assert (
+        main(["calibrate", "mounts", str(record), "--cell", str(FILE), "--output", str(made)]) == 0
+    )
+    found = load_cell(made).fixed_tappers
+    measured = found.tappers[1]
+    assert abs(line_error(Pose(*measured.position, measured.direction), true)) < 2 * WANTED
+    assert found.tappers[0] == CELL.fixed_tappers.tappers[0]
+    assert found.calibration is not None
+    assert found.calibration.observations + found.calibration.left_out == 16
+
+
+def test_an_unknown_tapper_and_too_few_taps_are_refused(tmp_path: Path, capsys) -> None:
+    still = ((0.0, 0.0, 0.0), (0.02, 0.0, 0.1))
+    for name, words in (("upstairs", "no tapper 'upstairs'"), ("east", "at least 4")):
+        record = write(tmp_path / "taps.csv", [(name, 0.5, *still)])
+        output = tmp_path / "cell.yaml"
+        status = main(
+            ["calibrate", "mounts", str(record), "--cell", str(FILE), "--output", str(output)]
+        )
+        assert status in (1, 2)
+        assert words in capsys.readouterr().err
+        assert not output.exists()

@@ -1,0 +1,201 @@
+"""Fixed tappers: the choice of taps, what is learnt of the lines, coverage, refusals."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tapping_cell.configuration.assembly import make_fixed_space, make_planner_settings
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.planning import CircleArea, Refusal, RefusalReason, Strike
+from tapping_cell.planning.coverage import coverage
+from tapping_cell.planning.evaluation.fixed_cell import FixedEvaluation, evaluate_fixed
+from tapping_cell.planning.evaluation.task import End
+from tapping_cell.planning.fixed_policy import Solution, scatter_points, solve_goal
+from tapping_cell.planning.fixed_session import FixedTapperSession, GoalSolver
+from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
+from tapping_cell.planning.mounts import MountBelief
+from tapping_cell.planning.settings import CameraNoise
+from tapping_cell.se2 import Pose
+
+CELL = load_cell(shared_folder() / "positioning_cell" / "cell.yaml")
+SPACE = make_fixed_space(CELL)
+PLAN = replace(
+    make_planner_settings(CELL, CELL.tolerance),
+    camera=CameraNoise(5e-5, math.radians(0.05)),
+)
+TIP = CELL.file.tapper.tip_radius
+
+
+@cache
+def solver() -> GoalSolver:
+    """Goals solved on the coarse grid alone: a third of a second each, a tap more."""
+
+    class Coarse(GoalSolver):
+        def solution(self, space: FixedStrikeSpace, plan, goal) -> Solution:
+            key = f"{space.key()}{plan.key()}{np.round(goal, 6).tolist()}"
+            if key not in self._kept:
+                self._kept[key] = solve_goal(space, plan, goal, step=0.5)
+            return self._kept[key]
+
+    return Coarse()
+
+
+def session(goal=(0.0, 0.0, 0.0), space: FixedStrikeSpace = SPACE) -> FixedTapperSession:
+    return FixedTapperSession(goal, PLAN, space, solver())
+
+
+@given(x=st.floats(-0.05, 0.05), y=st.floats(-0.05, 0.05), theta=st.floats(-3.0, 3.0))
+@settings(max_examples=50, deadline=None)
+def test_a_disk_is_hit_where_its_line_passes(x: float, y: float, theta: float) -> None:
+    """By plane geometry: the lever of a line about the middle of a disk says what is hit, and
+    whether the object turns left or right."""
+    lines = SPACE.lines(np.array([x, y, theta]))
+    reach = SPACE.object_radius + TIP
+    for index, tapper in enumerate(SPACE.tappers):
+        mount = tapper.mount
+        along = np.array([math.cos(mount.theta), math.sin(mount.theta)])
+        to = np.array([x - mount.x, y - mount.y])
+        lever = along[0] * to[1] - along[1] * to[0]  # of the middle, left of the line
+        if abs(lever) < reach * math.sin(math.radians(59.0)):
+            assert lines.usable[index]
+            travel = to @ along - math.sqrt(reach**2 - lever**2)
+            assert lines.travel[index] == pytest.approx(travel, abs=1e-9)
+        elif abs(lever) > reach * math.sin(math.radians(61.0)):
+            assert not lines.usable[index]
+        if lines.usable[index] and abs(lever) > 1e-6:
+            # A push on the object's right side turns it counter-clockwise.
+            assert np.sign(lines.slope[index]) == np.sign(lever)
+
+
+@given(distance=st.floats(0.002, 0.08), index=st.integers(0, 7))
+@settings(max_examples=30, deadline=None)
+def test_the_planned_speed_makes_the_distance(distance: float, index: int) -> None:
+    pose = np.array([0.005, -0.003, 0.4])
+    plan = SPACE.plan(index, pose, distance)
+    mount = SPACE.tappers[index].mount
+    moved = SPACE.tappers[index].tap.outcome(
+        pose, [mount.x, mount.y, mount.theta], plan.striker_speed
+    )
+    assert math.hypot(moved[0], moved[1]) == pytest.approx(distance, rel=1e-6)
+    assert plan.tapper == SPACE.tappers[index].name
+
+
+def test_the_shipped_cell_covers_its_area_and_a_mutilated_one_does_not() -> None:
+    assert not np.any(coverage(SPACE).dead)
+    half = make_fixed_space(
+        replace(
+            CELL,
+            file=replace(
+                CELL.file,
+                fixed_tappers=replace(CELL.fixed_tappers, tappers=CELL.fixed_tappers.tappers[:4]),
+            ),
+        )
+    )
+    assert np.mean(coverage(half).dead) > 0.2
+
+
+def test_trials_end_at_the_goal() -> None:
+    results = evaluate_fixed_coarse(FixedEvaluation(SPACE, PLAN, trials=12, seed=1))
+    assert np.all(results.end == End.DONE)
+    assert np.all(results.inside)
+    assert np.mean(results.taps) < 7.0
+
+
+def test_lines_that_are_off_are_learnt_while_tapping() -> None:
+    evaluation = FixedEvaluation(
+        SPACE, PLAN, trials=12, seed=2, mount_error=(5e-4, math.radians(0.5))
+    )
+    results = evaluate_fixed_coarse(evaluation)
+    assert np.all(results.end == End.DONE)
+    assert np.all(results.inside)
+
+
+def evaluate_fixed_coarse(evaluation: FixedEvaluation):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tapping_cell.planning.evaluation.fixed_cell.GoalSolver", solver)
+        return evaluate_fixed(evaluation)
+
+
+def test_refusals() -> None:
+    outside = session(goal=(0.0, 0.075, 0.0)).decide([0.0, 0.0, 0.0])
+    assert isinstance(outside, Refusal)
+    assert outside.reason is RefusalReason.GOAL_OUTSIDE_WORKING_AREA
+    assert "5.0 mm outside" in outside.sentence
+    among = SPACE.among([CircleArea(0.05, 0.0, 0.01, "a clamp")])
+    kept = session(goal=(0.02, 0.0, 0.0), space=among).decide([0.0, 0.0, 0.0])
+    assert isinstance(kept, Refusal)
+    assert kept.reason is RefusalReason.GOAL_IN_KEEP_OUT
+    far = session().decide([0.12, 0.0, 0.0])
+    assert isinstance(far, Refusal)
+    assert far.reason is RefusalReason.OBJECT_OFF_TABLE
+    lost = session().decide([math.nan, 0.0, 0.0])
+    assert isinstance(lost, Refusal)
+
+
+def test_a_stroke_that_would_touch_a_keep_out_is_not_used() -> None:
+    tapper = SPACE.tappers[0]
+    way = 0.9 * tapper.stroke
+    foot = CircleArea(
+        tapper.mount.x + way * math.cos(tapper.mount.theta),
+        tapper.mount.y + way * math.sin(tapper.mount.theta),
+        0.004,
+    )
+    usable = SPACE.among([foot]).lines(np.zeros(3)).usable
+    assert not usable[0]
+    assert SPACE.lines(np.zeros(3)).usable[0]
+
+
+def test_a_tapper_that_missed_is_not_asked_again_at_once() -> None:
+    run = session()
+    pose = np.array([0.03, 0.01, 0.2])
+    first = run.decide(pose)
+    assert isinstance(first, Strike)
+    run.observe(first, pose, pose)
+    second = run.decide(pose)
+    assert isinstance(second, Strike)
+    assert second.plan.tapper != first.plan.tapper
+
+
+def test_the_scatter_points_have_the_scatter() -> None:
+    points = scatter_points(PLAN, 24)
+    assert np.allclose(points.mean(axis=0), 0.0, atol=1e-12)
+    scatter = PLAN.scatter
+    assert points.std(axis=0) == pytest.approx(
+        [scatter.distance, scatter.rotation, scatter.direction]
+    )
+
+
+@pytest.mark.parametrize(("offset", "angle"), [(0.0006, 0.0), (0.0, 0.008), (-0.0005, 0.005)])
+def test_a_line_is_found_from_single_taps(offset: float, angle: float) -> None:
+    """Objects put down by hand at a dozen places: the line to 0.3 mm where it meets them."""
+    rng = np.random.default_rng(3)
+    nominal = SPACE.tappers[0].mount
+    true = Pose(
+        nominal.x - offset * math.sin(nominal.theta),
+        nominal.y + offset * math.cos(nominal.theta),
+        nominal.theta + angle,
+    )
+    truth = SPACE.with_mounts([true, *(tapper.mount for tapper in SPACE.tappers[1:])])
+    belief = MountBelief.start(8, 0.001, math.radians(1.0))
+    for _ in range(24):
+        pose = np.array([rng.uniform(-0.05, 0.05), rng.uniform(-0.02, 0.03), 0.0])
+        lines = truth.lines(pose)
+        if not lines.usable[0]:
+            continue
+        heading = lines.heading[0] + PLAN.scatter.direction * rng.standard_normal()
+        moved = 0.03 * np.array([math.cos(heading), math.sin(heading), 0.0])
+        moved[2] = 0.03 * lines.slope[0] * (1.0 + PLAN.scatter.rotation * rng.standard_normal())
+        belief = belief.observe(0, SPACE.tappers[0], pose, moved, 1.0, PLAN.scatter, PLAN.camera)
+    found = belief.mount(0, nominal)
+    at_contact = 0.11
+    gap = (offset + angle * at_contact) - (belief.mean[0, 0] + belief.mean[0, 1] * at_contact)
+    assert abs(gap) < 0.0004
+    assert found.theta == pytest.approx(true.theta, abs=0.012)
