@@ -5,7 +5,7 @@ distance. The first two follow from where and under which angle the line meets t
 from the speed. Three unknowns a tapper (offset of the line to its left in m, its angle in rad, and
 the logarithm of the speed's factor) are fitted to all of its taps by least squares, each number
 weighed by the tap's scatter and the camera's noise; taps that nothing explains count little
-(soft-l1). Taps at one place fix the line there; taps at several places along the line fix its angle.
+(soft-l1). Taps at one place fix the line there; taps at several places along it fix its angle.
 """
 
 from __future__ import annotations

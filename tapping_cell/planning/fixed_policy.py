@@ -110,7 +110,7 @@ class Solution:
 
     goal: tuple[float, float, float]
     grid: Grid
-    value: NDArray[np.float32]
+    value: Array
 
     def taps_to_go(self, error: ArrayLike) -> Array:
         """Expected taps for errors (..., 3), object less goal, when one more must be made."""
@@ -152,7 +152,7 @@ def _solve_on(
             break
     shape = problem.shape
     place = (float(goal[0]), float(goal[1]), float(goal[2]))
-    return Solution(place, problem.grid, value.reshape(shape).astype(np.float32))
+    return Solution(place, problem.grid, value.reshape(shape))
 
 
 class _Problem:
@@ -308,7 +308,7 @@ def _lines_at(
     column = rows // shape[2]
     kept, back = np.unique(column, return_inverse=True)
     lines = space.lines(places[kept * shape[2]])
-    return Lines(*(part[back] for part in lines))
+    return lines.of(back)
 
 
 def states_after(error: Array, heading: Array, slope: Array, length: Array, points: Array) -> Array:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.mechanics import Polygon, Tap
 from tapping_cell.planning.errors import PlanningError
@@ -91,6 +91,18 @@ class Lines(NamedTuple):
     least: Array
     most: Array
     travel: Array
+
+    def of(self, rows: NDArray[np.intp]) -> Lines:
+        """The lines of some of many poses."""
+        return Lines(
+            self.usable[rows],
+            self.heading[rows],
+            self.slope[rows],
+            self.reach[rows],
+            self.least[rows],
+            self.most[rows],
+            self.travel[rows],
+        )
 
 
 class FixedStrikeSpace:

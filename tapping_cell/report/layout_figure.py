@@ -14,6 +14,7 @@ from tapping_cell.planning.coverage import coverage
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.patches import Circle
 
 
 def draw_layout(cell: Cell, path: Path) -> None:
@@ -50,7 +51,7 @@ def draw_layout(cell: Cell, path: Path) -> None:
             label="no tap leads inward",
         )
     area = space.area
-    axes.add_patch(plt.Circle((1e3 * area.x, 1e3 * area.y), 1e3 * area.radius, fill=False, lw=1.5))
+    axes.add_patch(Circle((1e3 * area.x, 1e3 * area.y), 1e3 * area.radius, fill=False, lw=1.5))
     for tapper in space.tappers:
         mount, stroke = tapper.mount, 1e3 * tapper.stroke
         x, y = 1e3 * mount.x, 1e3 * mount.y
@@ -59,7 +60,7 @@ def draw_layout(cell: Cell, path: Path) -> None:
         axes.plot([x, end[0]], [y, end[1]], color="0.25", lw=0.8, ls="--", zorder=3)
         axes.annotate(
             "",
-            xy=np.array([x, y]) + 28.0 * along,
+            xy=(x + 28.0 * along[0], y + 28.0 * along[1]),
             xytext=(x, y),
             arrowprops={"arrowstyle": "-|>", "lw": 2.0, "color": "tab:orange"},
             zorder=4,
