@@ -61,7 +61,8 @@ def lines(report: dict) -> list[str]:
         f"{report['outcome_per_s']:.3g} taps/s",
         f"polygon (no table): {report['polygon_per_s']:.3g} taps/s",
         f"polygon by its table: {report['polygon_table_per_s']:.3g} slides/s of processor time, "
-        f"error {report['polygon_table_error']:.1e}, {report['polygon_table_build_s']:.1f} s to make",
+        f"error {report['polygon_table_error']:.1e}, made in "
+        f"{report['polygon_table_build_s']:.1f} s",
         f"solve_ivp: {1e3 * peer['seconds']:.1f} ms a tap at an error of {peer['error']:.1e}; "
         f"the table is {peer['ratio']:.3g} times as fast in a million",
     ]

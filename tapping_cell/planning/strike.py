@@ -123,8 +123,8 @@ class StrikeSpace:
     ) -> None:
         self.tap = replace(tap, sliding=tap.sliding.tabulated(), smallest_distance=0.0)
         """The mechanics, with a polygon's slides from a table, and without its smallest tap: that
-        is for the planning method to keep, since it counts in true distance and commands are scaled by the
-        gains learnt."""
+        is for the planning method to keep, since it counts in true distance and commands are
+        scaled by the gains learnt."""
         self.workspace = workspace
         self.settings = StrikeSettings() if settings is None else settings
         self.scatter = Scatter() if scatter is None else scatter
