@@ -102,7 +102,7 @@ class Ros2ControlSection:
             raise ValueError(f"joints {list(self.joints)}: each needs a name of its own")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ArmSection:
     """The SCARA arm: where it stands, its dimensions, limits, moves and controller."""
 
@@ -305,7 +305,7 @@ class ArmSection:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TapperSection:
     """The striker and the device that charges and fires it."""
 
@@ -459,6 +459,21 @@ def refuse_simulated_ports(cell: Cell) -> None:
             f"{cell.path}: key '{key}' is {port}, a port of the simulated cell, and hardware was "
             "asked for: copy the folder config, name the device there (such as "
             "/dev/serial/by-id/...), and give the copy as the cell file"
+        )
+
+
+def refuse_own_drivers(cell: Cell) -> None:
+    """See that a cell file commands no real device, before a simulated cell is started from it.
+
+    Raises:
+        ConfigurationError: the arm has a ROS driver of its own, which no simulated world stands in
+            for.
+    """
+    if cell.file.arm.ros2_control is not None:
+        raise ConfigurationError(
+            f"{cell.path}: key 'arm.dialect' is ros2_control: a simulated cell started from this "
+            f"file would move the arm behind {cell.file.arm.ros2_control.controller}; ask for "
+            "hardware, or give a cell file with a serial arm"
         )
 
 

@@ -12,10 +12,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tapping_cell.hardware.dialect import StraightMove
+
+Array = NDArray[np.float64]
 
 LEAST_TIME = 0.02
 """Shortest time of a move, s: a controller takes no two points of one time."""
+
+COURSE_SAMPLES = 200
+"""Places of a trajectory of which the one nearest to the arm is looked for."""
+COURSE_WIDTH = 0.05
+"""An arm further from its trajectory than this is not on it, rad or m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +62,41 @@ def straight_points(
             )
         here, began = move.target, points[-1].time
     return tuple(points)
+
+
+class Course:
+    """A trajectory that was sent, to know where an arm is on it while nobody hears of it."""
+
+    def __init__(self, start: Sequence[float], points: Sequence[TrajectoryPoint]) -> None:
+        still = (0.0,) * len(start)
+        points = (TrajectoryPoint(0.0, tuple(start), still), *points)
+        self._times = np.array([point.time for point in points])
+        self._places = np.array([point.positions for point in points])
+        self._speeds = np.array([point.velocities for point in points])
+        self._samples: Array = np.linspace(0.0, points[-1].time, COURSE_SAMPLES, dtype=np.float64)
+        self._track, _ = self._at(self._samples)
+
+    def _at(self, times: Array) -> tuple[Array, Array]:
+        """Positions and velocities at times from the start in s, a row each."""
+        times = np.clip(times, 0.0, self._times[-1])
+        after = np.clip(np.searchsorted(self._times, times, side="right"), 1, len(self._times) - 1)
+        before = after - 1
+        t = (times - self._times[before])[:, None]
+        span = (self._times[after] - self._times[before])[:, None]
+        v, w = self._speeds[before], self._speeds[after]
+        # The speed changes evenly between two points.
+        return self._places[before] + v * t + (w - v) * t**2 / (2 * span), v + (w - v) * t / span
+
+    def after(
+        self, positions: Sequence[float], duration: float
+    ) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+        """Positions and velocities ``duration`` s after the arm was near some; None beside it."""
+        distances = np.linalg.norm(self._track - np.asarray(positions), axis=1)
+        nearest = int(np.argmin(distances))
+        if not distances[nearest] <= COURSE_WIDTH:
+            return None
+        place, speeds = self._at(np.array([self._samples[nearest] + duration], dtype=np.float64))
+        return tuple(place[0].tolist()), tuple(speeds[0].tolist())
 
 
 def brake_point(

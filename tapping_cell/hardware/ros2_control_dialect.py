@@ -125,7 +125,19 @@ class Ros2ControlDialect:
 
     def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
         """Wait until the trajectory is over, the joints rest, and the controller has no more to
-        say."""
+        say.
+
+        An arm that is not heard any more is told to brake: its states may be lost on a way that its
+        commands do not take.
+        """
+        try:
+            return self._finished(expected_end, deadline)
+        except HardwareFault as fault:
+            if fault.reason is FaultReason.DISCONNECTED:
+                self._link.brake()
+            raise
+
+    def _finished(self, expected_end: float, deadline: float) -> AxisReading:
         while self._link.now() < max(expected_end, self._ends):
             self._hear()
             self._check_goal()

@@ -25,8 +25,13 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from tapping_cell.configuration.cell import Ros2ControlSection
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.joint_trajectory import LEAST_TIME, TrajectoryPoint, brake_point
-from tapping_cell.hardware.trajectory_link import GoalState, JointSample, Progress
+from tapping_cell.hardware.joint_trajectory import LEAST_TIME, Course, TrajectoryPoint
+from tapping_cell.hardware.trajectory_link import (
+    GoalState,
+    JointSample,
+    Progress,
+    braking_point,
+)
 from tapping_cell.nodes.cell_node import COMMAND
 
 try:
@@ -37,8 +42,6 @@ except ImportError:
 KEPT_S = 1.0
 """For how long samples are kept."""
 POLL_S = 0.05
-LONGEST_EXTRAPOLATION_S = 0.1
-"""Beyond the newest joint state, of a stop's braking point."""
 STATUS = {4: GoalState.SUCCEEDED}
 """Of an action's result; every other is a failure."""
 ENDINGS = {5: "cancelled, as by another program's trajectory", 6: "aborted"}
@@ -75,6 +78,7 @@ class RosTrajectoryLink:
         self._stopped = False
         self._lock = threading.Lock()
         self._goal = 0
+        self._course: Course | None = None
         self._handle: Any = None
         self._progress = Progress(GoalState.UNTOLD)
         self._node = Node(
@@ -156,28 +160,30 @@ class RosTrajectoryLink:
         self._node.destroy_node()
 
     def stop(self, data: bytes) -> bool:
-        """From any thread: latch the stop, have the controller brake, and cancel its goal.
+        """From any thread: latch the stop, and brake."""
+        self._stopped = True
+        reached = self.brake()
+        with self._heard:
+            self._heard.notify_all()
+        return reached
+
+    def brake(self) -> bool:
+        """From any thread: have the controller bring the arm to rest, and cancel its goal.
 
         A joint_trajectory_controller refuses an empty trajectory on its topic, so that braking is a
-        trajectory of one point: to rest where the joints come to rest by their limits.
+        trajectory of one point.
         """
-        self._stopped = True
         with self._lock:
             reached = self._publisher.get_subscription_count() > 0
-            newest = self._samples[-1] if self._samples else None
-            if newest is not None:
-                speeds = self._speeds(newest)
-                ahead = min(max(self.now() - newest.measured, 0.0), LONGEST_EXTRAPOLATION_S)
-                here = [p + v * ahead for p, v in zip(newest.positions, speeds, strict=True)]
-                point = brake_point(here, speeds, self._max_acceleration)
+            course, self._course = self._course, None
+            point = braking_point(self.samples, course, self.now(), self._max_acceleration)
+            if point is not None:
                 self._publisher.publish(self._message([point]))
             handle, self._handle = self._handle, None
             self._goal += 1
         if handle is not None:
             self._executor.create_task(handle.cancel_goal_async)
-        with self._heard:
-            self._heard.notify_all()
-        return reached and newest is not None
+        return reached and point is not None
 
     def release(self) -> None:
         """End the latch of ``stop``."""
@@ -243,17 +249,6 @@ class RosTrajectoryLink:
                 self._samples.popleft()
             self._heard.notify_all()
 
-    def _speeds(self, newest: JointSample) -> tuple[float, ...]:
-        """How fast the joints move, told or by the last two samples."""
-        if newest.velocities is not None:
-            return newest.velocities
-        before = self._samples[-2] if len(self._samples) > 1 else newest
-        span = newest.measured - before.measured
-        if span <= 0:
-            return (0.0,) * len(newest.positions)
-        pairs = zip(before.positions, newest.positions, strict=True)
-        return tuple((b - a) / span for a, b in pairs)
-
     # Trajectories
 
     @property
@@ -279,6 +274,7 @@ class RosTrajectoryLink:
             # A stop that comes now finds the lock, and its braking follows the trajectory.
             self._require()
             self._goal += 1
+            self._course = Course(self.samples[-1].positions, points)
             if self.interface == "topic":
                 self._progress = Progress(GoalState.UNTOLD)
                 self._publisher.publish(message)
