@@ -30,6 +30,9 @@ from tapping_cell.nodes.drivers.scara_arm import ScaraArm
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.trajectory_controller import ControllerSettings, TrajectoryController
 
+pytestmark = pytest.mark.alone
+"""Joint states at 50 Hz must not wait for a processor."""
+
 STRIKE = Pose(-0.08, 0.02, 0.3)
 NAMES = ("joint_1", "joint_2", "joint_3", "joint_4")
 
@@ -49,6 +52,7 @@ def own_driver_cell(folder: Path) -> Path:
             "joints": list(NAMES),
             "joint_states": "/robot/joint_states",
             "interface": "topic",
+            "state_timeout": 1.0,
         },
     }
     cell_file.write_text(yaml.safe_dump(content))
