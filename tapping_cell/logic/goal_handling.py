@@ -9,12 +9,13 @@ from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Token
+from tapping_cell.logic.frames import TABLE, Frames, TableOnly
 from tapping_cell.logic.goal_validation import REFUSALS, Refused, read_goal, read_tolerance
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.table_maps import TableMap, TableMaps
 from tapping_cell.logic.task import SingleTapTask, Task
-from tapping_cell.messages import ErrorCode, PoseStamped, SingleTap
+from tapping_cell.messages import ErrorCode, Header, PoseStamped, SingleTap
 from tapping_cell.planning import (
     Gains,
     Planner,
@@ -41,6 +42,8 @@ class Request:
     max_taps: int = 0
     time_limit: float = 0.0
     token: Token | None = None
+    probe: bool = False
+    """Begin with a few of the smallest taps."""
 
 
 class GoalHandling:
@@ -63,13 +66,16 @@ class GoalHandling:
         keep_for: str,
         time_limit: float,
         maps: TableMaps | None = None,
+        frames: Frames | None = None,
         solve_in_background: bool = True,
     ) -> None:
         """``other_objects``: to be avoided; ``adapt``: learn from taps; ``probe``: begin with
         a few of the smallest taps for an object that is not known; ``keep_for``: the cell for which
         what was learnt is remembered between runs, empty for none; ``time_limit``: of a goal that
-        states none, s; ``maps``: made before for the same cell."""
+        states none, s; ``maps``: made before for the same cell;
+        ``frames``: knows the frames of goals, None for ``table`` alone."""
         self.cell = cell
+        self._frames = frames or TableOnly()
         self.other_objects = other_objects
         self._adapt = adapt
         self._probe = probe
@@ -132,6 +138,11 @@ class GoalHandling:
             self._planner = before
             raise
 
+    @property
+    def gains(self) -> Gains:
+        """What earlier goals taught about the object."""
+        return self._gains
+
     def learnt(self) -> dict[str, str]:
         """What earlier goals taught about the object, with deviations, for diagnostics."""
         numbers = self._gains.as_numbers()
@@ -148,7 +159,7 @@ class GoalHandling:
 
     def accept(self, request: Request, now: Now) -> Task | Refused:
         """A task for a request, or why there is none."""
-        goal = read_goal(request.message, 1e-9 * now.ros)
+        goal = read_goal(request.message, 1e-9 * now.ros, self._frames)
         if isinstance(goal, Refused):
             return goal
         tolerance = read_tolerance(
@@ -181,11 +192,16 @@ class GoalHandling:
             self.map.free,
             self._gains,
             adapt=self._adapt,
-            probe=self._probe,
+            probe=self._probe or request.probe,
             most_taps=max_taps,
         )
         expires = now.steady + (request.time_limit or self._time_limit)
-        return Task(request.message, goal, tolerance, max_taps, session, request.token, expires)
+        message = request.message
+        if message.header.frame_id != TABLE:
+            message = PoseStamped(
+                header=Header(stamp=message.header.stamp, frame_id=TABLE), pose=to_message(goal)
+            )
+        return Task(message, goal, tolerance, max_taps, session, request.token, expires)
 
     def accept_tap(
         self, asked: SingleTap.Goal, token: Token, pose: Pose | None, now: Now
