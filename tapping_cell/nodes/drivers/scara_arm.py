@@ -90,7 +90,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
         """End the link with the node."""
         if self._link is not None:
             self._link.destroy()
-        super().destroy_node()
+        super().destroy_node()  # type: ignore[no-untyped-call]
 
     def _link_to(
         self, section: Ros2ControlSection, max_acceleration: Sequence[float]
