@@ -83,7 +83,7 @@ class Ros2ControlSection:
         "auto",
         "topic",
         "action",
-        default="auto",
+        default="topic",
     )
     state_timeout: float = quantity(
         "longest silence of the joint states before the arm counts as lost",
