@@ -32,6 +32,7 @@ from tapping_cell.configuration.cell import (
     Cell,
     has_simulated_ports,
     load_cell,
+    refuse_own_drivers,
     refuse_simulated_ports,
 )
 from tapping_cell.configuration.schema import ConfigurationError, read_yaml
@@ -102,6 +103,8 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         if arguments.hardware:
             refuse_simulated_ports(cell)
+        else:
+            refuse_own_drivers(cell)
         logs = arguments.logs or Path("runs/up") / cell_key(domain_number(), arguments.namespace)
     except (ConfigurationError, GraphError) as error:
         console.print(f"[red]error:[/red] {error}", highlight=False)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
+from tapping_cell.logic import tap_commands
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Token
 from tapping_cell.logic.frames import TABLE, Frames, TableOnly
@@ -215,6 +216,9 @@ class GoalHandling:
                 f"{1000 * curve.slowest:.0f} to {1000 * curve.fastest:.0f} mm/s; ask for one of "
                 "these",
             )
+        names = self.cell.tapper_names
+        if asked.tapper and asked.tapper not in names:
+            return Refused(*tap_commands.unknown_tapper(asked.tapper, names))
         direction = None if math.isnan(asked.direction) else asked.direction
         try:
             tap = Prescription(asked.striker_speed, asked.incidence, direction, asked.slack)
