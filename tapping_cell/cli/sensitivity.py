@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tapping_cell.cli.errors import tell_error
 from tapping_cell.mechanics import MechanicsError, Tap
 from tapping_cell.mechanics.sensitivity import (
     PAPER_STRIKER_ERROR,
@@ -73,8 +74,8 @@ def run(arguments: argparse.Namespace) -> int:
             "sweep": _sweep(tap, arguments.farthest / 1e3),
         }
     except MechanicsError as problem:
-        print(f"sensitivity: {problem}", file=sys.stderr)
-        return 1
+        tell_error(str(problem))
+        return 2
     if arguments.figures:
         from tapping_cell.report.mechanics_figures import write_figures
 

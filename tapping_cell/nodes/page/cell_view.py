@@ -224,6 +224,7 @@ class CellView:
         return {
             "mode": mode.word,
             "sentence": sentence,
+            "code": int(mode.code),
             "hint": hint(mode.code),
             "recovery": [step._asdict() for step in self._recovery_steps()],
             "blocked": self._blocked(mode),
