@@ -48,6 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="tolerance in mm and degrees (default: the cell's own)",
     )
     parser.add_argument(
+        "--probe",
+        action="store_true",
+        help="begin with a few of the smallest taps, to measure an unknown object's friction",
+    )
+    parser.add_argument(
         "--wait",
         type=argument_types.within(0, 3600),
         default=20.0,
@@ -81,8 +86,9 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             deadline = time.monotonic() + arguments.wait
             session.wait_for_planner(client, arguments.wait, console)
+            tolerance = (distance / 1000, math.radians(angle))
             while True:
-                session.send(client, goal, (distance / 1000, math.radians(angle)), console)
+                session.send(client, goal, tolerance, console, probe=arguments.probe)
                 finished = session.follow(client, lambda: None, console)
                 if finished.error_code not in STARTING or time.monotonic() > deadline:
                     break

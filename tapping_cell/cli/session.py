@@ -59,14 +59,20 @@ ANSWER_S = 10.0
 SENDINGS = 3
 
 
-def send(client: GoalClient, goal: Pose, tolerance: tuple[float, float], console: Console) -> None:
+def send(
+    client: GoalClient,
+    goal: Pose,
+    tolerance: tuple[float, float],
+    console: Console,
+    probe: bool = False,
+) -> None:
     """Send a goal, and again where nobody answers: an answer can be lost while nodes start.
 
     Raises:
         NotReadyInTime: the planner answers none.
     """
     for _ in range(SENDINGS):
-        client.send(goal, tolerance)
+        client.send(goal, tolerance, probe=probe)
         deadline = time.monotonic() + ANSWER_S
         with console.status("goal sent"):
             while time.monotonic() < deadline:

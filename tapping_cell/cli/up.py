@@ -130,7 +130,7 @@ def run(arguments: argparse.Namespace) -> int:
         key = cell_key(domain_number(), arguments.namespace)
     except (ConfigurationError, UnknownPlannerError, GraphError) as error:
         return tell_refusal(error)
-    nodes = HARDWARE if arguments.hardware else SIMULATED
+    nodes: tuple[str, ...] = HARDWARE if arguments.hardware else SIMULATED
     if not arguments.no_record:
         nodes = (*nodes, RECORDER)
     if arguments.page:

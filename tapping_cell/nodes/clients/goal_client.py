@@ -122,8 +122,11 @@ class GoalClient(ClientNode):
         goal: Pose,
         tolerance: tuple[float, float] = (0.0, 0.0),
         look: ObjectState | None = None,
+        *,
+        probe: bool = False,
     ) -> None:
-        """Send a goal in ``table``; a tolerance (m, rad) of 0 is the cell's own.
+        """Send a goal in ``table``; a tolerance (m, rad) of 0 is the cell's own. ``probe``: begin
+        with a few of the smallest taps.
 
         The goal's stamp is that of the ``look`` that it is relative to, where there is one.
         """
@@ -133,6 +136,7 @@ class GoalClient(ClientNode):
         message.goal_pose.header.stamp = look.header.stamp if look is not None else now
         message.goal_pose.pose = to_message(goal)
         message.position_tolerance, message.angle_tolerance = tolerance
+        message.probe = probe
         self._taps_heard, self._phase, self._handle = 0, "", None
         # Sent from the executor's thread: from another one the response can overtake rclpy's own
         # note of the request, and is then dropped.
