@@ -146,6 +146,7 @@ def test_a_node_is_granted_what_it_opens_and_nothing_else(name: str) -> None:
         ("/tapper_state", {"tapper_trigger"}),
         ("/camera/image_raw", {"overhead_camera", "sim_world"}),
         ("/emergency_stop", {"operator_page_stop"}),
+        ("/enabling", {"operator_page"}),
         ("/goal_pose", set()),
         ("/joint_trajectory", set()),
         ("/clock", set()),

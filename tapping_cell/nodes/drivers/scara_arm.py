@@ -14,7 +14,7 @@ from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.serial_transport import SerialTransport
-from tapping_cell.logic import arm_jobs
+from tapping_cell.logic import arm_jobs, enabling
 from tapping_cell.logic.arm import ArmLogic, ArmOptions, State
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.drivers.driver_node import DriverNode, run_driver
@@ -33,7 +33,8 @@ class Parameters:
     )
     state_rate: float = quantity("rate of arm_state", "Hz", 1.0, 200.0, default=20.0)
     set_up: bool = text(
-        "set-up mode: move at a quarter of the speed, for commissioning and the first taps",
+        "set-up mode: move at a quarter of the speed and only while an enabling device is held, "
+        "for commissioning and the first taps",
         default=False,
     )
 
@@ -50,6 +51,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
         self.host.subscribes(messages.JointTrajectory, "joint_trajectory", COMMAND)
         self.host.subscribes(messages.TapperState, "tapper_state", LATCHED)
+        self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
         self.host.serves(messages.Trigger, "~/home")
         self.host.serves(messages.HoldStill, "hold_still")
 
