@@ -61,7 +61,12 @@ from tapping_cell.cli.tap_series import TapSeries
 from tapping_cell.cli.tap_summary import tell, trial_text
 from tapping_cell.cli.up import add_truth_arguments, node_parameters
 from tapping_cell.configuration import assembly
-from tapping_cell.configuration.cell import Cell, load_cell, refuse_simulated_ports
+from tapping_cell.configuration.cell import (
+    Cell,
+    load_cell,
+    refuse_own_drivers,
+    refuse_simulated_ports,
+)
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError, load
 from tapping_cell.nodes.clients.single_tap_client import NoAnswer, SingleTapClient
@@ -160,6 +165,8 @@ def run(arguments: argparse.Namespace) -> int:
         cell = load_cell(arguments.cell, object_path=arguments.object)
         if arguments.hardware:
             refuse_simulated_ports(cell)
+        else:
+            refuse_own_drivers(cell)
         folder, design = _open(arguments)
         trials = _recorded(folder)
         refusal = _refused(cell, design)

@@ -39,6 +39,7 @@ from tapping_cell.configuration.cell import (
     Cell,
     has_simulated_ports,
     load_cell,
+    refuse_own_drivers,
     refuse_simulated_ports,
 )
 from tapping_cell.configuration.schema import ConfigurationError, load, read_yaml
@@ -127,6 +128,8 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.hardware:
             refuse_simulated_ports(cell)
             require_devices(cell, arguments)
+        else:
+            refuse_own_drivers(cell)
         key = cell_key(domain_number(), arguments.namespace)
     except (ConfigurationError, UnknownPlannerError, GraphError) as error:
         return tell_refusal(error)

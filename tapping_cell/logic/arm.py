@@ -622,7 +622,9 @@ class ArmLogic(DeviceLogic[State, Event]):
             tip = self._geometry.forward(reading.joints)
             planar = self._cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
             message.tip_pose = to_message(planar, tip.z)
-            if self._read_stamp != self._joints_told:
+            # An arm with a driver of its own tells them itself.
+            own_driver = self._cell.file.arm.ros2_control is not None
+            if self._read_stamp != self._joints_told and not own_driver:
                 self._joints_told = self._read_stamp
                 joints = JointState(name=list(Joints._fields), position=list(reading.joints))
                 joints.header.stamp = self._read_stamp

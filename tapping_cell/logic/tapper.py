@@ -184,6 +184,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._asked_at = -math.inf
         self._attempts = 0
         self._last_tap_id = 0
+        self._names: tuple[str, ...] = ()
         self._told = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
         self._set_up = options.set_up
@@ -256,12 +257,15 @@ class TapperLogic(DeviceLogic[State, Event]):
             if tap is not None and command.tap_id == tap.tap_id:
                 self._give_up((ErrorCode.NONE, ""))
             return
+        tapper = tap_commands.named_tapper(command.tapper, self._names)
         refusal = self._refusal(command, now)
         if refusal is not None:
             self._refuse(command, refusal, now)
             return
         assert self._curve is not None
+        assert tapper is not None
         self._machine.move(Event.TAP, S.WAITING)
+        self._told.tapper = tapper
         self._last_tap_id = command.tap_id
         self._tap = Tap(
             command.tap_id,
@@ -286,6 +290,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             return ErrorCode.TAPPER_BUSY, f"it serves tap {self._told.tap_id}"
         if self.state is not S.SAFE:
             return ErrorCode.TAPPER_BUSY, f"the tapper is not at rest: {self._trouble[1]}"
+        if tap_commands.named_tapper(command.tapper, self._names) is None:
+            return tap_commands.unknown_tapper(command.tapper, self._names)
         if self._set_up and not self._enabling.held(now):
             return enabling.RELEASED
         if tap_commands.expired(command, now):
@@ -514,6 +520,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _configured_with(self, event: Configured, now: Now) -> None:
         assert isinstance(event.cell, Cell)
         self._curve = event.cell.file.tapper.curve()
+        self._names = event.cell.tapper_names
 
     def _connected(self, answer: Any, now: Now) -> None:
         assert isinstance(answer, Reply)
@@ -605,6 +612,9 @@ class TapperLogic(DeviceLogic[State, Event]):
         told = self._told
         message = TapperState(
             state=WIRE[self.state],
+            tappers=list(self._names),
+            tapper=told.tapper,
+            mounts_proven=True,
             tap_id=told.tap_id,
             outcome=told.outcome,
             measured_speed=told.measured_speed,
