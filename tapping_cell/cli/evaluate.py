@@ -28,12 +28,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-<<<<<<< HEAD
-from tapping_cell.cli.evaluate_fixed import add_fixed_arguments, run_fixed
-=======
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import tell_refusal
->>>>>>> main
+from tapping_cell.cli.evaluate_fixed import add_fixed_arguments, run_fixed
 
 if TYPE_CHECKING:
     from tapping_cell.configuration.cell import Cell

@@ -259,7 +259,7 @@ def require_devices(cell: Cell, arguments: argparse.Namespace) -> None:
     """
     given = arguments.params.read_text(encoding="utf-8") if arguments.params else ""
     missing = []
-    for name, port in (("arm", cell.file.arm.port), ("tapper", cell.file.tapper.port)):
+    for name, port in (("arm", cell.arm.port), ("tapper", cell.file.tapper.port)):
         # A file of parameters may name another port for the node.
         if "port:" not in given and "{" not in port and not Path(port).expanduser().exists():
             missing.append(f"the {name}'s port {port} (key {name}.port)")

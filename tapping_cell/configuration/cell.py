@@ -600,10 +600,10 @@ def refuse_own_drivers(cell: Cell) -> None:
         ConfigurationError: the arm has a ROS driver of its own, which no simulated world stands in
             for.
     """
-    if cell.file.arm.ros2_control is not None:
+    if cell.arm.ros2_control is not None:
         raise ConfigurationError(
             f"{cell.path}: key 'arm.dialect' is ros2_control: a simulated cell started from this "
-            f"file would move the arm behind {cell.file.arm.ros2_control.controller}; ask for "
+            f"file would move the arm behind {cell.arm.ros2_control.controller}; ask for "
             "hardware, or give a cell file with a serial arm"
         )
 

@@ -198,28 +198,17 @@ def _brake(cell: Cell) -> Iterator[str]:
 
 
 def _ports(cell: Cell) -> Iterator[str]:
-<<<<<<< HEAD
     boards: dict[str, list[str]] = {}
     for name, tapper in cell.tapper_sections.items():
         boards.setdefault(tapper.port, []).append(name)
     arm = cell.file.arm
     if arm is not None:
-        if arm.port in boards:
+        if arm.port and arm.port in boards:
             yield f"{cell.path}: arm and tapper have the same port {arm.port}"
         boards.setdefault(arm.port, []).append("arm")
     for port, names in boards.items():
-        if not Path(port).expanduser().exists():
-=======
-    ports = {"arm": cell.file.arm.port, "tapper": cell.file.tapper.port}
-    for name, port in ports.items():
         if port and not Path(port).expanduser().exists():
->>>>>>> main
             yield (
                 f"{cell.path}: the port {port} of {', '.join(names)} is not there (yet); the "
                 "simulated world makes it, a device has to be plugged in"
             )
-<<<<<<< HEAD
-=======
-    if ports["arm"] and ports["arm"] == ports["tapper"]:
-        yield f"{cell.path}: arm and tapper have the same port {ports['arm']}"
->>>>>>> main

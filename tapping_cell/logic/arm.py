@@ -529,12 +529,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state not in (S.NOT_HOMED, S.IDLE, S.INACTIVE):
             return
         self._stand(Event.ACTIVATED)
-<<<<<<< HEAD
-        if self._options.home_on_activate and self._cell.arm.homes_alone:
-=======
         alone = self._options.home_on_activate and not self._options.set_up
-        if alone and self._cell.file.arm.homes_alone:
->>>>>>> main
+        if alone and self._cell.arm.homes_alone:
             self._begin_homing()
 
     def _deactivated(self, now: Now) -> None:
@@ -627,7 +623,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             planar = self._cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
             message.tip_pose = to_message(planar, tip.z)
             # An arm with a driver of its own tells them itself.
-            own_driver = self._cell.file.arm.ros2_control is not None
+            own_driver = self._cell.arm.ros2_control is not None
             if self._read_stamp != self._joints_told and not own_driver:
                 self._joints_told = self._read_stamp
                 joints = JointState(name=list(Joints._fields), position=list(reading.joints))
