@@ -132,8 +132,10 @@ class Report:
 class Trial:
     """The whole cell of one seed. Times in s of the run."""
 
-    def __init__(self, seed: int, trace: bool = False) -> None:
+    def __init__(self, seed: int, trace: bool = False, *, faults: bool = True) -> None:
+        """``faults`` False: nothing happens to the cell."""
         self.seed = seed
+        self._faulty = faults
         self.rng = np.random.default_rng([seed, 0])
         self._fault_rng = np.random.default_rng([seed, 1])
         self.scheduler = Scheduler()
@@ -273,11 +275,10 @@ class Trial:
         x, y = rng.uniform((-0.1, -0.06), (0.1, 0.06))
         return Pose(float(x), float(y), float(rng.uniform(-0.6, 0.6)))
 
-    def _work_on_a_goal(self, number: int) -> None:
-        faults = draw_faults(self._fault_rng, self)
-        self.report.faults.update(fault.kind for fault in faults)
-        true = self.physical.object_pose(self.scheduler.now)
+    def next_goal(self, number: int) -> Pose:
+        """The goal of this number: mostly like the published task, not far from the object."""
         rng = self.rng
+        true = self.physical.object_pose(self.scheduler.now)
         goal = self.draw_goal(rng)
         if rng.random() < 0.8:
             # The published task and its like: some way and some rotation from where it lies.
@@ -288,6 +289,12 @@ class Trial:
                 float(np.clip(true.y + way * math.sin(angle), -0.1, 0.1)),
                 float(true.theta + turn),
             )
+        return goal
+
+    def _work_on_a_goal(self, number: int) -> None:
+        faults = draw_faults(self._fault_rng, self) if self._faulty else []
+        self.report.faults.update(fault.kind for fault in faults)
+        goal = self.next_goal(number)
         began = self.scheduler.now
         self._result = None
         self._note(f"goal {number}: {goal}")
