@@ -214,6 +214,8 @@ class ArmState:
     tap_id: int = 0
     homed: bool = False
     clear_of_camera: bool = False
+    set_up: bool = False
+    enabled: bool = False
     tip_pose: Pose = field(default_factory=lambda: Pose())
     error_code: int = 0
     error_msg: str = ""
@@ -469,6 +471,8 @@ class TapperState:
     shots_fired: int = 0
     boot_number: int = 0
     interlock_closed: bool = False
+    set_up: bool = False
+    enabling_switch: bool = False
     error_code: int = 0
     error_msg: str = ""
 
