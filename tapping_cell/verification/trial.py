@@ -60,6 +60,7 @@ QUALITIES = {
     "emergency_stop": Quality(latched=True),
     "other_objects": Quality(reliable=False),
     "markers": Quality(latched=True),
+    "camera/pose": Quality(latched=True),
 }
 HEARS = {
     "tap_planner": (
@@ -69,7 +70,13 @@ HEARS = {
         "tapper_state",
         "emergency_stop",
     ),
-    "scara_arm": ("tap_command", "tapper_state", "joint_trajectory", "emergency_stop"),
+    "scara_arm": (
+        "tap_command",
+        "tapper_state",
+        "joint_trajectory",
+        "camera/pose",
+        "emergency_stop",
+    ),
     "tapper_trigger": (
         "tap_command",
         "arm_state",
@@ -180,6 +187,8 @@ class Trial:
             CAMERA_SIGMA,
         )
         self._hidden_until = -math.inf
+        self.disturbed_until = -math.inf
+        """Until when a fault of an earlier goal may last."""
         self._token = 0
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
@@ -187,6 +196,10 @@ class Trial:
         self._states_seen: Counter[tuple[str, int]] = Counter()
         self._last_words: dict[tuple[str, str], str] = {}
         self.network.publish("panel", "emergency_stop", Bool(data=False))
+        lens = PoseStamped()
+        place = lens.pose.position
+        place.x, place.y, place.z = truth.camera.position
+        self.network.publish("camera_pose", "camera/pose", lens)
 
     def _make_clock(self) -> HostClock:
         rng = self.rng
@@ -320,6 +333,7 @@ class Trial:
         result = self._result
         # What went wrong in the goal before may last into this one.
         quiet = not faults and (number == 0 or not self.report.outcomes[-1].faults)
+        quiet = quiet and began > self.disturbed_until
         if quiet and result.error_code:
             self.witness.violate(
                 "failed without a fault", f"code {result.error_code}: {result.error_msg}"

@@ -26,6 +26,7 @@ class Parameters:
 
     autostart: bool = text("configure and activate without being asked", default=True)
     cell_file: str = text("path of the cell file; empty for the package's own", default="")
+    object_file: str = text("path of the object file; empty for the cell file's", default="")
     port: str = text("path of the arm's serial port; empty for the cell file's", default="")
     home_on_activate: bool = text(
         "home when activated, where homing needs no person: only for a cell that nobody can reach",
@@ -35,6 +36,10 @@ class Parameters:
     set_up: bool = text(
         "set-up mode: move at a quarter of the speed, for commissioning and the first taps",
         default=False,
+    )
+    look_early: bool = text(
+        "after a tap, withdraw only until the camera sees the object; false: to the park pose",
+        default=True,
     )
 
 
@@ -50,12 +55,14 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
         self.host.subscribes(messages.JointTrajectory, "joint_trajectory", COMMAND)
         self.host.subscribes(messages.TapperState, "tapper_state", LATCHED)
+        self.host.subscribes(messages.PoseStamped, "camera/pose", LATCHED)
         self.host.serves(messages.Trigger, "~/home")
         self.host.serves(messages.HoldStill, "hold_still")
 
     def configure(self) -> None:
         """Read the cell file, open the port, identify the controller."""
-        cell = load_cell(self.settings.cell_file or None)
+        files = self.settings
+        cell = load_cell(files.cell_file or None, object_path=files.object_file or None)
         arm = cell.file.arm
         port = str(self.port_path(self.settings.port or arm.port))
         driver = make_arm_driver(arm, SerialTransport(port, arm.baud))
@@ -93,7 +100,12 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
 def make_logic(parameters: Parameters) -> ArmLogic:
     """The arm's machine for these parameters."""
     return ArmLogic(
-        ArmOptions(parameters.home_on_activate, parameters.state_rate, parameters.set_up)
+        ArmOptions(
+            parameters.home_on_activate,
+            parameters.state_rate,
+            parameters.set_up,
+            parameters.look_early,
+        )
     )
 
 
