@@ -120,6 +120,8 @@ class Graph:
             command += ["--enclave", security.enclave_of(name)]
         if self._namespace:
             command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
+            # Two cells have the same names of frames: each keeps its own.
+            command += ["-r", "/tf:=tf", "-r", "/tf_static:=tf_static"]
         if self._parameter_file is not None:
             command += ["--params-file", str(self._parameter_file)]
         for key, value in self._parameters.get(name, {}).items():

@@ -33,6 +33,9 @@ from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraModel, ReferenceMap, marker_ids
 
 FourNumbers = tuple[float, float, float, float]
+ARM_TAPPER = "tapper"
+"""Name of the one tapper that an arm carries."""
+
 Constraint = Literal["linear_bearings", "free"]
 JointName = Literal["shoulder", "elbow", "quill", "tool"]
 
@@ -360,6 +363,11 @@ class Cell:
     def arm_base(self) -> Pose:
         """X of arm_base in table."""
         return Pose(*self.file.arm.base)
+
+    @property
+    def tapper_names(self) -> tuple[str, ...]:
+        """Names of the cell's tappers, as commands and states say them."""
+        return (ARM_TAPPER,)
 
     def outline(self) -> tuple[tuple[float, float], ...]:
         """The object's outline in its own frame: points (x, y) in m, counter-clockwise."""

@@ -187,6 +187,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._attempts = 0
         self._charged_at = -math.inf
         self._last_tap_id = 0
+        self._names: tuple[str, ...] = ()
         self._told = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
 
@@ -252,12 +253,15 @@ class TapperLogic(DeviceLogic[State, Event]):
             if tap is not None and command.tap_id == tap.tap_id:
                 self._give_up((ErrorCode.NONE, ""))
             return
+        tapper = tap_commands.named_tapper(command.tapper, self._names)
         refusal = self._refusal(command, now)
         if refusal is not None:
             self._refuse(command, refusal, now)
             return
         assert self._curve is not None
+        assert tapper is not None
         self._machine.move(Event.TAP, S.WAITING)
+        self._told.tapper = tapper
         self._last_tap_id = command.tap_id
         self._tap = Tap(
             command.tap_id,
@@ -283,6 +287,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             return ErrorCode.TAPPER_BUSY, f"it serves tap {self._told.tap_id}"
         if self.state is not S.SAFE:
             return ErrorCode.TAPPER_BUSY, f"the tapper is not at rest: {self._trouble[1]}"
+        if tap_commands.named_tapper(command.tapper, self._names) is None:
+            return tap_commands.unknown_tapper(command.tapper, self._names)
         if tap_commands.expired(command, now):
             return ErrorCode.TAPPER_COMMAND_EXPIRED, "its expiry has passed"
         speed = command.striker_speed
@@ -510,6 +516,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _configured_with(self, event: Configured, now: Now) -> None:
         assert isinstance(event.cell, Cell)
         self._curve = event.cell.file.tapper.curve()
+        self._names = event.cell.tapper_names
 
     def _connected(self, answer: Any, now: Now) -> None:
         assert isinstance(answer, Reply)
@@ -601,6 +608,9 @@ class TapperLogic(DeviceLogic[State, Event]):
         told = self._told
         message = TapperState(
             state=WIRE[self.state],
+            tappers=list(self._names),
+            tapper=told.tapper,
+            mounts_proven=True,
             tap_id=told.tap_id,
             outcome=told.outcome,
             measured_speed=told.measured_speed,

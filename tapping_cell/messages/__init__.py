@@ -257,6 +257,7 @@ class ErrorCode:
     GOAL_NOT_FINITE: ClassVar[int] = 101
     GOAL_NOT_PLANAR: ClassVar[int] = 108
     GOAL_OFF_TABLE: ClassVar[int] = 103
+    GOAL_OUTSIDE_WORKING_AREA: ClassVar[int] = 113
     GOAL_OUT_OF_REACH: ClassVar[int] = 104
     GOAL_REPLACED: ClassVar[int] = 110
     GOAL_STALE: ClassVar[int] = 106
@@ -267,6 +268,7 @@ class ErrorCode:
     NONE: ClassVar[int] = 0
     NOT_ACTIVE: ClassVar[int] = 903
     NOT_READY: ClassVar[int] = 902
+    NO_CONTACT_FOUND: ClassVar[int] = 406
     NO_TAP_FOUND: ClassVar[int] = 401
     OBJECT_MOVED: ClassVar[int] = 311
     OBJECT_NOT_AT_REST: ClassVar[int] = 305
@@ -274,6 +276,7 @@ class ErrorCode:
     OBJECT_OFF_TABLE: ClassVar[int] = 312
     PLANNER_BUSY: ClassVar[int] = 409
     PLANNER_UNKNOWN: ClassVar[int] = 404
+    PROBE_NEEDED: ClassVar[int] = 405
     RECORDING_FAILED: ClassVar[int] = 908
     REFERENCES_NOT_SEEN: ClassVar[int] = 302
     SHUTTING_DOWN: ClassVar[int] = 906
@@ -284,7 +287,9 @@ class ErrorCode:
     TAPPER_FAULT: ClassVar[int] = 611
     TAPPER_FIRMWARE_UNKNOWN: ClassVar[int] = 612
     TAPPER_INTERLOCK_OPEN: ClassVar[int] = 602
+    TAPPER_MOUNT_UNPROVEN: ClassVar[int] = 617
     TAPPER_NOT_CONNECTED: ClassVar[int] = 601
+    TAPPER_OTHER_CHARGED: ClassVar[int] = 618
     TAPPER_OUTCOME_UNKNOWN: ClassVar[int] = 607
     TAPPER_REPLY_GARBLED: ClassVar[int] = 613
     TAPPER_RESET: ClassVar[int] = 609
@@ -293,6 +298,7 @@ class ErrorCode:
     TAPPER_SPENT: ClassVar[int] = 605
     TAPPER_STOPPED: ClassVar[int] = 603
     TAPPER_TIMEOUT: ClassVar[int] = 604
+    TAPPER_UNKNOWN: ClassVar[int] = 616
     TAP_LEAVES_TABLE: ClassVar[int] = 410
     TAP_LEAVES_VIEW: ClassVar[int] = 411
     TAP_LIMIT_REACHED: ClassVar[int] = 402
@@ -302,12 +308,35 @@ class ErrorCode:
 
 
 @dataclass(slots=True, kw_only=True)
+class LearntGains:
+    """Mirror of ``tapping_cell_msgs/msg/LearntGains``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/LearntGains"
+
+    distance: float = 0.0
+    distance_deviation: float = 0.0
+    rotation: float = 0.0
+    rotation_deviation: float = 0.0
+    direction: float = 0.0
+    direction_deviation: float = 0.0
+    direction_growth: float = 0.0
+    direction_growth_deviation: float = 0.0
+    offset_x: float = 0.0
+    offset_x_deviation: float = 0.0
+    offset_y: float = 0.0
+    offset_y_deviation: float = 0.0
+    explained: int = 0
+    unexplained: int = 0
+
+
+@dataclass(slots=True, kw_only=True)
 class TapRecord:
     """Mirror of ``tapping_cell_msgs/msg/TapRecord``."""
 
     ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/TapRecord"
 
     tap_id: int = 0
+    tapper: str = ""
     number: int = 0
     planner: str = ""
     object_pose: Pose = field(default_factory=lambda: Pose())
@@ -323,6 +352,7 @@ class TapRecord:
     fired_at: Time = field(default_factory=lambda: Time())
     at_rest_at: Time = field(default_factory=lambda: Time())
     outcome: int = 0
+    learnt: LearntGains = field(default_factory=lambda: LearntGains())
 
 
 @dataclass(slots=True, kw_only=True)
@@ -412,6 +442,7 @@ class PlanState:
     angle_tolerance: float = 0.0
     taps: int = 0
     last_tap: TapRecord = field(default_factory=lambda: TapRecord())
+    learnt: LearntGains = field(default_factory=lambda: LearntGains())
     error_code: int = 0
     error_msg: str = ""
 
@@ -439,6 +470,7 @@ class TapCommand:
     header: Header = field(default_factory=lambda: Header())
     request: int = 0
     tap_id: int = 0
+    tapper: str = ""
     strike_pose: Pose = field(default_factory=lambda: Pose())
     striker_speed: float = 0.0
     expiry: Time = field(default_factory=lambda: Time())
@@ -465,11 +497,14 @@ class TapperState:
 
     header: Header = field(default_factory=lambda: Header())
     state: int = 0
+    tappers: list[str] = field(default_factory=list)
+    tapper: str = ""
     tap_id: int = 0
     outcome: int = 0
     measured_speed: float = 0.0
     shots_fired: int = 0
     boot_number: int = 0
+    mounts_proven: bool = False
     interlock_closed: bool = False
     set_up: bool = False
     enabling_switch: bool = False
@@ -518,6 +553,7 @@ class PositionObject:
         position_tolerance: float = 0.0
         angle_tolerance: float = 0.0
         max_taps: int = 0
+        probe: bool = False
         time_limit: float = 0.0
 
     @dataclass(slots=True, kw_only=True)
@@ -557,6 +593,7 @@ class SingleTap:
         ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/action/SingleTap.Goal"
 
         striker_speed: float = 0.0
+        tapper: str = ""
         incidence: float = 0.0
         direction: float = 0.0
         slack: float = 0.0

@@ -99,6 +99,7 @@ class StrikePlan:
     contact_pose: tip at the moment of contact; strike_pose: tip at rest, ``standoff`` before it.
     striker_speed: m/s. elbow: index of the arm's elbow side that reaches every waypoint.
     approach: waypoints to the strike pose, the last one at rest there; retreat: away from it.
+    tapper: name of the tapper that strikes; empty where there is only one.
     """
 
     contact_angle: float
@@ -108,6 +109,7 @@ class StrikePlan:
     elbow: int
     approach: tuple[Waypoint, ...]
     retreat: tuple[Waypoint, ...]
+    tapper: str = ""
 
 
 class StrikeSpace:

@@ -6,18 +6,26 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import TransformStamped
 
 from tapping_cell import messages
 from tapping_cell.configuration.arm_assembly import make_arm_driver
-from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.cell import ArmSection, load_cell
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.link_frames import LINKS, LinkFrame, link_frames
+from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.logic import arm_jobs
 from tapping_cell.logic.arm import ArmLogic, ArmOptions, State
+from tapping_cell.logic.frames import TABLE
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.drivers.driver_node import DriverNode, run_driver
+from tapping_cell.nodes.frame_broadcaster import FrameBroadcaster, transform
+from tapping_cell.se2 import Pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +49,9 @@ class Parameters:
         "after a tap, withdraw only until the camera sees the object; false: to the park pose",
         default=True,
     )
+    link_frames: bool = text(
+        "send the arm's links on /tf; false where robot_state_publisher does", default=True
+    )
 
 
 class ScaraArm(DriverNode[Parameters, ArmDriver]):
@@ -58,12 +69,17 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
         self.host.subscribes(messages.PoseStamped, "camera/pose", LATCHED)
         self.host.serves(messages.Trigger, "~/home")
         self.host.serves(messages.HoldStill, "hold_still")
+        self._broadcaster = FrameBroadcaster(self, moving=self.settings.link_frames)
+        self._geometry = ScaraGeometry()
+        if self._broadcaster.is_open and self.settings.link_frames:
+            self.host.observes("joint_states", self._send_links)
 
     def configure(self) -> None:
         """Read the cell file, open the port, identify the controller."""
         files = self.settings
         cell = load_cell(files.cell_file or None, object_path=files.object_file or None)
         arm = cell.file.arm
+        self._send_base(arm)
         port = str(self.port_path(self.settings.port or arm.port))
         driver = make_arm_driver(arm, SerialTransport(port, arm.baud))
         firmware = self.connect(driver, port, cell, lambda _: arm_jobs.reading_of(driver))
@@ -95,6 +111,26 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
             refused = self.logic.state is State.IDLE
             return (DiagnosticStatus.WARN if refused else DiagnosticStatus.ERROR), sentence, values
         return DiagnosticStatus.OK, "ok", values
+
+    def _send_base(self, arm: ArmSection) -> None:
+        x, y, yaw = arm.base
+        now = self.get_clock().now().to_msg()
+        frames = [transform(TABLE, LINKS[0], to_message(Pose(x, y, yaw)), now)]
+        self._geometry = arm.geometry()
+        if self.settings.link_frames:
+            tip = link_frames(self._geometry, Joints(0.0, 0.0, 0.0, 0.0))[-1]
+            frames.append(_link_transform(tip, now))
+        self._broadcaster.send_fixed(frames)
+
+    def _send_links(self, state: messages.JointState) -> None:
+        links = link_frames(self._geometry, Joints(*state.position))[:-1]
+        stamp = Time(sec=state.header.stamp.sec, nanosec=state.header.stamp.nanosec)
+        self._broadcaster.send(_link_transform(link, stamp) for link in links)
+
+
+def _link_transform(frame: LinkFrame, stamp: Time) -> TransformStamped:
+    pose = to_message(Pose(frame.x, frame.y, frame.yaw), frame.z)
+    return transform(frame.parent, frame.link, pose, stamp)
 
 
 def make_logic(parameters: Parameters) -> ArmLogic:
