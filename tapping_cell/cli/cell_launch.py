@@ -14,7 +14,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from tapping_cell.configuration.cell import load_cell, refuse_simulated_ports
+from tapping_cell.configuration.cell import load_cell, refuse_own_drivers, refuse_simulated_ports
 from tapping_cell.hardware.urdf import urdf
 from tapping_cell.nodes import security
 
@@ -87,8 +87,8 @@ def _start(
 ) -> list[Node | LogInfo]:
     """The nodes, once the arguments are known."""
     given = context.launch_configurations
-    if hardware:
-        refuse_simulated_ports(load_cell(given["cell_file"] or None))
+    refuse = refuse_simulated_ports if hardware else refuse_own_drivers
+    refuse(load_cell(given["cell_file"] or None))
     shared: list[dict[str, object] | str] = [{"use_sim_time": LaunchConfiguration("use_sim_time")}]
     overrides = [given["params_file"]] if given["params_file"] else []
     if given["page"].lower() == "true":

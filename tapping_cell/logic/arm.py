@@ -17,11 +17,20 @@ from tapping_cell.hardware.arm_settings import HomingStrategy
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.motion import MotionSettings, Waypoint, check_limits
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
-from tapping_cell.logic import arm_jobs, tap_commands
+from tapping_cell.logic import arm_jobs, enabling, tap_commands
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
-from tapping_cell.logic.effects import Answer, JobEnded, LogLevel, Message, Publish, Token
+from tapping_cell.logic.effects import (
+    Answer,
+    JobEnded,
+    LogLevel,
+    Message,
+    Publish,
+    StopWire,
+    Token,
+)
+from tapping_cell.logic.enabling import EnablingDevice
 from tapping_cell.logic.error_codes import of_arm
 from tapping_cell.logic.host import Configured
 from tapping_cell.logic.poses import from_message, to_message
@@ -141,6 +150,8 @@ WIRE = {
 HEALTHY = frozenset(
     {S.HOMING, S.IDLE, S.PLACING, S.IN_POSITION, S.LEAVING, S.WITHDRAWING, S.FOLLOWING}
 )
+AT_WORK = HEALTHY - {S.IDLE}
+"""States in which the arm moves, or stands at an object and may move on."""
 UNHOMED = (FaultReason.NOT_HOMED, FaultReason.HOMING_FAILED)
 
 
@@ -152,7 +163,7 @@ class ArmOptions:
     state_rate: float = 20.0
     """Hz."""
     set_up: bool = False
-    """Whether the arm moves at reduced speed, for commissioning and the first taps."""
+    """Set-up mode: the arm moves slowly, and only while an enabling device is held."""
     look_early: bool = True
     """Whether it withdraws only until the camera sees the object; else to the park pose."""
 
@@ -187,6 +198,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._promised_tap = 0
         self._promise_end = -math.inf
         self._outcome_told = 0
+        self._enabling = EnablingDevice()
 
     # Messages and requests
 
@@ -194,16 +206,21 @@ class ArmLogic(DeviceLogic[State, Event]):
         if topic == "tap_command":
             self._tap_command(message, now)
         elif topic == "tapper_state":
+            self._enabling.hear_switch(message.enabling_switch, now)
             self._tapper_told(message, now)
+            self._watch_enabling(now)
         elif topic == "joint_trajectory":
-            self._trajectory(message)
+            self._trajectory(message, now)
+        elif topic == enabling.TOPIC:
+            self._enabling.hear_key(message.data, now)
+            self._watch_enabling(now)
         elif topic == "camera/pose":
             place = message.pose.position
             self._camera = (place.x, place.y, place.z)
 
     def _handle_request(self, service: str, request: Message, token: Token, now: Now) -> None:
         if service == "~/home":
-            self._home(token)
+            self._home(token, now)
         elif service == "hold_still":
             self._effects.append(Answer(token, self._hold_still(request, now)))
 
@@ -216,7 +233,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             if ours and self.state in (S.PLACING, S.IN_POSITION):
                 self._give_up(now)
             elif command.tap_id != 0 and command.tap_id == self._last_tap_id:
-                self._withdraw_again()
+                self._withdraw_again(now)
             return
         refusal = self._refusal(command, now)
         if refusal is not None:
@@ -254,12 +271,13 @@ class ArmLogic(DeviceLogic[State, Event]):
             return None
         return Scene(self._camera, before, predicted, strike)
 
-    def _withdraw_again(self) -> None:
+    def _withdraw_again(self, now: Now) -> None:
         """The pose to which the arm has withdrawn does not do: park it."""
         if self.state in (S.LEAVING, S.WITHDRAWING):
             self._to_park = True
-        elif self.state is S.IDLE and self._active and self._clear_of_camera and self._scene:
-            self._park()
+        elif self._scene is not None and self.state is S.IDLE and self._enabled(now):
+            if self._active and self._clear_of_camera:
+                self._park()
 
     def _park(self) -> None:
         self._machine.move(Event.PARK, S.WITHDRAWING)
@@ -277,6 +295,8 @@ class ArmLogic(DeviceLogic[State, Event]):
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
         if self.state is not S.IDLE:
             return ErrorCode.ARM_BUSY, f"the arm is not idle ({self._trouble[1] or 'it is busy'})"
+        if not self._enabled(now):
+            return enabling.RELEASED
         if tap_commands.expired(command, now):
             return ErrorCode.ARM_COMMAND_EXPIRED, "its expiry has passed"
         return tap_commands.refusal(command, now, self._last_tap_id)
@@ -288,11 +308,15 @@ class ArmLogic(DeviceLogic[State, Event]):
         else:
             self._log(LogLevel.ERROR, sentence)
 
-    def _trajectory(self, message: JointTrajectory) -> None:
+    def _trajectory(self, message: JointTrajectory, now: Now) -> None:
         if not self._active or self.state is not S.IDLE:
             code = ErrorCode.ARM_BUSY if self._active else ErrorCode.NOT_ACTIVE
             reason = self._trouble[1] or "busy"
             self._refuse(code, f"trajectory refused: the arm is not idle ({reason})")
+            return
+        if not self._enabled(now):
+            code, reason = enabling.RELEASED
+            self._refuse(code, f"trajectory refused: {reason}")
             return
         try:
             targets = trajectory_targets(message)
@@ -310,12 +334,14 @@ class ArmLogic(DeviceLogic[State, Event]):
             partial(arm_jobs.follow, targets=targets, scale=scale, not_before=self._promise_end),
         )
 
-    def _home(self, token: Token) -> None:
+    def _home(self, token: Token, now: Now) -> None:
         if not self._active:
             self._answer(token, False, "the node is not active; activate it first")
         elif self.state not in (S.NOT_HOMED, S.IDLE):
             reason = self._trouble[1] or "busy"
             self._answer(token, False, f"the arm cannot home now: {reason}")
+        elif not self._enabled(now):
+            self._answer(token, False, enabling.RELEASED[1])
         else:
             self._begin_homing()
             self._answer(token, True, "homing has begun; arm_state tells when it is done")
@@ -333,6 +359,22 @@ class ArmLogic(DeviceLogic[State, Event]):
                 not_before=self._promise_end,
             ),
         )
+
+    # Set-up mode
+
+    def _enabled(self, now: Now) -> bool:
+        """Whether the arm may begin to move, as far as set-up mode goes."""
+        return not self._options.set_up or self._enabling.held(now)
+
+    def _watch_enabling(self, now: Now) -> None:
+        """Stop an arm at work whose enabling device is no longer held."""
+        if self._enabled(now) or self.state not in AT_WORK:
+            return
+        self._effects.append(StopWire())
+        if self._stops.press(enabling.SOURCE):
+            self._keep_stops(now)
+        self._stop(now)
+        self._say(*enabling.STOPPED)
 
     # Standing still for the tapper
 
@@ -531,7 +573,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state not in (S.NOT_HOMED, S.IDLE, S.INACTIVE):
             return
         self._stand(Event.ACTIVATED)
-        if self._options.home_on_activate and self._cell.file.arm.homes_alone:
+        alone = self._options.home_on_activate and not self._options.set_up
+        if alone and self._cell.file.arm.homes_alone:
             self._begin_homing()
 
     def _deactivated(self, now: Now) -> None:
@@ -580,6 +623,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._run("clear", arm_jobs.clear)
 
     def _time_passed(self, now: Now) -> None:
+        self._watch_enabling(now)
         if self.state is S.DISCONNECTED:
             if self._job is None and now.steady >= self._read_at + READ_PERIOD_S:
                 self._read_at = now.steady
@@ -611,6 +655,8 @@ class ArmLogic(DeviceLogic[State, Event]):
             tap_id=self._tap_id,
             homed=reading is not None,
             clear_of_camera=self._clear_of_camera,
+            set_up=self._options.set_up,
+            enabled=self._options.set_up and self._enabling.held(now),
             error_code=code,
             error_msg=sentence,
         )
@@ -620,7 +666,9 @@ class ArmLogic(DeviceLogic[State, Event]):
             tip = self._geometry.forward(reading.joints)
             planar = self._cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
             message.tip_pose = to_message(planar, tip.z)
-            if self._read_stamp != self._joints_told:
+            # An arm with a driver of its own tells them itself.
+            own_driver = self._cell.file.arm.ros2_control is not None
+            if self._read_stamp != self._joints_told and not own_driver:
                 self._joints_told = self._read_stamp
                 joints = JointState(name=list(Joints._fields), position=list(reading.joints))
                 joints.header.stamp = self._read_stamp
@@ -630,7 +678,8 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _comparable(self, message: Message) -> Message:
         # While it moves, the end of each move is told at once.
         read = self._read_stamp if self.state is S.PLACING else None
-        return message.state, message.tap_id, message.error_code, message.error_msg, read
+        trouble = message.error_code, message.error_msg
+        return message.state, message.tap_id, message.enabled, *trouble, read
 
 
 def _plan_withdrawal(

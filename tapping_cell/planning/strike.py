@@ -123,10 +123,10 @@ class StrikeSpace:
         settings: StrikeSettings | None = None,
         scatter: Scatter | None = None,
     ) -> None:
-        self.tap = replace(tap, sliding=tap.sliding.approximated(), smallest_distance=0.0)
-        """The mechanics, fast rather than exact for polygons, without its smallest tap: that is for
-        the planning method to keep, since it counts in true distance and commands are scaled by the
-        gains learnt."""
+        self.tap = replace(tap, sliding=tap.sliding.tabulated(), smallest_distance=0.0)
+        """The mechanics, with a polygon's slides from a table, and without its smallest tap: that
+        is for the planning method to keep, since it counts in true distance and commands are
+        scaled by the gains learnt."""
         self.workspace = workspace
         self.settings = StrikeSettings() if settings is None else settings
         self.scatter = Scatter() if scatter is None else scatter

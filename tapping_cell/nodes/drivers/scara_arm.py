@@ -12,18 +12,19 @@ from geometry_msgs.msg import TransformStamped
 
 from tapping_cell import messages
 from tapping_cell.configuration.arm_assembly import make_arm_driver
-from tapping_cell.configuration.cell import ArmSection, load_cell
+from tapping_cell.configuration.cell import ArmSection, Ros2ControlSection, load_cell
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.link_frames import LINKS, LinkFrame, link_frames
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.serial_transport import SerialTransport
-from tapping_cell.logic import arm_jobs
+from tapping_cell.logic import arm_jobs, enabling
 from tapping_cell.logic.arm import ArmLogic, ArmOptions, State
 from tapping_cell.logic.frames import TABLE
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.drivers.driver_node import DriverNode, run_driver
+from tapping_cell.nodes.drivers.trajectory_link import RosTrajectoryLink
 from tapping_cell.nodes.frame_broadcaster import FrameBroadcaster, transform
 from tapping_cell.se2 import Pose
 
@@ -42,7 +43,8 @@ class Parameters:
     )
     state_rate: float = quantity("rate of arm_state", "Hz", 1.0, 200.0, default=20.0)
     set_up: bool = text(
-        "set-up mode: move at a quarter of the speed, for commissioning and the first taps",
+        "set-up mode: move at a quarter of the speed and only while an enabling device is held, "
+        "for commissioning and the first taps",
         default=False,
     )
     look_early: bool = text(
@@ -61,12 +63,15 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
 
     def __init__(self) -> None:
         super().__init__("scara_arm", Parameters, make_logic)
+        self._link: RosTrajectoryLink | None = None
+        self._linked_to: Ros2ControlSection | None = None
         self.host.publishes(messages.ArmState, "arm_state", LATCHED)
         self.host.publishes(messages.JointState, "joint_states", 10)
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
         self.host.subscribes(messages.JointTrajectory, "joint_trajectory", COMMAND)
         self.host.subscribes(messages.TapperState, "tapper_state", LATCHED)
         self.host.subscribes(messages.PoseStamped, "camera/pose", LATCHED)
+        self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
         self.host.serves(messages.Trigger, "~/home")
         self.host.serves(messages.HoldStill, "hold_still")
         self._broadcaster = FrameBroadcaster(self, moving=self.settings.link_frames)
@@ -80,11 +85,33 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
         cell = load_cell(files.cell_file or None, object_path=files.object_file or None)
         arm = cell.file.arm
         self._send_base(arm)
-        port = str(self.port_path(self.settings.port or arm.port))
-        driver = make_arm_driver(arm, SerialTransport(port, arm.baud))
+        if arm.ros2_control is None:
+            port = str(self.port_path(self.settings.port or arm.port))
+            driver = make_arm_driver(arm, SerialTransport(port, arm.baud))
+        else:
+            port = arm.ros2_control.controller
+            driver = make_arm_driver(arm, self._link_to(arm.ros2_control, arm.max_acceleration))
         firmware = self.connect(driver, port, cell, lambda _: arm_jobs.reading_of(driver))
         for remark in firmware.remarks:
             self.get_logger().warning(remark)
+
+    def destroy_node(self) -> None:
+        """End the link with the node."""
+        if self._link is not None:
+            self._link.destroy()
+        super().destroy_node()  # type: ignore[no-untyped-call]
+
+    def _link_to(
+        self, section: Ros2ControlSection, max_acceleration: Sequence[float]
+    ) -> RosTrajectoryLink:
+        """The link to the arm's own driver, kept while the cell file is not changed."""
+        if self._link is not None and self._linked_to != section:
+            self._link.destroy()
+            self._link = None
+        if self._link is None:
+            self._link = RosTrajectoryLink(self, section, max_acceleration)
+            self._linked_to = section
+        return self._link
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Port, firmware, homing and counters."""
