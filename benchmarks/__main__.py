@@ -35,6 +35,7 @@ LONG_SECTIONS = (
     "node",
     "outline",
     "page-stop",
+    "two-computers",
     "vision-calibrated",
     "vision-covariance",
     "vision-robustness",
