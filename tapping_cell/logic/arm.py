@@ -275,9 +275,10 @@ class ArmLogic(DeviceLogic[State, Event]):
         """The pose to which the arm has withdrawn does not do: park it."""
         if self.state in (S.LEAVING, S.WITHDRAWING):
             self._to_park = True
-        elif self._scene is not None and self.state is S.IDLE and self._enabled(now):
-            if self._active and self._clear_of_camera:
-                self._park()
+            return
+        may_move = self._active and self.state is S.IDLE and self._enabled(now)
+        if may_move and self._clear_of_camera and self._scene is not None:
+            self._park()
 
     def _park(self) -> None:
         self._machine.move(Event.PARK, S.WITHDRAWING)
