@@ -63,7 +63,7 @@ def withdrawal(
 
     The park pose is also taken where no pose at travel height has a free view.
     """
-    geometry = cell.file.arm.geometry()
+    geometry = cell.arm.geometry()
     parked = withdraw_path(geometry, current, motion)
     if scene is None:
         return parked
@@ -94,7 +94,7 @@ def _candidates(geometry: ScaraGeometry, raised: Joints) -> Array:
 
 def _is_free(cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array) -> Array:
     """Which of the arm's poses (N, 4) leave object and enough markers to the camera, (N,) bool."""
-    bars = arm_bars(geometry, cell.file.arm.shape(cell.file.tapper), joints)
+    bars = arm_bars(geometry, cell.arm.shape(cell.file.tapper), joints)
     start, end = (_in_table(cell.arm_base, places) for places in (bars.start, bars.end))
     radius = bars.radius + VIEW_MARGIN_M
     height = cell.object.height
