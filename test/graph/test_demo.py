@@ -112,12 +112,7 @@ def the_bag_tells_the_run(folder: Path, taps: int) -> None:
 
 
 def test_ctrl_c_in_a_goal_leaves_its_record(folder: Path) -> None:
-    """Also as a background job of a shell, which starts with the signal ignored."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        process = start(folder, "--move", "100", "0", "90")
-    finally:
-        signal.signal(signal.SIGINT, before)
+    process = start(folder, "--move", "100", "0", "90")
     wait_for_nodes(folder, process)
     deadline = time.monotonic() + 60
     while not (folder / "bag").exists():
@@ -134,7 +129,7 @@ def test_ctrl_c_in_a_goal_leaves_its_record(folder: Path) -> None:
 
 def test_a_killed_recorder_does_not_disturb_the_goal(folder: Path) -> None:
     """It is started again, and records the rest beside what it had."""
-    process = start(folder, "--seed", "5", "--move", "-25", "0", "0")
+    process = start(folder, "--seed", "5", "--move", "-25", "15", "-12")
     nodes = wait_for_nodes(folder, process)
     deadline = time.monotonic() + 60
     while not (folder / "bag").exists():
@@ -151,9 +146,16 @@ def test_a_killed_recorder_does_not_disturb_the_goal(folder: Path) -> None:
     assert not cut.whole and any(True for _ in cut.of("plan_state"))
 
 
-def test_ctrl_c_while_the_nodes_start_ends_every_node(folder: Path) -> None:
-    process = start(folder, "--move", "100", "0", "90")
+@pytest.mark.parametrize("inherited", [signal.SIG_DFL, signal.SIG_IGN], ids=["terminal", "job"])
+def test_ctrl_c_ends_every_node(folder: Path, inherited: signal.Handlers) -> None:
+    """Also as a background job of a shell, which starts with the signal ignored."""
+    before = signal.signal(signal.SIGINT, inherited)
+    try:
+        process = start(folder, "--move", "100", "0", "90")
+    finally:
+        signal.signal(signal.SIGINT, before)
     wait_for_nodes(folder, process)
+    time.sleep(3.0)
     process.send_signal(signal.SIGINT)
     assert process.wait(20) == 130
     assert json.loads((folder / "summary.json").read_text())["reached"] is False
@@ -180,13 +182,25 @@ def test_killing_the_demo_itself_leaves_no_node(folder: Path) -> None:
         time.sleep(0.1)
 
 
-def test_an_unknown_planner_is_refused_before_any_node(folder: Path) -> None:
-    process = start(folder, "--move", "10", "0", "10", "--planner", "guess")
+@pytest.mark.parametrize(
+    ("options", "code", "word", "status"),
+    [
+        (("--goal", "900", "0", "0"), 103, "outside the table's edge", 1),
+        (("--move", "10", "0", "10", "--planner", "guess"), 404, "guess", 2),
+    ],
+    ids=["off the table", "unknown planner"],
+)
+def test_what_cannot_be_done_is_said(
+    folder: Path, options: tuple[str, ...], code: int, word: str, status: int
+) -> None:
+    process = start(folder, *options)
     output, _ = process.communicate(timeout=90)
-    assert process.returncode == 2
+    assert process.returncode == status
     content = json.loads((folder / "summary.json").read_text())
-    assert content["error_code"] == 404 and content["taps"] == 0
-    assert "guess" in content["error_msg"] and "guess" in output
+    assert content["error_code"] == code
+    assert word in content["error_msg"]
+    assert content["taps"] == 0
+    assert word in output.replace("\n", " ")
 
 
 @pytest.mark.parametrize(

@@ -113,12 +113,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     parameters: dict[str, dict[str, object]] = {
-        "sim_world": {
-            "arm_port": folder / "arm",
-            "tapper_port": folder / "tapper",
-            "seed": 3,
-            "frame_rate": 15.0,
-        },
+        "sim_world": {"arm_port": folder / "arm", "tapper_port": folder / "tapper", "seed": 3},
         "scara_arm": {"port": folder / "arm", "home_on_activate": True},
         "tapper_trigger": {"port": folder / "tapper"},
         "operator_page": {"port": port, "stop_port": 0, "runs": folder / "runs"},
