@@ -47,7 +47,7 @@ def goal(*words: str) -> tuple[int, str]:
     ended = subprocess.run(
         [*command, *words], capture_output=True, text=True, timeout=240, check=False
     )
-    return ended.returncode, " ".join(ended.stdout.split())
+    return ended.returncode, " ".join((ended.stdout + ended.stderr).split())
 
 
 def recorded(folder: Path, number: int) -> list[Run]:
@@ -70,7 +70,7 @@ def a_second_cell_is_refused(folder: Path) -> None:
     command = [sys.executable, "-m", "tapping_cell", "up", "--namespace", "left"]
     second = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60)
     assert second.returncode == 1
-    words = " ".join(second.stdout.split())
+    words = " ".join(second.stderr.split())
     assert "another cell runs on this machine in ROS domain" in words
     assert "namespace '/left'" in words
 

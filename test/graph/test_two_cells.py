@@ -105,6 +105,6 @@ def test_hardware_on_the_packaged_example_file_is_refused(
         (*CELL, "up", "--hardware", *given), cwd=folder, capture_output=True, text=True, timeout=30
     )
     assert ended.returncode == 2
-    words = " ".join(ended.stdout.split())
+    words = " ".join(ended.stderr.split())
     assert "key 'arm.port' is ~/.ros/tapping_cell/{cell}/arm" in words
     assert "a port of the simulated cell" in words
