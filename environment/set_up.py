@@ -338,7 +338,8 @@ def make_venv(stamp: Path, wanted: str) -> None:
 
     install = [str(VENV / "bin" / "python"), "-m", "pip", "install", "--no-input", "--no-deps"]
     install += ["--progress-bar", "off", "--no-warn-script-location", "--retries", "2"]
-    install += ["--require-hashes"]
+    # Python compiles what is used when it is used; most of these files never are.
+    install += ["--require-hashes", "--no-compile"]
     from_source = [line for line in lines if line.startswith(SOURCE_DISTRIBUTIONS)]
     wheels = [line for line in lines if line not in from_source]
     # Setuptools, by which the others are built, is among the wheels.

@@ -121,10 +121,15 @@ class Witness:
 class CrashCell:
     """A running simulated cell whose nodes are killed; use as a context manager."""
 
-    def __init__(self, folder: Path, seed: int = 8) -> None:
+    def __init__(self, folder: Path, seed: int = 8, frame_rate: float = 30.0) -> None:
         arm, tapper = folder / "arm", folder / "tapper"
         parameters: dict[str, dict[str, object]] = {
-            WORLD: {"arm_port": arm, "tapper_port": tapper, "seed": seed},
+            WORLD: {
+                "arm_port": arm,
+                "tapper_port": tapper,
+                "seed": seed,
+                "frame_rate": frame_rate,
+            },
             "scara_arm": {"port": arm, "home_on_activate": True},
             "tapper_trigger": {"port": tapper},
         }
@@ -176,22 +181,30 @@ class CrashCell:
         goal = PoseStamped(pose=to_message(GOAL))
         goal.header.frame_id = "table"
         self._goals.publish(goal)
-        came = self.wait(lambda: self._in_phase(phase), 60.0, 0.001)
+        came = self.come(phase)
         # How the goal before this one ended was said again meanwhile.
         self.seen.plans.clear()
         return came
 
-    def trial(self, node: str, phase: str) -> Crash:
-        """Kill ``node`` at ``phase`` of a tap, start it again, see the goal's end."""
-        if not self.begin(phase):
-            return Crash(node, phase, "hung", 60.0, f"the phase {phase} never came", ())
+    def come(self, phase: str) -> bool:
+        """Wait for ``phase`` of a tap; False where it never comes."""
+        return self.wait(lambda: self._in_phase(phase), 60.0, 0.001)
+
+    def kill(self, node: str) -> None:
+        """Kill a node and start it again."""
         os.kill(self.graph.process_ids[node], signal.SIGKILL)
-        began = time.monotonic()
         time.sleep(DOWN_S)
         if node == WORLD:
             # The object of a new world lies elsewhere: whoever put it there is no strike.
             self.seen.watching = False
         self.graph.restart(node)
+
+    def trial(self, node: str, phase: str) -> Crash:
+        """Kill ``node`` at ``phase`` of a tap, start it again, see the goal's end."""
+        if not self.begin(phase):
+            return Crash(node, phase, "hung", 60.0, f"the phase {phase} never came", ())
+        began = time.monotonic()
+        self.kill(node)
         self.wait(lambda: self.ended() is not None, PATIENCE_S)
         return self.finish(node, phase, time.monotonic() - began)
 

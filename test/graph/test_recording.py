@@ -17,7 +17,8 @@ from tapping_cell.report.run_folder import RunError, read_run
 
 PARAMETERS = """
 /left/sim_world:
-  ros__parameters: {{arm_port: {folder}/arm, tapper_port: {folder}/tapper, seed: 6}}
+  ros__parameters:
+    {{arm_port: {folder}/arm, tapper_port: {folder}/tapper, seed: 6, frame_rate: 15.0}}
 /left/scara_arm:
   ros__parameters: {{port: {folder}/arm}}
 /left/tapper_trigger:
@@ -65,14 +66,25 @@ def recorded(folder: Path, number: int) -> list[Run]:
         time.sleep(0.2)
 
 
+def a_second_cell_is_refused(folder: Path) -> None:
+    command = [sys.executable, "-m", "tapping_cell", "up", "--namespace", "left"]
+    second = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60)
+    assert second.returncode == 1
+    words = " ".join(second.stderr.split())
+    assert "another cell runs on this machine in ROS domain" in words
+    assert "namespace '/left'" in words
+
+
 def test_goals_of_a_graph_that_stays_are_recorded(folder: Path) -> None:
-    status, words = goal("-35", "15", "25")
+    """And nobody starts a second cell of the same domain and namespace beside it."""
+    status, words = goal("-25", "0", "0")
     assert status == 0 and "goal reached" in words, words
+    a_second_cell_is_refused(folder)
     status, words = goal("900", "0", "0")
     assert status == 1 and "code 103" in words and "what to do: Send a goal" in words
     first, second = recorded(folder, 2)
     assert (first.outcome, second.outcome) == ("reached", "refused")
-    assert "_left_to_-35_15_25" in first.name and len(first.taps) >= 1
+    assert "_left_to_-25_0_0" in first.name and len(first.taps) >= 1
     assert second.error_code == 103 and second.taps == ()
     bag = read_bag(folder / "runs" / first.name / "bag")
     assert bag.whole and all(topic.name.startswith(("/left/", "/diag")) for topic in bag.topics)

@@ -1,4 +1,8 @@
-"""The whole graph as processes, spoken to over its topics and its action as a user would."""
+"""The whole graph as processes, spoken to over its topics and its action as a user would.
+
+What a second goal, a hand on the object or a hanging node does to a goal is shown in virtual time
+(``test/pure/verification/test_scenarios.py``).
+"""
 
 from __future__ import annotations
 
@@ -24,11 +28,9 @@ from tapping_cell_msgs.srv import ResetWorld
 from tapping_cell.cli import session
 from tapping_cell.cli.graph import SIMULATED, Graph
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
-from tapping_cell.nodes.clients.goal_client import Finished, GoalClient, TapDone
+from tapping_cell.nodes.clients.goal_client import Finished, GoalClient
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.se2 import Pose
-
-TOLERANCE = (0.001, math.radians(1.0))
 
 
 @dataclass
@@ -174,61 +176,6 @@ def test_a_bad_goal_of_the_action_gets_its_code_as_the_result(cell: Cell) -> Non
     assert "2000.0 mm" in finished.error_msg
     finished = cell.run_action(Pose(0.0, 0.0, 0.0), (-1.0, 0.0))
     assert finished.error_code == ErrorCode.GOAL_BAD_TOLERANCE
-
-
-def test_a_goal_on_the_topic_moves_the_object_there_truly(cell: Cell) -> None:
-    cell.place(Pose(0.05, -0.05, 0.0))
-    goal = Pose(0.03, -0.04, 0.15)
-    heard = len(cell.plans)
-    cell.publish_goal(goal)
-    final = (PlanState.REACHED, PlanState.FAILED)
-    cell.wait(lambda: any(p.state in final for p in cell.plans[heard:]), "the goal's end", 150)
-    last = cell.plans[-1]
-    assert last.state == PlanState.REACHED, last.error_msg
-    true = cell.client.settled_truth()
-    assert true is not None
-    assert true.distance_to(goal) <= TOLERANCE[0] and abs(true.rotation_to(goal)) <= TOLERANCE[1]
-    taps = [command for command in cell.commands if command.request == TapCommand.TAP]
-    assert len({command.tap_id for command in taps}) == len(taps)
-
-
-def test_a_second_goal_replaces_the_first_cleanly(cell: Cell) -> None:
-    cell.place(Pose(-0.05, 0.0, 0.0))
-    cell.client.send(Pose(0.10, 0.0, 1.0))
-    cell.wait(
-        lambda: cell.client.arm_state and cell.client.arm_state.state == ArmState.MOVING,
-        "the first tap begins",
-    )
-    second = Pose(-0.06, 0.01, 0.0)
-    cell.publish_goal(second)
-    ends = [event for event in cell.client.events() if isinstance(event, Finished)]
-    assert ends[0].error_code == ErrorCode.GOAL_REPLACED
-    heard = len(cell.plans)
-    final = (PlanState.REACHED, PlanState.FAILED)
-    cell.wait(lambda: any(p.state in final for p in cell.plans[heard:]), "the second goal", 150)
-    assert cell.plans[-1].state == PlanState.REACHED, cell.plans[-1].error_msg
-    true = cell.client.settled_truth()
-    assert true is not None and true.distance_to(second) <= TOLERANCE[0]
-
-
-def test_an_object_pushed_off_by_hand_between_taps_is_still_brought_to_the_goal(
-    cell: Cell,
-) -> None:
-    cell.place(Pose(0.0, 0.0, 0.0))
-    goal = Pose(0.04, -0.02, 0.3)
-    cell.client.send(goal)
-    pushed = False
-    for event in cell.client.events():
-        cell.graph.check()
-        if isinstance(event, TapDone) and not pushed:
-            pushed = True
-            shifted = Pose(0.02, -0.05, -0.2)
-            cell.reset.call_async(ResetWorld.Request(object_pose=to_message(shifted)))
-        if isinstance(event, Finished):
-            assert event.error_code == 0, event.error_msg
-    true = cell.client.settled_truth()
-    assert pushed and true is not None
-    assert true.distance_to(goal) <= TOLERANCE[0] and abs(true.rotation_to(goal)) <= TOLERANCE[1]
 
 
 def test_canceling_withdraws_the_arm_and_disarms_the_tapper(cell: Cell) -> None:

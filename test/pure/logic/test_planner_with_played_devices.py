@@ -168,7 +168,9 @@ class Actors(VirtualNode):
     def end(self, patience: float = 60.0) -> PlanState:
         final = (PlanState.REACHED, PlanState.FAILED)
         self.wait(lambda: self.plans[-1].state in final, "the goal's end", patience)
-        return self.plans[-1]
+        end = self.plans[-1]
+        self.run(0.1)  # what was sent with it arrives
+        return end
 
     def taps(self) -> list[TapCommand]:
         return [command for command in self.commands if command.request == TapCommand.TAP]

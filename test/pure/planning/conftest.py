@@ -14,8 +14,11 @@ from tapping_cell.planning.gains import NAMES
 @pytest.fixture(scope="session", autouse=True)
 def own_folders(tmp_path_factory):
     kept = {name: os.environ.get(name) for name in ("XDG_CACHE_HOME", "XDG_STATE_HOME")}
-    for name in kept:
-        os.environ[name] = str(tmp_path_factory.mktemp(name.lower()))
+    os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
+    # Solved plans are shared by the processes of pytest-xdist, whose folders lie side by side.
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    os.environ["XDG_CACHE_HOME"] = str(base / "plans")
     yield
     for name, value in kept.items():
         if value is None:

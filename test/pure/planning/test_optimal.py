@@ -80,10 +80,14 @@ def test_expected_weights_against_sampling():
         assert got == pytest.approx(within, rel=0.03, abs=2e-4)
 
 
-def test_a_solved_plan_is_found_on_disk_and_a_damaged_one_is_solved_again(planner, caplog):
+def test_a_solved_plan_is_found_on_disk_and_a_damaged_one_is_solved_again(
+    planner, caplog, monkeypatch
+):
     settings = planner.settings
     kept = load_policy(settings)
     assert kept is not None
+    solved = []
+    monkeypatch.setattr(optimal_module, "solve", lambda given: solved.append(given) or kept)
     assert load_policy(replace(settings, tolerance_position=0.0011)) is None
     path = policy_file(settings)
     whole = path.read_bytes()
@@ -91,16 +95,17 @@ def test_a_solved_plan_is_found_on_disk_and_a_damaged_one_is_solved_again(planne
     assert load_policy(settings) is None
     assert "solving it again" in caplog.text
     again = make_planner("optimal", settings)
+    assert solved == [settings]
     assert path.read_bytes() == whole or load_policy(settings) is not None
     assert float(again.choose(0.01, 0.1).distance) == float(planner.choose(0.01, 0.1).distance)
 
 
-def test_while_a_plan_is_solved_another_method_answers(monkeypatch):
-    gate = threading.Event()
+def test_while_a_plan_is_solved_another_method_answers(planner, monkeypatch):
+    gate, solved = threading.Event(), load_policy(planner.settings)
 
     def slow(settings):
         gate.wait(30.0)
-        return solver.solve(settings)
+        return solved
 
     monkeypatch.setattr(optimal_module, "solve", slow)
     settings = PlannerSettings(tolerance_position=0.0013)
