@@ -43,6 +43,7 @@ SUBVERBS = {
     "table": "where the reference markers are, from images or a printed sheet",
     "arm": "pose of the arm and zero of its elbow, from a record of poses",
     "tapper": "draw to speed, from how far the object went",
+    "photographs": "rendered photographs of a target or table, to try the others",
     "print": "true-to-scale sheets: targets, reference markers, object markers",
 }
 
