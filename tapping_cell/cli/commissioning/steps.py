@@ -173,17 +173,20 @@ def homing(session: Session) -> Proof:
         " switch): the arm homes slowly"
     )
     with session.running(set_up=True) as graph, CellClient() as client:
-        began = _home(client, graph)
+        began = _home(session, client, graph)
     return Proof(f"homed within {began:.1f} s", {"homing_s": round(began, 1)})
 
 
-def _home(client: CellClient, graph: Graph) -> float:
+def _home(session: Session, client: CellClient, graph: Graph) -> float:
     """Home and wait until the cell may go on; the time that it took, s."""
 
     def arm() -> str:
         return str(client.state()["arm"]["state"])
 
-    wait(lambda: arm() in ("not homed", "idle"), READY_S, "the arm's driver", graph)
+    known = ("not homed", "idle", "stopped", "fault")
+    wait(lambda: arm() in known, READY_S, "the arm's driver", graph)
+    if arm() in ("stopped", "fault"):
+        _clear(session, client, graph)
     began = time.monotonic()
     deadline = began + READY_S
     while True:
@@ -201,12 +204,30 @@ def _home(client: CellClient, graph: Graph) -> float:
     return time.monotonic() - began
 
 
+def _clear(session: Session, client: CellClient, graph: Graph) -> None:
+    """End a stop or fault that an earlier session left: it is kept over restarts."""
+    session.instruct(
+        f"{client.mode().sentence}: remove the cause, see that everybody is clear of the cell, and"
+        " press the clear button at the tapper"
+    )
+    try:
+        if not session.hardware:
+            client.press_button()
+            time.sleep(1.0)
+        client.clear()
+    except NotDone as refused:
+        raise StepFailed(str(refused)) from refused
+    wait(
+        lambda: client.mode().word not in ("stopped", "fault"), READY_S, "the end of a stop", graph
+    )
+
+
 @contextmanager
 def _homed(session: Session, **options: Any) -> Iterator[tuple[Graph, ArmPoseClient]]:
     """A running cell with a homed arm that can be sent."""
     with session.running(**options) as graph:
         with CellClient() as client:
-            _home(client, graph)
+            _home(session, client, graph)
         with ArmPoseClient() as arm:
             wait(lambda: not arm.missing(), READY_S, "; ".join(arm.missing()) or "the arm", graph)
             yield graph, arm
