@@ -80,6 +80,8 @@ def run(arguments: argparse.Namespace) -> int:
         if step.name not in session.proofs or step.name in arguments.again:
             console.print(f"[bold]{number} of {len(STEPS)}: {step.title}[/]")
             began = time.monotonic()
+            if step.name in arguments.again:
+                (folder / f"{step.name}.csv").unlink(missing_ok=True)
             try:
                 proof = step.run(session)
             except (StepFailed, GraphError, NotReadyInTime, ConfigurationError) as error:

@@ -342,10 +342,10 @@ def arm(session: Session) -> Proof:
         truth.write_text(yaml.safe_dump(content), encoding="utf-8")
     session.instruct("fix the object's marker to the striker; the arm will go over the whole table")
     record = session.folder / "arm.csv"
-    record.unlink(missing_ok=True)
+    resumed = ("--resume",) if record.exists() else ()
     with _homed(session, truth=truth):
         found = session.verb(
-            *("calibrate", "arm", str(record), "--record", "--poses", str(ARM_POSES)),
+            *("calibrate", "arm", str(record), "--record", "--poses", str(ARM_POSES), *resumed),
             *("--cell", str(session.cell_file), "--output", str(session.cell_file)),
             *("--force", "--accept-worse", "--json"),
         )
@@ -361,10 +361,10 @@ def tapper(session: Session) -> Proof:
         "take the marker off the striker, put the object on the middle, close the guard"
     )
     record = session.folder / "tapper.csv"
-    record.unlink(missing_ok=True)
+    resumed = ("--resume",) if record.exists() else ()
     with _homed(session):
         found = session.verb(
-            *("calibrate", "tapper", str(record), "--record", "--taps", str(TAPS)),
+            *("calibrate", "tapper", str(record), "--record", "--taps", str(TAPS), *resumed),
             *("--cell", str(session.cell_file), "--output", str(session.cell_file)),
             *("--force", "--accept-worse", "--json"),
         )
