@@ -54,8 +54,10 @@ def with_section(
 
 
 def with_value(text: str, name: str, value: str) -> str:
-    """The text with the value of a key of the document replaced."""
-    node = _child(yaml.compose(text), name)
+    """The text with the value of a key replaced; dots lead into sections."""
+    node = yaml.compose(text)
+    for part in name.split("."):
+        node = _child(node, part)
     if node is None:
         return text
     return text[: node.start_mark.index] + value + text[node.end_mark.index :]

@@ -21,6 +21,7 @@ Execute = Callable[[argparse.Namespace], int]
 VERBS = {
     "demo": "run one goal in the simulated cell, from start to finish",
     "up": "start the nodes, simulated or on hardware, and keep them running",
+    "commission": "from nothing configured to the first goal, step by step",
     "goal": "send a goal pose to a running graph",
     "status": "show the state of a running cell, and what it waits for",
     "watch": "watch a running cell in the terminal",

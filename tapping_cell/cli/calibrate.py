@@ -46,6 +46,7 @@ SUBVERBS = {
     "arm": "pose of the arm and zero of its elbow, from a record of poses",
     "mounts": "line and speed of each fixed tapper, from single taps",
     "tapper": "draw to speed, from how far the object went",
+    "photographs": "rendered photographs of a target or table, to try the others",
     "print": "true-to-scale sheets: targets, reference markers, object markers",
 }
 

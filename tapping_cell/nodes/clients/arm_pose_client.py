@@ -87,14 +87,23 @@ class ArmPoseClient(GoalClient):
             ArmRefused: the arm is not there in time, or says why it does not go.
         """
         sent = self.node.get_clock().now()
-        self._go(target, speed)
-        arrived = self._arrival(target, sent, check)
+        arrived = self.go(target, speed, check)
         seen = self._look(sent, arrived, check)
         here = self.joints()
         assert here is not None
         return None if seen is None else Seen(here, from_message(seen.pose.pose))
 
-    def _go(self, target: Joints, speed: float) -> None:
+    def go(self, target: Joints, speed: float, check: Callable[[], None]) -> Time:
+        """Go to a posture at ``speed`` (rad/s of the farthest joint); when it was read back there.
+
+        Raises:
+            ArmRefused: the arm is not there in time, or says why it does not go.
+        """
+        sent = self.node.get_clock().now()
+        self._command(target, speed)
+        return self._arrival(target, sent, check)
+
+    def _command(self, target: Joints, speed: float) -> None:
         here = self.joints()
         assert here is not None
         far = max(abs(a - b) for a, b in zip(target, here, strict=True))

@@ -1,0 +1,141 @@
+"""Render photographs of the calibration target or of the reference markers, to try calibration.
+
+The pictures are what a camera with the given file would take of the sheets of `calibrate print`:
+lens, point spread, uneven light and noise included.
+
+    python -m tapping_cell calibrate photographs --output pictures
+    python -m tapping_cell calibrate camera pictures --squares 10x7 --square-size 25 \
+        --marker-size 18.75
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.calibration.camera import CalibrationRefused
+from tapping_cell.calibration.target import Target
+from tapping_cell.cli import argument_types
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.table import load_camera_model, load_reference_map
+from tapping_cell.simulation.rendered_sheet import Sheet, SheetCamera
+from tapping_cell.vision import CameraModel, CameraPose, ReferenceMap
+from tapping_cell.vision.markers.detection import marker_pattern
+
+TARGET = Target("charuco", 10, 7, 0.025, 0.01875, "4X4_250")
+"""What `calibrate print` prints unless told otherwise."""
+MODULES_A_SQUARE = 24
+PIXEL = 0.00025
+"""Of the drawn sheet of reference markers, m."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        "--output", type=Path, required=True, metavar="FOLDER", help="folder of the pictures"
+    )
+    parser.add_argument(
+        "--what", choices=("target", "table"), default="target", help="what is photographed"
+    )
+    parser.add_argument(
+        "--count", type=argument_types.whole(1, 200), default=20, help="how many pictures (20)"
+    )
+    parser.add_argument("--seed", type=argument_types.seed, default=1, help="of views and noise")
+    parser.add_argument("--camera", type=Path, help="camera_info file (default: the package's)")
+    parser.add_argument("--table", type=Path, help="table file (default: the package's)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Render; 0 written.
+
+    Raises:
+        CalibrationRefused: there are pictures in the folder already.
+    """
+    folder: Path = arguments.output
+    if folder.exists() and any(folder.iterdir()):
+        raise CalibrationRefused(f"{folder} is not empty: choose another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    camera = load_camera_model(arguments.camera or shared_folder() / "camera_info.yaml")
+    eye = SheetCamera(camera, arguments.seed)
+    random = np.random.default_rng(arguments.seed)
+    if arguments.what == "target":
+        sheet = target_sheet(TARGET)
+        poses = [view_of_target(random, camera, sheet.size) for _ in range(arguments.count)]
+    else:
+        sheet = table_sheet(load_reference_map(arguments.table or shared_folder() / "table.yaml"))
+        poses = [view_of_table(random, camera, number) for number in range(arguments.count)]
+    for number, pose in enumerate(poses, start=1):
+        picture = eye.photograph(sheet, pose, noise=float(random.uniform(1.0, 3.0)), blur=0.7)
+        cv2.imwrite(str(folder / f"{arguments.what}_{number:02d}.png"), picture)
+    print(f"{len(poses)} pictures in {folder}")
+    return 0
+
+
+def target_sheet(target: Target) -> Sheet:
+    """A ChArUco target as it is printed, with a white rim."""
+    n = MODULES_A_SQUARE
+    cells = np.indices((target.rows, target.columns)).sum(axis=0) % 2 * 255
+    pattern = np.kron(cells, np.ones((n, n))).astype(np.uint8)
+    for number, (row, column) in enumerate(np.argwhere(cells > 0).tolist()):
+        modules = marker_pattern(target.dictionary, number)
+        each = round(n * target.marker / target.square) // modules.shape[0]
+        marker = np.kron(modules * 255, np.ones((each, each))).astype(np.uint8)
+        inset = (n - marker.shape[0]) // 2
+        top, left = row * n + inset, column * n + inset
+        pattern[top : top + marker.shape[0], left : left + marker.shape[1]] = marker
+    return Sheet(np.pad(pattern, n // 2, constant_values=255), target.square / n)
+
+
+def table_sheet(references: ReferenceMap) -> Sheet:
+    """The reference markers on one white sheet, in the frame of the table."""
+    corners = np.abs(references.corners().reshape(-1, 2)).max(axis=0) + 0.02
+    rows, columns = (2 * round(float(half) / PIXEL) for half in corners[::-1])
+    pattern = np.full((rows, columns), 255, dtype=np.uint8)
+    for marker in references.markers:
+        _draw(pattern, references.dictionary, marker.id, marker.size, marker)
+    return Sheet(pattern, PIXEL)
+
+
+def _draw(
+    pattern: NDArray[np.uint8], dictionary: str, number: int, size: float, place: object
+) -> None:
+    modules = marker_pattern(dictionary, number)
+    x0, y0, turn = (float(getattr(place, name)) for name in ("x", "y", "theta"))
+    rows, columns = pattern.shape
+    reach = 0.75 * size
+    column = np.arange(round((x0 - reach) / PIXEL), round((x0 + reach) / PIXEL)) + columns // 2
+    row = np.arange(round((-y0 - reach) / PIXEL), round((-y0 + reach) / PIXEL)) + rows // 2
+    x, y = np.meshgrid(
+        (column + 0.5 - columns / 2) * PIXEL - x0, (rows / 2 - row - 0.5) * PIXEL - y0
+    )
+    across = np.floor(((x * math.cos(turn) + y * math.sin(turn)) / size + 0.5) * len(modules))
+    down = np.floor((0.5 - (y * math.cos(turn) - x * math.sin(turn)) / size) * len(modules))
+    inside = (across >= 0) & (across < len(modules)) & (down >= 0) & (down < len(modules))
+    i, j = np.where(inside, down, 0).astype(int), np.where(inside, across, 0).astype(int)
+    pattern[np.ix_(row, column)] = np.where(inside & ~modules[i, j].astype(bool), 0, 255)
+
+
+def view_of_target(
+    random: np.random.Generator, camera: CameraModel, size: tuple[float, float]
+) -> CameraPose:
+    """The camera over a target of ``size`` in m as a person takes it: tilted by 5 to 40 degrees to
+    any side, anywhere in the picture, filling a third to two thirds of it."""
+    distance = size[0] / (random.uniform(0.35, 0.65) * camera.width / camera.fx)
+    tilt, side = np.radians(random.uniform(5.0, 40.0)), random.uniform(0.0, 2.0 * math.pi)
+    x, y = np.sin(tilt) * np.cos(side), np.sin(tilt) * np.sin(side)
+    away = (float(distance * x), float(distance * y), float(distance * np.cos(tilt)))
+    aim = random.uniform(-0.25, 0.25, 2) * distance * camera.width / camera.fx
+    return CameraPose.above(away, (float(aim[0]), float(aim[1])), float(random.uniform(-0.6, 0.6)))
+
+
+def view_of_table(random: np.random.Generator, camera: CameraModel, number: int) -> CameraPose:
+    """The camera around the table, all of it in view."""
+    side = number * math.pi / 3 + random.uniform(-0.3, 0.3)
+    height = 0.80 * camera.fx / camera.width + random.uniform(0.0, 0.1)
+    place = (0.35 * math.cos(side), 0.35 * math.sin(side), float(height))
+    return CameraPose.above(place, spin=float(random.uniform(-3, 3)))

@@ -1,0 +1,101 @@
+"""Commission a cell: from nothing configured to the first goal, each step proven by a measurement.
+
+Ports, controller, camera, table, homing, directions and limits, object, first tap at the lowest
+energy, arm, tapper, first goal. Until the first tap is made the cell is in set-up mode: slow, weak,
+and only while the enabling device is held. The folder then holds the cell's files (config/), what
+was measured (commission.json) and a page of it (commissioning.html). Called again with the same
+folder it goes on where it stopped.
+
+    python -m tapping_cell commission --yes --out my_cell
+    python -m tapping_cell commission --hardware --camera /dev/video0 --out my_cell
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+
+from tapping_cell.cli import argument_types
+from tapping_cell.cli.commissioning.session import Session, StepFailed
+from tapping_cell.cli.commissioning.steps import STEPS
+from tapping_cell.cli.errors import ExitStatus, tell_error
+from tapping_cell.cli.graph import GraphError, own_domain
+from tapping_cell.cli.session import NotReadyInTime, end_on_signals
+from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.report.commissioning_page import write_page
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the verb."""
+    parser.add_argument(
+        "--out", type=Path, default=Path("commissioning"), help="folder (default: commissioning)"
+    )
+    parser.add_argument(
+        "--hardware", action="store_true", help="real camera, arm and tapper (default: simulated)"
+    )
+    parser.add_argument("--camera", default="/dev/video0", help="with --hardware: the camera")
+    parser.add_argument("--yes", action="store_true", help="simulated: ask nobody, and run through")
+    parser.add_argument(
+        "--again",
+        action="append",
+        default=[],
+        choices=[step.name for step in STEPS],
+        help="do this step again although it is done; may be repeated",
+    )
+    parser.add_argument(
+        "--until",
+        choices=[step.name for step in STEPS],
+        help="end after this step (default: the last)",
+    )
+    parser.add_argument("--seed", type=argument_types.seed, default=1, help="simulated: of noise")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb; 0 every step is proven, 1 a step failed, 2 wrong input, 130 interrupted."""
+    if arguments.yes and arguments.hardware:
+        tell_error("--yes is for the simulated cell: on hardware a person watches every step")
+        return ExitStatus.REFUSED
+    console = Console(highlight=False, soft_wrap=True)
+    end_on_signals()
+    try:
+        domain = own_domain()
+    except GraphError as error:
+        tell_error(str(error))
+        return ExitStatus.REFUSED
+    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    folder = arguments.out.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    session = Session(
+        folder, console, arguments.hardware, arguments.yes, arguments.camera, arguments.seed
+    )
+    session.load()
+    titles = [(step.name, step.title) for step in STEPS]
+    for number, step in enumerate(STEPS, start=1):
+        if step.name not in session.proofs or step.name in arguments.again:
+            console.print(f"[bold]{number} of {len(STEPS)}: {step.title}[/]")
+            began = time.monotonic()
+            if step.name in arguments.again:
+                (folder / f"{step.name}.csv").unlink(missing_ok=True)
+            try:
+                proof = step.run(session)
+            except (StepFailed, GraphError, NotReadyInTime, ConfigurationError) as error:
+                write_page(folder, titles, session.proofs)
+                tell_error(f"step {step.name}: {error}")
+                console.print(f"what is done is kept; go on with --out {folder}", markup=False)
+                return ExitStatus.FAILED
+            except KeyboardInterrupt:
+                console.print("interrupted; called again it goes on here")
+                return ExitStatus.INTERRUPTED
+            session.prove(step.name, proof, time.monotonic() - began)
+        console.print(f"  [green]proven[/]: {escape(session.proofs[step.name]['sentence'])}")
+        if step.name == arguments.until:
+            break
+    page = write_page(folder, titles, session.proofs)
+    console.print(f"the cell's files: {session.config}; what was measured: {page}", markup=False)
+    return ExitStatus.DONE

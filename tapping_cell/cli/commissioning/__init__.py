@@ -1,0 +1,1 @@
+"""The steps of commissioning a cell, from nothing configured to the first goal."""

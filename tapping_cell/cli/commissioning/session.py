@@ -1,0 +1,195 @@
+"""A commissioning session: its folder, what was measured, the person, and the nodes that run."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from std_msgs.msg import Bool
+
+from tapping_cell.cli.graph import HARDWARE, SIMULATED, Graph, with_own_ports
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.logic import enabling
+from tapping_cell.nodes.cell_node import COMMAND
+from tapping_cell.nodes.clients.client_node import ClientNode
+
+RECORD = "commission.json"
+HEARTBEAT_S = 0.05
+
+
+class StepFailed(RuntimeError):
+    """A step did not prove what it must; the sentence says what was measured and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """What a step measured."""
+
+    sentence: str
+    values: Mapping[str, float | str] = field(default_factory=dict)
+    """With the unit in the name, such as ``residual_mm``."""
+
+
+@dataclass(slots=True)
+class Session:
+    """One folder: ``config`` with the files of the cell, ``commission.json`` with the proofs."""
+
+    folder: Path
+    console: Console
+    hardware: bool
+    unattended: bool
+    camera: str = ""
+    seed: int = 1
+    proofs: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    @property
+    def config(self) -> Path:
+        """The folder of the cell's files."""
+        return self.folder / "config"
+
+    @property
+    def cell_file(self) -> Path:
+        """The cell file that the session makes."""
+        return self.config / "cell.yaml"
+
+    def cell(self) -> Cell:
+        """The cell as it is configured by now."""
+        return load_cell(self.cell_file)
+
+    # The record
+
+    def load(self) -> None:
+        """Go on with what the folder holds."""
+        record = self.folder / RECORD
+        if record.exists():
+            self.proofs = json.loads(record.read_text(encoding="utf-8"))
+
+    def prove(self, step: str, proof: Proof, seconds: float) -> None:
+        """Keep a step's proof."""
+        made = datetime.now().astimezone().isoformat(timespec="seconds")
+        self.proofs[step] = {**asdict(proof), "seconds": round(seconds, 1), "made": made}
+        temporary = self.folder / (RECORD + ".part")
+        temporary.write_text(json.dumps(self.proofs, indent=1) + "\n", encoding="utf-8")
+        temporary.replace(self.folder / RECORD)
+
+    # The person
+
+    def instruct(self, sentence: str) -> None:
+        """Tell the person what to do, and wait until it is done; nobody is asked unattended."""
+        if self.unattended:
+            return
+        self.console.print(f"[cyan]>[/] {escape(sentence)}")
+        self.console.input("  press Enter when that is so, Ctrl-C to stop (it can be resumed) ")
+
+    def ask(self, question: str, default: str) -> str:
+        """A person's answer; the default unattended."""
+        if self.unattended:
+            return default
+        self.console.print(f"[cyan]?[/] {escape(question)} \\[{escape(default)}]")
+        return self.console.input("  ").strip() or default
+
+    # Other verbs
+
+    def verb(self, *words: str) -> dict[str, Any]:
+        """Run a verb that prints one JSON object.
+
+        Raises:
+            StepFailed: with what the verb said.
+        """
+        from tapping_cell.cli import main
+
+        out, err = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            try:
+                status = main(words)
+            except SystemExit as ended:
+                status = int(ended.code or 0)
+        if status:
+            said = " ".join(err.getvalue().split()) or " ".join(out.getvalue().split())
+            raise StepFailed(f"{' '.join(words[:2])} failed: {said.removeprefix('error: ')}")
+        text = out.getvalue()
+        found: dict[str, Any] = json.loads(text) if text.lstrip().startswith("{") else {}
+        return found
+
+    # The nodes
+
+    @contextlib.contextmanager
+    def running(
+        self, set_up: bool = False, truth: Path | None = None, only_world: bool = False
+    ) -> Iterator[Graph]:
+        """The cell's nodes with the files of this session; ended at the end of the block.
+
+        ``truth``: simulated, other true parameters. ``only_world``: simulated, the devices alone.
+        """
+        files = {"cell_file": self.cell_file}
+        parameters: dict[str, dict[str, object]] = {
+            "sim_world": {"seed": self.seed},
+            "overhead_camera": {**files, "source": self.camera},
+            "camera_pose": dict(files),
+            "tap_planner": dict(files),
+            "scara_arm": {**files, "set_up": set_up},
+            "tapper_trigger": {**files, "set_up": set_up},
+            "operator_page": {**files, "runs": self.folder / "runs"},
+        }
+        nodes: tuple[str, ...] = (*HARDWARE, "operator_page")
+        if not self.hardware:
+            nodes = ("sim_world",) if only_world else SIMULATED
+            parameters = with_own_ports(parameters, self.ports)
+            if truth is not None:
+                parameters["sim_world"]["truth_file"] = truth
+        with Graph(nodes, parameters, self.folder / "logs") as graph, _Enabling(self, set_up):
+            yield graph
+
+    @property
+    def ports(self) -> Path:
+        """Where the simulated devices' ports are."""
+        return self.folder / "ports"
+
+
+class _Enabling(ClientNode):
+    """Simulated and in set-up mode, holds the enabling key as a person would at the page."""
+
+    def __init__(self, session: Session, set_up: bool) -> None:
+        super().__init__("commission_enabling")
+        self._held = set_up and not session.hardware
+        self._publisher = self.node.create_publisher(Bool, enabling.TOPIC, COMMAND)
+        self._over = threading.Event()
+        self._heart = threading.Thread(target=self._beat, daemon=True)
+
+    def __enter__(self) -> _Enabling:
+        super().__enter__()
+        self._heart.start()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._over.set()
+        self._heart.join()
+        super().__exit__(*error)
+
+    def _beat(self) -> None:
+        while self._held and not self._over.wait(HEARTBEAT_S):
+            self._publisher.publish(Bool(data=True))
+
+
+def wait(condition: Any, patience: float, what: str, graph: Graph) -> None:
+    """Wait until a condition holds.
+
+    Raises:
+        StepFailed: it does not within ``patience`` s.
+    """
+    deadline = time.monotonic() + patience
+    while not condition():
+        graph.check()
+        if time.monotonic() > deadline:
+            raise StepFailed(f"waited {patience:.0f} s for {what}")
+        time.sleep(0.05)

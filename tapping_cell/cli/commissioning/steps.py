@@ -1,0 +1,422 @@
+"""What is done and measured in each step of commissioning."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rich.console import Console
+from serial.tools.list_ports import comports
+
+from tapping_cell.calibration.yaml_edit import with_value
+from tapping_cell.cli import doctor
+from tapping_cell.cli import session as following
+from tapping_cell.cli.check_config import check
+from tapping_cell.cli.commissioning.session import Proof, Session, StepFailed, wait
+from tapping_cell.cli.graph import Graph
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.hardware.scara import Joints
+from tapping_cell.nodes.clients.arm_pose_client import ArmPoseClient, ArmRefused
+from tapping_cell.nodes.clients.cell_client import CellClient, NotDone
+from tapping_cell.nodes.clients.goal_client import GoalClient
+from tapping_cell.nodes.clients.single_tap_client import SingleTapClient
+from tapping_cell.nodes.conversions import from_message
+from tapping_cell.se2 import Pose
+
+READY_S = 90.0
+HOMING_S = 180.0
+JOINT_STEP = 0.1
+"""By which each turning joint is moved to show its direction, rad."""
+SPEED = 1.0
+"""Of the farthest joint, rad/s; a quarter of it in set-up mode."""
+LIMIT_SHARE = 0.9
+"""Of the way from the park posture to each limit that is gone to."""
+ARM_POSES, TAPS = 10, 10
+LOOKS = 20
+REST_SPREAD = 0.0005
+"""Greatest standard deviation of the object's place at rest, m."""
+HELD = (0.012, -0.004, 0.3)
+"""Simulated: pose of the object on the striker while the arm is calibrated: m, m, rad."""
+GOAL = Pose(0.02, 0.0, 0.2)
+"""From where the object lies to the first goal: m, m, rad."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step."""
+
+    name: str
+    title: str
+    run: Callable[[Session], Proof]
+
+
+def files(session: Session) -> Proof:
+    """Copy the files to start from, and check them."""
+    if not session.config.exists():
+        shutil.copytree(shared_folder(), session.config, ignore=shutil.ignore_patterns("security"))
+    return _checked(session)
+
+
+def _checked(session: Session) -> Proof:
+    found = check(session.cell_file)
+    errors = [f"{one.file}: {error}" for one in found for error in one.errors]
+    if errors:
+        raise StepFailed("; ".join(errors))
+    return Proof(f"{len(found)} files are consistent", {"files": len(found)})
+
+
+def ports(session: Session) -> Proof:
+    """Find the serial ports of arm and tapper: who answers there is asked in the next step."""
+    if not session.hardware:
+        return Proof("the simulated cell brings its own ports")
+    known = ", ".join(f"{port.device} ({port.description})" for port in comports())
+    text = session.cell_file.read_text(encoding="utf-8")
+    values: dict[str, float | str] = {}
+    cell = session.cell()
+    for name, now in (("arm", cell.file.arm.port), ("tapper", cell.file.tapper.port)):
+        port = session.ask(f"serial port of the {name}; there are: {known or 'none'}", now)
+        if not Path(port).expanduser().exists():
+            raise StepFailed(f"the {name}'s port {port} is not there; there are: {known or 'none'}")
+        text = with_value(text, f"{name}.port", port)
+        values[name] = port
+    session.cell_file.write_text(text, encoding="utf-8")
+    return Proof("both ports are there", values)
+
+
+def connections(session: Session) -> Proof:
+    """Identify controller and board, and compare their settings with the cell file."""
+    if session.hardware:
+        return _doctor(session.cell_file, session)
+    with session.running(only_world=True) as graph:
+        port = session.ports / "arm"
+        wait(port.exists, READY_S, "the simulated devices", graph)
+        text = session.cell_file.read_text(encoding="utf-8")
+        copy = session.config / "cell_with_ports.yaml"
+        for name in ("arm", "tapper"):
+            text = with_value(text, f"{name}.port", str(session.ports / name))
+        copy.write_text(text, encoding="utf-8")
+        try:
+            return _doctor(copy, session)
+        finally:
+            copy.unlink()
+
+
+def _doctor(cell_file: Path, session: Session) -> Proof:
+    cell = load_cell(cell_file)
+    rows = [*doctor.check_arm(cell), *doctor.check_tapper(cell)]
+    wrong = [f"{row.device}, {row.setting}: {row.found} {row.remedy}" for row in rows if not row.ok]
+    if wrong:
+        raise StepFailed("; ".join(wrong))
+    names = {row.device: row.found for row in rows if row.setting in ("controller", "firmware")}
+    return Proof(f"{len(rows)} findings, all right", {"findings": len(rows), **names})
+
+
+def camera(session: Session) -> Proof:
+    """Calibrate the camera from photographs of the printed target."""
+    pictures = session.folder / "camera"
+    _photographs(session, pictures, "target", 20)
+    found = session.verb(
+        *("calibrate", "camera", str(pictures), "--squares", "10x7", "--square-size", "25"),
+        *("--marker-size", "18.75", "--output", str(session.config / "camera_info.yaml")),
+        *("--force", "--accept-worse", "--json"),
+    )
+    rms = float(found["rms_px"])
+    if rms > 1.0:
+        raise StepFailed(f"reprojection error {rms:.2f} px (limit 1 px): take sharp pictures")
+    return Proof(f"reprojection error {rms:.3f} px", {"reprojection_px": round(rms, 4)})
+
+
+def table(session: Session) -> Proof:
+    """Measure where the reference markers are."""
+    pictures = session.folder / "table"
+    _photographs(session, pictures, "table", 6)
+    table_file = session.config / "table.yaml"
+    found = session.verb(
+        *("calibrate", "table", str(pictures), "--table", str(table_file)),
+        *("--camera", str(session.config / "camera_info.yaml"), "--output", str(table_file)),
+        *("--force", "--accept-worse", "--json"),
+    )
+    rms = float(found["rms_px"])
+    return Proof(f"reprojection error {rms:.3f} px", {"reprojection_px": round(rms, 4)})
+
+
+def _photographs(session: Session, folder: Path, what: str, count: int) -> None:
+    """Have the pictures: the person's, or rendered ones in simulation."""
+    if folder.exists() and any(folder.iterdir()):
+        return
+    if session.hardware:
+        folder.mkdir(parents=True, exist_ok=True)
+        sheet = "the printed target (calibrate print)" if what == "target" else "the whole table"
+        session.instruct(f"put {count} photographs of {sheet}, of the cell's camera, into {folder}")
+        if not any(folder.iterdir()):
+            raise StepFailed(f"{folder} is empty")
+        return
+    session.verb(
+        *("calibrate", "photographs", "--what", what, "--count", str(count)),
+        *("--output", str(folder), "--seed", str(session.seed)),
+    )
+
+
+def homing(session: Session) -> Proof:
+    """Home the arm in set-up mode."""
+    session.instruct(
+        "see that the arm's way is free and hold the enabling device (the page's key, or the foot"
+        " switch): the arm homes slowly"
+    )
+    with session.running(set_up=True) as graph, CellClient() as client:
+        began = _home(session, client, graph)
+    return Proof(f"homed within {began:.1f} s", {"homing_s": round(began, 1)})
+
+
+def _home(session: Session, client: CellClient, graph: Graph) -> float:
+    """Home and wait until the cell may go on; the time that it took, s."""
+
+    def arm() -> str:
+        return str(client.state()["arm"]["state"])
+
+    known = ("not homed", "idle", "stopped", "fault")
+    wait(lambda: arm() in known, READY_S, "the arm's driver", graph)
+    if arm() in ("stopped", "fault"):
+        _clear(session, client, graph)
+    began = time.monotonic()
+    deadline = began + READY_S
+    while True:
+        try:
+            client.home()
+            break
+        except NotDone as refused:
+            # The enabling device may just now be pressed.
+            if time.monotonic() > deadline:
+                raise StepFailed(str(refused)) from refused
+            time.sleep(0.5)
+    wait(lambda: arm() != "homing", HOMING_S, "the end of homing", graph)
+    if arm() != "idle":
+        raise StepFailed(f"the arm is {arm()}: {client.state()['arm']['sentence']}")
+    return time.monotonic() - began
+
+
+def _clear(session: Session, client: CellClient, graph: Graph) -> None:
+    """End a stop or fault that an earlier session left: it is kept over restarts."""
+    session.instruct(
+        f"{client.mode().sentence}: remove the cause, see that everybody is clear of the cell, and"
+        " press the clear button at the tapper"
+    )
+    try:
+        if not session.hardware:
+            client.press_button()
+            time.sleep(1.0)
+        client.clear()
+    except NotDone as refused:
+        raise StepFailed(str(refused)) from refused
+    wait(
+        lambda: client.mode().word not in ("stopped", "fault"), READY_S, "the end of a stop", graph
+    )
+
+
+@contextmanager
+def _homed(session: Session, **options: Any) -> Iterator[tuple[Graph, ArmPoseClient]]:
+    """A running cell with a homed arm that can be sent."""
+    with session.running(**options) as graph:
+        with CellClient() as client:
+            _home(session, client, graph)
+        with ArmPoseClient() as arm:
+            wait(lambda: not arm.missing(), READY_S, "; ".join(arm.missing()) or "the arm", graph)
+            yield graph, arm
+
+
+def joints(session: Session) -> Proof:
+    """Show each joint's direction, then go near each limit, in set-up mode."""
+    values: dict[str, float | str] = {}
+    arm = session.cell().file.arm
+    lower, upper = Joints(*arm.lower), Joints(*arm.upper)
+    park = Joints(*arm.park)
+    session.instruct(
+        "clear everything within the arm's reach and hold the enabling device: each joint moves"
+        " a little, then near its limits"
+    )
+    with _homed(session, set_up=True) as (graph, client):
+        try:
+            client.go(park, SPEED, graph.check)
+            for name in ("shoulder", "elbow", "tool"):
+                start = client.joints()
+                assert start is not None
+                aside = start._replace(**{name: getattr(start, name) + JOINT_STEP})
+                client.go(aside, SPEED, graph.check)
+                here = client.joints()
+                assert here is not None
+                moved = getattr(here, name) - getattr(start, name)
+                if abs(moved - JOINT_STEP) > 0.2 * JOINT_STEP:
+                    raise StepFailed(f"{name} was sent {JOINT_STEP} rad and went {moved:.3f} rad")
+                values[f"{name}_step_deg"] = round(math.degrees(moved), 3)
+                question = f"did the {name} turn counter-clockwise, seen from above?"
+                turned = session.ask(question, "yes")
+                if not turned.lower().startswith("y"):
+                    raise StepFailed(
+                        f"the {name} turns the wrong way: change its direction in the controller"
+                    )
+                client.go(start, SPEED, graph.check)
+            for name in ("shoulder", "elbow"):
+                for limit in (lower, upper):
+                    to = getattr(park, name) + LIMIT_SHARE * (
+                        getattr(limit, name) - getattr(park, name)
+                    )
+                    client.go(park._replace(**{name: to}), SPEED, graph.check)
+                    side = "lower" if limit is lower else "upper"
+                    values[f"{name}_{side}_deg"] = round(math.degrees(to), 1)
+                client.go(park, SPEED, graph.check)
+        except ArmRefused as refused:
+            raise StepFailed(str(refused)) from refused
+    return Proof("directions shown; shoulder and elbow went to 90 % of their way", values)
+
+
+def object_at_rest(session: Session) -> Proof:
+    """See the object at rest, again and again."""
+    session.instruct("put the object on the middle of the table, its marker up")
+    with _homed(session, set_up=True) as (graph, client):
+        places: list[Pose] = []
+        seen_at: set[int] = set()
+
+        def looked() -> bool:
+            seen = client.object_state
+            if seen is not None and seen.visible and seen.at_rest and not seen.error_code:
+                stamp = seen.header.stamp.sec * 10**9 + seen.header.stamp.nanosec
+                if stamp not in seen_at:
+                    seen_at.add(stamp)
+                    places.append(from_message(seen.pose.pose))
+            return len(places) >= LOOKS
+
+        wait(looked, READY_S, f"{LOOKS} looks at the object at rest", graph)
+    spread = float(np.hypot(np.std([p.x for p in places]), np.std([p.y for p in places])))
+    if spread > REST_SPREAD:
+        raise StepFailed(
+            f"the object's place scatters by {1e3 * spread:.2f} mm (limit {1e3 * REST_SPREAD} mm):"
+            " look after light and focus"
+        )
+    last = places[-1]
+    return Proof(
+        f"seen at x {1e3 * last.x:.1f} mm, y {1e3 * last.y:.1f} mm, scatter {1e3 * spread:.4f} mm",
+        {
+            "x_mm": round(1e3 * last.x, 2),
+            "y_mm": round(1e3 * last.y, 2),
+            "scatter_mm": spread * 1e3,
+        },
+    )
+
+
+def first_tap(session: Session) -> Proof:
+    """One tap at the lowest energy, in set-up mode."""
+    session.instruct(
+        "close the guard and hold the enabling device: one tap at the tapper's lowest energy"
+    )
+    slowest = session.cell().file.tapper.curve().slowest
+    with _homed(session, set_up=True) as (graph, _), SingleTapClient() as client:
+        following.wait_until_ready(client, READY_S, graph.check, Console(quiet=True))
+        result = client.tap(1.001 * slowest, 0.0, math.nan, math.pi, graph.check)
+    if result.error_code or not result.record.tap_id:
+        raise StepFailed(f"the tap failed ({result.error_code}): {result.error_msg}")
+    before = from_message(result.record.object_pose)
+    after = from_message(result.record.measured_pose.pose)
+    moved = 1e3 * before.distance_to(after)
+    return Proof(
+        f"striker {1e3 * result.record.striker_speed:.0f} mm/s, the object moved {moved:.2f} mm",
+        {"striker_mm_s": 1e3 * result.record.striker_speed, "moved_mm": round(moved, 3)},
+    )
+
+
+def arm(session: Session) -> Proof:
+    """Calibrate the arm's base and elbow with what the camera sees of a held marker."""
+    truth = None
+    if not session.hardware:
+        content = yaml.safe_load((shared_folder() / "truth" / "default.yaml").read_text("utf-8"))
+        content["arm"]["holds"] = list(HELD)
+        truth = session.folder / "held.yaml"
+        truth.write_text(yaml.safe_dump(content), encoding="utf-8")
+    session.instruct("fix the object's marker to the striker; the arm will go over the whole table")
+    record = session.folder / "arm.csv"
+    resumed = ("--resume",) if record.exists() else ()
+    with _homed(session, truth=truth):
+        found = session.verb(
+            *("calibrate", "arm", str(record), "--record", "--poses", str(ARM_POSES), *resumed),
+            *("--cell", str(session.cell_file), "--output", str(session.cell_file)),
+            *("--force", "--accept-worse", "--json"),
+        )
+    rms = 1e3 * float(found["position_rms"])
+    if rms > 1.0:
+        raise StepFailed(f"{rms:.2f} mm are left between arm and camera (limit 1 mm)")
+    return Proof(f"{rms:.3f} mm are left between arm and camera", {"residual_mm": round(rms, 4)})
+
+
+def tapper(session: Session) -> Proof:
+    """Measure the striker's speed over its energies."""
+    session.instruct(
+        "take the marker off the striker, put the object on the middle, close the guard"
+    )
+    record = session.folder / "tapper.csv"
+    resumed = ("--resume",) if record.exists() else ()
+    with _homed(session):
+        found = session.verb(
+            *("calibrate", "tapper", str(record), "--record", "--taps", str(TAPS), *resumed),
+            *("--cell", str(session.cell_file), "--output", str(session.cell_file)),
+            *("--force", "--accept-worse", "--json"),
+        )
+    speeds = found["speeds"]
+    return Proof(
+        f"{1e3 * speeds[0]:.0f} to {1e3 * speeds[-1]:.0f} mm/s from {found['used']} taps",
+        {
+            "slowest_mm_s": round(1e3 * speeds[0], 1),
+            "fastest_mm_s": round(1e3 * speeds[-1], 1),
+            "scatter_percent": round(100 * float(found["scatter"]), 2),
+        },
+    )
+
+
+def goal(session: Session) -> Proof:
+    """Bring the object to a first goal."""
+    session.instruct("see that the guard is closed: the cell now works at its full speed")
+    quiet = Console(quiet=True)
+    with _homed(session) as (graph, _), GoalClient() as client:
+        following.wait_until_ready(client, READY_S, graph.check, quiet)
+        here = client.object_pose()
+        target = _first_goal(here)
+        client.send(target)
+        finished = following.follow(client, graph.check, quiet)
+    if finished.error_code:
+        raise StepFailed(f"the goal was not reached ({finished.error_code}): {finished.error_msg}")
+    distance = 1e3 * finished.residual_distance
+    turn = math.degrees(abs(finished.residual_rotation))
+    _checked(session)
+    return Proof(
+        f"reached after {finished.taps} taps, {distance:.2f} mm and {turn:.2f} deg off",
+        {"taps": finished.taps, "residual_mm": round(distance, 3), "residual_deg": round(turn, 3)},
+    )
+
+
+def _first_goal(here: Pose) -> Pose:
+    """The first goal: a little towards the middle from where the object lies."""
+    towards = math.copysign(GOAL.x, -here.x)
+    return here._replace(x=here.x + towards, theta=here.theta + GOAL.theta)
+
+
+STEPS = (
+    Step("files", "Files to start from", files),
+    Step("ports", "Serial ports", ports),
+    Step("connections", "Controller and board", connections),
+    Step("camera", "Camera", camera),
+    Step("table", "Reference markers", table),
+    Step("homing", "Homing", homing),
+    Step("joints", "Directions and limits", joints),
+    Step("object", "Object", object_at_rest),
+    Step("first-tap", "First tap", first_tap),
+    Step("arm", "Arm", arm),
+    Step("tapper", "Tapper", tapper),
+    Step("goal", "First goal", goal),
+)
