@@ -114,7 +114,7 @@ def cell(
                     if name == "scara_arm":
                         words += ["-p", "home_on_activate:=true"]
                     if name == "run_recorder":
-                        words += ["-p", f"folder:={folder / 'runs'}"]
+                        words += ["-p", f"folder:={folder / 'runs'}", "-p", "pictures:=false"]
                     log = stack.enter_context((folder / f"{name}.log").open("w"))
                     started.append(
                         computer.start(words, environment, stdout=log, stderr=subprocess.STDOUT)
