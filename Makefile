@@ -3,7 +3,7 @@
 # make oldest [ARGS=test/pure]  pure and driver tests and a demo with the versions of Ubuntu 24.04
 # make lint                     style and types
 # make clean                    remove everything that was made here
-# make reference                write what is made from declarations: messages, reference pages
+# make reference                write what is made from declarations: messages, reference pages, figures
 # make lock                     choose the versions in requirements.lock again
 #
 # Each sets up what it needs first (see env.sh); there is nothing else to install or to call before.
@@ -31,7 +31,7 @@ clean:
 	@find . -name .git -prune -o \( -name __pycache__ -o -name '*.egg-info' \) -type d -prune -exec rm -rf {} +
 
 reference:
-	@. ./env.sh; python environment/generate_messages.py; ruff format -q tapping_cell/messages; python environment/reference_pages.py
+	@. ./env.sh; python environment/generate_messages.py; ruff format -q tapping_cell/messages; python environment/reference_pages.py; python environment/build_figures.py
 
 lock:
 	@python3 environment/lock.py
