@@ -34,6 +34,7 @@ LONG_SECTIONS = (
     "node",
     "outline",
     "page-stop",
+    "two-computers",
     "unknown-worlds",
     "vision-calibrated",
     "vision-covariance",

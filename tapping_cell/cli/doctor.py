@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from tapping_cell.cli.errors import tell_error
 from tapping_cell.configuration.arm_assembly import make_dialect
 from tapping_cell.configuration.cell import ArmSection, Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError
@@ -64,8 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         cell = load_cell(arguments.cell)
     except ConfigurationError as error:
-        console.print(f"error: {error}", style="red", highlight=False, markup=False)
-        return 1
+        tell_error(str(error))
+        return 2
     rows = [*check_arm(cell, _confirm if arguments.write else None), *check_tapper(cell)]
     good = all(row.ok for row in rows)
     if arguments.json:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from tapping_cell.logic import enabling
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock
 from tapping_cell.logic.poses import from_message
@@ -13,6 +14,10 @@ from tapping_cell.se2 import Pose
 Trouble = tuple[int, str]
 """An error code and a sentence."""
 
+QUICKEST_IMAGE_S = 0.05
+"""Bound of the least delay of an image until its observation is heard, beyond that of the arm's
+messages: it cannot be told from a difference of the clocks, and makes images look later than they
+were taken."""
 NAMES = {"object": "camera_pose", "arm": "scara_arm", "tapper": "tapper_trigger"}
 
 
@@ -77,7 +82,7 @@ class CellMonitor:
             seen is not None
             and not self.silent("object", now)
             and now.steady - self.observed_at(now) <= self._silence_limit
-            and self.observed_at(now) > after
+            and self.observed_at(now) > after + QUICKEST_IMAGE_S
             and seen.visible
             and seen.at_rest
             and seen.error_code == ErrorCode.NONE
@@ -89,6 +94,8 @@ class CellMonitor:
         arm, tapper = self.arm, self.tapper
         if arm is None or self.silent("arm", now):
             return ErrorCode.ARM_SILENT, self._silence("arm", now)
+        if arm.set_up and not arm.enabled:
+            return enabling.RELEASED
         if arm.state != ArmState.IDLE:
             return arm.error_code or ErrorCode.ARM_BUSY, arm.error_msg or "the arm is busy"
         if tapper is None or self.silent("tapper", now):

@@ -250,9 +250,7 @@ class Trial:
     def run(self, goals: int) -> Report:
         """Bring up the cell and work through so many goals, faults among them."""
         try:
-            for process in self.processes.values():
-                process.start()
-            self._recover()
+            self.bring_up()
             for number in range(goals):
                 self._work_on_a_goal(number)
                 if self.report.violations:
@@ -267,6 +265,12 @@ class Trial:
         self.report.violations = self.witness.violations
         self.report.cell_seconds = self.scheduler.now
         return self.report
+
+    def bring_up(self) -> None:
+        """Start every node and wait until the cell is ready for a goal."""
+        for process in self.processes.values():
+            process.start()
+        self._recover()
 
     def draw_goal(self, rng: np.random.Generator) -> Pose:
         """A goal somewhere in the middle of the table."""

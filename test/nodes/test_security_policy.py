@@ -18,6 +18,7 @@ import rclpy
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes import MODULES, security
 from tapping_cell.nodes.cell_node import CellNode
+from tapping_cell.nodes.clients.cell_client import CellClient
 from tapping_cell.nodes.clients.goal_client import GoalClient
 
 FOLDER = shared_folder() / "security"
@@ -25,6 +26,8 @@ SERVED = ("send_goal", "get_result", "cancel_goal")
 SENT = ("feedback", "status")
 
 OPENED_LATER: dict[str, dict[str, set[str]]] = {
+    # With image_transport:=compressed.
+    "camera_pose": {"subscribe": {"/camera/image_raw/compressed"}},
     # While a goal is recorded.
     "run_recorder": {
         "subscribe": {
@@ -47,6 +50,8 @@ OPENED_LATER: dict[str, dict[str, set[str]]] = {
         },
         "request": {f"/{name}/get_state" for name in MODULES},
     },
+    # For each node that is found.
+    "cell_client": {"request": {f"/{name}/get_state" for name in MODULES}},
 }
 
 OPENED_WITH_TF2: dict[str, dict[str, set[str]]] = {
@@ -116,11 +121,14 @@ def node_class(name: str) -> type[CellNode[Any]]:
     return found
 
 
-@pytest.mark.parametrize("name", [*MODULES, "goal"])
+@pytest.mark.parametrize("name", [*MODULES, "goal", "cell_client"])
 def test_a_node_is_granted_what_it_opens_and_nothing_else(name: str) -> None:
     if name == "goal":
         with GoalClient("goal") as client:
             real = opened(client.node, "goal")
+    elif name == "cell_client":
+        with CellClient() as watching:
+            real = opened(watching.node, name)
     else:
         rclpy.init(args=["--ros-args", "-p", "autostart:=false"])
         node = node_class(name)()
@@ -132,7 +140,7 @@ def test_a_node_is_granted_what_it_opens_and_nothing_else(name: str) -> None:
             rclpy.try_shutdown()
     rules, later = granted()[name], OPENED_LATER.get(name, {})
     if importlib.util.find_spec("tf2_ros") is None:
-        later = later | OPENED_WITH_TF2.get(name, {})
+        later = {**later, **OPENED_WITH_TF2.get(name, {})}
     for kind, names in real.items():
         assert names <= rules[kind], f"{name} may not {kind} {sorted(names - rules[kind])}"
         needless = rules[kind] - names - later.get(kind, set())
@@ -149,6 +157,7 @@ def test_a_node_is_granted_what_it_opens_and_nothing_else(name: str) -> None:
         ("/tapper_state", {"tapper_trigger"}),
         ("/camera/image_raw", {"overhead_camera", "sim_world"}),
         ("/emergency_stop", {"operator_page_stop"}),
+        ("/enabling", {"operator_page"}),
         ("/tf", {"scara_arm", "camera_pose"}),
         ("/tf_static", {"scara_arm", "camera_pose"}),
         ("/goal_pose", set()),

@@ -18,7 +18,7 @@ from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.link_frames import LINKS, LinkFrame, link_frames
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.serial_transport import SerialTransport
-from tapping_cell.logic import arm_jobs
+from tapping_cell.logic import arm_jobs, enabling
 from tapping_cell.logic.arm import ArmLogic, ArmOptions, State
 from tapping_cell.logic.frames import TABLE
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
@@ -42,7 +42,8 @@ class Parameters:
     )
     state_rate: float = quantity("rate of arm_state", "Hz", 1.0, 200.0, default=20.0)
     set_up: bool = text(
-        "set-up mode: move at a quarter of the speed, for commissioning and the first taps",
+        "set-up mode: move at a quarter of the speed and only while an enabling device is held, "
+        "for commissioning and the first taps",
         default=False,
     )
     link_frames: bool = text(
@@ -64,6 +65,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
         self.host.subscribes(messages.JointTrajectory, "joint_trajectory", COMMAND)
         self.host.subscribes(messages.TapperState, "tapper_state", LATCHED)
+        self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
         self.host.serves(messages.Trigger, "~/home")
         self.host.serves(messages.HoldStill, "hold_still")
         self._broadcaster = FrameBroadcaster(self, moving=self.settings.link_frames)

@@ -43,7 +43,7 @@ from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.logic.planner import FINAL_STATES
 from tapping_cell.nodes.camera import images
-from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
+from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import seconds
 from tapping_cell.nodes.recorder.recording import (
     MEGABYTE,
@@ -203,7 +203,8 @@ class RunRecorder(CellNode[Parameters]):
             self._listen(name, kind, _STATE)
         for name, kind in STREAMS.items():
             self._know(name, kind, Quality())
-            self._listen(name, kind, _STREAM)
+            # Best effort hears every publisher of goals.
+            self._listen(name, kind, BEST_EFFORT_COMMAND if name == "goal_pose" else _STREAM)
         for name, kind in FRAMES.items():
             self._know(name, kind, Quality(reliable=kind is not CameraInfo))
         self._picture_topic = self.resolve_topic_name(PICTURES)
@@ -517,7 +518,7 @@ class RunRecorder(CellNode[Parameters]):
         self._last_run.publish(String(data=str(recording.folder)))
         self.get_logger().info(f"recorded {recording.folder}")
 
-    def _complain(self, sentence: str) -> None:
+    def _complain(self, sentence: str, expected: bool = False) -> None:
         self._trouble = f"({ErrorCode.RECORDING_FAILED}) {sentence}"
         self.get_logger().error(self._trouble)
 
