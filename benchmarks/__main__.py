@@ -36,6 +36,7 @@ LONG_SECTIONS = (
     "outline",
     "page-stop",
     "two-computers",
+    "unknown-worlds",
     "vision-calibrated",
     "vision-covariance",
     "vision-robustness",

@@ -31,6 +31,7 @@ VERBS = {
     "evaluate": "evaluate a planning method in many simulated trials",
     "single-tap": "measure an object with an experiment of single taps",
     "fit": "fit friction and impact of an object to records of single taps",
+    "learn-object": "learn friction and torque factor of an object from the taps of goals",
     "sensitivity": "sensitivity of a tap's result to errors of the striker's pose",
     "locate": "measure the object's pose in image files",
     "calibrate": "calibrate camera, table, arm or tapper; print sheets",

@@ -35,6 +35,7 @@ from tapping_cell.cli.evaluate_fixed import add_fixed_arguments, run_fixed
 if TYPE_CHECKING:
     from tapping_cell.configuration.cell import Cell
     from tapping_cell.planning.evaluation import Evaluation, PhysicsWorld, Results
+    from tapping_cell.planning.evaluation.worlds import World
     from tapping_cell.planning.settings import PlannerSettings
     from tapping_cell.planning.strike import StrikeSpace
 
@@ -143,7 +144,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PERCENT",
         help="half length of the error lines of conservative (30) and multi (60)",
     )
-    numbers("--model", choices=("abstract", "physics"), default="abstract", help="what answers")
+    numbers(
+        "--model",
+        choices=("abstract", "physics", "world"),
+        default="abstract",
+        help="what answers: displacements with scatter, the closed forms of impact and slide, or "
+        "the simulated world with every effect and the scatter of its truth file",
+    )
     numbers(
         "--round-position",
         type=float,
@@ -161,7 +168,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     numbers("--table", action="store_true", help="on the cell's table, within the arm's reach")
     numbers("--cell", type=Path, metavar="FILE", help="cell file (physics and --table)")
     numbers("--object", type=Path, metavar="FILE", help="object file (physics and --table)")
-    numbers("--truth", type=Path, metavar="FILE", help="true parameters (physics)")
+    numbers("--truth", type=Path, metavar="FILE", help="true parameters (physics, world)")
     numbers(
         "--truth-object",
         type=Path,
@@ -220,9 +227,9 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
     from tapping_cell.planning.evaluation import Evaluation
 
     settings = _settings(arguments)
-    world: PhysicsWorld | None = None
+    world: World | None = None
     space = None
-    if arguments.model == "physics" or arguments.table:
+    if arguments.model != "abstract" or arguments.table:
         from tapping_cell.configuration.assembly import make_tap
         from tapping_cell.configuration.cell import load_cell
         from tapping_cell.planning import PlannerSettings
@@ -237,10 +244,12 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
         )
         if arguments.model == "physics":
             world = _physics(arguments, cell, settings.scatter)
+        elif arguments.model == "world":
+            world = _simulated(arguments, cell)
         if arguments.table:
             space = functools.partial(_cell_space, arguments.cell, arguments.object)
     if arguments.model == "abstract" and (arguments.round_position or arguments.round_angle):
-        raise PlanningError("rounding moves the striker: give --model physics with it")
+        raise PlanningError("rounding moves the striker: give --model physics or world with it")
     tasks = arguments.random_tasks
     if tasks is not None and len(tasks) not in (0, 2):
         raise PlanningError(
@@ -355,6 +364,29 @@ def _physics(arguments: argparse.Namespace, cell: Any, scatter: Any) -> PhysicsW
         round_position=1e-3 * arguments.round_position,
         round_angle=math.radians(arguments.round_angle),
         speed_factor=truth.impact.striker_speed_factor,
+    )
+
+
+def _simulated(arguments: argparse.Namespace, cell: Any) -> World:
+    from tapping_cell.configuration.assembly import make_tap
+    from tapping_cell.configuration.files import shared_folder
+    from tapping_cell.configuration.objects import load_object
+    from tapping_cell.configuration.schema import load
+    from tapping_cell.simulation.tap_trials import SimulatedTaps
+    from tapping_cell.simulation.truth import TruthFile
+
+    path = arguments.truth or shared_folder() / "truth" / "default.yaml"
+    content = cell.object
+    if arguments.truth_object is not None:
+        content = load_object(arguments.truth_object.expanduser())
+    tapper = cell.file.tapper
+    return SimulatedTaps(
+        model=replace(make_tap(cell), smallest_distance=0.0),
+        content=content,
+        truth=load(TruthFile, Path(path).expanduser()),
+        standoff=tapper.standoff,
+        round_position=1e-3 * arguments.round_position,
+        round_angle=math.radians(arguments.round_angle),
     )
 
 

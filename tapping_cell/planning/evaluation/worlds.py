@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -82,7 +83,13 @@ def scattered(
     )
 
 
-World = AbstractWorld | PhysicsWorld
+class World(Protocol):
+    """What answers commanded taps."""
+
+    def answer(
+        self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator
+    ) -> Array:
+        """True displacements (n, 3) of commanded ones, at poses (n, 3), for true gains (n, 4)."""
 
 
 START_REACH = 0.1

@@ -10,7 +10,9 @@ import pytest
 
 from tapping_cell.configuration.assembly import make_tap
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.planning.evaluation import PhysicsWorld
+from tapping_cell.planning import PlannerSettings, make_planner
+from tapping_cell.planning.evaluation import Evaluation, PhysicsWorld, run_open_trials
+from tapping_cell.planning.evaluation.task import End
 from tapping_cell.planning.settings import Scatter
 from tapping_cell.simulation.tap_trials import SimulatedTaps
 from tapping_cell.simulation.truth import ScatterTruth, SupportTruth, TruthFile
@@ -53,3 +55,23 @@ def test_the_truth_and_the_gains_count_and_the_generator_decides() -> None:
     ratio = np.hypot(*first[:, :2].T) / np.hypot(*wanted[:, :2].T)
     assert ratio == pytest.approx(0.75, rel=0.15)
     assert not math.isclose(ratio[0], ratio[1])
+
+
+def test_goals_are_reached_in_a_world_that_the_files_do_not_describe() -> None:
+    truth = replace(
+        PLAIN,
+        support=SupportTruth(friction_factor=0.6, torque_factor_factor=0.6, pressure="rim"),
+        scatter=ScatterTruth(0.02, 0.1, 0.01),
+    )
+    settings = PlannerSettings.for_tap(TAP)
+    evaluation = Evaluation(
+        planner="exact",
+        settings=settings,
+        trials=8,
+        world=SimulatedTaps(replace(TAP, smallest_distance=0.0), CELL.object, truth),
+        adapt=True,
+    )
+    planner = make_planner("exact", settings)
+    results = run_open_trials(evaluation, planner, 8, np.random.default_rng(2))
+    assert np.all(results.end == End.DONE) and np.all(results.inside)
+    assert results.taps.mean() < 8

@@ -1,0 +1,176 @@
+"""Goals in simulated worlds that the planner's files do not describe, with learning from each tap.
+
+The worlds are those of ``config/truth`` and worlds drawn around ``everything.yaml``: all effects at
+once, each of random size up to what stands there, friction and torque factor wrong by up to a
+factor. A goal (to 40 mm and 20 degrees, from anywhere on the cell's table) begins with no knowledge
+of the object but its file; a perfect camera looks after each tap.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.configuration.assembly import make_strike_space, make_tap
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.schema import load
+from tapping_cell.planning import CameraNoise, PlannerSettings, make_planner
+from tapping_cell.planning.evaluation import Evaluation, Results, summarise
+from tapping_cell.planning.evaluation.on_table import run_table_trials
+from tapping_cell.planning.evaluation.parallel import join
+from tapping_cell.planning.evaluation.task import End
+from tapping_cell.simulation.tap_trials import SimulatedTaps
+from tapping_cell.simulation.truth import PatchTruth, TruthFile
+
+DEFAULT_COUNT = 2000
+"""Goals of all groups together."""
+
+GOALS_A_WORLD = 10
+TASKS = (0.040, math.radians(20.0))
+CAMERA = CameraNoise(0.00005, math.radians(0.05))
+SPREADS = {"within 2": (2.0, 2.0), "within 4 and 2.5": (4.0, 2.5)}
+"""Largest factors of friction and torque factor, either way."""
+
+
+def shipped_worlds() -> dict[str, TruthFile]:
+    """The worlds of ``config/truth``."""
+    folder = shared_folder() / "truth"
+    return {path.stem: load(TruthFile, path) for path in sorted(folder.glob("*.yaml"))}
+
+
+def drawn_world(spread: tuple[float, float], rng: np.random.Generator) -> TruthFile:
+    """A world with all effects of ``everything.yaml``, each of random size and direction."""
+    base = load(TruthFile, shared_folder() / "truth" / "everything.yaml")
+
+    def part(value: float) -> float:
+        return float(rng.uniform(0.0, 1.0)) * value
+
+    def around(value: float) -> float:
+        return 1.0 + float(rng.uniform(-1.0, 1.0)) * (value - 1.0)
+
+    def turned(pair: tuple[float, float]) -> tuple[float, float]:
+        size, angle = part(math.hypot(*pair)), float(rng.uniform(-math.pi, math.pi))
+        return size * math.cos(angle), size * math.sin(angle)
+
+    support, surface, impact = base.support, base.surface, base.impact
+    return replace(
+        base,
+        support=replace(
+            support,
+            friction_factor=float(spread[0] ** rng.uniform(-1.0, 1.0)),
+            torque_factor_factor=float(spread[1] ** rng.uniform(-1.0, 1.0)),
+            pressure=str(rng.choice(["even", "rim", "three_points", "pads"])),
+            feet_turn=float(rng.uniform(-math.pi, math.pi)),
+            pad_seed=int(rng.integers(1, 1000)),
+            edge_weight=part(support.edge_weight),
+            lean=turned(support.lean),
+            mass_offset=turned(support.mass_offset),
+            inertia_factor=around(support.inertia_factor),
+            slope=turned(support.slope),
+        ),
+        surface=replace(
+            surface,
+            anisotropy=1.0 + part(surface.anisotropy - 1.0),
+            grain=float(rng.uniform(-math.pi, math.pi)),
+            slow_rise=part(surface.slow_rise),
+            viscous=part(surface.viscous),
+            patches=tuple(
+                PatchTruth(
+                    (float(rng.uniform(-0.2, 0.2)), float(rng.uniform(-0.15, 0.15))),
+                    patch.radius,
+                    around(patch.factor),
+                )
+                for patch in surface.patches
+            ),
+        ),
+        impact=replace(
+            impact,
+            restitution_factor=around(impact.restitution_factor),
+            contact_friction_factor=around(impact.contact_friction_factor),
+            striker_speed_factor=around(impact.striker_speed_factor),
+            contact_time=0.0002 + part(0.0003),
+            tangential_stiffness=part(impact.tangential_stiffness),
+            oblique_loss=part(impact.oblique_loss),
+        ),
+    )
+
+
+def run_world(truth: TruthFile, goals: int, seed: int, probe: bool = False) -> Results:
+    """Goals in one world, each begun afresh."""
+    cell = load_cell()
+    tap = make_tap(cell)
+    settings = replace(PlannerSettings.for_tap(tap), camera=CAMERA)
+    evaluation = Evaluation(
+        planner="optimal",
+        settings=settings,
+        trials=goals,
+        random_tasks=TASKS,
+        world=SimulatedTaps(
+            replace(tap, smallest_distance=0.0), cell.object, truth, cell.file.tapper.standoff
+        ),
+        adapt=True,
+        probe=probe,
+        most_taps=30,
+        space=_space,
+    )
+    planner = make_planner(evaluation.planner, settings)
+    return run_table_trials(evaluation, planner, goals, np.random.default_rng(seed))
+
+
+@functools.cache
+def _space() -> Any:
+    return make_strike_space(load_cell())
+
+
+def drawn_results(spread: tuple[float, float], first: int, worlds: int) -> Results:
+    """Goals in the drawn worlds ``first`` to ``first + worlds``."""
+    return join(
+        [
+            run_world(drawn_world(spread, np.random.default_rng(seed)), GOALS_A_WORLD, seed)
+            for seed in range(first, first + worlds)
+        ]
+    )
+
+
+def figures(results: Results) -> dict[str, Any]:
+    """What the issue asks of a group."""
+    done = results.end == End.DONE
+    return {
+        **summarise(results),
+        "false_claims": int(np.sum(done & ~results.inside)),
+        "reached": int(np.sum(done)),
+    }
+
+
+def measure(count: int) -> dict[str, Any]:
+    """Half of ``count`` goals in the shipped worlds, a quarter in each group of drawn ones."""
+    shipped = shipped_worlds()
+    goals = max(1, count // 2 // len(shipped))
+    report = {
+        name: figures(run_world(truth, goals, seed))
+        for seed, (name, truth) in enumerate(shipped.items())
+    }
+    worlds = max(1, count // 4 // GOALS_A_WORLD)
+    for name, spread in SPREADS.items():
+        report[name] = figures(drawn_results(spread, 0, worlds))
+    return report
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    text = []
+    for name, row in report.items():
+        taps = row["taps"]
+        text.append(
+            f"{name:<24} {row['trials']} goals: {row['reached']} reached, "
+            f"{row['refused_before']} refused at once, {row['refused_later']} later, "
+            f"{row['endless']} endless; {row['false_claims']} false claims, "
+            f"{row['over_edge']} over the edge; taps mean {taps['mean']:.2f}, "
+            f"most {taps.get('max', 0)}"
+        )
+    return text

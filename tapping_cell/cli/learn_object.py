@@ -1,0 +1,134 @@
+"""Learn an object's friction, torque factor and scatter from the taps of goals that were recorded.
+
+For an object without a file: copy one, give it the new object's name, shape, mass (a guess will do)
+and marker or outline, start the cell with it, and send a few goals with goal --probe. RUNS are the
+run folders of these goals; --object is the file that was in use. Writes an object file with what
+was learnt; the rest stays as it was.
+
+  python -m tapping_cell learn-object runs/* --object guess.yaml --output my_disk.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tapping_cell.calibration.estimates import Estimate
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    from tapping_cell.cli.output_arguments import add_output_arguments
+
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUNS", help="run folders")
+    parser.add_argument(
+        "--object",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="the object file that was in use in the runs",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_output_arguments(parser, required=False)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Learn; 0 done, 2 runs or files that cannot be used."""
+    from dataclasses import replace
+
+    from tapping_cell.calibration.csv_table import RecordError
+    from tapping_cell.calibration.keep import KeptFile, refuse_existing, write_kept
+    from tapping_cell.calibration.learnt_object import learn_object, learning_record
+    from tapping_cell.calibration.object_file import object_yaml
+    from tapping_cell.cli.output_arguments import output_of
+    from tapping_cell.configuration.objects import load_object
+    from tapping_cell.configuration.schema import ConfigurationError
+    from tapping_cell.report.run_folder import TAPS, RunError
+
+    try:
+        output = None if arguments.output is None else output_of(arguments)
+        if output is not None:
+            refuse_existing(output)
+        content = load_object(arguments.object.expanduser())
+        folders = [folder.expanduser() for folder in arguments.runs]
+        commanded, measured = _taps(folders, content.name)
+        learnt = learn_object(content, commanded, measured)
+        record = learning_record(learnt, [folder / TAPS for folder in folders])
+        if output is not None:
+            made = replace(learnt.content, calibration=record)
+            write_kept(output, object_yaml(made, record), record, load_object)
+    except (RecordError, RunError, KeptFile, ConfigurationError, OSError) as error:
+        print(f"learn-object: {error}", file=sys.stderr)
+        return 2
+    if arguments.json:
+        values = {entry.name: _numbers(entry) for entry in learnt.estimates}
+        print(json.dumps({"taps": learnt.used, "left_out": learnt.left_out, **values}, indent=2))
+        return 0
+    print(f"{learnt.used} taps, {learnt.left_out} left out")
+    for entry in learnt.estimates:
+        print(_line(entry))
+    if output is not None:
+        print(f"wrote {arguments.output}; check it with  python -m tapping_cell check-config")
+    return 0
+
+
+def _taps(folders: list[Path], name: str) -> tuple[Any, Any]:
+    """Commanded and measured displacements of the fired taps, (n, 3), in the object's axes."""
+    import numpy as np
+
+    from tapping_cell.calibration.csv_table import RecordError
+    from tapping_cell.report.run_folder import read_run
+    from tapping_cell.se2 import Pose
+
+    rows: list[tuple[tuple[float, float, float], tuple[float, float, float]]] = []
+    for folder in folders:
+        run_ = read_run(folder)
+        if run_.object_name and run_.object_name != name:
+            raise RecordError(
+                f"{folder} is a run of '{run_.object_name}', but the object file is of '{name}'; "
+                "give the file that was in use"
+            )
+        for tap in run_.taps:
+            if tap.outcome != "fired" or not math.isfinite(tap.measured.x):
+                continue
+            moved = Pose(
+                tap.measured.x - tap.before.x,
+                tap.measured.y - tap.before.y,
+                tap.before.rotation_to(tap.measured),
+            )
+            rows.append((_turned(tap.commanded, tap), _turned(moved, tap)))
+    if not rows:
+        raise RecordError("no fired tap with a measured result is in these runs")
+    commanded, measured = zip(*rows, strict=True)
+    return np.array(commanded), np.array(measured)
+
+
+def _turned(move: Any, tap: Any) -> tuple[float, float, float]:
+    """A displacement in ``table`` in the axes of the object before the tap."""
+    cos, sin = math.cos(tap.before.theta), math.sin(tap.before.theta)
+    return cos * move.x + sin * move.y, cos * move.y - sin * move.x, move.theta
+
+
+def _numbers(entry: Estimate) -> dict[str, float | None]:
+    known = entry.fitted
+    return {
+        "value": entry.value,
+        "low": entry.low if known else None,
+        "high": entry.high if known else None,
+        "before": entry.old,
+    }
+
+
+def _line(entry: Estimate) -> str:
+    unit = f" {entry.unit}" if entry.unit else ""
+    if not entry.fitted:
+        return f"  {entry.name:<18} not determined by these taps; kept at {entry.value:.4g}{unit}"
+    return (
+        f"  {entry.name:<18} {entry.value:.4g}{unit}   95 %: {entry.low:.4g} to {entry.high:.4g}"
+        f"   (before: {entry.old:.4g})"
+    )

@@ -1,0 +1,89 @@
+"""Unknown objects of the simulated world: what taps say of them against what is true."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tapping_cell.calibration.csv_table import RecordError
+from tapping_cell.calibration.learnt_object import LearntObject, learn_object, learning_record
+from tapping_cell.calibration.object_file import object_yaml
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.objects import ObjectFile, ShapeSection, load_object
+from tapping_cell.simulation.tap_trials import SimulatedTaps
+from tapping_cell.simulation.truth import ScatterTruth, SupportTruth, TruthFile
+
+CELL = load_cell()
+STRIKER = CELL.file.tapper.striker()
+GUESS = replace(CELL.object, friction=0.2, torque_factor=1.8, smallest_tap=0.0017)
+
+
+def drawn(seed: int) -> tuple[ObjectFile, float, float]:
+    """The file of a guess, and the true friction and torque factor."""
+    random = np.random.default_rng(seed)
+    kind = ("disk", "ring", "polygon")[seed % 3]
+    if kind != "polygon":
+        shape = ShapeSection(kind, radius=float(random.uniform(0.03, 0.06)))
+    else:
+        angles = np.sort(np.arange(5) * 2 * math.pi / 5 + random.uniform(-0.4, 0.4, 5))
+        corners = 0.045 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        shape = ShapeSection(kind, vertices=tuple((float(x), float(y)) for x, y in corners))
+    friction = float(np.exp(random.uniform(math.log(0.05), math.log(0.6))))
+    factor = float(np.exp(random.uniform(math.log(0.8), math.log(4.0))))
+    return replace(GUESS, shape=shape), friction, factor
+
+
+def learnt(seed: int, count: int = 16, bumps: int = 0) -> tuple[LearntObject, float, float]:
+    content, friction, factor = drawn(seed)
+    random = np.random.default_rng(100 + seed)
+    tap = replace(content.tap(STRIKER), smallest_distance=0.0)
+    asked = np.empty((0, 3))
+    while len(asked) < count:
+        distance, heading = random.uniform(0.004, 0.03), random.uniform(-3, 3)
+        turn = random.uniform(-0.9, 0.9) * tap.cone_slope * distance
+        one = np.array([[distance * math.cos(heading), distance * math.sin(heading), turn]])
+        if tap.reachable(one)[0]:
+            asked = np.concatenate([asked, one])
+    truth = TruthFile(
+        (0.0, 0.0, 0.0),
+        support=SupportTruth(friction / content.friction, factor / content.torque_factor),
+        scatter=ScatterTruth(0.02, 0.08, 0.01),
+    )
+    world = SimulatedTaps(tap, content, truth)
+    gains = np.tile([1.0, 1.0, 0.0, 0.0], (count, 1))
+    moved = world.answer(np.zeros((count, 3)), asked, gains, random)
+    moved[:bumps] *= 2.5
+    return learn_object(content, asked, moved), friction, factor
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_friction_and_torque_factor_of_unknown_objects_are_learnt(seed: int) -> None:
+    found, friction, factor = learnt(seed)
+    assert found.content.friction == pytest.approx(friction, rel=0.08)
+    assert found.content.torque_factor == pytest.approx(factor, rel=0.35)
+    estimate = {entry.name: entry for entry in found.estimates}
+    assert estimate["friction"].low < found.content.friction < estimate["friction"].high
+    assert 0.01 < found.content.scatter.distance < 0.1
+
+
+def test_bumped_taps_are_left_out() -> None:
+    found, friction, _ = learnt(0, bumps=2)
+    assert found.left_out == 2
+    assert found.content.friction == pytest.approx(friction, rel=0.08)
+
+
+def test_the_file_that_is_written_is_one(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    found, _, _ = learnt(1, 8)
+    record = learning_record(found, [])
+    path = tmp_path / "object.yaml"
+    path.write_text(object_yaml(replace(found.content, calibration=record), record))
+    again = load_object(path)
+    assert again.friction == found.content.friction and again.calibration is not None
+
+
+def test_too_few_taps_are_refused() -> None:
+    with pytest.raises(RecordError, match="at least 5"):
+        learn_object(GUESS, np.full((4, 3), 0.01), np.full((4, 3), 0.01))
