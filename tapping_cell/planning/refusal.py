@@ -23,6 +23,8 @@ class RefusalReason(IntEnum):
     TAP_LEAVES_VIEW = 12
     PROBE_NEEDED = 13
     NO_CONTACT = 14
+    GOALS_OVERLAP = 15
+    NO_ARRANGEMENT = 16
 
 
 @dataclass(frozen=True, slots=True)
