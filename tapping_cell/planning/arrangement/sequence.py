@@ -35,6 +35,13 @@ place may end some way off."""
 
 BUFFERS_TRIED = 12
 
+TOOL_ROOM = 0.10
+"""Gap in m between a buffer place and an open goal below which taps at the goal have little room:
+the tool stands there, and a polygon can be tapped along few lines only."""
+
+CROWDED = 2.0
+"""Taps that a buffer place right beside an open goal costs more."""
+
 NARROW = 0.03
 """Gap in m below which a buffer place beside another object costs a tap more: little room."""
 
@@ -146,6 +153,11 @@ class SequencePlanner:
         if places.shape[0] == 0:
             return None
         cost = _buffer_cost(body, pose, places, others)
+        for other in _open(scene):
+            if other is not body and other.goal is not None:
+                away = np.hypot(places[:, 0] - other.goal.x, places[:, 1] - other.goal.y)
+                room = (away - other.radius - body.radius) / TOOL_ROOM
+                cost = cost + CROWDED * np.clip(1.0 - room, 0.0, 1.0)
         for index in np.argsort(cost, kind="stable")[:: max(1, len(cost) // 400)][:BUFFERS_TRIED]:
             place = Pose(float(places[index, 0]), float(places[index, 1]), pose.theta)
             if self._opens(scene, body, place, blocked):
