@@ -5,6 +5,7 @@ A page's frame: origin in its lower left corner, x to the right, y up, in m.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -143,18 +144,24 @@ def reference_map(
 
 
 def reference_page(paper: tuple[float, float], references: ReferenceMap) -> Page:
-    """The reference markers around the middle of a page, with the table's origin and axes."""
+    """The reference markers around the middle of a page, with the table's origin and axes.
+
+    Raises:
+        SheetError: the markers, with the white around them, do not fit.
+    """
+    _refuse_too_small(paper, references)
     middle = np.array(paper) / 2
     shapes, labels = [], []
     for marker in references.markers:
-        corner = middle + np.array([marker.x, marker.y]) - 0.5 * marker.size
-        loops = marker_loops(references.dictionary, marker.id, marker.size)
-        shapes.append(tuple(loop + corner for loop in loops))
+        centre = middle + np.array([marker.x, marker.y])
+        shapes.append(_turned_marker(references.dictionary, marker, centre))
         text = f"{marker.id}  x {marker.x * 1e3:g}  y {marker.y * 1e3:g}"
+        half = _half_extent(marker)
+        left, clear = float(centre[0]) - half, half + _QUIET * marker.size
         labels.append(
-            Label(corner[0], corner[1] + (1 + _QUIET) * marker.size, text, 0.0015)
+            Label(left, float(centre[1]) + clear, text, 0.0015)
             if marker.y < 0.3 * paper[1] - 0.02
-            else Label(corner[0], corner[1] - _QUIET * marker.size - 0.002, text, 0.0015)
+            else Label(left, float(centre[1]) - clear - 0.002, text, 0.0015)
         )
     arm = 0.02
     lines = [
@@ -173,6 +180,36 @@ def reference_page(paper: tuple[float, float], references: ReferenceMap) -> Page
     return _page(paper, shapes, lines, text, labels)
 
 
+def _half_extent(marker: ReferenceMarker) -> float:
+    """Half the width and height of the upright square around a marker, in m."""
+    return 0.5 * marker.size * (abs(math.cos(marker.theta)) + abs(math.sin(marker.theta)))
+
+
+def _turned_marker(dictionary: str, marker: ReferenceMarker, centre: Array) -> tuple[Array, ...]:
+    """The outlines of a marker at ``centre`` of the page, turned by its angle."""
+    cosine, sine = math.cos(marker.theta), math.sin(marker.theta)
+    turn = np.array([[cosine, sine], [-sine, cosine]])
+    loops = marker_loops(dictionary, marker.id, marker.size)
+    return tuple((loop - 0.5 * marker.size) @ turn + centre for loop in loops)
+
+
+def _refuse_too_small(paper: tuple[float, float], references: ReferenceMap) -> None:
+    """Refuse a paper on which a marker would leave the page or meet the foot."""
+    white = max(_MARGIN, _QUIET * max(marker.size for marker in references.markers))
+    across = max(abs(marker.x) + _half_extent(marker) for marker in references.markers)
+    above = max(marker.y + _half_extent(marker) for marker in references.markers)
+    below = max(_half_extent(marker) - marker.y for marker in references.markers)
+    width, height = 2 * (across + white), 2 * (max(above, below + _FOOT) + white)
+    if width > paper[0] + 1e-9 or height > paper[1] + 1e-9:
+        fitting = [name for name, (w, h) in PAPERS.items() if w >= width and h >= height]
+        hint = f" such as {fitting[0]}" if fitting else ""
+        raise SheetError(
+            f"the reference markers need a paper of {width * 1e3:.0f} x {height * 1e3:.0f} mm, and"
+            f" this one is {paper[0] * 1e3:g} x {paper[1] * 1e3:g} mm: take a larger one{hint}, or"
+            " print the markers one by one (--what cut)"
+        )
+
+
 def object_page(
     paper: tuple[float, float], ids: Sequence[int], size: float, dictionary: str
 ) -> Page:
@@ -181,6 +218,41 @@ def object_page(
     Raises:
         SheetError: they do not fit.
     """
+    texts = [
+        f"{dictionary} id {number}, {size * 1e3:g} mm; this edge is its foot" for number in ids
+    ]
+    return _cut_page(paper, ids, size, dictionary, texts, f"object markers {dictionary}")
+
+
+def cut_page(paper: tuple[float, float], references: ReferenceMap) -> Page:
+    """The reference markers in rows, each in a square to cut out, with where to glue its centre.
+
+    Raises:
+        SheetError: they do not fit, or differ in size.
+    """
+    sizes = {marker.size for marker in references.markers}
+    if len(sizes) != 1:
+        listed = ", ".join(f"{size * 1e3:g}" for size in sorted(sizes))
+        raise SheetError(f"the markers have {len(sizes)} sizes ({listed} mm); one is needed")
+    texts = [
+        f"{m.id}: x {m.x * 1e3:g}  y {m.y * 1e3:g} mm, {math.degrees(m.theta):g} deg"
+        for m in references.markers
+    ]
+    (size,) = sizes
+    text = f"cut out, glue the middles at x, y in the frame table; {references.dictionary}"
+    ids = [marker.id for marker in references.markers]
+    return _cut_page(paper, ids, size, references.dictionary, texts, text)
+
+
+def _cut_page(
+    paper: tuple[float, float],
+    ids: Sequence[int],
+    size: float,
+    dictionary: str,
+    texts: Sequence[str],
+    what: str,
+) -> Page:
+    """Markers in rows in squares to cut out."""
     cell = size * (1 + 2.5 * _QUIET)
     pitch = cell + 0.008
     across = int((paper[0] - 2 * _MARGIN + 0.008) / pitch)
@@ -191,7 +263,7 @@ def object_page(
             " print fewer or smaller ones"
         )
     shapes, lines, labels = [], [], []
-    for number, marker_id in enumerate(ids):
+    for number, (marker_id, text) in enumerate(zip(ids, texts, strict=True)):
         x = _MARGIN + (number % across) * pitch
         y = paper[1] - _MARGIN - (number // across) * pitch - cell
         inset = 0.5 * (cell - size)
@@ -199,9 +271,8 @@ def object_page(
         shapes.append(tuple(loop + np.array([x + inset, y + inset]) for loop in loops))
         rim = [(x, y), (x + cell, y), (x + cell, y + cell), (x, y + cell), (x, y)]
         lines += [(*start, *end) for start, end in pairwise(rim)]
-        text = f"{dictionary} id {marker_id}, {size * 1e3:g} mm; this edge is its foot"
         labels.append(Label(x, y - 0.0035, text, 0.0015))
-    return _page(paper, shapes, lines, f"object markers {dictionary}", labels)
+    return _page(paper, shapes, lines, what, labels)
 
 
 def marker_loops(dictionary: str, marker_id: int, size: float) -> tuple[Array, ...]:

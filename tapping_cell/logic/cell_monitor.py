@@ -14,6 +14,10 @@ from tapping_cell.se2 import Pose
 Trouble = tuple[int, str]
 """An error code and a sentence."""
 
+QUICKEST_IMAGE_S = 0.05
+"""Bound of the least delay of an image until its observation is heard, beyond that of the arm's
+messages: it cannot be told from a difference of the clocks, and makes images look later than they
+were taken."""
 NAMES = {"object": "camera_pose", "arm": "scara_arm", "tapper": "tapper_trigger"}
 
 
@@ -78,7 +82,7 @@ class CellMonitor:
             seen is not None
             and not self.silent("object", now)
             and now.steady - self.observed_at(now) <= self._silence_limit
-            and self.observed_at(now) > after
+            and self.observed_at(now) > after + QUICKEST_IMAGE_S
             and seen.visible
             and seen.at_rest
             and seen.error_code == ErrorCode.NONE

@@ -49,7 +49,10 @@ COMMAND = QoSProfile(
     depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
 )
 """For commands: all arrive, and none is delivered to somebody who was not there."""
-
+BEST_EFFORT_COMMAND = QoSProfile(
+    depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+)
+"""For commands of publishers that do not send again what was lost."""
 
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PROFILES = {True: "fastdds_profile.xml", False: "fastdds_messages.xml"}

@@ -97,7 +97,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
         client.node.create_subscription(TapCommand, "tap_command", commands.append, COMMAND)
         made = Cell(graph, client, plans, commands)
         made.ready()
-        made.wait(lambda: made.goals.get_subscription_count() == 1, "the planner listens")
+        made.wait(lambda: made.goals.get_subscription_count() == 2, "the planner listens")
         yield made
 
 

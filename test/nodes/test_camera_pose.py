@@ -26,6 +26,7 @@ from tapping_cell.configuration.objects import load_object
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.camera_pose import CameraPose
 from tapping_cell.nodes.camera.dropped_frames import LONGEST_WAIT_S
+from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import (
     camera_from_message,
@@ -306,3 +307,26 @@ def test_pictures_that_waited_long_are_passed_over_for_the_newest(cell: Cell) ->
         # Pictures may be lost on their way, but not the last one of eight every time.
         raise AssertionError(f"none of {TRIES} times was the newest picture answered first")
     assert cell.show(5)[-1].visible
+
+
+def test_compressed_pictures_are_measured_as_well() -> None:
+    configuration = load_cell()
+    renderer = make_renderer(configuration, CameraTruth(), np.asarray(configuration.outline()), 1)
+    with bench(lambda: [CameraPose()], {"camera_pose": {"image_transport": "compressed"}}) as b:
+        assert b.probe is not None
+        states = b.listen(ObjectState, "object_state", LATCHED)
+        publisher = PicturePublisher(b.probe, 95)
+        b.wait(publisher.listeners, "the node listens")
+        info = images.to_camera_info(configuration.camera)
+        stamp = b.probe.get_clock().now() - Duration(seconds=5.0)
+        for number in range(40):
+            stamp += Duration(seconds=1 / 30)
+            picture = images.to_message(renderer.render(TRUE), "mono8")
+            picture.header.stamp = stamp.to_msg()
+            heard = len(states)
+            publisher.publish(picture, info)
+            b.wait(lambda heard=heard: len(states) > heard, f"picture {number} is answered")
+    measured = from_message(states[-1].pose.pose)
+    assert states[-1].at_rest and states[-1].frames_fused >= 10
+    assert measured.distance_to(TRUE) < 0.0001
+    assert abs(measured.rotation_to(TRUE)) < math.radians(0.1)

@@ -9,7 +9,7 @@ import sys
 import cv2
 import numpy as np
 import pytest
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 
 from tapping_cell.nodes.camera import images
 
@@ -131,3 +131,25 @@ print(faults(100) if hasattr(ctypes.CDLL(None), 'mallopt') else 0)
     )
     # Given back, each of the 300 pieces would meet its 320 pages anew.
     assert int(ended.stdout) < 1000
+
+
+@pytest.mark.parametrize("coding", [".jpg", ".png"])
+def test_a_compressed_picture_is_nearly_the_raw_one(coding: str) -> None:
+    grey = RANDOM.normal(LUMA, 2.0).clip(0, 255).astype(np.uint8)
+    if coding == ".jpg":
+        made = images.compress(images.to_message(grey, "mono8"), 95)
+        assert made.format.startswith("mono8; jpeg compressed")
+    else:
+        made = CompressedImage(format="mono8; png compressed ")
+        made.data = array.array("B", cv2.imencode(coding, grey)[1].tobytes())
+    back = images.to_grey(made)
+    assert back.shape == grey.shape
+    off = np.abs(back.astype(int) - grey)
+    assert off.max() <= (0 if coding == ".png" else 6) and off.mean() < 2
+
+
+@pytest.mark.parametrize("data", [b"", b"no picture", b"\xff\xd8\xff\xe0"])
+def test_what_cannot_be_decoded_is_refused_in_words(data: bytes) -> None:
+    made = CompressedImage(format="jpeg", data=array.array("B", data))
+    with pytest.raises(images.ImageRefused, match=f"{len(data)} bytes, format 'jpeg'"):
+        images.to_grey(made)

@@ -26,6 +26,8 @@ SERVED = ("send_goal", "get_result", "cancel_goal")
 SENT = ("feedback", "status")
 
 OPENED_LATER: dict[str, dict[str, set[str]]] = {
+    # With image_transport:=compressed.
+    "camera_pose": {"subscribe": {"/camera/image_raw/compressed"}},
     # While a goal is recorded.
     "run_recorder": {
         "subscribe": {
@@ -138,7 +140,7 @@ def test_a_node_is_granted_what_it_opens_and_nothing_else(name: str) -> None:
             rclpy.try_shutdown()
     rules, later = granted()[name], OPENED_LATER.get(name, {})
     if importlib.util.find_spec("tf2_ros") is None:
-        later = later | OPENED_WITH_TF2.get(name, {})
+        later = {**later, **OPENED_WITH_TF2.get(name, {})}
     for kind, names in real.items():
         assert names <= rules[kind], f"{name} may not {kind} {sorted(names - rules[kind])}"
         needless = rules[kind] - names - later.get(kind, set())

@@ -21,15 +21,17 @@ from geometry_msgs.msg import PoseStamped
 from harness import Bench, bench
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from tapping_cell_msgs.msg import (
     ArmState,
+    GoalReport,
     ObjectState,
     PlanState,
     TapCommand,
     TapperState,
 )
 
-from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED
 from tapping_cell.nodes.conversions import covariance_to_message, from_message, to_message
 from tapping_cell.nodes.planner.tap_planner import TapPlanner
 from tapping_cell.se2 import Pose
@@ -137,7 +139,7 @@ class Actors:
 
     def send(self, goal: Pose = GOAL) -> None:
         self.bench.wait(
-            lambda: self.plans and self.goals.get_subscription_count() == 1, "the planner is up"
+            lambda: self.plans and self.goals.get_subscription_count() == 2, "the planner is up"
         )
         time.sleep(0.3)
         message = PoseStamped(pose=to_message(goal))
@@ -193,6 +195,27 @@ def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
     assert ids == sorted(set(ids))
     ended = [c.tap_id for c in actors.commands if c.request == TapCommand.WITHDRAW]
     assert ended == ids
+
+
+@pytest.mark.parametrize("profile", [COMMAND, BEST_EFFORT_COMMAND], ids=["reliable", "best effort"])
+def test_a_goal_of_any_publisher_is_taken_once(actors: Actors, profile: QoSProfile) -> None:
+    probe = actors.bench.probe
+    assert probe is not None
+    reports = actors.bench.listen(GoalReport, "goal_report", LATCHED)
+    probe.destroy_publisher(actors.goals)
+    actors.goals = probe.create_publisher(PoseStamped, "goal_pose", profile)
+    heard_by = 2 if profile is COMMAND else 1
+    actors.bench.wait(
+        lambda: actors.plans and actors.goals.get_subscription_count() == heard_by, "the planner"
+    )
+    time.sleep(0.3)
+    message = PoseStamped(pose=to_message(GOAL))
+    message.header.frame_id = "table"
+    actors.goals.publish(message)
+    assert actors.end().state == PlanState.REACHED
+    actors.bench.wait(lambda: reports, "the report")
+    time.sleep(0.3)
+    assert len(reports) == 1, [report.error_msg for report in reports]
 
 
 def test_a_goal_under_way_is_kept_for_a_crash_and_forgotten_at_its_end(tmp_path: Path) -> None:

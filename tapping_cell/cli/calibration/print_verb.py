@@ -7,14 +7,17 @@ markers comes a table file beside the PDF, sheet.table.yaml; when the ruler meas
 of --dpi.
 
   python -m tapping_cell calibrate print --paper a4 --output sheet.pdf
-  python -m tapping_cell calibrate print --paper 900x600 --what table --marker-size 40 \\
+  python -m tapping_cell calibrate print --paper a1 --what table --table config/table.yaml \\
       --output table.pdf
+
+With --table FILE the page has the reference markers of that file, at their places, and FILE stays
+the table file. Where only small paper is at hand, --what cut prints the same markers one by one, to
+cut out and glue; measure their places with calibrate table afterwards.
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 from tapping_cell.calibration.camera import CalibrationRefused
@@ -22,6 +25,7 @@ from tapping_cell.calibration.keep import KeptFile
 from tapping_cell.calibration.print_sheet import (
     Page,
     SheetError,
+    cut_page,
     object_page,
     paper_size,
     reference_map,
@@ -31,10 +35,11 @@ from tapping_cell.calibration.print_sheet import (
 from tapping_cell.calibration.table_file import table_yaml
 from tapping_cell.calibration.target import Target, TargetError
 from tapping_cell.cli.calibration.camera_verb import counts
+from tapping_cell.configuration.table import load_reference_map
 from tapping_cell.report.print_sheet import PrintedPage, write_pdf, write_png
-from tapping_cell.vision import MarkerError
+from tapping_cell.vision import MarkerError, ReferenceMap
 
-SHEETS = ("charuco", "chessboard", "table", "objects")
+SHEETS = ("charuco", "chessboard", "table", "cut", "objects")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,6 +82,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--object-ids", type=int, nargs="+", default=[1, 2, 3], help="of object markers (1 2 3)"
     )
+    parser.add_argument(
+        "--table",
+        type=Path,
+        metavar="FILE",
+        help="table file whose markers are printed (default: eight along the rim of the paper)",
+    )
     parser.add_argument("--dpi", type=float, default=300.0, help="dots per inch of a PNG (300)")
     parser.add_argument(
         "--output", type=Path, required=True, metavar="FILE", help="a .pdf, or a .png of one page"
@@ -92,7 +103,11 @@ def run(arguments: argparse.Namespace) -> int:
         raise CalibrationRefused("a PNG holds one page: name one with --what, or write a .pdf")
     if not picture and output.suffix.lower() != ".pdf":
         raise CalibrationRefused(f"{output}: end it in .pdf, or in .png for one page")
-    table = output.with_suffix(".table.yaml") if "table" in arguments.what else None
+    given: Path | None = arguments.table
+    references_shown = bool({"table", "cut"} & set(arguments.what))
+    if given is not None and not references_shown:
+        raise CalibrationRefused("--table is for the pages table and cut: name one with --what")
+    table = output.with_suffix(".table.yaml") if references_shown and given is None else None
     for path in (output, table):
         if path is not None and path.exists() and not arguments.force:
             raise KeptFile(
@@ -112,6 +127,8 @@ def run(arguments: argparse.Namespace) -> int:
     if table is not None:
         table.write_text(text, encoding="utf-8")
         print(f"written: {table}: the reference markers of that sheet")
+    elif given is not None and "table" in arguments.what:
+        print(f"the table file of that sheet is {given}, if the ruler measures 100 mm")
     return 0
 
 
@@ -123,16 +140,13 @@ def _pages(arguments: argparse.Namespace) -> tuple[list[Page], str]:
         if what in ("charuco", "chessboard"):
             square = arguments.square_size / 1e3
             columns, rows = arguments.squares
-            target = Target(what, columns, rows, square)
-            if what == "charuco":
-                target = replace(
-                    target, marker=0.75 * square, dictionary=arguments.target_dictionary
-                )
+            marked = (0.75 * square, arguments.target_dictionary) if what == "charuco" else ()
+            target = Target(what, columns, rows, square, *marked)
             pages.append(target_page(paper, target))
-        elif what == "table":
-            size = arguments.marker_size / 1e3
-            references = reference_map(paper, size, arguments.dictionary, arguments.first_id)
-            pages.append(reference_page(paper, references))
+        elif what in ("table", "cut"):
+            references = _references(arguments, paper)
+            draw = reference_page if what == "table" else cut_page
+            pages.append(draw(paper, references))
             comment = (
                 f"Reference markers of {arguments.output.name} (calibrate print, paper"
                 f" {arguments.paper}), if its ruler measures 100 mm."
@@ -142,6 +156,14 @@ def _pages(arguments: argparse.Namespace) -> tuple[list[Page], str]:
             size = arguments.object_size / 1e3
             pages.append(object_page(paper, arguments.object_ids, size, arguments.dictionary))
     return pages, text
+
+
+def _references(arguments: argparse.Namespace, paper: tuple[float, float]) -> ReferenceMap:
+    """The markers of the table file that was given, else those that suit the paper."""
+    if arguments.table is not None:
+        return load_reference_map(arguments.table.expanduser())
+    size = arguments.marker_size / 1e3
+    return reference_map(paper, size, arguments.dictionary, arguments.first_id)
 
 
 def printed(page: Page) -> PrintedPage:

@@ -18,12 +18,12 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from numpy.typing import NDArray
 from rclpy.time import Time
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from tapping_cell_msgs.msg import ErrorCode, ObjectState, PlanState
 
 from tapping_cell.configuration.cell import Cell, load_cell, load_other_objects
 from tapping_cell.configuration.objects import ObjectFile
-from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.configuration.schema import choice, quantity, text
 from tapping_cell.logic.frames import TABLE
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.dropped_frames import Backlog
@@ -108,6 +108,13 @@ class Parameters:
         60.0,
         default=10.0,
     )
+    image_transport: str = choice(
+        "raw: camera/image_raw; compressed: camera/image_raw/compressed, for a camera on another "
+        "computer",
+        "raw",
+        "compressed",
+        default="raw",
+    )
 
 
 class CameraPose(CellNode[Parameters]):
@@ -145,12 +152,15 @@ class CameraPose(CellNode[Parameters]):
         self.create_subscription(
             CameraInfo, "camera/camera_info", self._on_camera_info, images.PICTURES
         )
+        compressed = self.settings.image_transport == "compressed"
+        self._picture_type = CompressedImage if compressed else Image
+        self._picture_topic = images.COMPRESSED if compressed else images.RAW
         self._pictures = self.create_subscription(
-            Image,
-            "camera/image_raw",
+            self._picture_type,
+            self._picture_topic,
             # With what the middleware says of the message, which rclpy has but does not declare.
             cast(Callable[[Image], None], self._on_image),
-            images.PICTURES,
+            images.COMPRESSED_PICTURES if compressed else images.PICTURES,
         )
         self.create_subscription(PlanState, "plan_state", self._on_plan_state, LATCHED)
         self.create_timer(WATCH_PERIOD_S, self._watch)
@@ -219,7 +229,7 @@ class CameraPose(CellNode[Parameters]):
         self._backlog.arrived(_arrival(info))
         while self._backlog.stale(time.time()):
             with self._pictures.handle:
-                taken = self._pictures.handle.take_message(Image, False)
+                taken = self._pictures.handle.take_message(self._picture_type, False)
             if taken is None:
                 break
             self._backlog.passed_over += 1
@@ -370,7 +380,7 @@ class CameraPose(CellNode[Parameters]):
                 empty,
                 ErrorCode.CAMERA_SILENT,
                 f"no picture for {silent:.1f} s (limit {self.settings.silence_limit:.1f} s); check "
-                "the camera, its cable and the topic camera/image_raw",
+                f"the camera, its cable and the topic {self._picture_topic}",
             )
 
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from tapping_cell.vision import CameraError, CameraModel
 
@@ -17,6 +17,13 @@ PICTURES = QoSProfile(
     depth=15, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
 """Sensor data with a queue of half a second: a busy machine delays pictures, but loses none."""
+COMPRESSED_PICTURES = QoSProfile(
+    depth=15, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
+)
+"""For a network, which loses packets: what is lost is sent again."""
+RAW = "camera/image_raw"
+COMPRESSED = f"{RAW}/compressed"
+"""As image_transport names it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,12 +85,25 @@ def unpack(message: Image) -> NDArray[np.uint8]:
     return rows.reshape(message.height, message.width, encoding.size)
 
 
-def to_grey(message: Image) -> NDArray[np.uint8]:
+def compress(message: Image, quality: int) -> CompressedImage:
+    """An image message of mono8 as JPEG, as image_transport sends it."""
+    pixels = unpack(message)[..., 0]
+    _, coded = cv2.imencode(".jpg", pixels, (cv2.IMWRITE_JPEG_QUALITY, quality))
+    made = CompressedImage(header=message.header, format=f"{message.encoding}; jpeg compressed ")
+    data = array.array("B")
+    data.frombytes(coded.data)
+    made.data = data
+    return made
+
+
+def to_grey(message: Image | CompressedImage) -> NDArray[np.uint8]:
     """The grey picture of an image message, shape (height, width).
 
     Raises:
-        ImageRefused: unknown encoding, or fewer bytes than the size needs.
+        ImageRefused: unknown encoding, fewer bytes than the size needs, or no JPEG or PNG.
     """
+    if isinstance(message, CompressedImage):
+        return _decompress(message)
     pixels = unpack(message)
     conversion = ENCODINGS[message.encoding].conversion
     if pixels.shape[2] == 1:
@@ -100,6 +120,17 @@ def to_grey(message: Image) -> NDArray[np.uint8]:
         raise ImageRefused(
             f"an image of {message.width} x {message.height} cannot be {message.encoding}"
         ) from error
+
+
+def _decompress(message: CompressedImage) -> NDArray[np.uint8]:
+    coded = np.frombuffer(message.data, dtype=np.uint8)
+    picture = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE) if coded.size else None
+    if picture is None:
+        raise ImageRefused(
+            f"the compressed image of {coded.size} bytes, format '{message.format}', cannot be "
+            "decoded; set the camera's compressed transport to jpeg or png"
+        )
+    return np.asarray(picture, dtype=np.uint8)
 
 
 def to_message(picture: NDArray[np.uint8], encoding: str) -> Image:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import quantity, text
@@ -26,6 +26,7 @@ from tapping_cell.hardware.camera_source import (
     to_grey,
 )
 from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
 from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.worker import Worker
 
@@ -52,6 +53,9 @@ class Parameters:
         "time of exposure; 0 leaves it to the device", "s", 0.0, 1.0, default=0.0
     )
     loop: bool = text("begin a file or folder again at its end", default=False)
+    compressed_quality: int = quantity(
+        "quality of the JPEG pictures on camera/image_raw/compressed", "", 50, 100, default=95
+    )
 
 
 class OverheadCamera(CellNode[Parameters]):
@@ -68,10 +72,7 @@ class OverheadCamera(CellNode[Parameters]):
         self._warning = ""
         self._ended = False
         self._away = False
-        self._image_publisher = self.create_publisher(Image, "camera/image_raw", images.PICTURES)
-        self._info_publisher = self.create_publisher(
-            CameraInfo, "camera/camera_info", images.PICTURES
-        )
+        self._publisher = PicturePublisher(self, self.settings.compressed_quality)
 
     def configure(self) -> None:
         """Read the calibration and open the source."""
@@ -143,7 +144,7 @@ class OverheadCamera(CellNode[Parameters]):
             if self._source is None:
                 self._source = self._open()
             if self._frames == 0 and isinstance(self._source, Playback):
-                self._pause(LISTENER_WAIT_S, self._image_publisher.get_subscription_count)
+                self._pause(LISTENER_WAIT_S, self._publisher.listeners)
             frame = self._source.read()
         except SourceEnded as error:
             self._ended = True
@@ -179,10 +180,9 @@ class OverheadCamera(CellNode[Parameters]):
         stamp = self.get_clock().now() - Duration(seconds=age + self.settings.exposure / 2)
         message = images.to_message(picture, "mono8")
         message.header.frame_id = "camera_optical"
-        message.header.stamp = self._info.header.stamp = stamp.to_msg()
+        message.header.stamp = stamp.to_msg()
         try:
-            self._info_publisher.publish(self._info)
-            self._image_publisher.publish(message)
+            self._publisher.publish(message, self._info)
         except RuntimeError:  # rclpy's RCLError, which has no public name
             if self.context.ok():
                 raise

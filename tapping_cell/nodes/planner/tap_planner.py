@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
 from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from std_msgs.msg import Bool
@@ -25,7 +27,7 @@ from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, Scene
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.nodes.cell_identity import key_of, state_folder
-from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, run
+from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED, CellNode, run
 from tapping_cell.nodes.logic_host import LogicHost
 from tapping_cell.nodes.message_conversion import from_ros, to_ros
 from tapping_cell.nodes.planner.deferred_action_server import DeferredActionServer
@@ -85,7 +87,16 @@ class TapPlanner(CellNode[Parameters]):
         host.publishes(messages.PlanState, "plan_state", LATCHED)
         host.publishes(messages.GoalReport, "goal_report", LATCHED)
         host.offers(MarkerArray, "markers", LATCHED)
-        host.subscribes(messages.PoseStamped, "goal_pose", COMMAND)
+        # A reliable subscription hears no best-effort publisher, and a best-effort one may miss
+        # what a reliable publisher sends: with both, a goal that comes twice counts once.
+        self._goals_heard: deque[int] = deque(maxlen=COMMAND.depth)
+        for profile in (COMMAND, BEST_EFFORT_COMMAND):
+            self.create_subscription(
+                PoseStamped,
+                "goal_pose",
+                cast(Callable[[PoseStamped], None], self._on_goal_pose),
+                profile,
+            )
         host.subscribes(messages.ObjectState, "object_state", LATCHED)
         host.subscribes(messages.ObjectState, "other_objects", 10)
         host.subscribes(messages.ArmState, "arm_state", LATCHED)
@@ -166,6 +177,12 @@ class TapPlanner(CellNode[Parameters]):
         if last.error_code:
             return DiagnosticStatus.WARN, last.error_msg, values
         return DiagnosticStatus.OK, "ok", values
+
+    def _on_goal_pose(self, message: PoseStamped, info: dict[str, int]) -> None:
+        sent = info["source_timestamp"]
+        if sent not in self._goals_heard:
+            self._goals_heard.append(sent)
+            self.host.hear("goal_pose", from_ros(message, messages.PoseStamped))
 
     # Actions
 

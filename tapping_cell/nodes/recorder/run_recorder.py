@@ -43,7 +43,7 @@ from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.logic.planner import FINAL_STATES
 from tapping_cell.nodes.camera import images
-from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
+from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import seconds
 from tapping_cell.nodes.recorder.recording import (
     MEGABYTE,
@@ -203,7 +203,8 @@ class RunRecorder(CellNode[Parameters]):
             self._listen(name, kind, _STATE)
         for name, kind in STREAMS.items():
             self._know(name, kind, Quality())
-            self._listen(name, kind, _STREAM)
+            # Best effort hears every publisher of goals.
+            self._listen(name, kind, BEST_EFFORT_COMMAND if name == "goal_pose" else _STREAM)
         for name, kind in FRAMES.items():
             self._know(name, kind, Quality(reliable=kind is not CameraInfo))
         self._picture_topic = self.resolve_topic_name(PICTURES)

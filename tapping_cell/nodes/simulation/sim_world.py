@@ -22,6 +22,7 @@ from tapping_cell.configuration.cell import Cell, load_cell, refuse_own_drivers
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import load, quantity, text
 from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
 from tapping_cell.nodes.cell_identity import claim, key_of
 from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.conversions import from_message, is_finite, to_message
@@ -57,6 +58,9 @@ class Parameters:
         100.0,
         default=1.0,
     )
+    compressed_quality: int = quantity(
+        "quality of the JPEG pictures on camera/image_raw/compressed", "", 50, 100, default=95
+    )
 
 
 class SimWorld(CellNode[Parameters]):
@@ -76,10 +80,7 @@ class SimWorld(CellNode[Parameters]):
         self._frames = 0
         self._world_began = Time(nanoseconds=0)
         self._pace = Pace(1.0 / self.settings.frame_rate, self.settings.slow_motion)
-        self._image_publisher = self.create_publisher(Image, "camera/image_raw", images.PICTURES)
-        self._info_publisher = self.create_publisher(
-            CameraInfo, "camera/camera_info", images.PICTURES
-        )
+        self._publisher = PicturePublisher(self, self.settings.compressed_quality)
         self._truth_publisher = self.create_publisher(PoseStamped, "ground_truth", 10)
         self.create_service(ResetWorld, "reset_world", self._on_reset)
         self.create_service(Trigger, "~/press_clear_button", self._on_clear_button)
@@ -186,9 +187,7 @@ class SimWorld(CellNode[Parameters]):
             self._send(self._late.popleft()[1])
 
     def _send(self, picture: Image) -> None:
-        self._info.header.stamp = picture.header.stamp
-        self._info_publisher.publish(self._info)
-        self._image_publisher.publish(picture)
+        self._publisher.publish(picture, self._info)
         self._frames += 1
 
     def _publish_truth(self, pose: Pose, stamp: Time) -> None:

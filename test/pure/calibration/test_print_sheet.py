@@ -13,6 +13,7 @@ from tapping_cell.calibration.print_sheet import (
     marker_loops,
     paper_size,
     reference_map,
+    reference_page,
     target_page,
 )
 from tapping_cell.calibration.target import Target, find_target
@@ -25,6 +26,7 @@ pypdf = pytest.importorskip(
     "pypdf", reason="pypdf is not installed; it is not packaged for Ubuntu 24.04"
 )
 
+SHIPPED = Path(__file__).resolve().parents[3] / "config" / "table.yaml"
 DPI = 254.0  # ten dots a millimetre
 
 
@@ -91,6 +93,48 @@ def test_reference_markers_are_where_the_table_file_says(tmp_path: Path, kind: s
         assert np.abs(seen - corners[row]).max() < 5e-5
 
 
+def test_the_sheet_for_the_shipped_table_file_has_its_markers(tmp_path: Path) -> None:
+    """The sheet of docs/build that is glued on the table, and the file that the cell reads."""
+    image = page(tmp_path, "table", "--paper", "a1", "--table", str(SHIPPED), "--dpi", "101.6")
+    references = load_reference_map(SHIPPED)
+    found = {d.id: d for d in find_markers(image, references.dictionary)}
+    assert set(found) == {marker.id for marker in references.markers}
+    middle = np.array([image.shape[1], image.shape[0]]) / 2
+    for marker, corners in zip(references.markers, references.corners(), strict=True):
+        edges = refine(image, found[marker.id].corners[None], 8)
+        seen = (edges.corners[0] + 0.5 - middle) * [25e-5, -25e-5]
+        assert np.abs(seen - corners).max() < 1.5e-4
+    assert not (tmp_path / "table.table.yaml").exists()
+
+
+def test_turned_markers_are_printed_turned(tmp_path: Path) -> None:
+    given = tmp_path / "given.yaml"
+    given.write_text(
+        "dictionary: APRILTAG_36h11\nmarkers:\n"
+        "  - {id: 7, size: 0.03, x: -0.05, y: 0.02, theta: 0.4}\n"
+        "  - {id: 8, size: 0.04, x: 0.06, y: -0.01, theta: -2.0}\n",
+        encoding="utf-8",
+    )
+    image = page(tmp_path, "table", "--paper", "a4", "--table", str(given))
+    references = load_reference_map(given)
+    found = {d.id: d for d in find_markers(image, references.dictionary)}
+    for marker, corners in zip(references.markers, references.corners(), strict=True):
+        edges = refine(image, found[marker.id].corners[None], 8)
+        seen = (edges.corners[0] + 0.5 - np.array([1485.0, 1050.0])) * [1e-4, -1e-4]
+        assert np.abs(seen - corners).max() < 5e-5
+
+
+def test_the_markers_to_cut_are_those_of_the_table_file(tmp_path: Path) -> None:
+    image = page(tmp_path, "cut", "--paper", "a4", "--table", str(SHIPPED), kind="pdf")
+    references = load_reference_map(SHIPPED)
+    found = {d.id: d for d in find_markers(image, references.dictionary)}
+    assert set(found) == {marker.id for marker in references.markers}
+    for marker in references.markers:
+        corners = refine(image, found[marker.id].corners[None], 8).corners[0]
+        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1) * 1e-4
+        assert sides == pytest.approx([marker.size] * 4, abs=5e-5)
+
+
 @pytest.mark.parametrize("kind", ["png", "pdf"])
 def test_the_target_has_its_size(tmp_path: Path, kind: str) -> None:
     image = page(tmp_path, "charuco", kind=kind)
@@ -153,6 +197,7 @@ def test_the_outlines_of_a_marker_are_its_pattern() -> None:
         (lambda: paper_size("b7"), "unknown"),
         (lambda: paper_size("9000x20"), "outside"),
         (lambda: target_page((0.297, 0.21), Target("chessboard", 12, 9, 0.03)), "fewer or smaller"),
+        (lambda: reference_page((0.297, 0.21), load_reference_map(SHIPPED)), "such as a1"),
         (lambda: reference_map((0.297, 0.21), 0.06, "APRILTAG_36h11", 101), "at most"),
     ],
 )

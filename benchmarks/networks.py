@@ -1,0 +1,168 @@
+"""Computers on one machine: network namespaces, joined by a link that may delay and lose packets.
+
+Needs root, ``unshare``, ``nsenter`` and ``ip``; :func:`why_not` says what is missing. Without delay
+and loss two computers are joined by a veth pair, at the kernel's speed. With them every packet
+passes through this module's relay, a switch between TAP devices for some thousand packets/s.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import heapq
+import itertools
+import multiprocessing
+import os
+import random
+import select
+import shutil
+import struct
+import subprocess
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+TUN = Path("/dev/net/tun")
+_SET_INTERFACE = 0x400454CA
+_TAP_WITHOUT_HEADER = 0x0002 | 0x1000
+_LONGEST_FRAME = 65535
+
+
+def why_not() -> str:
+    """Why no computers can be made here; empty where they can."""
+    if os.geteuid() != 0:
+        return "network namespaces need root"
+    missing = [tool for tool in ("ip", "unshare", "nsenter") if shutil.which(tool) is None]
+    if missing:
+        return f"{', '.join(missing)} is not installed"
+    if not TUN.exists():
+        return f"{TUN} does not exist"
+    tried = subprocess.run(["unshare", "--net", "--mount", "true"], capture_output=True, text=True)
+    return f"unshare: {tried.stderr.strip()}" if tried.returncode else ""
+
+
+class Computer:
+    """One network namespace with an address, and shared memory of its own."""
+
+    def __init__(self, name: str, address: str) -> None:
+        self.name = name
+        self.address = address
+        # The mount hides the shared memory of the others, which no network would carry.
+        script = "mount -t tmpfs shm /dev/shm && ip link set lo up && echo up && exec sleep inf"
+        self._holder = subprocess.Popen(
+            ["unshare", "--net", "--mount", "--uts", "sh", "-c", f"hostname {name} && {script}"],
+            stdout=subprocess.PIPE,
+        )
+        assert self._holder.stdout is not None
+        if self._holder.stdout.readline().strip() != b"up":
+            raise OSError(f"the computer {name} could not be made")
+
+    @property
+    def process_id(self) -> str:
+        """Of the process that holds the namespaces."""
+        return str(self._holder.pid)
+
+    def command(self, words: Sequence[str]) -> list[str]:
+        """A command line that runs ``words`` on this computer."""
+        return ["nsenter", "--target", self.process_id, "--net", "--mount", "--uts", *words]
+
+    def start(
+        self, words: Sequence[str], environment: Mapping[str, str], **options: Any
+    ) -> subprocess.Popen[str]:
+        """Start a program on this computer; its nodes look for others on the network."""
+        own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+        return subprocess.Popen(
+            self.command(words), env={**os.environ, **own, **environment}, text=True, **options
+        )
+
+    def plug_in(self, interface: str) -> None:
+        """Move an interface of this machine to the computer, and give it the address."""
+        _ip("link", "set", interface, "netns", self.process_id)
+        for words in (
+            ("link", "set", interface, "name", "eth0"),
+            ("addr", "add", f"{self.address}/24", "dev", "eth0"),
+            ("link", "set", "eth0", "up"),
+            ("route", "add", "224.0.0.0/4", "dev", "eth0"),
+        ):
+            subprocess.run(self.command(("ip", *words)), check=True)
+
+    def close(self) -> None:
+        """End the computer; its interfaces go with it."""
+        self._holder.kill()
+        self._holder.communicate()
+
+
+@contextlib.contextmanager
+def computers(
+    names: Sequence[str], delay: float = 0.0, loss: float = 0.0
+) -> Iterator[list[Computer]]:
+    """Computers on one network. ``delay``: of each packet, s; ``loss``: share of packets lost.
+
+    Raises:
+        ValueError: more than two computers without delay and loss.
+    """
+    if not (delay or loss) and len(names) != 2:
+        raise ValueError("a link without delay and loss joins two computers")
+    with contextlib.ExitStack() as stack:
+        made = []
+        for number, name in enumerate(names, start=1):
+            computer = Computer(name, f"10.77.0.{number}")
+            stack.callback(computer.close)
+            made.append(computer)
+        ends = [f"tc{os.getpid()}x{number}" for number in range(len(made))]
+        if delay or loss:
+            stack.enter_context(_relay(made, ends, delay, loss))
+        else:
+            _ip("link", "add", ends[0], "type", "veth", "peer", "name", ends[1])
+            for computer, end in zip(made, ends, strict=True):
+                computer.plug_in(end)
+        yield made
+
+
+@contextlib.contextmanager
+def _relay(made: list[Computer], ends: list[str], delay: float, loss: float) -> Iterator[None]:
+    taps = []
+    for computer, end in zip(made, ends, strict=True):
+        tap = os.open(TUN, os.O_RDWR | os.O_NONBLOCK)
+        taps.append(tap)
+        fcntl.ioctl(tap, _SET_INTERFACE, struct.pack("16sH", end.encode(), _TAP_WITHOUT_HEADER))
+        computer.plug_in(end)
+    process = multiprocessing.get_context("fork").Process(
+        target=_forward, args=(taps, delay, loss), daemon=True
+    )
+    process.start()
+    try:
+        yield
+    finally:
+        process.kill()
+        process.join()
+        for tap in taps:
+            os.close(tap)
+
+
+def _forward(taps: Sequence[int], delay: float, loss: float) -> None:
+    """Switch frames between the devices by their hardware addresses, late and not all of them."""
+    chance = random.Random(1)
+    homes: dict[bytes, int] = {}
+    waiting: list[tuple[float, int, int, bytes]] = []
+    order = itertools.count()
+    while True:
+        patience = max(0.0, waiting[0][0] - time.monotonic()) if waiting else 1.0
+        for source in select.select(taps, (), (), patience)[0]:
+            frame = os.read(source, _LONGEST_FRAME)
+            target, sender = frame[:6], frame[6:12]
+            homes[sender] = source
+            known = homes.get(target)
+            for tap in taps if known is None else (known,):
+                if tap != source and chance.random() >= loss:
+                    due = time.monotonic() + delay
+                    heapq.heappush(waiting, (due, next(order), tap, frame))
+        while waiting and waiting[0][0] <= time.monotonic():
+            *_, tap, frame = heapq.heappop(waiting)
+            with contextlib.suppress(OSError):  # a full queue, or a computer that was ended
+                os.write(tap, frame)
+
+
+def _ip(*words: str) -> None:
+    subprocess.run(["ip", *words], check=True)

@@ -1,0 +1,249 @@
+"""Pictures between two computers, and goals over three whose clocks differ, on a link that loses.
+
+The computers are network namespaces of this machine (``benchmarks.networks``): pictures stay on one
+host or go over a clean link; goals go over a link with 20 ms and 1 % loss, with camera and vision
+on one computer, the drivers on another, planner and recorder on a third.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from benchmarks.networks import Computer, computers, why_not
+from tapping_cell.cli.graph import own_domain
+from tapping_cell.nodes import MODULES
+
+DEFAULT_COUNT = 10
+"""Goals."""
+PICTURES = 600
+"""Of each transport: 20 s."""
+RATE_HZ = 30.0
+SIZE = (1024, 1280)
+DELAY_S, LOSS = 0.020, 0.01
+PLACES = {
+    "vision": ("sim_world", "camera_pose"),
+    "drivers": ("scara_arm", "tapper_trigger"),
+    "desk": ("tap_planner", "run_recorder"),
+}
+CLOCKS_S = {"vision": 0.3, "drivers": 0.1, "desk": 0.0}
+PATIENCE_S = 120.0
+SETTLE_S = 3.0
+
+
+def measure(count: int) -> dict[str, Any]:
+    """Pictures sent and arrived by transport, and the ends of the goals."""
+    reason = why_not()
+    if reason:
+        raise OSError(f"this section needs network namespaces: {reason}")
+    own = {"ROS_DOMAIN_ID": str(own_domain().number)}
+    report: dict[str, Any] = {"pictures": {}, "load": os.getloadavg()[0]}
+    for transport in ("raw", "compressed"):
+        with computers(("camera", "vision")) as (first, second):
+            report["pictures"][f"{transport}, one host"] = _pictures(first, first, transport, own)
+            report["pictures"][f"{transport}, clean link"] = _pictures(
+                first, second, transport, own
+            )
+    with tempfile.TemporaryDirectory() as folder, cell(Path(folder), own) as desk:
+        report["goals"] = goals(desk, own, count)
+    return report
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    made = [
+        f"pictures {name}: {entry['arrived']} of {entry['sent']} arrived, median "
+        f"{entry['median_ms']:.1f} ms"
+        for name, entry in report["pictures"].items()
+    ]
+    ends = report["goals"]
+    reached = [end for end in ends if end["error_code"] == 0]
+    made.append(
+        f"goals over {1000 * DELAY_S:.0f} ms and {100 * LOSS:.0f} % loss, clocks "
+        f"{max(CLOCKS_S.values()):.1f} s apart: {len(reached)} of {len(ends)} reached"
+    )
+    for end in ends:
+        made.append(
+            f"  {end['taps']} taps, {end['seconds']:.0f} s, truly {end['true_mm']:.2f} mm off "
+            f"{end['error_msg']}"
+        )
+    return made
+
+
+def _pictures(
+    source: Computer, sink: Computer, transport: str, own: Mapping[str, str]
+) -> dict[str, Any]:
+    role = [sys.executable, "-m", "benchmarks.two_computers"]
+    reader = sink.start([*role, "reader", transport], own, stdout=subprocess.PIPE)
+    writer = source.start([*role, "writer", transport], own)
+    try:
+        told, _ = reader.communicate(timeout=PATIENCE_S)
+        found: dict[str, Any] = json.loads(told)
+        return found
+    finally:
+        for process in (reader, writer):
+            process.kill()
+            process.wait()
+
+
+@contextlib.contextmanager
+def cell(
+    folder: Path, own: Mapping[str, str], clocks: Mapping[str, float] | None = None
+) -> Iterator[Computer]:
+    """The simulated cell on three computers; gives the one at which people sit.
+
+    ``clocks``: how far each computer's clock is ahead, s.
+    """
+    environment = {**own, "HOME": str(folder), "OPENBLAS_NUM_THREADS": "1"}
+    shifts = CLOCKS_S if clocks is None else clocks
+    started = []
+    with computers(tuple(PLACES), DELAY_S, LOSS) as made, contextlib.ExitStack() as stack:
+        try:
+            for computer in made:
+                for name in PLACES[computer.name]:
+                    words = [sys.executable, "-m", "benchmarks.shifted_clock"]
+                    words += [str(shifts[computer.name]), MODULES[name], "--ros-args"]
+                    if name == "scara_arm":
+                        words += ["-p", "home_on_activate:=true"]
+                    if name == "run_recorder":
+                        words += ["-p", f"folder:={folder / 'runs'}"]
+                    log = stack.enter_context((folder / f"{name}.log").open("w"))
+                    started.append(
+                        computer.start(words, environment, stdout=log, stderr=subprocess.STDOUT)
+                    )
+            yield made[-1]
+        finally:
+            for process in started:
+                process.terminate()
+            for process in started:
+                try:
+                    process.wait(5.0)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+
+
+def goals(desk: Computer, own: Mapping[str, str], count: int) -> list[dict[str, Any]]:
+    """Send goals one after the other from that computer, and say how each truly ended."""
+    words = [sys.executable, "-m", "benchmarks.two_computers", "goals", str(count)]
+    client = desk.start(words, own, stdout=subprocess.PIPE)
+    try:
+        told, _ = client.communicate(timeout=PATIENCE_S * (count + 1))
+    finally:
+        client.kill()
+        client.wait()
+    return [json.loads(line) for line in told.splitlines()]
+
+
+# What runs on the computers.
+
+
+def _write(transport: str) -> None:
+    import numpy as np
+    import rclpy
+    from sensor_msgs.msg import CameraInfo
+
+    from tapping_cell.nodes.camera import images
+    from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
+    from tapping_cell.nodes.cell_node import choose_transport
+
+    choose_transport(pictures=True)
+    rclpy.init()
+    node = rclpy.create_node("writer")
+    publisher = PicturePublisher(node, 95)
+    noise = np.random.default_rng(1).normal(128, 2, SIZE).astype(np.uint8)
+    while not publisher.listeners():
+        time.sleep(0.05)
+    time.sleep(SETTLE_S)
+    due = time.monotonic()
+    for number in range(PICTURES):
+        picture = images.to_message(np.roll(noise, number), "mono8")
+        picture.header.frame_id = str(number)
+        picture.header.stamp = node.get_clock().now().to_msg()
+        publisher.publish(picture, CameraInfo())
+        due += 1.0 / RATE_HZ
+        time.sleep(max(0.0, due - time.monotonic()))
+    time.sleep(PATIENCE_S)  # what is lost may yet be asked for; the reader ends first
+
+
+def _read(transport: str) -> None:
+    import rclpy
+    from sensor_msgs.msg import CompressedImage, Image
+
+    from tapping_cell.nodes.camera import images
+    from tapping_cell.nodes.cell_node import choose_transport
+
+    choose_transport(pictures=True)
+    rclpy.init()
+    node = rclpy.create_node("reader")
+    delays: list[float] = []
+
+    def hear(message: Image | CompressedImage) -> None:
+        now = node.get_clock().now().nanoseconds
+        stamp = message.header.stamp
+        delays.append(1e-6 * (now - stamp.sec * 1_000_000_000 - stamp.nanosec))
+
+    if transport == "raw":
+        node.create_subscription(Image, images.RAW, hear, images.PICTURES)
+    else:
+        node.create_subscription(
+            CompressedImage, images.COMPRESSED, hear, images.COMPRESSED_PICTURES
+        )
+    last, heard = time.monotonic(), 0
+    while not delays or time.monotonic() - last < SETTLE_S:
+        rclpy.spin_once(node, timeout_sec=0.1)
+        if len(delays) != heard:
+            last, heard = time.monotonic(), len(delays)
+    median = sorted(delays)[len(delays) // 2]
+    print(json.dumps({"sent": PICTURES, "arrived": len(delays), "median_ms": median}))
+
+
+def _send_goals(count: int) -> None:
+    import random
+
+    from tapping_cell.nodes.clients.goal_client import Finished, GoalClient
+    from tapping_cell.se2 import Pose
+
+    chance = random.Random(5)
+    with GoalClient("goal") as client:
+        for _ in range(count):
+            # A device that was lost on a busy machine comes back by itself.
+            deadline = time.monotonic() + PATIENCE_S / 2
+            while client.missing() and time.monotonic() < deadline:
+                time.sleep(0.2)
+            goal = Pose(chance.uniform(-0.08, 0.08), chance.uniform(-0.06, 0.06), 0.0)
+            goal = Pose(goal.x, goal.y, chance.uniform(-0.5, 0.5))
+            began = time.monotonic()
+            client.send(goal)
+            end = next((event for event in client.events() if isinstance(event, Finished)), None)
+            assert end is not None
+            true = client.settled_truth(3.0)
+            print(
+                json.dumps(
+                    {
+                        "error_code": end.error_code,
+                        "error_msg": end.error_msg,
+                        "taps": end.taps,
+                        "seconds": time.monotonic() - began,
+                        "true_mm": 1e3 * goal.distance_to(true) if true else None,
+                        "true_rad": abs(goal.rotation_to(true)) if true else None,
+                    }
+                ),
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    role, argument = sys.argv[1:]
+    {
+        "writer": _write,
+        "reader": _read,
+        "goals": lambda text: _send_goals(int(text)),
+    }[role](argument)

@@ -1,0 +1,130 @@
+"""Computers whose clocks differ: a few ms block nothing, seconds are refused with the numbers."""
+
+from __future__ import annotations
+
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tapping_cell.logic.cell_monitor import QUICKEST_IMAGE_S, CellMonitor
+from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
+from tapping_cell.logic.peer_clock import SKEW_LIMIT_S
+from tapping_cell.logic.tapper_peers import PeerLimits, TapperPeers
+from tapping_cell.messages import ArmState, ErrorCode, ObjectState, PlanState, TapperState
+from tapping_cell.se2 import Pose
+
+EPOCH = 1_795_000_000.0
+"""ROS time of this computer at steady time 0, s."""
+
+
+def at(steady: float) -> Now:
+    return Now(steady, round((EPOCH + steady) * NANOSECONDS))
+
+
+def stamp_of(message: ArmState | ObjectState | PlanState, taken: float, ahead: float) -> None:
+    """Stamp a message at a true time by a clock that is ahead of this computer's."""
+    message.header.stamp = to_stamp(round((EPOCH + taken + ahead) * NANOSECONDS))
+
+
+def seen(taken: float, ahead: float) -> ObjectState:
+    made = ObjectState(visible=True, at_rest=True, frames_fused=30)
+    stamp_of(made, taken, ahead)
+    return made
+
+
+def monitor_with(ahead: float, delays: list[float]) -> tuple[CellMonitor, float]:
+    """A cell that is ready, heard for a while; and when it was heard last."""
+    monitor = CellMonitor(silence_limit=0.5)
+    heard = 0.0
+    for number, delay in enumerate(delays):
+        taken = number / 30
+        heard = max(heard, taken + delay)
+        monitor.on_object(seen(taken, ahead), at(heard))
+    arm = ArmState(state=ArmState.IDLE, clear_of_camera=True)
+    monitor.on_arm(arm, at(heard))
+    monitor.on_tapper(TapperState(state=TapperState.SAFE, interlock_closed=True), at(heard))
+    return monitor, heard
+
+
+DELAYS = st.lists(st.floats(0.0, 0.1), min_size=30, max_size=60)
+
+
+@given(st.floats(-0.38, 0.38), DELAYS)
+def test_clocks_within_the_budget_block_nothing(ahead: float, delays: list[float]) -> None:
+    monitor, now = monitor_with(ahead, delays)
+    assert monitor.missing(at(now)) is None
+
+
+@given(st.floats(0.65, 3600.0), st.sampled_from([-1.0, 1.0]), DELAYS)
+def test_clocks_beyond_it_are_refused_with_the_numbers(
+    ahead: float, sign: float, delays: list[float]
+) -> None:
+    monitor, now = monitor_with(sign * ahead, delays)
+    missing = monitor.missing(at(now))
+    assert missing is not None and missing[0] == ErrorCode.CLOCKS_DIFFER
+    least = min(delays)
+    assert f"{-sign * ahead + least:+.2f} s"[:-4] in missing[1]
+    assert f"limit {SKEW_LIMIT_S:.2f} s" in missing[1] and "synchronise" in missing[1]
+
+
+@given(
+    ahead=st.floats(-0.4, 0.4),
+    delays=st.lists(st.floats(0.0, 0.3), min_size=30, max_size=60),
+    arm_delay=st.floats(0.0, 0.1),
+    withdrawn=st.floats(0.0, 2.0),
+)
+def test_no_observation_before_the_withdrawal_counts_as_one_after_it(
+    ahead: float, delays: list[float], arm_delay: float, withdrawn: float
+) -> None:
+    monitor = CellMonitor(silence_limit=0.5)
+    told = withdrawn + arm_delay
+    heard, least = 0.0, math.inf
+    for number, delay in enumerate(delays):
+        taken = number / 30
+        heard = max(heard, taken + delay)
+        least = min(least, heard - taken)
+        monitor.on_object(seen(taken, ahead), at(heard))
+        # The stated bound: the quickest image is at most so much slower than the arm's message.
+        bounded = least <= arm_delay + QUICKEST_IMAGE_S
+        if bounded and monitor.usable(told, 10, at(heard)):
+            assert taken > withdrawn - 1e-6
+
+
+@given(
+    st.floats(-0.4, 0.4),
+    st.floats(-0.4, 0.4),
+    st.lists(st.floats(0.0, 0.05), min_size=20, max_size=40),
+)
+def test_a_tapper_fires_whichever_clock_is_ahead(
+    arm_ahead: float, camera_ahead: float, delays: list[float]
+) -> None:
+    peers = TapperPeers(PeerLimits())
+    peers.begin_tap()
+    heard = 0.0
+    for number, delay in enumerate(delays):
+        taken = number / 20
+        heard = max(heard, taken + delay)
+        arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
+        stamp_of(arm, taken, arm_ahead)
+        peers.hear_arm(arm, at(heard))
+        plan = PlanState(state=PlanState.FIRING)
+        stamp_of(plan, taken, 0.0)
+        peers.hear_plan(plan, at(heard))
+        peers.hear_object(seen(taken, camera_ahead), at(heard))
+    assert peers.doubt(7, Pose(0.0, 0.0, 0.0), at(heard)) is None
+
+
+@given(st.sampled_from(["arm", "camera"]), st.floats(0.65, 3600.0))
+def test_a_tapper_names_the_computer_whose_clock_is_off(who: str, ahead: float) -> None:
+    peers = TapperPeers(PeerLimits())
+    peers.begin_tap()
+    for number in range(30):
+        taken = number / 20
+        arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
+        stamp_of(arm, taken, ahead if who == "arm" else 0.0)
+        peers.hear_arm(arm, at(taken))
+        peers.hear_object(seen(taken, ahead if who == "camera" else 0.0), at(taken))
+    doubt = peers.doubt(7, Pose(0.0, 0.0, 0.0), at(29 / 20))
+    assert doubt is not None and doubt[0] == ErrorCode.CLOCKS_DIFFER
+    assert who in doubt[1] and f"{-ahead:+.2f} s" in doubt[1]
