@@ -177,6 +177,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(physics; --object)",
     )
     add_fixed_arguments(parser)
+    several = parser.add_argument_group(
+        "several objects", "each to its place, with truth kept; --trials counts scenes"
+    )
+    several.add_argument(
+        "--arrange", type=int, metavar="N", help="arrange N objects of mixed shape (1 to 20)"
+    )
+    several.add_argument(
+        "--goals",
+        choices=("random", "swap", "grid"),
+        default="random",
+        help="goals drawn, exchanged in pairs, or a compact grid of disks (random)",
+    )
+    several.add_argument(
+        "--gap", type=float, default=40.0, metavar="MM", help="least gap of starts and goals (40)"
+    )
+    several.add_argument(
+        "--method",
+        choices=("sequence", "file order", "nearest first"),
+        default="sequence",
+        help="which object is next: the built-in planner, or a baseline (sequence)",
+    )
+    several.add_argument(
+        "--radius",
+        type=float,
+        nargs="+",
+        default=(20.0, 30.0, 40.0),
+        metavar="MM",
+        help="radii of the disks; besides them squares of these half diagonals (20 30 40; a grid "
+        "has disks of the first radius only)",
+    )
     numbers("--most-taps", type=int, default=100, metavar="N", help="then a trial is endless (100)")
     numbers("--seed", type=argument_types.seed, default=0, help="of the random numbers (0)")
     numbers("--processes", type=int, metavar="N", help="default: one a core")
@@ -196,6 +226,8 @@ def run(arguments: argparse.Namespace) -> int:
         fixed = _fixed_cell(arguments)
         if fixed is not None:
             return run_fixed(arguments, fixed)
+        if arguments.arrange is not None:
+            return _arrange(arguments)
         if arguments.all:
             return _compare(arguments)
         if arguments.report is not None:
@@ -470,3 +502,98 @@ def _compare(arguments: argparse.Namespace) -> int:
         if arguments.report is not None:
             print(f"report in {arguments.report}")
     return 0
+
+
+def _arrange(arguments: argparse.Namespace) -> int:
+    """Scenes of several objects; with ``--all`` the built-in planner and the baselines."""
+    from tapping_cell.planning.evaluation import arrangements
+
+    names = list(arrangements.METHODS) if arguments.all else [arguments.method]
+    figures = {}
+    for name in names:
+        task = arrangements.ArrangementTask(
+            arguments.arrange,
+            arguments.goals,
+            gap=1e-3 * arguments.gap,
+            gain_bias=(arguments.gain_bias[0] / 100.0, arguments.gain_bias[1] / 100.0),
+            method=name,
+            adapt=arguments.adapt,
+            most_taps=arguments.most_taps,
+        )
+        kinds = functools.partial(arrangement_kinds, arguments)
+        trials = arrangements.evaluate_arrangements(
+            task, kinds, arguments.trials, arguments.seed, arguments.processes
+        )
+        figures[name] = arrangements.summarise_arrangements(trials)
+        if arguments.report is not None and name == names[0]:
+            from tapping_cell.report.arrangement_figures import write_scenes
+
+            write_scenes(arguments.report, trials)
+    if arguments.json:
+        print(json.dumps({"methods": figures, "inputs": _inputs(arguments)}, indent=2))
+    else:
+        for name, found in figures.items():
+            print(_arrangement_text(name, found))
+    return 0
+
+
+def arrangement_kinds(arguments: argparse.Namespace) -> list[Any]:
+    """The shapes of the scenes, with the cell's table, arm and the object file's friction."""
+    from tapping_cell.configuration.assembly import make_strike_space, make_tap
+    from tapping_cell.configuration.cell import load_cell
+    from tapping_cell.planning import FreeSpace, PlannerSettings, make_planner
+    from tapping_cell.planning.evaluation.arrangements import Kind
+
+    cell = load_cell(arguments.cell, arguments.object)
+    wanted = _settings(arguments)
+    kinds = []
+    for content in _shapes(cell.object, arguments):
+        made = replace(cell, object=content)
+        fitted = PlannerSettings.for_tap(make_tap(made))
+        settings = replace(
+            wanted,
+            cone_slope=fitted.cone_slope,
+            smallest_distance=fitted.smallest_distance,
+        )
+        free = FreeSpace(make_strike_space(made))
+        kinds.append(Kind(free, make_planner(arguments.planner, settings)))
+    return kinds
+
+
+def _shapes(content: Any, arguments: argparse.Namespace) -> list[Any]:
+    """Object files like the given one, but disks and squares of other sizes."""
+    radii = [1e-3 * radius for radius in arguments.radius]
+    if arguments.goals == "grid":
+        radii = radii[:1]
+    area = content.mass / content.body().radius_of_gyration ** 2
+    made = []
+    for radius in radii:
+        disk = replace(content.shape, kind="disk", radius=radius, vertices=None)
+        made.append(replace(content, shape=disk))
+        if arguments.goals != "grid":
+            corner = radius / math.sqrt(2.0)
+            corners = ((corner, corner), (-corner, corner), (-corner, -corner), (corner, -corner))
+            square = replace(content.shape, kind="polygon", radius=None, vertices=corners)
+            made.append(replace(content, shape=square))
+    return [
+        replace(each, mass=max(0.01, area * each.body().radius_of_gyration ** 2)) for each in made
+    ]
+
+
+def _arrangement_text(method: str, figures: dict[str, Any]) -> str:
+    scenes = figures["scenes"]
+    lines = [
+        f"{method}: {scenes} scenes",
+        f"  all truly inside    {100 * figures['success_rate']:.1f} %, "
+        f"false claims {figures['false_claims']}",
+        f"  contacts            objects in {figures['scenes_with_contact']} scenes, "
+        f"tool in {figures['scenes_with_tool_contact']}",
+        f"  taps                mean {figures['taps_mean']:.2f}, price of the others "
+        f"{figures['price_of_others']:.2f}, moves to make way {figures['made_way_mean']:.2f}",
+        f"  a decision          mean {figures['decision_mean_s']:.3f} s, "
+        f"slowest {figures['decision_slowest_s']:.2f} s",
+        f"  refused             at once {figures['refused_before']}, "
+        f"later {figures['refused_later']}",
+    ]
+    lines += [f"    {count} x {text}" for text, count in list(figures["reasons"].items())[:5]]
+    return "\n".join(lines)

@@ -10,16 +10,20 @@ Dijkstra's method on a grid (Dijkstra 1959) with 16 neighbours a cell (lengths t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from copy import copy
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from tapping_cell.mechanics import Polygon
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.strike import BoolArray, StrikeSpace
+from tapping_cell.planning.workspace import CircleArea, KeepOut
 
 CELL = 0.010
 """Size of a grid cell in m."""
@@ -41,12 +45,14 @@ STEPS = [(1, 0), (1, 1), (0, 1), (-1, 1), (2, 1), (1, 2), (-1, 2), (-2, 1)]
 
 SIGHT_POINTS = 16
 
+MASKS_KEPT = 400
+"""Keep-outs whose effect on the tool is remembered, some 40 kB each."""
+
 
 class FreeSpace:
     """The map of workable places for one object, table, arm and striker."""
 
     def __init__(self, space: StrikeSpace) -> None:
-        self._space = space
         table = space.workspace
         columns = max(2, math.ceil(table.length / CELL))
         rows = max(2, math.ceil(table.width / CELL))
@@ -55,12 +61,52 @@ class FreeSpace:
         self._origin = np.array([x[0], y[0]])
         self._shape = (columns, rows)
         centres = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        self._tappable = widest_gap(space, centres) <= WIDEST_GAP
-        fits = table.object_room(centres) >= space.object_radius
-        self.workable: BoolArray = self._tappable & fits
         self.centres: Array = centres
-        self._graph = _neighbour_graph(self.workable)
-        self._nearest = _nearest_cells(self.workable)
+        self._tips = _tips_around(space)
+        self._masks: dict[KeepOut, NDArray[np.uint32]] = {}
+        self._set(space, _pack(_blocked(space, centres, self._tips)))
+
+    def _set(self, space: StrikeSpace, blocked: NDArray[np.uint32]) -> None:
+        """``blocked``: directions of taps that are not possible, a bit each, (turns, cells)."""
+        self._space = space
+        self._blocked = blocked
+        self._tappable = ~np.any(_has_long_run(blocked), axis=0)
+        fits = space.workspace.object_room(self.centres) >= space.object_radius
+        self.workable: BoolArray = self._tappable & fits
+
+    def among(self, areas: Sequence[KeepOut]) -> FreeSpace:
+        """The same map with these keep-outs besides: quick, since the arm is not asked again."""
+        made = copy(self)
+        for name in ("_graph", "_nearest", "regions"):
+            made.__dict__.pop(name, None)
+        blocked = self._blocked.copy()
+        for area in areas:
+            if area not in self._masks:
+                if len(self._masks) >= MASKS_KEPT:
+                    del self._masks[next(iter(self._masks))]
+                tool = _tool_in(area, self._space, self.centres, self._tips)
+                self._masks[area] = _pack(tool)
+            blocked |= self._masks[area]
+        made._set(self._space.among(areas), blocked)
+        return made
+
+    @property
+    def space(self) -> StrikeSpace:
+        """What the map is of."""
+        return self._space
+
+    @cached_property
+    def _graph(self) -> coo_array:
+        return _neighbour_graph(self.workable)
+
+    @cached_property
+    def _nearest(self) -> NDArray[np.intp]:
+        return _nearest_cells(self.workable)
+
+    @cached_property
+    def regions(self) -> NDArray[np.int32]:
+        """Connected regions of workable cells, numbered from 1 (flat); 0 where not workable."""
+        return np.asarray(label(self.workable, structure=np.ones((3, 3)))[0].reshape(-1))
 
     def contains(self, points: ArrayLike) -> BoolArray:
         """Whether the object can be worked on at the points (..., 2)."""
@@ -166,6 +212,77 @@ def widest_gap(space: StrikeSpace, centres: ArrayLike) -> Array:
         possible = np.any(space.elbows(poses), axis=-1) & space.tool_has_room(poses)
         gap = np.maximum(gap, _largest_run(~possible))
     return gap
+
+
+def _blocked(space: StrikeSpace, centres: Array, tips: Sequence[Array]) -> BoolArray:
+    """Which taps the arm or the tool's room forbid: (turns, cells x, cells y, directions)."""
+    found = []
+    for turn in tips:
+        poses = np.empty((*centres.shape[:-1], DIRECTIONS, 3))
+        poses[..., :2] = centres[..., None, :] + turn[:, :2]
+        poses[..., 2] = turn[:, 2]
+        found.append(~(np.any(space.elbows(poses), axis=-1) & space.tool_has_room(poses)))
+    return np.stack(found)
+
+
+def _tool_in(area: KeepOut, space: StrikeSpace, centres: Array, tips: Sequence[Array]) -> BoolArray:
+    """Which taps would put tip or bar into this area, margin included; as ``_blocked``."""
+    shape = (*centres.shape[:-1], DIRECTIONS)
+    heading = np.broadcast_to(tips[0], (DIRECTIONS, 3))[:, 2]
+    if isinstance(area, CircleArea):
+        offset = (np.array([area.x, area.y]) - centres).reshape(-1, 2).astype(np.float32)
+        found = [_circle_hits(offset, turn, area.radius, space).reshape(shape) for turn in tips]
+        return np.stack(found)
+    margin = space.workspace.keep_out_margin
+    found = []
+    for turn in tips:
+        tip = centres[..., None, :] + turn[:, :2]
+        full = np.concatenate([tip, np.broadcast_to(heading[:, None], (*shape, 1))], axis=-1)
+        bar = np.min(area.distance(space.tool_points(full)), axis=-1)
+        reach = space.settings.tool_radius + margin, space.tip_radius + margin
+        found.append((bar < reach[0]) | (area.distance(tip) < reach[1]))
+    return np.stack(found)
+
+
+def _circle_hits(
+    offset: NDArray[np.float32], tips: Array, radius: float, space: StrikeSpace
+) -> BoolArray:
+    """Which of the tips (directions, 3) about an object hit a circle at ``offset`` (n, 2) from it:
+    shape (n, directions)."""
+    poses = tips.astype(np.float32)
+    along = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
+    across = np.stack([-along[1], along[0]])
+    ahead = offset @ along - np.sum(poses[:, :2].T * along, axis=0)
+    aside = offset @ across - np.sum(poses[:, :2].T * across, axis=0)
+    settings = space.settings
+    margin = space.workspace.keep_out_margin + radius
+    beside = aside * aside
+    off_bar = ahead - np.clip(ahead, -settings.tool_length, -settings.tool_start)
+    bar = off_bar * off_bar + beside < (settings.tool_radius + margin) ** 2
+    return np.asarray(bar | (ahead * ahead + beside < (space.tip_radius + margin) ** 2))
+
+
+def _pack(missing: BoolArray) -> NDArray[np.uint32]:
+    """Flags of the directions (last axis, ``DIRECTIONS`` of them) as the bits of one number."""
+    octets = np.packbits(missing, axis=-1, bitorder="little").astype(np.uint32)
+    shifts = np.uint32(8) * np.arange(octets.shape[-1], dtype=np.uint32)
+    return np.asarray(np.bitwise_or.reduce(octets << shifts, axis=-1))
+
+
+def _has_long_run(blocked: NDArray[np.uint32]) -> BoolArray:
+    """Whether more neighbouring directions are missing than ``WIDEST_GAP`` allows."""
+    needed = int(WIDEST_GAP / (2.0 * math.pi / DIRECTIONS))  # a run this long is a gap too wide
+    full = np.uint32((1 << DIRECTIONS) - 1)
+
+    def turned(value: NDArray[np.uint32], by: int) -> NDArray[np.uint32]:
+        return np.asarray(((value << np.uint32(by)) | (value >> np.uint32(DIRECTIONS - by))) & full)
+
+    run, length = blocked, 1
+    while length < needed:
+        step = min(length, needed - length)
+        run = run & turned(run, step)
+        length += step
+    return np.asarray(run != 0)
 
 
 def _tips_around(space: StrikeSpace) -> list[Array]:

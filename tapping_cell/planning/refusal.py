@@ -24,6 +24,8 @@ class RefusalReason(IntEnum):
     PROBE_NEEDED = 13
     NO_CONTACT = 14
     GOAL_OUTSIDE_WORKING_AREA = 15
+    GOALS_OVERLAP = 16
+    NO_ARRANGEMENT = 17
 
 
 @dataclass(frozen=True, slots=True)

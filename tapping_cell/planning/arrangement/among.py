@@ -1,0 +1,90 @@
+"""Maps of workable places for one object among the others, and what follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from tapping_cell.planning.arrangement.interface import Body
+from tapping_cell.planning.free_space import FreeSpace, PathLengths
+from tapping_cell.planning.interface import Array
+from tapping_cell.planning.workspace import CircleArea, KeepOut
+from tapping_cell.se2 import Pose
+
+KEPT = 300
+"""Maps remembered, some 60 kB each."""
+
+
+class AmongOthers:
+    """Makes and remembers the maps; every question is about one object among some others."""
+
+    def __init__(self) -> None:
+        self._maps: dict[tuple[int, frozenset[CircleArea]], FreeSpace] = {}
+        self._paths: dict[tuple[int, frozenset[CircleArea], float, float], PathLengths] = {}
+
+    def map(self, body: Body, others: Iterable[CircleArea]) -> FreeSpace:
+        """Where the object can be worked on among these areas."""
+        areas = frozenset(others)
+        key = (id(body.free), areas)
+        if key not in self._maps:
+            if len(self._maps) >= KEPT:
+                del self._maps[next(iter(self._maps))]
+            # Sorted, so that equal sets make equal maps whatever the hash seed.
+            ordered: list[KeepOut] = [*sorted(areas, key=_order)]
+            self._maps[key] = body.free.among(ordered)
+        return self._maps[key]
+
+    def path(self, body: Body, others: Iterable[CircleArea], start: Pose, end: Pose) -> float:
+        """Length of the path of workable places between two poses, m; inf where there is none."""
+        areas = frozenset(others)
+        key = (id(body.free), areas, end.x, end.y)
+        if key not in self._paths:
+            if len(self._paths) >= KEPT:
+                del self._paths[next(iter(self._paths))]
+            self._paths[key] = self.map(body, areas).to_goal(np.array([end.x, end.y]))
+        paths = self._paths[key]
+        if not paths.reachable(start):
+            return float("inf")
+        return float(paths.length(np.array([start.x, start.y])))
+
+    def fits(self, body: Body, others: Iterable[CircleArea], pose: Pose) -> bool:
+        """Whether the object can be worked on at a pose."""
+        return bool(self.map(body, others).contains(np.array([pose.x, pose.y])))
+
+    def in_largest_region(self, body: Body, others: Iterable[CircleArea], pose: Pose) -> bool:
+        """Whether a pose is workable and joined to the largest region of workable places."""
+        free = self.map(body, others)
+        if not bool(free.contains(np.array([pose.x, pose.y]))):
+            return False
+        counts = np.bincount(free.regions)
+        counts[0] = 0
+        cell, offset = free.nearest_cells(np.array([pose.x, pose.y]))
+        return bool(np.isfinite(offset) and free.regions[cell] == int(np.argmax(counts)))
+
+    def places(self, body: Body, others: Iterable[CircleArea], pose: Pose) -> Array:
+        """Centres (n, 2) of the workable cells that can be reached from a pose."""
+        free = self.map(body, others)
+        cell, offset = free.nearest_cells(np.array([pose.x, pose.y]))
+        if not np.isfinite(offset):
+            return np.zeros((0, 2))
+        mine = free.regions == free.regions[cell]
+        return np.asarray(free.centres.reshape(-1, 2)[mine])
+
+
+def gap(first: CircleArea, second: CircleArea) -> float:
+    """Least distance between two bounding circles, m; negative where they overlap."""
+    apart = float(np.hypot(first.x - second.x, first.y - second.y))
+    return apart - first.radius - second.radius
+
+
+def areas_of(
+    bodies: Iterable[Body], poses: Mapping[str, Pose], without: Iterable[str] = ()
+) -> list[CircleArea]:
+    """The ground of the objects at these poses, but for those named."""
+    left_out = frozenset(without)
+    return [body.area(poses[body.name]) for body in bodies if body.name not in left_out]
+
+
+def _order(area: CircleArea) -> tuple[float, float, float, str]:
+    return (area.x, area.y, area.radius, area.name)

@@ -1,0 +1,66 @@
+"""Simple orders to compare with: each object in the order given, or the nearest to its goal first.
+
+Both avoid the other objects and wait for no free goal: an object that cannot go is passed over, and
+nothing makes way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from tapping_cell.planning.arrangement.among import AmongOthers, areas_of
+from tapping_cell.planning.arrangement.interface import Body, Move, Purpose, Scene
+from tapping_cell.planning.refusal import Refusal, RefusalReason
+
+
+class FileOrder:
+    """Each object in the order of the list."""
+
+    name = "file order"
+
+    def __init__(self, maps: AmongOthers | None = None) -> None:
+        self._maps = AmongOthers() if maps is None else maps
+
+    def next_move(self, scene: Scene) -> Move | Refusal:
+        """The first object whose goal is free and can be reached."""
+        return _first_possible(scene, _unfinished(scene), self._maps)
+
+
+class NearestFirst:
+    """The object that is nearest to its goal."""
+
+    name = "nearest first"
+
+    def __init__(self, maps: AmongOthers | None = None) -> None:
+        self._maps = AmongOthers() if maps is None else maps
+
+    def next_move(self, scene: Scene) -> Move | Refusal:
+        """The nearest object whose goal is free and can be reached."""
+
+        def away(body: Body) -> float:
+            assert body.goal is not None
+            return scene.poses[body.name].distance_to(body.goal)
+
+        return _first_possible(scene, sorted(_unfinished(scene), key=away), self._maps)
+
+
+def _unfinished(scene: Scene) -> list[Body]:
+    return [b for b in scene.bodies if b.goal is not None and b.name not in scene.finished]
+
+
+def _first_possible(scene: Scene, order: Iterable[Body], maps: AmongOthers) -> Move | Refusal:
+    names = []
+    for body in order:
+        names.append(f"'{body.name}'")
+        if (body.name, Purpose.TO_GOAL) in scene.excluded:
+            continue
+        others = areas_of(scene.bodies, scene.poses, [body.name])
+        assert body.goal is not None
+        path = maps.path(body, others, scene.poses[body.name], body.goal)
+        if math.isfinite(path) and maps.fits(body, others, body.goal):
+            return Move(body.name, body.goal, Purpose.TO_GOAL)
+    return Refusal(
+        RefusalReason.NO_ARRANGEMENT,
+        f"none of {', '.join(names)} can go to its goal: each is occupied or shut off by others",
+    )

@@ -1,0 +1,295 @@
+"""Several objects in closed loop: which is tapped next, and how. Pure: no clock, no ROS.
+
+One object is the case n = 1: its only move is to its goal. A move is carried out by a
+``PositioningSession`` among the other objects as they were last seen; what is not as the plan
+expected (an object that was touched, pushed by hand, or does not go on) makes a new plan.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tapping_cell.planning.arrangement.among import AmongOthers, areas_of
+from tapping_cell.planning.arrangement.interface import (
+    ArrangementPlanner,
+    Body,
+    Move,
+    Purpose,
+    Scene,
+)
+from tapping_cell.planning.arrangement.layout import check_layout
+from tapping_cell.planning.arrangement.sequence import BUFFER_SLACK, SequencePlanner
+from tapping_cell.planning.exact import ExactPlanner
+from tapping_cell.planning.free_space import FreeSpace
+from tapping_cell.planning.gains import Gains
+from tapping_cell.planning.interface import Planner
+from tapping_cell.planning.refusal import Refusal, RefusalReason
+from tapping_cell.planning.session import (
+    Done,
+    LookAgain,
+    PositioningSession,
+    Strike,
+)
+from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.se2 import Pose
+
+COARSE_ANGLE = 1.5
+"""Tolerance in rad of the rotation of an object that only makes way."""
+
+TOUCHED = 0.002
+"""Shift in m of an object that was not tapped, beyond the camera's noise, that counts as a
+contact."""
+
+SETTLED = 0.0005
+"""Shift in m below which another object has not moved, so that the map of the table is kept."""
+
+MOST_TAPS_EACH = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """One object at rest: pose in `table` and covariance (3, 3) in m and rad; None: nominal."""
+
+    pose: Pose
+    covariance: ArrayLike | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TapOf:
+    """The next tap, and of which object."""
+
+    name: str
+    strike: Strike
+    move: Move
+
+
+@dataclass(frozen=True, slots=True)
+class LookLonger:
+    """A longer look at an object may say that it is at its goal."""
+
+    name: str
+    look: LookAgain
+
+
+@dataclass(frozen=True, slots=True)
+class AllDone:
+    """Every object with a goal is at it, as far as the camera can honestly say."""
+
+    residuals: Mapping[str, Pose]
+
+
+ArrangementDecision = AllDone | LookLonger | TapOf | Refusal
+
+
+class ArrangementSession:
+    """Goals, plan, learnt gains and taps of one arrangement.
+
+    Args:
+        bodies: every object on the table, those that may not be moved as well.
+        planner: which object next; the built-in sequence planner by default.
+        gains: what is known of each object from earlier runs.
+        adapt: whether taps teach.
+        order: names of objects to be finished in this order, before the others.
+        most_taps: of all objects together.
+    """
+
+    def __init__(
+        self,
+        bodies: Sequence[Body],
+        planner: ArrangementPlanner | None = None,
+        gains: Mapping[str, Gains] | None = None,
+        *,
+        adapt: bool = True,
+        order: Iterable[str] = (),
+        most_taps: int | None = None,
+        maps: AmongOthers | None = None,
+    ) -> None:
+        self.bodies = tuple(bodies)
+        self._by_name = {body.name: body for body in bodies}
+        self._maps = AmongOthers() if maps is None else maps
+        self._planner = SequencePlanner(self._maps) if planner is None else planner
+        known = {} if gains is None else gains
+        self.gains = {body.name: known.get(body.name, Gains.start()) for body in bodies}
+        self._adapt = adapt
+        self._order = tuple(order)
+        goals = sum(body.goal is not None for body in bodies)
+        self._most_taps = MOST_TAPS_EACH * max(1, goals) if most_taps is None else most_taps
+        self._checked = False
+        self._excluded: frozenset[tuple[str, Purpose]] = frozenset()
+        self._session: PositioningSession | None = None
+        self._session_move: Move | None = None
+        self._session_map: FreeSpace | None = None
+        self._last: dict[str, Pose] = {}
+        self._settled: dict[str, Pose] = {}
+        self._tapped = ""
+        self.move: Move | None = None
+        """The move under way; None before the first one and after the last."""
+        self.finished: frozenset[str] = frozenset()
+        """Names of the objects that are at their goals."""
+        self.taps = dict.fromkeys(self._by_name, 0)
+        """Taps fired at each object."""
+        self.touched: tuple[str, ...] = ()
+        """Names of objects that moved with the last tap although another one was tapped."""
+
+    def decide(
+        self, seen: Mapping[str, Observation], *, look_again: bool = False
+    ) -> ArrangementDecision:
+        """What to do with the objects at rest as they are seen; every object must be there."""
+        missing = [body.name for body in self.bodies if body.name not in seen]
+        if missing:
+            return Refusal(
+                RefusalReason.OBJECT_POSE_NOT_FINITE,
+                f"nothing is known of {', '.join(map(repr, missing))}; uncover them",
+            )
+        poses = {name: seen[name].pose for name in self._by_name}
+        for name, pose in poses.items():
+            before = self._settled.get(name)
+            if before is None or before.distance_to(pose) > SETTLED:
+                self._settled[name] = pose
+        if not self._checked:
+            refusal = check_layout(Scene(self.bodies, self._settled), self._maps)
+            if refusal is not None:
+                return refusal
+            self._checked = True
+        if self._notice_contacts(poses):
+            self.move, self._excluded = None, frozenset()
+        for _ in range(4 * len(self.bodies) + 4):
+            if self.move is None:
+                chosen = self._choose(seen, poses, look_again)
+                if not isinstance(chosen, Move):
+                    return chosen
+                self.move = chosen
+            decision = self._step(self.move, seen[self.move.name], look_again)
+            if decision is not None:
+                return decision
+        return Refusal(
+            RefusalReason.NO_ARRANGEMENT,
+            "none of the moves that were planned can be tapped from here; take an object away or "
+            "move the goals apart",
+        )
+
+    def observe(self, tap: TapOf, before: Observation, after: Observation) -> None:
+        """Learn from a tap that was fired: its object at rest before and after."""
+        self.taps[tap.name] += 1
+        self._tapped = tap.name
+        self._excluded = frozenset()
+        if self._session is not None and self.move == tap.move:
+            self._session.observe(tap.strike, before.pose, after.pose, after.covariance)
+            self.gains[tap.name] = self._session.gains
+
+    def _residual(self, name: str, pose: Pose) -> Pose:
+        goal = self._by_name[name].goal
+        assert goal is not None
+        return Pose(goal.x - pose.x, goal.y - pose.y, pose.rotation_to(goal))
+
+    def _notice_contacts(self, poses: Mapping[str, Pose]) -> bool:
+        moved = []
+        for name, pose in poses.items():
+            before = self._last.get(name)
+            limit = TOUCHED + 6.0 * self._by_name[name].planner.settings.camera.position
+            if before is not None and name != self._tapped and before.distance_to(pose) > limit:
+                moved.append(name)
+        self._last, self._tapped, self.touched = dict(poses), "", tuple(moved)
+        return bool(moved)
+
+    def _choose(
+        self, seen: Mapping[str, Observation], poses: Mapping[str, Pose], look_again: bool
+    ) -> Move | AllDone | LookLonger | Refusal:
+        """The next move, after every object was asked whether it is at its goal."""
+        done = set()
+        for body in self.bodies:
+            if body.goal is None:
+                continue
+            decision = self._alone(body).decide(
+                seen[body.name].pose, seen[body.name].covariance, look_again=look_again
+            )
+            if isinstance(decision, Done):
+                done.add(body.name)
+            elif isinstance(decision, LookAgain):
+                return LookLonger(body.name, decision)
+        self.finished = frozenset(done)
+        if all(body.goal is None or body.name in done for body in self.bodies):
+            return AllDone({name: self._residual(name, poses[name]) for name in done})
+        if sum(self.taps.values()) >= self._most_taps:
+            return Refusal(
+                RefusalReason.TOO_MANY_TAPS,
+                f"{sum(self.taps.values())} taps did not bring all objects to their goals, the "
+                f"limit is {self._most_taps}",
+            )
+        return self._planner.next_move(self._scene())
+
+    def _scene(self) -> Scene:
+        excluded = self._excluded
+        due = [name for name in self._order if name not in self.finished]
+        if due:
+            later = {b.name for b in self.bodies if b.goal is not None} - {due[0]}
+            excluded |= {(name, Purpose.TO_GOAL) for name in later}
+        return Scene(self.bodies, self._settled, self.finished, excluded)
+
+    def _alone(self, body: Body) -> PositioningSession:
+        """Only asked whether the object is at its goal: the others do not matter."""
+        assert body.goal is not None
+        return _at_goal(body, self._most_taps)
+
+    def _step(
+        self, move: Move, seen: Observation, look_again: bool
+    ) -> TapOf | LookLonger | Refusal | None:
+        """One decision of the move under way; None where it has ended and another is needed."""
+        body = self._by_name[move.name]
+        free = self._maps.map(body, areas_of(self.bodies, self._settled, [body.name]))
+        if self._session is None or self._session_move is not move:
+            method = body.planner if move.purpose is Purpose.TO_GOAL else coarse(body.planner)
+            self._session = PositioningSession(
+                move.target,
+                method,
+                free.space,
+                free,
+                self.gains[body.name],
+                adapt=self._adapt,
+                most_taps=self._most_taps,
+            )
+        elif self._session_map is not free:
+            self._session.use_room(free.space, free)
+        self._session_move, self._session_map = move, free
+        decision = self._session.decide(seen.pose, seen.covariance, look_again=look_again)
+        if isinstance(decision, Done):
+            self.move = None
+            return None
+        if isinstance(decision, LookAgain):
+            return LookLonger(body.name, decision)
+        if isinstance(decision, Strike):
+            return TapOf(body.name, decision, move)
+        if decision.reason is RefusalReason.CAMERA_TOO_COARSE:
+            return Refusal(decision.reason, f"'{body.name}': {decision.sentence}")
+        self._excluded |= {(body.name, move.purpose)}
+        self.move = None
+        return None
+
+
+@functools.lru_cache(maxsize=64)
+def _at_goal(body: Body, most_taps: int) -> PositioningSession:
+    return PositioningSession(
+        np.array(body.goal), body.planner, body.free.space, body.free, most_taps=most_taps
+    )
+
+
+def coarse(planner: Planner) -> Planner:
+    """The method for an object that only makes way: roughly there is enough."""
+    return _coarse(planner.settings)
+
+
+@functools.lru_cache(maxsize=32)
+def _coarse(settings: PlannerSettings) -> Planner:
+    return ExactPlanner(
+        replace(
+            settings,
+            tolerance_position=0.5 * BUFFER_SLACK,
+            tolerance_angle=COARSE_ANGLE,
+            box=None,
+        )
+    )

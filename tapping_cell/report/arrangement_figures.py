@@ -1,0 +1,78 @@
+"""Pictures of arranged scenes: before, between and after, with goals and the objects' ways."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon, Rectangle
+from numpy.typing import NDArray
+
+from tapping_cell.planning.evaluation.arrangements import ArrangementTrial
+from tapping_cell.se2 import Pose, transform_points
+
+Array = NDArray[np.float64]
+
+MOST_SCENES = 6
+_COLOURS = 10
+
+
+def write_scenes(folder: Path, trials: Sequence[ArrangementTrial]) -> list[Path]:
+    """Draw the first scenes, failed ones first, into ``folder``; returns the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    order = sorted(range(len(trials)), key=lambda number: trials[number].end == "done")
+    files = []
+    for number in order[:MOST_SCENES]:
+        file = folder / f"scene_{number + 1:03d}.png"
+        draw_scene(trials[number], file)
+        files.append(file)
+    return files
+
+
+def draw_scene(trial: ArrangementTrial, file: Path) -> None:
+    """One scene in three pictures: at the start, half way, at the end."""
+    figure = Figure(figsize=(13.0, 4.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    last = len(trial.history) - 1
+    titles = ("before", f"after {last // 2} taps", f"after {last} taps ({trial.end})")
+    for axes, number, title in zip(
+        figure.subplots(1, 3), (0, last // 2, last), titles, strict=True
+    ):
+        _draw(axes, trial, number)
+        axes.set_title(title)
+    figure.savefig(file, dpi=100)
+
+
+def _draw(axes: Axes, trial: ArrangementTrial, number: int) -> None:
+    length, width = 1e3 * trial.table[0], 1e3 * trial.table[1]
+    edge = Rectangle((-length / 2, -width / 2), length, width, fill=False, edgecolor="black")
+    axes.add_patch(edge)
+    for index, (name, outline) in enumerate(trial.outlines.items()):
+        colour = f"C{index % _COLOURS}"
+        if name in trial.goals:
+            ground = _ground(outline, trial.goals[name])
+            axes.add_patch(Polygon(ground, fill=False, edgecolor=colour, linestyle="--"))
+        way = 1e3 * np.array([poses[name][:2] for poses in trial.history[: number + 1]])
+        axes.plot(way[:, 0], way[:, 1], "-", color=colour, linewidth=1.0)
+        pose = trial.history[number][name]
+        axes.add_patch(
+            Polygon(_ground(outline, pose), facecolor=colour, edgecolor=colour, alpha=0.5)
+        )
+        axes.annotate(
+            name.rsplit(" ", 1)[-1], (1e3 * pose.x, 1e3 * pose.y), ha="center", va="center"
+        )
+    axes.set(
+        aspect="equal",
+        xlabel="x (mm)",
+        ylabel="y (mm)",
+        xlim=(-0.52 * length, 0.52 * length),
+        ylim=(-0.52 * width, 0.52 * width),
+    )
+
+
+def _ground(outline: Array, pose: Pose) -> Array:
+    return np.asarray(1e3 * transform_points(pose, outline))

@@ -1,0 +1,157 @@
+"""Several objects: order, making way, refusals before the first tap, closed loop against truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tapping_cell.mechanics import Disk, Impact, Sliding, Striker, Tap
+from tapping_cell.planning import (
+    CircleArea,
+    FreeSpace,
+    PlannerSettings,
+    Refusal,
+    RefusalReason,
+    StrikeSpace,
+    Workspace,
+    make_planner,
+)
+from tapping_cell.planning.arrangement import (
+    AmongOthers,
+    ArrangementSession,
+    Body,
+    FileOrder,
+    Move,
+    Observation,
+    Purpose,
+    Scene,
+    SequencePlanner,
+    TapOf,
+    check_layout,
+)
+from tapping_cell.planning.evaluation.arrangements import (
+    ArrangementTask,
+    Kind,
+    run_arrangement,
+)
+from tapping_cell.se2 import Pose
+
+RADIUS = 0.03
+
+
+@pytest.fixture(scope="module")
+def kind() -> Kind:
+    disk = Disk(radius=RADIUS, mass=0.1, height=0.012)
+    tap = Tap(
+        sliding=Sliding(disk, friction=0.17, torque_factor=3.64, gravity=9.81),
+        impact=Impact(disk, Striker(mass=0.1, tip_radius=0.0054), restitution=0.86, friction=0.2),
+        smallest_distance=0.0017,
+    )
+    space = StrikeSpace(tap, Workspace())
+    return Kind(FreeSpace(space), make_planner("exact", PlannerSettings.for_tap(tap)))
+
+
+def bodies_of(kind: Kind, goals: Sequence[Pose | None], movable: bool = True) -> list[Body]:
+    return [
+        Body(f"o{number}", kind.free, kind.planner, goal, movable or goal is not None)
+        for number, goal in enumerate(goals)
+    ]
+
+
+def scene_of(bodies: Sequence[Body], *poses: Pose) -> Scene:
+    return Scene(bodies, {body.name: pose for body, pose in zip(bodies, poses, strict=True)})
+
+
+def test_the_map_among_others_is_that_of_a_space_with_these_keep_outs(kind: Kind) -> None:
+    areas = [CircleArea(0.1, 0.05, 0.03), CircleArea(-0.1, -0.08, 0.04)]
+    quick = kind.free.among(areas)
+    slow = FreeSpace(kind.free.space.among(areas))
+    # The exact capsule of the bar instead of points on it: never more is workable.
+    assert not np.any(quick.workable & ~slow.workable)
+    assert np.sum(slow.workable & ~quick.workable) <= 0.02 * np.sum(slow.workable)
+    assert np.array_equal(kind.free.among([]).workable, kind.free.workable)
+
+
+def test_one_object_goes_straight_to_its_goal(kind: Kind) -> None:
+    goal = Pose(0.05, 0.0, 0.0)
+    bodies = bodies_of(kind, [goal])
+    move = SequencePlanner().next_move(scene_of(bodies, Pose(0.0, 0.0, 0.0)))
+    assert move == Move("o0", goal, Purpose.TO_GOAL)
+
+
+def test_a_swap_needs_a_buffer_place_and_the_baseline_has_none(kind: Kind) -> None:
+    left, right = Pose(-0.08, 0.0, 0.0), Pose(0.08, 0.0, 0.0)
+    scene = scene_of(bodies_of(kind, [right, left]), left, right)
+    move = SequencePlanner().next_move(scene)
+    assert isinstance(move, Move) and move.purpose is Purpose.MAKE_WAY
+    for place in (left, right):
+        assert move.target.distance_to(place) > 2 * RADIUS
+    refused = FileOrder().next_move(scene)
+    assert isinstance(refused, Refusal) and refused.reason is RefusalReason.NO_ARRANGEMENT
+
+
+def test_what_occupies_a_goal_goes_first(kind: Kind) -> None:
+    scene = scene_of(
+        bodies_of(kind, [Pose(0.08, 0.0, 0.0), Pose(0.08, 0.12, 0.0)]),
+        Pose(-0.08, 0.0, 0.0),
+        Pose(0.08, 0.0, 0.0),
+    )
+    move = SequencePlanner().next_move(scene)
+    assert isinstance(move, Move) and (move.name, move.purpose) == ("o1", Purpose.TO_GOAL)
+
+
+@pytest.mark.parametrize("movable", [True, False])
+def test_an_object_without_a_goal_makes_way_only_where_allowed(kind: Kind, movable: bool) -> None:
+    bodies = bodies_of(kind, [Pose(0.08, 0.0, 0.0), None], movable)
+    scene = scene_of(bodies, Pose(-0.08, 0.0, 0.0), Pose(0.085, 0.0, 0.0))
+    refusal = check_layout(scene, AmongOthers())
+    if movable:
+        assert refusal is None
+        move = SequencePlanner().next_move(scene)
+        assert isinstance(move, Move) and (move.name, move.purpose) == ("o1", Purpose.MAKE_WAY)
+    else:
+        assert refusal is not None and refusal.reason is RefusalReason.GOALS_OVERLAP
+        assert "'o0'" in refusal.sentence and "'o1'" in refusal.sentence
+
+
+def test_a_layout_too_tight_for_the_striker_is_refused_before_the_first_tap(kind: Kind) -> None:
+    pitch = 2 * RADIUS + 0.008
+    goals = [Pose(pitch * (n % 3 - 1), pitch * (n // 3 - 1), 0.0) for n in range(9)]
+    bodies = bodies_of(kind, goals)
+    poses = [Pose(-0.24 + 0.06 * n, 0.17, 0.0) for n in range(9)]
+    session = ArrangementSession(bodies)
+    decision = session.decide(
+        {body.name: Observation(pose) for body, pose in zip(bodies, poses, strict=True)}
+    )
+    assert isinstance(decision, Refusal) and decision.reason is RefusalReason.NO_ARRANGEMENT
+    assert "cannot be reached" in decision.sentence and "'o" in decision.sentence
+
+
+def test_a_shift_of_an_object_that_was_not_tapped_is_noticed(kind: Kind) -> None:
+    bodies = bodies_of(kind, [Pose(0.1, 0.0, 0.0), Pose(-0.1, 0.1, 0.0)])
+    session = ArrangementSession(bodies)
+    seen = {"o0": Observation(Pose(-0.05, 0.0, 0.0)), "o1": Observation(Pose(-0.05, -0.12, 0.0))}
+    tap = session.decide(seen)
+    assert isinstance(tap, TapOf)
+    other = "o1" if tap.name == "o0" else "o0"
+    after = Observation(tap.strike.predicted)
+    session.observe(tap, seen[tap.name], after)
+    place = seen[other].pose
+    pushed = Pose(place.x + 0.01, place.y, place.theta)
+    session.decide({tap.name: after, other: Observation(pushed)})
+    assert session.touched == (other,)
+
+
+@settings(max_examples=2, deadline=None)
+@given(st.integers(0, 2**16))
+def test_what_is_called_done_is_truly_inside_and_nothing_was_hit(kind: Kind, seed: int) -> None:
+    task = ArrangementTask(2, "swap", gain_bias=(0.05, 0.1))
+    trial, _ = run_arrangement(task, [kind], np.random.default_rng(seed))
+    assert trial.end != "done" or trial.inside
+    assert trial.tool_contacts == 0
+    assert math.isfinite(trial.taps)
