@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -156,18 +156,28 @@ def _deactivate(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"{node} deactivated for {away:.2f} s"
 
 
+LINKS = {
+    "arm_state": ("tap_planner", "tapper_trigger"),
+    "tapper_state": ("tap_planner", "scara_arm"),
+    "object_state": ("tap_planner", "tapper_trigger"),
+    "plan_state": ("tapper_trigger",),
+    "tap_command": ("scara_arm", "tapper_trigger"),
+    "hold_still": ("request", "answer"),
+    "emergency_stop": NODES,
+}
+"""Who hears what; of a service both ways."""
+
+
 def _slow_topic(rng: np.random.Generator, trial: Trial) -> Made:
-    topic = _pick(
-        rng,
-        ("arm_state", "tapper_state", "object_state", "plan_state", "tap_command", "hold_still"),
-    )
+    topic = _pick(rng, tuple(LINKS))
+    towards = _pick(rng, LINKS[topic])
     delay, lasting = _duration(rng, 0.01, 2.0), _duration(rng, 0.2, 6.0)
 
     def strike(t: Trial) -> None:
-        t.network.faults.slow_topics[topic] = delay
-        t.scheduler.after(lasting, lambda: t.network.hasten(topic))
+        t.network.faults.slow[topic, towards] = delay
+        t.scheduler.after(lasting, lambda: t.network.faults.slow.pop((topic, towards), None))
 
-    return strike, f"{topic} late by {delay:.2f} s for {lasting:.1f} s"
+    return strike, f"{topic} to {towards} late by {delay:.2f} s for {lasting:.1f} s"
 
 
 def _duplicates(rng: np.random.Generator, trial: Trial) -> Made:
@@ -260,19 +270,22 @@ def _line(rng: np.random.Generator, trial: Trial) -> Made:
 
     def strike(t: Trial) -> None:
         layer = (t.physical.arm_line if name == "arm" else t.physical.tapper_line).layer
-        layer.add(
-            type(drawn)(
-                drawn.kind,
-                direction,
-                layer.count(direction) + drawn.byte,
-                drawn.length,
-                drawn.duration,
-                drawn.bit,
-            )
-        )
+        layer.add(replace(drawn, byte=layer.count(direction) + drawn.byte))
 
     reset = " (the board restarts)" if drawn.kind is FaultKind.RESET else ""
     return strike, f"{name} line: {drawn.kind.value}{reset} after {drawn.byte} bytes"
+
+
+def _shot_line(rng: np.random.Generator, trial: Trial) -> Made:
+    """The tapper's line in the moment of a shot, which takes some 100 bytes each way."""
+    direction = list(Direction)[int(rng.integers(2))]
+    drawn = random_fault(rng, direction, 0, 120)
+
+    def strike(t: Trial) -> None:
+        layer = t.physical.tapper_line.layer
+        layer.add(replace(drawn, byte=layer.count(direction) + drawn.byte))
+
+    return strike, f"tapper line: {drawn.kind.value} after {drawn.byte} bytes of the shot"
 
 
 def _power(rng: np.random.Generator, trial: Trial) -> Made:
@@ -374,6 +387,7 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "foreign trajectory": _trajectory,
     "clock step": _clock_step,
     "serial line": _line,
+    "line at a shot": _shot_line,
     "loss of power": _power,
     "camera": _camera,
     "object moved": _bump,
@@ -392,6 +406,10 @@ AT_A_MOMENT = (
     "freeze at a write",
     "freeze at a write",
     "freeze after the last check",
+    "slow topic",
+    "slow topic",
+    "line at a shot",
+    "line at a shot",
     "kill",
     "foreign command",
     "cancel",

@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
-import numpy as np
-
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.se2 import Pose
@@ -93,22 +91,14 @@ class PhysicalCell:
     def _arm_distance(self, pose: Pose, time: float) -> float:
         """From the object's centre to the middle line of the arm, seen from above, m."""
         joints = self.joints(time)
-        tip = self.geometry.forward(joints)
-        elbow = self._base @ Pose(
-            self.geometry.upper_arm * math.cos(joints.shoulder),
-            self.geometry.upper_arm * math.sin(joints.shoulder),
-            0.0,
-        )
-        wrist = self._base @ Pose(
-            self.geometry.upper_arm * math.cos(joints.shoulder)
-            + self.geometry.forearm * math.cos(joints.shoulder + joints.elbow),
-            self.geometry.upper_arm * math.sin(joints.shoulder)
-            + self.geometry.forearm * math.sin(joints.shoulder + joints.elbow),
-            0.0,
-        )
-        end = self._base @ Pose(tip.x, tip.y, tip.yaw)
-        points = [self._base, elbow, wrist, end]
-        return min(_distance(pose, first, second) for first, second in pairwise(points))
+        g, base = self.geometry, self._base
+        reach = joints.shoulder + joints.elbow
+        elbow = (g.upper_arm * math.cos(joints.shoulder), g.upper_arm * math.sin(joints.shoulder))
+        wrist = (elbow[0] + g.forearm * math.cos(reach), elbow[1] + g.forearm * math.sin(reach))
+        tip = g.forward(joints)
+        seen = base.inverse() @ pose
+        points = ((0.0, 0.0), elbow, wrist, (tip.x, tip.y))
+        return min(_distance((seen.x, seen.y), *ends) for ends in pairwise(points))
 
     def _release(self, shot: int, energy: float, now: float) -> float | None:
         """The board released the striker."""
@@ -130,10 +120,13 @@ class PhysicalCell:
         return self.world.gate_speed(speed)
 
 
-def _distance(point: Pose, start: Pose, end: Pose) -> float:
+def _distance(
+    point: tuple[float, float], start: tuple[float, float], end: tuple[float, float]
+) -> float:
     """From a point to a segment, m."""
-    way = np.array([end.x - start.x, end.y - start.y])
-    offset = np.array([point.x - start.x, point.y - start.y])
-    length = float(way @ way)
-    share = 0.0 if length == 0.0 else min(max(float(offset @ way) / length, 0.0), 1.0)
-    return float(np.hypot(*(offset - share * way)))
+    along, across = end[0] - start[0], end[1] - start[1]
+    right, up = point[0] - start[0], point[1] - start[1]
+    length = along * along + across * across
+    share = 0.0 if length == 0.0 else (right * along + up * across) / length
+    share = min(max(share, 0.0), 1.0)
+    return math.hypot(right - share * along, up - share * across)

@@ -58,7 +58,6 @@ QUALITIES = {
     "object_state": Quality(latched=True),
     "plan_state": Quality(latched=True),
     "emergency_stop": Quality(latched=True),
-    "other_objects": Quality(reliable=False),
     "markers": Quality(latched=True),
 }
 HEARS = {
@@ -85,8 +84,12 @@ SERVES = {
 }
 CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
-UNSEEN_S = 4.0
-"""The simulated arm covers the object for up to 3.4 s on its way to a strike pose."""
+COVERED_S, CLEAR_VIEW_S = 4.0, 0.45
+"""Limit of the object's being unseen: where the arm covers the object, for up to 3.4 s on its way
+to a strike pose, and where the camera sees past it."""
+NOTICED_S = 0.7
+"""From when the limit has passed to when no release comes any more: delayed messages and the
+board's window."""
 GOAL_TIME_LIMIT_S = 120.0
 GOAL_SLACK_S = 5.0
 """A goal must end so long after its time limit at the latest, its planner being there."""
@@ -143,10 +146,8 @@ class Trial:
         truth = load(TruthFile, shared_folder() / "truth" / "default.yaml")
         self.physical = PhysicalCell(self.scheduler, cell, truth, seed)
         self.network = Network(self.scheduler, np.random.default_rng([seed, 2]), QUALITIES)
-        self.witness = Witness(self.scheduler, self.physical)
-        self.network.on_publish = self._on_publish
-        self.scheduler.after_event = self._after_event
         self.joint_names = Joints._fields
+        self.arm_covers = bool(self.rng.random() < 0.5)
         self._computers = {name: self._make_clock() for name in ("planner", "drivers", "camera")}
         self.clocks = {
             "tap_planner": self._computers["planner"],
@@ -154,6 +155,11 @@ class Trial:
             "tapper_trigger": self._computers["drivers"],
             "camera_pose": self._computers["camera"],
         }
+        self.witness = Witness(self.scheduler, self.physical, self.clocks["tapper_trigger"])
+        self.witness.unseen_limit = NOTICED_S + (COVERED_S if self.arm_covers else CLEAR_VIEW_S)
+        self.network.on_publish = self._on_publish
+        self.network.on_answer = self.witness.on_answer
+        self.scheduler.after_event = self.witness.after_event
         self.processes = {
             name: Process(
                 name,
@@ -167,6 +173,7 @@ class Trial:
         }
         for process in self.processes.values():
             process.on_handled = self._on_handled
+            process.on_asked = self.witness.on_asked
             process.on_log = self._on_log
         self.camera = Camera(
             self.scheduler,
@@ -196,7 +203,7 @@ class Trial:
         )
 
     def _programs(self) -> dict[str, Program]:
-        cell = self.cell
+        cell, unseen = self.cell, COVERED_S if self.arm_covers else CLEAR_VIEW_S
 
         def planner_connect(_: Any, __: float, now: Now) -> GoalHandling:
             return GoalHandling(
@@ -226,7 +233,7 @@ class Trial:
             line.set_clock(self.clocks["tapper_trigger"].steady_offset)
             draw = np.random.default_rng([self.seed, 4, round(1e6 * self.scheduler.now)])
             driver = TapperDriver(line, draw_number=lambda below: int(draw.integers(below)))
-            return TapperLogic(TapperOptions(limits=PeerLimits(unseen=UNSEEN_S))), driver
+            return TapperLogic(TapperOptions(limits=PeerLimits(unseen=unseen))), driver
 
         settings = PlannerSettings(goal_time_limit=GOAL_TIME_LIMIT_S)
         programs: dict[
@@ -517,7 +524,7 @@ class Trial:
         return kept[-1] if kept else None
 
     def _look(self, time: float) -> Pose | None:
-        return self.physical.view(time)
+        return self.physical.view(time) if self.arm_covers else self.physical.object_pose(time)
 
     def _on_publish(self, node: str, topic: str, message: Any) -> None:
         if self._tracing and topic not in ("markers", "joint_states"):
@@ -556,10 +563,6 @@ class Trial:
 
     def _on_log(self, process: str, sentence: str) -> None:
         self._note(f"{process}: {sentence}")
-
-    def _after_event(self) -> None:
-        self.witness.tapper_ros_now = self.clocks["tapper_trigger"].now().ros
-        self.witness.after_event()
 
     def _note(self, words: str) -> None:
         if self._tracing:
