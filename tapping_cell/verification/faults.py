@@ -13,6 +13,7 @@ from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.host import Activated, Deactivated
 from tapping_cell.messages import (
     ArmState,
+    HoldStill,
     JointTrajectory,
     JointTrajectoryPoint,
     PlanState,
@@ -230,6 +231,49 @@ def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"a foreign {name} with id {('0', 'of the present tap', 'of the next tap')[how]}"
 
 
+def _foreign_outcome(rng: np.random.Generator, trial: Trial) -> Made:
+    """Somebody else says that the shot is over, by topic or by service."""
+    fired, by_service = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
+
+    def strike(t: Trial) -> None:
+        last = max(t.witness.commands, default=0)
+        if by_service:
+            request = HoldStill.Request(tap_id=last, duration=0.0, key=1)
+            t.network.call("hold_still", request, lambda _: None)
+            return
+        told = TapperState(state=TapperState.SAFE, tap_id=last)
+        told.outcome = TapperState.FIRED if fired else TapperState.NOT_FIRED
+        told.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
+        t.network.publish("somebody_else", "tapper_state", told)
+
+    return strike, "somebody else lets the arm go" if by_service else (
+        f"a foreign tapper_state: {'FIRED' if fired else 'NOT_FIRED'}"
+    )
+
+
+def _foreign_state(rng: np.random.Generator, trial: Trial) -> Made:
+    """Somebody else says that the arm is in position, or that the planner waits for its shot."""
+    of_arm = bool(rng.random() < 0.5)
+
+    def strike(t: Trial) -> None:
+        last = max(t.witness.commands, default=0)
+        node = "scara_arm" if of_arm else "tap_planner"
+        message: ArmState | PlanState = (
+            ArmState(state=ArmState.IN_POSITION, tap_id=last)
+            if of_arm
+            else PlanState(state=PlanState.FIRING, tap_id=last)
+        )
+        message.header.stamp = to_stamp(t.clocks[node].now().ros)
+        t.network.publish("somebody_else", "arm_state" if of_arm else "plan_state", message)
+
+    return strike, f"a foreign {'arm_state: in position' if of_arm else 'plan_state: firing'}"
+
+
+def _second_node(rng: np.random.Generator, trial: Trial) -> Made:
+    node, lasting = _pick(rng, NODES), _duration(rng, 1.0, 20.0)
+    return lambda t: t.start_second(node, lasting), f"a second {node} for {lasting:.1f} s"
+
+
 def _trajectory(rng: np.random.Generator, trial: Trial) -> Made:
     joints = [float(v) for v in rng.uniform((-0.5, 0.5, -0.05, -1.0), (1.0, 1.8, 0.0, 1.0))]
 
@@ -384,6 +428,9 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "duplicates": _duplicates,
     "replay": _replay,
     "foreign command": _foreign_command,
+    "foreign outcome": _foreign_outcome,
+    "foreign state": _foreign_state,
+    "second node": _second_node,
     "foreign trajectory": _trajectory,
     "clock step": _clock_step,
     "serial line": _line,
@@ -412,6 +459,7 @@ AT_A_MOMENT = (
     "line at a shot",
     "kill",
     "foreign command",
+    "foreign outcome",
     "cancel",
     "object moved",
     "emergency stop",

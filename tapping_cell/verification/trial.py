@@ -233,8 +233,9 @@ class Trial:
             line.set_clock(self.clocks["tapper_trigger"].steady_offset)
             draw = np.random.default_rng([self.seed, 4, round(1e6 * self.scheduler.now)])
             driver = TapperDriver(line, draw_number=lambda below: int(draw.integers(below)))
-            return TapperLogic(TapperOptions(limits=PeerLimits(unseen=unseen))), driver
+            return TapperLogic(TapperOptions(lambda: int(draw.integers(1, 2**63)), limits=limits)), driver
 
+        limits = PeerLimits(unseen=unseen)
         settings = PlannerSettings(goal_time_limit=GOAL_TIME_LIMIT_S)
         programs: dict[
             str, tuple[Callable[[], tuple[Logic, Any]], Callable[..., Any], SerialLine | None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import math
 import sys
 from collections.abc import Sequence
@@ -124,7 +125,8 @@ def make_logic(parameters: Parameters) -> TapperLogic:
         parameters.moved_limit,
         parameters.turned_limit,
     )
-    return TapperLogic(TapperOptions(parameters.state_rate, limits))
+    options = TapperOptions(lambda: 1 + secrets.randbelow(2**64 - 1), parameters.state_rate, limits)
+    return TapperLogic(options)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
