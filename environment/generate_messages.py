@@ -25,6 +25,7 @@ ROOTS = (
     "tapping_cell_msgs/msg/ArmState",
     "tapping_cell_msgs/msg/ErrorCode",
     "tapping_cell_msgs/msg/GoalReport",
+    "tapping_cell_msgs/msg/LearntGains",
     "tapping_cell_msgs/msg/ObjectState",
     "tapping_cell_msgs/msg/PlanState",
     "tapping_cell_msgs/msg/StopState",

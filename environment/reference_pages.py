@@ -45,13 +45,19 @@ _ERROR_CODES = """# Error codes
 
 Every refusal and failure of the cell has a number of `tapping_cell_msgs/msg/ErrorCode` and a
 message with the value and the limit. The command line, the report of a run and the operator page
-show the hint of the last column.
+show the remedy.
 
 `msg_defs/msg/ErrorCode.msg` declares the codes; `make reference` writes this page from it.
-
-| code | name | when | what to do |
-| --- | --- | --- | --- |
 """
+_HUNDREDS = {
+    1: "goals and commands",
+    2: "configuration",
+    3: "camera and object",
+    4: "planning",
+    5: "the arm",
+    6: "the tapper",
+    9: "the cell",
+}
 
 
 def commands_page() -> str:
@@ -108,12 +114,23 @@ def _text(words: str | None) -> str:
 
 
 def error_codes_page() -> str:
-    """Every error code with its meaning and hint."""
-    rows = (
-        f"| {number} | {code.name} | {code.meaning} | {code.hint} |\n"
-        for number, code in error_codes.codes().items()
-    )
-    return _ERROR_CODES + "".join(rows)
+    """Every error code with symptom, cause and remedy."""
+    parts = [_ERROR_CODES]
+    hundred = 0
+    for number, code in error_codes.codes().items():
+        if number // 100 != hundred:
+            hundred = number // 100
+            parts.append(f"\n## {hundred}xx: {_HUNDREDS[hundred]}\n")
+        if number:
+            parts.append(
+                f"\n### {number} {code.name}\n\n- **Symptom.** {_sentence(code.symptom)}\n"
+                f"- **Cause.** {code.cause}\n- **Remedy.** {code.remedy}\n"
+            )
+    return "".join(parts)
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
 
 
 _CONFIGURATION = """# Configuration files

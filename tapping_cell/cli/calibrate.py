@@ -18,11 +18,25 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
+from typing import Protocol, cast
 
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.keep import KeptFile
 from tapping_cell.configuration.schema import ConfigurationError
+
+
+class Verb(Protocol):
+    """A module of ``cli/calibration``."""
+
+    __doc__: str | None
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the options."""
+
+    def run(self, arguments: argparse.Namespace) -> int:
+        """Run it; the exit status."""
+
 
 SUBVERBS = {
     "camera": "focal lengths and lens from photographs of a target",
@@ -59,5 +73,5 @@ def run(arguments: argparse.Namespace) -> int:
         return 2
 
 
-def _module(name: str):
-    return importlib.import_module(f"tapping_cell.cli.calibration.{name}_verb")
+def _module(name: str) -> Verb:
+    return cast(Verb, importlib.import_module(f"tapping_cell.cli.calibration.{name}_verb"))

@@ -18,7 +18,7 @@ import argparse
 import shlex
 import sys
 
-import argcomplete
+from argcomplete.shell_integration import shellcode
 
 NAME = "cell"
 
@@ -37,5 +37,5 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"function {NAME}; {command} $argv; end")
     else:
         print(f'{NAME}() {{ {command} "$@"; }}')
-    print(argcomplete.shellcode([NAME], shell=arguments.shell))
+    print(shellcode([NAME], shell=arguments.shell))
     return 0

@@ -225,7 +225,7 @@ class CrashCell:
         # The first tap, or the one after it where that was given up.
         tap = next((c.tap_id for c in reversed(seen.commands) if c.request == TapCommand.TAP), 0)
         mine = tap > 0 and arm.tap_id == tap
-        return {
+        phases: dict[str, bool] = {
             "planning": plan.state == PlanState.LOOKING,
             "travelling": mine and arm.state == ArmState.MOVING and not low,
             "lowered": mine and arm.state in (ArmState.MOVING, ArmState.IN_POSITION) and low,
@@ -233,7 +233,8 @@ class CrashCell:
             "fired": tapper.tap_id == tap > 0 and tapper.outcome == TapperState.FIRED,
             "withdrawing": arm.state == ArmState.WITHDRAWING,
             "settling": plan.state == PlanState.SETTLING,
-        }[phase]
+        }
+        return phases[phase]
 
     def _prepare(self) -> None:
         """The cell at rest with the object at its start, with a person's help where needed."""

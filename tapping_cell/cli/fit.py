@@ -26,8 +26,9 @@ from typing import TYPE_CHECKING, Any
 from tapping_cell.cli.fit_words import shown, speed_lines
 
 if TYPE_CHECKING:
+    from tapping_cell.calibration.estimates import Estimate
     from tapping_cell.calibration.experiment import Experiment
-    from tapping_cell.calibration.object_fit import Estimate, ObjectFit
+    from tapping_cell.calibration.object_fit import ObjectFit
     from tapping_cell.configuration.objects import ObjectFile
 
 

@@ -6,13 +6,15 @@ import math
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tapping_cell.calibration.estimates import Estimate
 from tapping_cell.calibration.object_fit import ObjectFit
 from tapping_cell.calibration.prediction import Launches, RunErrors
 from tapping_cell.cli.fit_words import shown, speed_lines
 from tapping_cell.configuration.objects import GRAVITY
 from tapping_cell.configuration.provenance import Provenance
-from tapping_cell.mechanics import Sliding
+from tapping_cell.mechanics import Profile, Sliding
 from tapping_cell.report.single_tap import (
     Motions,
     Parameter,
@@ -54,7 +56,7 @@ def report_of(fit: ObjectFit, record: Provenance) -> SingleTapReport:
     )
 
 
-def _parameter(entry) -> Parameter:
+def _parameter(entry: Estimate) -> Parameter:
     words, factor = shown(entry)
     return Parameter(
         words, factor * entry.old, factor * entry.value, factor * entry.low, factor * entry.high
@@ -126,12 +128,12 @@ def _sliding(fit: ObjectFit, torque_factor: float) -> Sliding:
     return Sliding(fit.content.body(), fit.slide.friction, torque_factor, GRAVITY).approximated()
 
 
-def _curve(fit: ObjectFit, index: int, torque_factor: float):
+def _curve(fit: ObjectFit, index: int, torque_factor: float) -> tuple[NDArray[np.float64], Profile]:
     """Times in ms and the profile of the launch that makes the trial's displacement."""
     sliding = _sliding(fit, torque_factor)
     distance, rotation = fit.measured.distance[index], fit.measured.rotation[index]
     speed, spin = sliding.launch(float(distance), float(rotation))
-    times = np.linspace(0.0, float(sliding.rest(speed, spin).duration), _CURVE)
+    times = np.linspace(0.0, float(sliding.rest(speed, spin).duration), _CURVE, dtype=np.float64)
     return _MM * times, sliding.profile(speed, spin, times)
 
 

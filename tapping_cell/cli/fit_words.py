@@ -6,7 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from tapping_cell.calibration.object_fit import Estimate, ObjectFit
+    from tapping_cell.calibration.estimates import Estimate
+    from tapping_cell.calibration.object_fit import ObjectFit
 
 _WORDS = {
     "friction": "friction with the table",

@@ -32,6 +32,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="tolerance in mm and degrees (default: the cell's own)",
     )
     parser.add_argument(
+        "--probe",
+        action="store_true",
+        help="begin with a few of the smallest taps, to measure an unknown object's friction",
+    )
+    parser.add_argument(
         "--wait", type=float, default=20.0, help="longest wait for the cell, in seconds"
     )
     session.add_output_arguments(parser)
@@ -61,7 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
     with GoalClient("goal", arguments.namespace) as client:
         try:
             session.wait_until_ready(client, arguments.wait, lambda: None, console)
-            client.send(goal, (distance / 1000, math.radians(angle)))
+            tolerance = (distance / 1000, math.radians(angle))
+            client.send(goal, tolerance, probe=arguments.probe)
             finished = session.follow(client, lambda: None, console)
         except session.NotReadyInTime as error:
             session.tell_error(console, f"{error}; is the graph up?")

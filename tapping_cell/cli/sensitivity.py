@@ -18,8 +18,10 @@ import json
 import math
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tapping_cell.mechanics import MechanicsError, Tap
 from tapping_cell.mechanics.sensitivity import (
@@ -87,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _figures(jacobian: np.ndarray, error: list[float]) -> dict:
+def _figures(jacobian: NDArray[np.float64], error: list[float]) -> dict[str, object]:
     return {
         "jacobian": jacobian.tolist(),
         "product": (jacobian @ np.asarray(error)).tolist(),
@@ -95,7 +97,7 @@ def _figures(jacobian: np.ndarray, error: list[float]) -> dict:
     }
 
 
-def _sweep(tap: Tap, farthest: float) -> dict:
+def _sweep(tap: Tap, farthest: float) -> dict[str, object]:
     """Norms over the reachable taps, from no rotation to the edge of the cone."""
     nearest = tap.smallest_distance
     distances, shares = np.meshgrid(
@@ -120,7 +122,7 @@ def _sweep(tap: Tap, farthest: float) -> dict:
     }
 
 
-def _print(report: dict) -> None:
+def _print(report: dict[str, Any]) -> None:
     print(
         f"A tap of {report['distance_mm']:g} mm and {report['rotation_deg']:g} degrees "
         "(rows x mm, y mm, theta degrees; columns i mm, j mm, beta degrees)"

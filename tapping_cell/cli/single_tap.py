@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -193,7 +194,7 @@ def _check_ranges(arguments: argparse.Namespace) -> None:
 
 def _open(arguments: argparse.Namespace) -> tuple[Path, Design]:
     """The experiment's folder and design: of one that is gone on with, or new."""
-    asked: dict[str, object] = {}
+    asked: dict[str, Any] = {}
     if arguments.speeds:
         asked["speeds"] = tuple(speed / 1000 for speed in arguments.speeds)
     if arguments.incidences:
@@ -204,7 +205,7 @@ def _open(arguments: argparse.Namespace) -> tuple[Path, Design]:
         asked["seed"] = arguments.seed
     if not arguments.resume:
         name = f"single-tap_{datetime.now():%Y-%m-%d_%H-%M-%S}"
-        return (arguments.runs_folder / name).resolve(), Design(**asked)  # type: ignore[arg-type]
+        return (arguments.runs_folder / name).resolve(), Design(**asked)
     folder = arguments.resume.resolve()
     design = read_design(folder)
     for name, value in asked.items():

@@ -23,7 +23,12 @@ from tapping_cell.se2 import Pose
 READY_PATIENCE_S = 60.0
 BACK_TOLERANCE = (0.015, math.radians(45.0))
 """Of a goal that brings the object back, m and rad: loose, so that it is quick."""
-NO_ROOM = (ErrorCode.TAP_LEAVES_TABLE, ErrorCode.TAP_LEAVES_VIEW, ErrorCode.NO_TAP_FOUND)
+NO_ROOM = (
+    ErrorCode.TAP_LEAVES_TABLE,
+    ErrorCode.TAP_LEAVES_VIEW,
+    ErrorCode.NO_TAP_FOUND,
+    ErrorCode.NO_CONTACT_FOUND,
+)
 """Refusals that a better place of the object may cure."""
 PASSING = (
     ErrorCode.OBJECT_NOT_SEEN,

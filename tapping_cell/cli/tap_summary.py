@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -76,7 +77,7 @@ def tell(
     )
 
 
-def _row(design: Design, trials: list[Trial], index: int) -> dict[str, object]:
+def _row(design: Design, trials: list[Trial], index: int) -> dict[str, Any]:
     """What is known of one run."""
     run = design.runs[index]
     own = [completed(trial) for trial in trials if trial.run == run.number]

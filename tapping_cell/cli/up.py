@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
     except (ConfigurationError, UnknownPlannerError) as error:
         console.print(f"[red]error:[/red] {error}", highlight=False)
         return 2
-    nodes = HARDWARE if arguments.hardware else SIMULATED
+    nodes: tuple[str, ...] = HARDWARE if arguments.hardware else SIMULATED
     if not arguments.no_record:
         nodes = (*nodes, RECORDER)
     if arguments.page:

@@ -41,6 +41,8 @@ class Request:
     max_taps: int = 0
     time_limit: float = 0.0
     token: Token | None = None
+    probe: bool = False
+    """Begin with a few of the smallest taps."""
 
 
 class GoalHandling:
@@ -132,6 +134,11 @@ class GoalHandling:
             self._planner = before
             raise
 
+    @property
+    def gains(self) -> Gains:
+        """What earlier goals taught about the object."""
+        return self._gains
+
     def learnt(self) -> dict[str, str]:
         """What earlier goals taught about the object, with deviations, for diagnostics."""
         numbers = self._gains.as_numbers()
@@ -181,7 +188,7 @@ class GoalHandling:
             self.map.free,
             self._gains,
             adapt=self._adapt,
-            probe=self._probe,
+            probe=self._probe or request.probe,
             most_taps=max_taps,
         )
         expires = now.steady + (request.time_limit or self._time_limit)

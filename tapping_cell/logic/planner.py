@@ -31,6 +31,7 @@ from tapping_cell.logic.effects import (
 from tapping_cell.logic.goal_handling import GoalHandling, Request
 from tapping_cell.logic.goal_validation import REFUSALS, Refused
 from tapping_cell.logic.host import Activated, Configured, Deactivated, LifecycleEvent
+from tapping_cell.logic.learnt import to_message as learnt_message
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.task import LEAST_EFFECT, Shot, SingleTapTask, Task
@@ -38,6 +39,7 @@ from tapping_cell.logic.transitions import StateMachine, table
 from tapping_cell.messages import (
     ErrorCode,
     GoalReport,
+    LearntGains,
     PlanState,
     PoseStamped,
     PositionObject,
@@ -45,7 +47,7 @@ from tapping_cell.messages import (
     TapCommand,
     TapperState,
 )
-from tapping_cell.planning import Done, KeepOut, LookAgain, Refusal, RefusalReason, Strike
+from tapping_cell.planning import Done, Gains, KeepOut, LookAgain, Refusal, RefusalReason, Strike
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.se2 import Pose
 
@@ -165,6 +167,7 @@ class PlannerLogic:
         self._reported_at = -math.inf
         self._resumed: Request | None = None
         self._effects: list[Effect] = []
+        self._learnt: tuple[Gains | None, LearntGains] = (None, LearntGains())
         self.last = PlanState(residual_distance=math.nan, residual_rotation=math.nan)
         """The last report."""
 
@@ -239,6 +242,7 @@ class PlannerLogic:
                 request.max_taps,
                 request.time_limit,
                 token,
+                request.probe,
             )
             self._on_goal(asked, now)
         return self._drain()
@@ -669,6 +673,7 @@ class PlannerLogic:
         state.header.stamp = to_stamp(now.ros)
         state.header.frame_id = "table"
         state.residual_distance = state.residual_rotation = math.nan
+        state.learnt = self._known_of_the_object()
         if task is not None:
             task.fill(state, pose)
             if task.token is not None:
@@ -697,6 +702,15 @@ class PlannerLogic:
                     ),
                 )
             )
+
+    def _known_of_the_object(self) -> LearntGains:
+        """What is known of the object now; made again only where it has changed."""
+        if not self._configured:
+            return LearntGains()
+        gains = self._task.session.gains if self._task is not None else self.goals.gains
+        if self._learnt[0] is not gains:
+            self._learnt = gains, learnt_message(gains)
+        return self._learnt[1]
 
     def _log(self, level: LogLevel, sentence: str) -> None:
         self._effects.append(Log(level, sentence))

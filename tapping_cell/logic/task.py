@@ -10,6 +10,7 @@ import numpy as np
 
 from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.effects import Token
+from tapping_cell.logic.learnt import to_message as learnt_message
 from tapping_cell.logic.poses import covariance_from_message, from_message, to_message
 from tapping_cell.messages import (
     ObjectState,
@@ -24,6 +25,7 @@ from tapping_cell.messages import (
 from tapping_cell.planning import (
     Decision,
     FreeSpace,
+    Gains,
     PositioningSession,
     PrescribedSession,
     Strike,
@@ -64,8 +66,9 @@ class Shot:
         command.header.frame_id = "table"
         return command
 
-    def record(self, number: int, seen: ObjectState | None) -> TapRecord:
-        """What is kept of this tap once its result is seen; ``seen`` None: it never was."""
+    def record(self, number: int, seen: ObjectState | None, gains: Gains) -> TapRecord:
+        """What is kept of this tap once its result is seen; ``seen`` None: it never was. ``gains``:
+        what is known of the object after it."""
         strike = self.strike
         if seen is None:
             seen = ObjectState()
@@ -86,6 +89,7 @@ class Shot:
             strike_pose=to_message(strike.plan.strike_pose),
             outcome=self.outcome,
             at_rest_at=seen.at_rest_since,
+            learnt=learnt_message(gains),
         )
         if self.fired_at is not None:
             record.fired_at = to_stamp(self.fired_at)
@@ -137,7 +141,8 @@ class Task:
         pose = from_message(seen.pose.pose)
         covariance = covariance_from_message(seen.pose.covariance)
         self.session.observe(shot.strike, shot.before, pose, covariance)
-        self.records.append(shot.record(len(self.records) + 1, seen))
+        number = len(self.records) + 1
+        self.records.append(shot.record(number, seen, self.session.gains))
         wanted = math.hypot(shot.strike.wanted.x, shot.strike.wanted.y)
         moved = shot.before.distance_to(pose) > LEAST_EFFECT * wanted
         self.without_effect = 0 if moved else self.without_effect + 1
@@ -228,4 +233,5 @@ class SingleTapTask(Task):
     def lose(self, shot: Shot) -> None:
         """Keep a record of the tap, if it was or may have been fired."""
         if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):
-            self.records.append(shot.record(len(self.records) + 1, None))
+            number = len(self.records) + 1
+            self.records.append(shot.record(number, None, self.session.gains))

@@ -214,6 +214,8 @@ class ArmState:
     tap_id: int = 0
     homed: bool = False
     clear_of_camera: bool = False
+    set_up: bool = False
+    enabled: bool = False
     tip_pose: Pose = field(default_factory=lambda: Pose())
     error_code: int = 0
     error_msg: str = ""
@@ -265,6 +267,7 @@ class ErrorCode:
     NONE: ClassVar[int] = 0
     NOT_ACTIVE: ClassVar[int] = 903
     NOT_READY: ClassVar[int] = 902
+    NO_CONTACT_FOUND: ClassVar[int] = 406
     NO_TAP_FOUND: ClassVar[int] = 401
     OBJECT_MOVED: ClassVar[int] = 311
     OBJECT_NOT_AT_REST: ClassVar[int] = 305
@@ -272,6 +275,7 @@ class ErrorCode:
     OBJECT_OFF_TABLE: ClassVar[int] = 312
     PLANNER_BUSY: ClassVar[int] = 409
     PLANNER_UNKNOWN: ClassVar[int] = 404
+    PROBE_NEEDED: ClassVar[int] = 405
     RECORDING_FAILED: ClassVar[int] = 908
     REFERENCES_NOT_SEEN: ClassVar[int] = 302
     SHUTTING_DOWN: ClassVar[int] = 906
@@ -300,6 +304,28 @@ class ErrorCode:
 
 
 @dataclass(slots=True, kw_only=True)
+class LearntGains:
+    """Mirror of ``tapping_cell_msgs/msg/LearntGains``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/LearntGains"
+
+    distance: float = 0.0
+    distance_deviation: float = 0.0
+    rotation: float = 0.0
+    rotation_deviation: float = 0.0
+    direction: float = 0.0
+    direction_deviation: float = 0.0
+    direction_growth: float = 0.0
+    direction_growth_deviation: float = 0.0
+    offset_x: float = 0.0
+    offset_x_deviation: float = 0.0
+    offset_y: float = 0.0
+    offset_y_deviation: float = 0.0
+    explained: int = 0
+    unexplained: int = 0
+
+
+@dataclass(slots=True, kw_only=True)
 class TapRecord:
     """Mirror of ``tapping_cell_msgs/msg/TapRecord``."""
 
@@ -321,6 +347,7 @@ class TapRecord:
     fired_at: Time = field(default_factory=lambda: Time())
     at_rest_at: Time = field(default_factory=lambda: Time())
     outcome: int = 0
+    learnt: LearntGains = field(default_factory=lambda: LearntGains())
 
 
 @dataclass(slots=True, kw_only=True)
@@ -410,6 +437,7 @@ class PlanState:
     angle_tolerance: float = 0.0
     taps: int = 0
     last_tap: TapRecord = field(default_factory=lambda: TapRecord())
+    learnt: LearntGains = field(default_factory=lambda: LearntGains())
     error_code: int = 0
     error_msg: str = ""
 
@@ -469,6 +497,8 @@ class TapperState:
     shots_fired: int = 0
     boot_number: int = 0
     interlock_closed: bool = False
+    set_up: bool = False
+    enabling_switch: bool = False
     error_code: int = 0
     error_msg: str = ""
 
@@ -515,6 +545,7 @@ class PositionObject:
         position_tolerance: float = 0.0
         angle_tolerance: float = 0.0
         max_taps: int = 0
+        probe: bool = False
         time_limit: float = 0.0
 
     @dataclass(slots=True, kw_only=True)

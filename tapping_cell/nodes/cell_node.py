@@ -11,12 +11,11 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.lifecycle import LifecycleState as Previous
@@ -31,7 +30,16 @@ from tapping_cell.nodes import parameters, security
 from tapping_cell.nodes.cell_identity import key_of
 from tapping_cell.nodes.memory import keep_memory
 
-Parameters = TypeVar("Parameters")
+
+class NodeParameters(Protocol):
+    """What the parameter class of every node has."""
+
+    @property
+    def autostart(self) -> bool:
+        """Whether the node configures and activates itself."""
+
+
+Parameters = TypeVar("Parameters", bound=NodeParameters)
 
 LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
@@ -68,7 +76,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     """Parameters that may be set at run time; :meth:`change` takes them in."""
 
     def __init__(self, name: str, parameter_class: type[Parameters]) -> None:
-        super().__init__(name)
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
         parameters.declare(self, parameter_class, self.changeable)
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._parameter_class = parameter_class
@@ -202,7 +210,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
     # Parameters at run time
 
-    def _on_set_parameters(self, changed: list[Parameter[Any]]) -> SetParametersResult:
+    def _on_set_parameters(self, changed: list[Parameter]) -> SetParametersResult:
         try:
             for parameter in changed:
                 if parameter.name in self.changeable:
@@ -255,14 +263,20 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
     node: CellNode[Any] | None = None
     executor: SingleThreadedExecutor | None = None
     try:
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.ALL)
+        rclpy.init(
+            args=list(arguments) if arguments is not None else None,
+            signal_handler_options=SignalHandlerOptions.ALL,
+        )
         executor = SingleThreadedExecutor()
         node = make_node()
         executor.add_node(node)
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
-    except (RCLError, SystemError) as error:
+    except ConfigurationError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except (RuntimeError, SystemError) as error:
         if refused := security.explain(error):
             print(f"error: {refused}", file=sys.stderr)
             return 1
@@ -271,9 +285,6 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
         if rclpy.ok():
             raise
         return 0
-    except ConfigurationError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
     finally:
         # A launcher sends its own signal after the terminal's: one is enough to end in order.
         for number in (signal.SIGINT, signal.SIGTERM):

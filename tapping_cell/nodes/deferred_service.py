@@ -6,11 +6,17 @@ A callback that waited as a coroutine would keep a single-threaded executor from
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol, cast
 
 from rclpy.node import Node
 
 Respond = Callable[[Any], None]
+
+
+class _Sends(Protocol):
+    """What rclpy's executor hands a callback's result to."""
+
+    send_response: Callable[[Any, Any], None]
 
 
 class _Later:
@@ -44,6 +50,6 @@ def create_deferred_service(
         serve(request, later.respond)
         return later
 
-    service = node.create_service(kind, name, callback)
+    service = cast(_Sends, node.create_service(kind, name, callback))
     send = service.send_response
     service.send_response = lambda later, header: later.addressed(header)

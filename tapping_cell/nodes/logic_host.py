@@ -13,9 +13,8 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
-from rclpy.node import Node
 from rclpy.task import Future
 from std_msgs.msg import Bool
 
@@ -24,19 +23,23 @@ from tapping_cell.logic import effects as fx
 from tapping_cell.logic import stops
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.host import LifecycleEvent, Logic
+from tapping_cell.nodes.cell_node import CellNode
 from tapping_cell.nodes.deferred_service import Respond, create_deferred_service
 from tapping_cell.nodes.kept_content import KeptContent
-from tapping_cell.nodes.message_conversion import from_ros, ros_class, to_ros
+from tapping_cell.nodes.message_conversion import Mirrored, from_ros, ros_class, to_ros
 from tapping_cell.nodes.worker import Worker
 
 LEVELS_WAIT_S = 0.5
 """How long publishers of ``emergency_stop`` have to resend their level to a new subscription."""
 
 
-class LogicHost:
+Machine = TypeVar("Machine", bound=Logic)
+
+
+class LogicHost(Generic[Machine]):
     """The host of one machine; ``driver`` is what its jobs work with."""
 
-    def __init__(self, node: Node, logic: Logic, folder: Path) -> None:
+    def __init__(self, node: CellNode[Any], logic: Machine, folder: Path) -> None:
         """``folder``: where the cell keeps what must survive a crash."""
         self.driver: Any = None
         self._node = node
@@ -59,19 +62,19 @@ class LogicHost:
 
     # Wiring
 
-    def publishes(self, kind: type, topic: str, profile: Any) -> None:
+    def publishes(self, kind: type[Mirrored], topic: str, profile: Any) -> None:
         """Offer a topic under the name that the machine uses."""
-        name = ros_class(kind.ROS_TYPE)  # type: ignore[attr-defined]
+        name = ros_class(kind.ROS_TYPE)
         self._publishers[topic] = self._node.create_publisher(name, topic, profile)
 
     def offers(self, kind: Any, topic: str, profile: Any) -> None:
         """Offer a topic of a ROS type that has no mirror; a subclass publishes on it."""
         self._publishers[topic] = self._node.create_publisher(kind, topic, profile)
 
-    def subscribes(self, kind: type, topic: str, profile: Any) -> None:
+    def subscribes(self, kind: type[Mirrored], topic: str, profile: Any) -> None:
         """Hand a topic's messages to the machine."""
         self._node.create_subscription(
-            ros_class(kind.ROS_TYPE),  # type: ignore[attr-defined]
+            ros_class(kind.ROS_TYPE),
             topic,
             lambda message: self.hear(topic, from_ros(message, kind)),
             profile,
@@ -132,7 +135,7 @@ class LogicHost:
 
     def _tick(self) -> None:
         for token, (future, client, until) in list(self._calls.items()):
-            if time.monotonic() > until and self._calls.pop(token, None):
+            if time.monotonic() > until and self._calls.pop(token, None) is not None:
                 client.remove_pending_request(future)
                 self._answered(token, None)
         self._dispatch(self._logic.on_tick)
@@ -226,9 +229,12 @@ class LogicHost:
     def _ask_stops(self, token: Any) -> None:
         """Every latched publisher resends its level to a subscription that is new."""
         levels: list[bool] = []
-        profile = self._node.stop_profile
+
+        def hear(message: Bool) -> None:
+            levels.append(message.data)
+
         subscription = self._node.create_subscription(
-            Bool, stops.TOPIC, lambda message: levels.append(message.data), profile
+            Bool, stops.TOPIC, hear, self._node.stop_profile
         )
 
         def settle() -> None:
@@ -288,7 +294,7 @@ class LogicHost:
 class _Context:
     """What a job uses of the host."""
 
-    def __init__(self, host: LogicHost, number: int) -> None:
+    def __init__(self, host: LogicHost[Any], number: int) -> None:
         self._host = host
         self._number = number
         self.driver = host.driver

@@ -8,12 +8,21 @@ import operator
 import typing
 from collections.abc import Callable
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 from tapping_cell import messages
 
-Mirror = TypeVar("Mirror")
 Convert = Callable[[Any], Any]
+
+
+class Mirrored(Protocol):
+    """A dataclass of ``tapping_cell.messages``."""
+
+    ROS_TYPE: ClassVar[str]
+    __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
+
+
+Mirror = TypeVar("Mirror", bound=Mirrored)
 
 
 @cache
@@ -23,14 +32,14 @@ def ros_class(name: str) -> Any:
     return operator.attrgetter(title)(importlib.import_module(f"{package}.{kind}"))
 
 
-def to_ros(message: Any) -> Any:
+def to_ros(message: Mirrored) -> Any:
     """The ROS message of a mirror."""
     made = ros_class(message.ROS_TYPE)()
     for field in dataclasses.fields(message):
         value = getattr(message, field.name)
         if isinstance(value, list):
-            value = [to_ros(v) if dataclasses.is_dataclass(v) else v for v in value]
-        elif dataclasses.is_dataclass(value):
+            value = [to_ros(v) if hasattr(v, "ROS_TYPE") else v for v in value]
+        elif hasattr(value, "ROS_TYPE"):
             value = to_ros(value)
         setattr(made, field.name, value)
     return made
@@ -43,7 +52,7 @@ def from_ros(message: Any, kind: type[Mirror]) -> Mirror:
 
 
 @cache
-def _plan(kind: type[Any]) -> tuple[tuple[str, Convert], ...]:
+def _plan(kind: type[Mirrored]) -> tuple[tuple[str, Convert], ...]:
     """How each field of a mirror is read."""
     hints = typing.get_type_hints(kind, vars(messages))
     return tuple((field.name, _reader(hints[field.name])) for field in dataclasses.fields(kind))
@@ -52,10 +61,10 @@ def _plan(kind: type[Any]) -> tuple[tuple[str, Convert], ...]:
 def _reader(hint: Any) -> Convert:
     if typing.get_origin(hint) is list:
         (inner,) = typing.get_args(hint)
-        if dataclasses.is_dataclass(inner):
+        if hasattr(inner, "ROS_TYPE"):
             return lambda values: [from_ros(value, inner) for value in values]
         # Numbers come as arrays of numpy or of the standard library.
         return lambda values: [inner(value) for value in values]
-    if dataclasses.is_dataclass(hint):
+    if hasattr(hint, "ROS_TYPE"):
         return lambda value: from_ros(value, hint)
     return lambda value: value

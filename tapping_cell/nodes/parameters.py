@@ -26,7 +26,9 @@ FOREIGN_PREFIXES = ("use_sim_time", "qos_overrides.", "start_type_description_se
 def declare(node: Node, kind: type[Parameters], changeable: tuple[str, ...] = ()) -> None:
     """Declare every field of a parameter class on the node, with description, unit and range.
 
-    Those not named in ``changeable`` are read-only once the node runs.
+    The node was made with ``automatically_declare_parameters_from_overrides``, rclpy's way to tell
+    what was given: only so are unknown names found. Those not named in ``changeable`` are read-only
+    once the node runs.
 
     Raises:
         ConfigurationError: an override names no parameter of this node, or has the wrong type.
@@ -34,8 +36,11 @@ def declare(node: Node, kind: type[Parameters], changeable: tuple[str, ...] = ()
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]
     hints = typing.get_type_hints(kind)
     names = {entry.name for entry in fields}
-    for name in node._parameter_overrides:
-        if name not in names and not name.startswith(FOREIGN_PREFIXES):
+    given = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
+    for name in given:
+        if name in names:
+            node.undeclare_parameter(name)
+        elif not name.startswith(FOREIGN_PREFIXES):
             raise ConfigurationError(
                 f"{node.get_name()}: unknown parameter '{name}'; the parameters here are "
                 + ", ".join(sorted(names))
@@ -48,14 +53,13 @@ def declare(node: Node, kind: type[Parameters], changeable: tuple[str, ...] = ()
         try:
             node.declare_parameter(entry.name, entry.default, descriptor)
         except Exception as error:
-            override = node._parameter_overrides.get(entry.name)
-            given = override.value if override is not None else entry.default
             limits: Limits = entry.metadata["limits"]
             wanted = _type_name(hints[entry.name])
             if limits.range_text():
                 wanted = f"{limits.range_text()} ({wanted})"
+            value = given.get(entry.name, entry.default)
             raise ConfigurationError(
-                f"{node.get_name()}: parameter '{entry.name}' is {given!r}, but must be {wanted}: "
+                f"{node.get_name()}: parameter '{entry.name}' is {value!r}, but must be {wanted}: "
                 f"{limits.description}"
             ) from error
 

@@ -342,7 +342,7 @@ class PositioningSession:
                 RefusalReason.PROBE_NEEDED,
                 f"no tap is surely safe with the object at {place}: until its friction is measured "
                 f"it may slide {longest:.1f} times as far as its file says; ask for a probe "
-                "(parameter probe: a few of the smallest taps), or move it towards the middle"
+                "(goal --probe: a few of the smallest taps), or move it towards the middle"
                 + others_text(self._space),
             )
         return Refusal(

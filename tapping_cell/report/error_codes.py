@@ -1,4 +1,4 @@
-"""The error codes with their meaning and hint, read from ``ErrorCode.msg``, which declares them."""
+"""The error codes with symptom, cause and remedy, from ``ErrorCode.msg``, which declares them."""
 
 from __future__ import annotations
 
@@ -9,18 +9,20 @@ from functools import cache
 from tapping_cell.report.message_types import definition_file
 
 _DECLARATION = re.compile(
-    r"^uint16 (?P<name>\w+) = (?P<number>\d+) +# (?P<meaning>[^|]+?)(?: \| (?P<hint>.+))?$",
+    r"^uint16 (?P<name>\w+) = (?P<number>\d+) +# (?P<symptom>[^|]+?)"
+    r"(?: \| (?P<cause>[^|]+) \| (?P<remedy>.+))?$",
     re.MULTILINE,
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """One error code: its name, when it is reported and what to do about it."""
+    """One error code: its name, when it is reported, what usually causes it and what to do."""
 
     name: str
-    meaning: str
-    hint: str
+    symptom: str
+    cause: str
+    remedy: str
 
 
 @cache
@@ -28,7 +30,9 @@ def codes() -> dict[int, Code]:
     """Every error code by number."""
     text = definition_file("tapping_cell_msgs/msg/ErrorCode").read_text(encoding="utf-8")
     return {
-        int(found["number"]): Code(found["name"], found["meaning"], found["hint"] or "")
+        int(found["number"]): Code(
+            found["name"], found["symptom"], found["cause"] or "", found["remedy"] or ""
+        )
         for found in _DECLARATION.finditer(text)
     }
 
@@ -42,7 +46,7 @@ def name(number: int) -> str:
 def hint(number: int) -> str:
     """What to do about a code; empty if there is nothing to do or the code is not known."""
     found = codes().get(number)
-    return found.hint if found else ""
+    return found.remedy if found else ""
 
 
 def number(name: str) -> int:

@@ -15,6 +15,27 @@ FAILED, CANCELED, REFUSED, UNFINISHED = "failed", "canceled", "refused", "unfini
 
 
 @dataclass(frozen=True, slots=True)
+class Learnt:
+    """What was known of the object after a tap: expected values and standard deviations.
+
+    distance, rotation: measured over modelled distance, and rotation per distance; direction in
+    rad; offset_x, offset_y: rotation per distance (rad/m) of taps through the middle towards -y
+    and +x of the object. NaN where nobody said it.
+    """
+
+    distance: float = math.nan
+    distance_deviation: float = math.nan
+    rotation: float = math.nan
+    rotation_deviation: float = math.nan
+    direction: float = math.nan
+    direction_deviation: float = math.nan
+    offset_x: float = math.nan
+    offset_x_deviation: float = math.nan
+    offset_y: float = math.nan
+    offset_y_deviation: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
 class TapRow:
     """One tap of a run. Poses in ``table``; displacements in table axes; m, rad, m/s.
 
@@ -38,6 +59,7 @@ class TapRow:
     commanded_at: float = math.nan
     fired_at: float = math.nan
     at_rest_at: float = math.nan
+    learnt: Learnt = field(default_factory=Learnt)
 
 
 @dataclass(frozen=True, slots=True)

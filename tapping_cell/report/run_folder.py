@@ -11,12 +11,12 @@ import csv
 import json
 import math
 import os
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from tapping_cell.report.bag import BagError
-from tapping_cell.report.run import FAILED, UNFINISHED, Phase, Picture, Run, TapRow, Trouble
+from tapping_cell.report.run import FAILED, UNFINISHED, Learnt, Phase, Picture, Run, TapRow, Trouble
 from tapping_cell.report.run_reader import Story, read_story
 from tapping_cell.report.versions import versions
 from tapping_cell.se2 import Pose
@@ -26,6 +26,10 @@ _POSE_KEYS = ("x_mm", "y_mm", "theta_deg")
 _NO_POSE = Pose(0.0, 0.0, 0.0)
 _BLANK_TAP = TapRow(0, 0, "", *(_NO_POSE,) * 6, striker_speed=0.0, contact_angle=0.0, outcome="")
 _TIMES = ("commanded_at", "fired_at", "at_rest_at")
+_LEARNT_UNITS = {
+    "direction": ("_deg", math.degrees(1.0)),
+    "offset": ("_deg_mm", math.degrees(1e-3)),
+}
 
 
 class RunError(ValueError):
@@ -113,7 +117,18 @@ def tap_columns(tap: TapRow) -> dict[str, object]:
     row["measured_speed_mm_s"] = f"{1000 * tap.measured_speed:.2f}"
     for name in _TIMES:
         row[f"{name}_s"] = f"{getattr(tap, name):.3f}"
+    for name, (column, unit) in _learnt_columns().items():
+        row[column] = f"{unit * getattr(tap.learnt, name):.5f}"
     return row
+
+
+def _learnt_columns() -> dict[str, tuple[str, float]]:
+    """The column of ``taps.csv`` and its unit for each field of ``Learnt``."""
+    columns = {}
+    for field in fields(Learnt):
+        suffix, unit = _LEARNT_UNITS.get(field.name.split("_")[0], ("", 1.0))
+        columns[field.name] = (f"learnt_{field.name}{suffix}", unit)
+    return columns
 
 
 def write_folder(folder: Path, pictures: bool = True) -> Run:
@@ -288,4 +303,10 @@ def _tap(row: dict[str, str]) -> TapRow:
         commanded_at=float(row["commanded_at_s"]),
         fired_at=float(row["fired_at_s"]),
         at_rest_at=float(row["at_rest_at_s"]),
+        learnt=Learnt(
+            **{
+                name: float(row.get(column, math.nan)) / unit
+                for name, (column, unit) in _learnt_columns().items()
+            }
+        ),
     )

@@ -18,6 +18,7 @@ from tapping_cell.report.run import (
     FAILED,
     NOT_TRULY_REACHED,
     REFUSED,
+    Learnt,
     Picture,
     Run,
     TapRow,
@@ -267,6 +268,8 @@ def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> str:
     if math.isfinite(tap.fired_at):
         at_rest = f", at rest at {tap.at_rest_at:.1f} s" if math.isfinite(tap.at_rest_at) else ""
         rows.append(("when", f"fired at {tap.fired_at:.1f} s{at_rest}"))
+    if math.isfinite(tap.learnt.distance):
+        rows += [("learnt", _gains(tap.learnt)), ("", _aim(tap.learnt))]
     table = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in rows)
     return (
         f'<section class="tap"><h2>Tap {tap.number} <small>{escape(tap.method)}</small></h2>'
@@ -315,6 +318,23 @@ def _close_up_legend(run: Run) -> str:
 def _move(move: Pose) -> str:
     length = 1000 * math.hypot(move.x, move.y)
     return f"{length:.2f} mm, {math.degrees(move.theta):+.2f} deg"
+
+
+def _gains(learnt: Learnt) -> str:
+    return (
+        f"distance {learnt.distance:.2f} \u00b1 {learnt.distance_deviation:.2f}, rotation per "
+        f"distance {learnt.rotation:.2f} \u00b1 {learnt.rotation_deviation:.2f} of the model's"
+    )
+
+
+def _aim(learnt: Learnt) -> str:
+    offset = math.degrees(1e-3) * math.hypot(learnt.offset_x, learnt.offset_y)
+    spread = math.degrees(1e-3) * math.hypot(learnt.offset_x_deviation, learnt.offset_y_deviation)
+    return (
+        f"direction {math.degrees(learnt.direction):+.2f} \u00b1 "
+        f"{math.degrees(learnt.direction_deviation):.2f} deg; off centre by "
+        f"{offset:.3f} \u00b1 {spread:.3f} deg/mm"
+    )
 
 
 def _between(one: Pose, other: Pose) -> str:

@@ -6,7 +6,7 @@ import bisect
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from tapping_cell.report.run import (
     REACHED,
     REFUSED,
     UNFINISHED,
+    Learnt,
     Phase,
     Picture,
     Run,
@@ -194,9 +195,18 @@ def _taps(
                 commanded_at=commanded.get(int(record.tap_id), math.nan) - began,
                 fired_at=fired - began if fired else math.nan,
                 at_rest_at=at_rest - began if at_rest else math.nan,
+                learnt=_learnt(record),
             )
         )
     return tuple(rows)
+
+
+def _learnt(record: Any) -> Learnt:
+    """What was known after a tap; records of earlier versions do not tell."""
+    told = getattr(record, "learnt", None)
+    if told is None:
+        return Learnt()
+    return Learnt(**{field.name: float(getattr(told, field.name)) for field in fields(Learnt)})
 
 
 def _pose_at(seen: list[tuple[float, Any]], asked: float) -> Pose | None:

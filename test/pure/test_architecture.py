@@ -131,6 +131,44 @@ def is_ros(name: str) -> bool:
     )
 
 
+# Documented although they begin with an underscore.
+PUBLIC_UNDERSCORES = {"_fields", "_replace", "_asdict", "_make", "_SubParsersAction"}
+
+
+def is_private(name: str) -> bool:
+    """Whether a name tells others to keep off."""
+    return name.startswith("_") and not name.endswith("__") and name not in PUBLIC_UNDERSCORES
+
+
+def foreign_privates(package: Path) -> list[str]:
+    """Private members and modules of other packages that the code uses: names with an underscore
+    that the package defines nowhere itself."""
+    own: set[str] = set()
+    used: list[tuple[str, str]] = []
+    for file in sorted(package.rglob("*.py")):
+        own |= {part.removesuffix(".py") for part in file.relative_to(package).parts}
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            place = f"{file.relative_to(package)}:{getattr(node, 'lineno', 0)}"
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+                own.add(node.name)
+            elif isinstance(node, ast.Name) and not isinstance(node.ctx, ast.Load):
+                own.add(node.id)
+            elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                # What an object of ours stores in itself is its own.
+                if isinstance(node.ctx, ast.Store) and node.value.id in ("self", "cls"):
+                    own.add(node.attr)
+                else:
+                    used.append((place, node.attr))
+            elif isinstance(node, ast.Attribute):
+                used.append((place, node.attr))
+            elif isinstance(node, ast.Import):
+                used += [(place, part) for a in node.names for part in a.name.split(".")]
+            elif isinstance(node, ast.ImportFrom):
+                names = [*(node.module or "").split("."), *(alias.name for alias in node.names)]
+                used += [(place, part) for part in names]
+    return [f"{place} uses {name}" for place, name in used if is_private(name) and name not in own]
+
+
 def against_the_arrows(imports: list[Import], package: str) -> list[Import]:
     """Imports of ours that no arrow allows."""
     wrong = []
@@ -219,6 +257,31 @@ def test_outside_libraries_stay_in_their_rooms(real_imports):
 
 def test_the_world_drives_no_real_device(real_imports):
     assert [str(found) for found in drivers_in_the_world(real_imports, PACKAGE.name)] == []
+
+
+def test_no_private_member_of_another_package_is_used():
+    assert foreign_privates(PACKAGE) == []
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "from rclpy._rclpy_pybind11 import RCLError",
+        "from rclpy import _rclpy_pybind11",
+        "import rclpy._rclpy_pybind11 as implementation",
+        "class Mine(Node):\n    def names(self):\n        return self._parameter_overrides",
+        "def names(node):\n    return list(node._parameter_overrides)",
+    ],
+)
+def test_a_planted_private_member_is_found(tmp_path, code):
+    (tmp_path / "bad.py").write_text(code)
+    assert len(foreign_privates(tmp_path)) == 1
+
+
+def test_private_members_of_ours_are_let_through(tmp_path):
+    (tmp_path / "good.py").write_text("class A:\n    def f(self):\n        self._x = 1\n")
+    (tmp_path / "also.py").write_text("def g(a):\n    return a._x, a.__class__, a._fields\n")
+    assert foreign_privates(tmp_path) == []
 
 
 def test_no_room_is_called_utils():

@@ -176,6 +176,8 @@ class MadeRun:
         along = math.atan2(record.dy, record.dx)
         back = Pose(before.x - 0.07 * math.cos(along), before.y - 0.07 * math.sin(along), along)
         set_pose(record.strike_pose, back)
+        record.learnt.distance, record.learnt.distance_deviation = 1.25, 0.04
+        record.learnt.direction = math.radians(2.0)
         set_stamp(record.fired_at, at + 4.5)
         set_stamp(record.at_rest_at, at + 5.5)
         self.see(after, at + 5.5)

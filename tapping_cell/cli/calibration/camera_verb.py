@@ -21,6 +21,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
@@ -155,9 +156,10 @@ def image_files(paths: list[Path]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-def read_grey(path: Path) -> np.ndarray | None:
+def read_grey(path: Path) -> NDArray[np.uint8] | None:
     """A photograph in grey as the sensor had it: a viewer's rotation is not applied."""
-    return cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    return None if image is None else np.asarray(image, dtype=np.uint8)
 
 
 def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
@@ -191,20 +193,24 @@ def _find(
         if image is None:
             unseen.append(Rejected(path.name, "cannot be read as an image"))
         else:
-            images[path] = image.shape[::-1]
+            images[path] = (image.shape[1], image.shape[0])
     size = one_size({path.name: shape for path, shape in images.items()})
     views = []
     console = Console(stderr=True)
     hidden = quiet or not console.is_terminal
     for path in track(images, "looking for the target", console=console, disable=hidden):
-        found = find_target(read_grey(path), target, path.name)
+        image = read_grey(path)
+        if image is None:
+            continue  # gone since the first look
+        found = find_target(image, target, path.name)
         if isinstance(found, str):
             unseen.append(Rejected(path.name, found))
         else:
             views.append(found)
     if not views:
         for path in list(images)[:5]:
-            idea = hint(read_grey(path), target)
+            image = read_grey(path)
+            idea = hint(image, target) if image is not None else ""
             if idea:
                 raise CalibrationRefused(
                     f"no photograph shows the {target.describe()}; in {path.name} {idea}"
@@ -280,21 +286,24 @@ def write_pictures(folder: Path, paths: list[Path], result: CameraCalibration) -
     size = (result.model.height, result.model.width, 3)
     whole = np.full(size, 255, dtype=np.uint8)
     for entry in result.views:
-        picture = cv2.cvtColor(read_grey(files[entry.view.name]), cv2.COLOR_GRAY2BGR)
+        image = read_grey(files[entry.view.name])
+        if image is None:
+            raise OSError(f"{files[entry.view.name]} cannot be read any more")
+        picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
         _draw(picture, entry, scale)
         _draw(whole, entry, scale)
         _write(folder / f"{Path(entry.view.name).stem}.png", picture)
     _write(folder / "coverage.png", whole)
 
 
-def _draw(picture: np.ndarray, entry: UsedView, scale: int) -> None:
-    for (x, y), (dx, dy) in zip(entry.view.pixels, entry.residuals, strict=True):
+def _draw(picture: NDArray[np.uint8], entry: UsedView, scale: int) -> None:
+    for (x, y), (dx, dy) in zip(entry.view.pixels.tolist(), entry.residuals.tolist(), strict=True):
         at = (round(x), round(y))
         cv2.circle(picture, at, 3 * scale, (40, 140, 0), scale, cv2.LINE_AA)
         end = (round(x + 50 * dx), round(y + 50 * dy))
         cv2.line(picture, at, end, (0, 0, 220), scale, cv2.LINE_AA)
 
 
-def _write(path: Path, picture: np.ndarray) -> None:
+def _write(path: Path, picture: NDArray[np.uint8]) -> None:
     if not cv2.imwrite(str(path), picture):
         raise OSError(f"{path} was not written")

@@ -14,6 +14,7 @@ of --dpi.
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from tapping_cell.calibration.camera import CalibrationRefused
@@ -121,8 +122,13 @@ def _pages(arguments: argparse.Namespace) -> tuple[list[Page], str]:
     for what in arguments.what:
         if what in ("charuco", "chessboard"):
             square = arguments.square_size / 1e3
-            marker = (0.75 * square, arguments.target_dictionary) if what == "charuco" else ()
-            pages.append(target_page(paper, Target(what, *arguments.squares, square, *marker)))
+            columns, rows = arguments.squares
+            target = Target(what, columns, rows, square)
+            if what == "charuco":
+                target = replace(
+                    target, marker=0.75 * square, dictionary=arguments.target_dictionary
+                )
+            pages.append(target_page(paper, target))
         elif what == "table":
             size = arguments.marker_size / 1e3
             references = reference_map(paper, size, arguments.dictionary, arguments.first_id)

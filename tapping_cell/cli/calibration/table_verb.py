@@ -162,8 +162,8 @@ def _from_images(
         uncertainty=largest,
         uncertainty_of="position of the least known marker against all of them, m",
         deviations={
-            f"{name}{m.id}": float(value)
-            for m, row in zip(references.markers, result.deviations, strict=True)
+            f"{name}{m.id}": value
+            for m, row in zip(references.markers, result.deviations.tolist(), strict=True)
             for name, value in zip(("x", "y", "theta"), row, strict=True)
         },
         notes=(*notes, *unseen, *stray_lines(result), *result.warnings),
@@ -178,7 +178,7 @@ def _views(
     images = {path: read_grey(path) for path in paths}
     unseen = [f"{path.name}: cannot be read" for path, image in images.items() if image is None]
     kept = {path: image for path, image in images.items() if image is not None}
-    one_size({path.name: image.shape[::-1] for path, image in kept.items()})
+    one_size({path.name: (image.shape[1], image.shape[0]) for path, image in kept.items()})
     views = []
     for path, image in kept.items():
         try:

@@ -76,7 +76,8 @@ def energies_of(cell: Cell) -> list[float]:
     launch = tap.sliding.launch(np.array([cell.object.smallest_tap, LONGEST]), still).speed
     ratio = float(launch_ratio(tap.impact, np.zeros(1))[0])
     slowest, fastest = (
-        min(max(speed / ratio, curve.slowest), curve.fastest) for speed in launch.tolist()
+        min(max(speed / ratio, curve.slowest), curve.fastest)
+        for speed in np.atleast_1d(launch).tolist()
     )
     while problem := room.problem(fastest, 0.0):
         fastest *= _STEP

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import cv2
 import numpy as np
@@ -142,7 +143,11 @@ class CameraPose(CellNode[Parameters]):
             CameraInfo, "camera/camera_info", self._on_camera_info, images.PICTURES
         )
         self._pictures = self.create_subscription(
-            Image, "camera/image_raw", self._on_image, images.PICTURES
+            Image,
+            "camera/image_raw",
+            # With what the middleware says of the message, which rclpy has but does not declare.
+            cast(Callable[[Image], None], self._on_image),
+            images.PICTURES,
         )
         self.create_subscription(PlanState, "plan_state", self._on_plan_state, LATCHED)
         self.create_timer(WATCH_PERIOD_S, self._watch)

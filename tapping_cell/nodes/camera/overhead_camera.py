@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.duration import Duration
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -184,7 +183,7 @@ class OverheadCamera(CellNode[Parameters]):
         try:
             self._info_publisher.publish(self._info)
             self._image_publisher.publish(message)
-        except RCLError:
+        except RuntimeError:  # rclpy's RCLError, which has no public name
             if self.context.ok():
                 raise
             return  # the process is being ended

@@ -83,14 +83,14 @@ class ArmPoseClient(GoalClient):
             ArmRefused: the arm is not there in time, or says why it does not go.
         """
         sent = self.node.get_clock().now()
-        self._send(target, speed)
+        self._go(target, speed)
         arrived = self._arrival(target, sent, check)
         seen = self._look(sent, arrived, check)
         here = self.joints()
         assert here is not None
         return None if seen is None else Seen(here, from_message(seen.pose.pose))
 
-    def _send(self, target: Joints, speed: float) -> None:
+    def _go(self, target: Joints, speed: float) -> None:
         here = self.joints()
         assert here is not None
         far = max(abs(a - b) for a, b in zip(target, here, strict=True))

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import TracebackType
+from typing import TypeVar
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
@@ -60,6 +61,7 @@ class Finished:
     taps: int
 
 
+Client = TypeVar("Client", bound="GoalClient")
 Event = PhaseChanged | TapDone | Finished
 
 
@@ -93,7 +95,7 @@ class GoalClient:
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._spin, name="goal client", daemon=True)
 
-    def __enter__(self) -> GoalClient:
+    def __enter__(self: Client) -> Client:
         self._thread.start()
         return self
 
@@ -148,8 +150,11 @@ class GoalClient:
         goal: Pose,
         tolerance: tuple[float, float] = (0.0, 0.0),
         look: ObjectState | None = None,
+        *,
+        probe: bool = False,
     ) -> None:
-        """Send a goal in ``table``; a tolerance (m, rad) of 0 is the cell's own.
+        """Send a goal in ``table``; a tolerance (m, rad) of 0 is the cell's own. ``probe``: begin
+        with a few of the smallest taps.
 
         The goal's stamp is that of the ``look`` that it is relative to, where there is one.
         """
@@ -159,6 +164,7 @@ class GoalClient:
         message.goal_pose.header.stamp = look.header.stamp if look is not None else now
         message.goal_pose.pose = to_message(goal)
         message.position_tolerance, message.angle_tolerance = tolerance
+        message.probe = probe
         self._taps_heard, self._phase = 0, ""
         # Sent from the executor's thread: from another one the response can overtake rclpy's own
         # note of the request, and is then dropped.

@@ -137,7 +137,7 @@ class SingleTapClient(GoalClient):
         """The object's poses around a tap, one for each picture; None where there are none."""
         fired, rest = seconds(record.fired_at), seconds(record.at_rest_at)
         until = rest + AFTER_S if rest > 0 else math.inf
-        rows = []
+        rows: list[tuple[float, ...]] = []
         for message in list(self._poses):
             stamp = seconds(message.header.stamp)
             if not fired - BEFORE_S <= stamp <= until or (rows and stamp <= rows[-1][0]):

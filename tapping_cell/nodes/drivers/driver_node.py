@@ -16,7 +16,7 @@ from tapping_cell.logic import stops
 from tapping_cell.logic.device import DeviceLogic
 from tapping_cell.logic.host import Activated, Configured, Deactivated, ShutDown, Unreachable
 from tapping_cell.nodes.cell_identity import key_of, state_folder
-from tapping_cell.nodes.cell_node import LATCHED, CellNode, NotReady, run
+from tapping_cell.nodes.cell_node import LATCHED, CellNode, NotReady, Parameters, run
 from tapping_cell.nodes.logic_host import LogicHost
 
 URGENCY = 1
@@ -36,7 +36,6 @@ class DeviceDriver(Protocol):
         """Close the line."""
 
 
-Parameters = TypeVar("Parameters")
 Driver = TypeVar("Driver", bound=DeviceDriver)
 
 

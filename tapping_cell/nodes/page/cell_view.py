@@ -20,10 +20,10 @@ from tapping_cell_msgs.msg import (
 from tapping_cell.logic.cell_monitor import CellMonitor
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.planner import FINAL_STATES
-from tapping_cell.nodes.clients.goal_client import PHASES
 from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.page.recovery import Recovery, Step
 from tapping_cell.report.error_codes import hint
+from tapping_cell.report.words import PHASES
 from tapping_cell.se2 import Pose
 
 SILENCE_LIMIT_S = 1.5

@@ -21,6 +21,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from http.client import responses
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 from urllib.parse import unquote
@@ -292,7 +293,7 @@ class _Guarded(RequestHandler):
     def write_error(self, status_code: int, **_: Any) -> None:
         """Errors in a few words and without a trace."""
         self.set_header("Content-Type", "text/plain; charset=utf-8")
-        self.finish(f"{status_code} {self._reason}\n")
+        self.finish(f"{status_code} {responses[status_code]}\n")
 
 
 class FileHandler(_Guarded, StaticFileHandler):
@@ -510,8 +511,9 @@ class PageSocket(_Guarded, WebSocketHandler):
 
     def _drop(self) -> None:
         """End with a page that does not read; a closing handshake would wait for it."""
-        if self.ws_connection is not None:
-            self.ws_connection.stream.close()
+        stream = self.ws_connection.stream if self.ws_connection is not None else None
+        if stream is not None:
+            stream.close()
 
     async def _send(self, content: str | bytes, *, binary: bool) -> None:
         await asyncio.wait_for(self.write_message(content, binary), WRITE_PATIENCE_S)

@@ -12,6 +12,7 @@ import asyncio
 import json
 import time
 from collections.abc import Callable
+from http.client import responses
 from typing import Any
 
 from tornado.httpserver import HTTPServer
@@ -124,7 +125,7 @@ class StopHandler(RequestHandler):
     def write_error(self, status_code: int, **_: Any) -> None:
         """Errors in a few words and without a trace."""
         self.set_header("Content-Type", "text/plain; charset=utf-8")
-        self.finish(f"{status_code} {self._reason}\n")
+        self.finish(f"{status_code} {responses[status_code]}\n")
 
 
 class StopServer(HTTPServer):

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from geometry_msgs.msg import Point
+from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA
 from tapping_cell_msgs.msg import PlanState
 from visualization_msgs.msg import Marker, MarkerArray
@@ -19,6 +20,9 @@ from tapping_cell.configuration.cell import Cell
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.planning import CircleArea, KeepOut, Strike
 from tapping_cell.se2 import Pose
+
+Points = NDArray[np.float64]
+"""Points (n, 2) in ``table``, m."""
 
 WHITE = ColorRGBA(r=0.9, g=0.9, b=0.9, a=0.8)
 BLUE = ColorRGBA(r=0.2, g=0.5, b=1.0, a=1.0)
@@ -59,8 +63,8 @@ def cell_markers(
         if area is None:
             markers.append(_gone("other_object", number))
         elif isinstance(area, CircleArea):
-            place = Pose(area.x, area.y, 0.0)
-            markers.append(_line("other_object", number, _circle(area.radius), place, RED))
+            centre = Pose(area.x, area.y, 0.0)
+            markers.append(_line("other_object", number, _circle(area.radius), centre, RED))
         else:
             corners = np.asarray(area.vertices)
             markers.append(_line("other_object", number, corners, Pose(0.0, 0.0, 0.0), RED))
@@ -94,23 +98,23 @@ def cell_markers(
     return MarkerArray(markers=markers)
 
 
-def region_marker(edges: np.ndarray) -> Marker:
+def region_marker(edges: Points) -> Marker:
     """The region in which an object can be worked on, by its edges (n, 2, 2) in m: made once."""
     return _points("workable", Marker.LINE_LIST, edges.reshape(-1, 2), LINE_WIDTH / 2, GREY)
 
 
-def _circle(radius: float) -> np.ndarray:
+def _circle(radius: float) -> Points:
     angles = np.linspace(0, 2 * math.pi, 48, endpoint=False)
     return radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
-def _sector(radius: float, half_angle: float) -> np.ndarray:
+def _sector(radius: float, half_angle: float) -> Points:
     """Where the object's heading may end."""
     ends = radius * np.stack([np.cos([half_angle] * 2), np.sin([-half_angle, half_angle])], axis=-1)
     return np.array([ends[0], (0.0, 0.0), ends[1]])
 
 
-def _points(name: str, kind: int, points: np.ndarray, size: float, colour: ColorRGBA) -> Marker:
+def _points(name: str, kind: int, points: Points, size: float, colour: ColorRGBA) -> Marker:
     """Points (n, 2) in ``table`` as one marker of the kind."""
     marker = Marker(ns=name, type=kind, action=Marker.ADD, color=colour)
     marker.pose.orientation.w = 1.0
@@ -119,7 +123,7 @@ def _points(name: str, kind: int, points: np.ndarray, size: float, colour: Color
     return marker
 
 
-def _line(name: str, number: int, points: np.ndarray, pose: Pose, colour: ColorRGBA) -> Marker:
+def _line(name: str, number: int, points: Points, pose: Pose, colour: ColorRGBA) -> Marker:
     marker = Marker(ns=name, id=number, type=Marker.LINE_STRIP, action=Marker.ADD, color=colour)
     marker.pose = to_message(pose)
     marker.scale.x = LINE_WIDTH

@@ -47,7 +47,7 @@ class Parameters(PlannerSettings):
     )
 
 
-class PlannerHost(LogicHost):
+class PlannerHost(LogicHost[PlannerLogic]):
     """Draws the planner's scenes as markers."""
 
     def _perform(self, effect: effects.Effect) -> None:
@@ -147,7 +147,7 @@ class TapPlanner(CellNode[Parameters]):
         """End the actions, too: rclpy leaves them where they are, and clients would see half of a
         planner until they are collected as garbage."""
         self._actions.close()
-        super().destroy_node()
+        CellNode.destroy_node(self)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """The state and the goal's remaining error."""

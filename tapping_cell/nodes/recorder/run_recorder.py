@@ -471,8 +471,9 @@ class RunRecorder(CellNode[Parameters]):
             picture = picture.reshape(message.height, message.width, 3)
             scale = self.settings.picture_width / message.width
             if scale < 1.0:
-                picture = cv2.resize(
-                    picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
+                size = (round(scale * message.width), round(scale * message.height))
+                picture = np.asarray(
+                    cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8
                 )
             coded, jpeg = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, 85))
         except (images.ImageRefused, ValueError, cv2.error) as error:

@@ -153,7 +153,7 @@ class SimWorld(CellNode[Parameters]):
         assert self._renderer is not None and self._truth is not None
         camera = self._truth.camera
         self._send_late()
-        now, clock = time.monotonic(), self.get_clock().now()
+        now, clock = time.monotonic(), self.get_clock().now().nanoseconds
         with self._lock:
             taken = self._pace.next_picture(now, self._world.at_rest)
             if taken is None:
@@ -163,7 +163,7 @@ class SimWorld(CellNode[Parameters]):
             )
         if taken == now:
             # Kept through a slide: a switch of tasks between the two clocks would shift a picture.
-            self._world_began = clock - Duration(seconds=now)
+            self._world_began = Time(nanoseconds=clock - round(1e9 * now))
         stamp = self._world_began + Duration(seconds=taken - camera.exposure / 2)
         self._publish_truth(middle, stamp)
         solids = self._devices.solids(now) if camera.shows_arm and self._devices else ()

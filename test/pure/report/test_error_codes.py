@@ -17,8 +17,8 @@ def test_every_line_of_the_declaration_is_read() -> None:
 
 def test_every_code_has_a_meaning_and_a_hint() -> None:
     for number, code in error_codes.codes().items():
-        assert code.meaning, code.name
-        assert number == 0 or code.hint.endswith("."), code.name
+        assert code.symptom and not code.symptom.endswith("."), code.name
+        assert number == 0 or (code.cause.endswith(".") and code.remedy.endswith(".")), code.name
 
 
 def test_every_code_is_reported_somewhere_in_the_package() -> None:

@@ -7,7 +7,7 @@ import json
 import math
 import re
 import shutil
-from dataclasses import replace
+from dataclasses import astuple, replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -92,6 +92,8 @@ def test_the_folder_holds_its_files_and_they_agree(tmp_path: Path) -> None:
     assert [float(row["fired_at_s"]) for row in rows] == [4.5, 14.5]
     assert [float(row["commanded_at_s"]) for row in rows] == [2.0, 12.0]
     assert {row["outcome"] for row in rows} == {"fired"}
+    assert [float(row["learnt_distance"]) for row in rows] == [1.25, 1.25]
+    assert float(rows[0]["learnt_direction_deg"]) == pytest.approx(2.0)
     picture = cv2.imread(str(folder / "cell.png"))
     assert picture.shape[0] > 400 and picture.std() > 5
     told = Page((folder / "report.html").read_text())
@@ -99,6 +101,7 @@ def test_the_folder_holds_its_files_and_they_agree(tmp_path: Path) -> None:
     assert len(told.resources) == 3
     for words in ("Goal reached in 2 taps", "Tap 2", "ARM_BUSY", "busy <b>", "<made> & cell"):
         assert words in told.text
+    assert "distance 1.25 \u00b1 0.04" in told.text
 
 
 def test_picture_and_page_are_made_again_from_summary_and_taps_alone(tmp_path: Path) -> None:
@@ -114,6 +117,22 @@ def test_picture_and_page_are_made_again_from_summary_and_taps_alone(tmp_path: P
         assert one.measured.distance_to(other.measured) < 1e-7
         assert one.true_pose is not None and other.true_pose is not None
         assert one.fired_at == pytest.approx(other.fired_at, abs=1e-3)
+        assert astuple(one.learnt) == pytest.approx(astuple(other.learnt), abs=1e-6)
+
+
+def test_the_table_of_an_earlier_version_is_read_without_what_was_learnt(tmp_path: Path) -> None:
+    folder = make(tmp_path / "run", MadeRun(STOPS))
+    write_folder(folder, pictures=False)
+    with (folder / "taps.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    kept = [name for name in rows[0] if not name.startswith("learnt")]
+    with (folder / "taps.csv").open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, kept, extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+    tap = read_run(folder).taps[0]
+    assert math.isnan(tap.learnt.distance)
+    assert "off centre" not in page(Story(read_run(folder), ()))
 
 
 @pytest.mark.parametrize(
