@@ -138,8 +138,8 @@ LATCHED = (
 class TapperOptions:
     """The node's parameters that the machine needs.
 
-    ``draw_key``: a random number from 1 to 2**64 - 1, with which this tapper alone can end the arm's
-    promise to stand still before its time.
+    ``draw_key``: a random number from 1 to 2**64 - 1, with which this tapper alone can end the
+    arm's promise to stand still before its time.
     """
 
     draw_key: Callable[[], int]
@@ -345,7 +345,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))
 
     def _let_arm_go(self, after: float) -> None:
-        """The shot is over: the arm may move ``after`` s. Where this is lost, its promise runs out."""
+        """The shot is over: let the arm move after ``after`` s; if this is lost, it moves later."""
         if self._key:
             request = HoldStill.Request(tap_id=self._told.tap_id, duration=after, key=self._key)
             token = ("let go", self._told.tap_id)

@@ -176,7 +176,7 @@ def _slow_topic(rng: np.random.Generator, trial: Trial) -> Made:
 
     def strike(t: Trial) -> None:
         t.network.faults.slow[topic, towards] = delay
-        t.scheduler.after(lasting, lambda: t.network.faults.slow.pop((topic, towards), None))
+        t.scheduler.after(lasting, lambda: t.network.hasten(topic, towards))
 
     return strike, f"{topic} to {towards} late by {delay:.2f} s for {lasting:.1f} s"
 
@@ -261,7 +261,7 @@ def _foreign_state(rng: np.random.Generator, trial: Trial) -> Made:
         message: ArmState | PlanState = (
             ArmState(state=ArmState.IN_POSITION, tap_id=last)
             if of_arm
-            else PlanState(state=PlanState.FIRING, tap_id=last)
+            else PlanState(state=PlanState.FIRING)
         )
         message.header.stamp = to_stamp(t.clocks[node].now().ros)
         t.network.publish("somebody_else", "arm_state" if of_arm else "plan_state", message)

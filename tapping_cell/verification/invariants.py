@@ -28,8 +28,6 @@ CHECK_S = 0.045
 """A release follows the last check before FIRE by so much at most: the board's deadline for it."""
 STRIKE_S = 0.08
 """The arm's promise lasts for so long after a release."""
-STOP_WORD_S = 0.1
-"""Within so long a stop that was delivered to a tapper's process has reached its board."""
 FLIGHT_S = 0.045
 """The arm stands still for so long after a release: the pulse and the striker's flight."""
 ORPHAN_S = 1.5
@@ -93,9 +91,9 @@ class Witness:
         if topic == "tap_command" and isinstance(message, TapCommand) and node == "tap_planner":
             if message.request == TapCommand.TAP:
                 self.commands[message.tap_id] = message
-        elif topic == "tapper_state" and isinstance(message, TapperState):
+        elif isinstance(message, TapperState) and node == "tapper_trigger":
             self._on_tapper_state(message)
-        elif topic == "plan_state" and isinstance(message, PlanState):
+        elif isinstance(message, PlanState) and node == "tap_planner":
             self._on_plan_state(message)
 
     def after_event(self) -> None:
@@ -245,9 +243,10 @@ class Witness:
 
     def on_answer(self, service: str, request: object, response: object) -> None:
         """Hear what a service answers."""
-        if isinstance(request, HoldStill.Request) and isinstance(response, HoldStill.Response):
-            if response.granted:
-                self.promises[request.tap_id] = self.scheduler.now + request.duration
+        if not isinstance(request, HoldStill.Request):
+            return
+        if isinstance(response, HoldStill.Response) and response.granted:
+            self.promises[request.tap_id] = self.scheduler.now + request.duration
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
         """Hear what a machine answers to its running job."""

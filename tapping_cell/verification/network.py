@@ -84,6 +84,10 @@ class Network:
         for link in self._links.get(topic, ()):
             self._send(link, topic, message)
 
+    def hasten(self, topic: str, towards: str) -> None:
+        """A link is no longer slow."""
+        self.faults.slow.pop((topic, towards), None)
+
     def latched(self, topic: str) -> dict[str, Any]:
         """The last message of each publisher that is there."""
         return dict(self._last.get(topic, {}))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import secrets
 import math
+import secrets
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass

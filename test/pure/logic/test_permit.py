@@ -19,7 +19,7 @@ from tapping_cell.logic import arm as arms
 from tapping_cell.logic import tapper as tappers
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now, to_stamp
-from tapping_cell.logic.effects import Answer, Call, Effect, JobEnded, Publish, RunJob
+from tapping_cell.logic.effects import Answer, Call, Effect, Job, JobEnded, Publish, RunJob
 from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper_jobs import WINDOW_S, ChargeEnd, Status
@@ -191,9 +191,9 @@ def test_only_who_asked_for_the_promise_can_end_it(
     pair.arm.on_message("tapper_state", told, at(START + after))
     request = HoldStill.Request(tap_id=tap_id, duration=0.0, key=key)
     pair.arm.on_request("hold_still", request, 2, at(START + after))
-    pair.arm.on_message("tap_command", pair.command(TapCommand.WITHDRAW, at(START)), at(START))
     held = not_before(pair, START + after)
-    assert held == (START + after if (key, tap_id) == (call.request.key, TAP) else START + 0.25)
+    ended = (key, tap_id) == (call.request.key, TAP)
+    assert held == (START + after if ended else START + 0.25)
 
 
 def test_the_key_ends_the_promise() -> None:
@@ -209,9 +209,14 @@ def not_before(pair: Pair, time: float) -> float:
     """Before which time a withdrawn arm does not begin to move."""
     withdraw = pair.command(TapCommand.WITHDRAW, at(time))
     made = list(pair.arm.on_message("tap_command", withdraw, at(time)))
-    while not jobs(made):
+    while not (withdrawals := withdrawing(made)):
         time += 0.001
         assert time < START + 1.0
         made += pair.arm.on_tick(at(time))
-    (job,) = [effect.job for effect in made if isinstance(effect, RunJob)]
-    return max(job.run.keywords["not_before"], 0.0)
+    (job,) = withdrawals
+    return float(job.run.keywords["not_before"])
+
+
+def withdrawing(effects: list[Effect]) -> list[Job]:
+    jobs = [effect.job for effect in effects if isinstance(effect, RunJob)]
+    return [job for job in jobs if job.name == "withdraw"]
