@@ -18,6 +18,7 @@ from typing import Any
 
 from tapping_cell.calibration.experiment import ExperimentFile
 from tapping_cell.cli import VERBS, verb_parser
+from tapping_cell.cli.errors import MEANINGS, ExitStatus
 from tapping_cell.configuration.cell import CellFile
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.table import TableFile
@@ -38,6 +39,18 @@ The tabulator key completes verbs and options after
     eval "$(python -m tapping_cell completion)"
 
 in `~/.bashrc`, which also makes `cell` a short name: `cell goal 20 10 0`.
+
+Errors have one form, on the error output: `error: what is wrong, the value and the limit; what to
+do`, with the number of its [code](error_codes.md) where it has one. What is wrong on the command
+line or in a file is refused before anything starts. Every verb ends with one of these statuses:
+
+| status | meaning |
+| --- | --- |
+"""
+_AFTER_STATUSES = """
+A running cell needs no `ros2`: [status](#status), [watch](#watch), [home](#home), [stop](#stop),
+[clear](#clear) and [goal](#goal) speak to it in the words of the operator's page, in the ROS domain
+of `ROS_DOMAIN_ID`.
 
 `make reference` writes this page.
 """
@@ -62,7 +75,8 @@ _HUNDREDS = {
 
 def commands_page() -> str:
     """Every verb and option, from the parsers."""
-    parts = [_HEAD]
+    statuses = (f"| {status.value} | {MEANINGS[status]} |\n" for status in ExitStatus)
+    parts = [_HEAD, *statuses, _AFTER_STATUSES]
     for verb, text in VERBS.items():
         parser, _ = verb_parser(verb)
         parts.append(f"\n## `{verb}`\n\n{text[0].upper()}{text[1:]}.\n")

@@ -16,10 +16,17 @@ from collections.abc import Callable, Sequence
 
 from tapping_cell.nodes import security
 
+Execute = Callable[[argparse.Namespace], int]
+
 VERBS = {
     "demo": "run one goal in the simulated cell, from start to finish",
     "up": "start the nodes, simulated or on hardware, and keep them running",
     "goal": "send a goal pose to a running graph",
+    "status": "show the state of a running cell, and what it waits for",
+    "watch": "watch a running cell in the terminal",
+    "home": "home the arm of a running cell",
+    "stop": "stop a running cell at once",
+    "clear": "clear the stop and the faults of a running cell",
     "evaluate": "evaluate a planning method in many simulated trials",
     "single-tap": "measure an object with an experiment of single taps",
     "fit": "fit friction and impact of an object to records of single taps",
@@ -40,44 +47,31 @@ MOVED = {
 }
 """What replaced the verbs of earlier versions."""
 
-READER_HAS_GONE = 128 + signal.SIGPIPE
-"""Exit status of a verb whose reader has gone: the shell's for a program that SIGPIPE ended."""
+SET_UP = (
+    "set this shell up first, with  . ./env.sh  in the source folder, or"
+    "  source install/setup.bash  in a workspace"
+)
+OLDEST_PYTHON = (3, 10)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb; returns the exit status (2 for a wrong command line)."""
+    """Run one verb; returns the exit status, see docs/commands.md."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if "_ARGCOMPLETE" in os.environ:
         complete(os.environ.get("COMP_LINE", ""))
-    parser = argparse.ArgumentParser(
-        prog="tapping_cell",
-        description="A robot cell that positions flat objects by tapping them.",
-        epilog="\n".join(f"  {name:<12} {text}" for name, text in VERBS.items())
-        + "\n\nVERB --help shows the options of a verb, and an example.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("verb", choices=VERBS, metavar="VERB")
-    if words and words[0] in MOVED:
-        parser.error(MOVED[words[0]])
-    if not words or words[0] not in VERBS:
-        parser.parse_args(words[:1])
-        return 2
+    if sys.version_info < OLDEST_PYTHON:
+        version = ".".join(map(str, sys.version_info[:3]))
+        return _not_set_up(f"{sys.executable} is Python {version}, and the cell needs 3.10")
     try:
-        parser, execute = verb_parser(words[0])
-    except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] == "tapping_cell":
-            raise
-        print(
-            f"error: {sys.executable} has no module '{error.name}': set this shell up first, with "
-            " . ./env.sh  in the source folder, or  source install/setup.bash  in a workspace",
-            file=sys.stderr,
-        )
-        return 2
-    try:
+        parser, execute = _parser_of(words)
         try:
-            status: int = execute(parser.parse_args(words[1:]))
+            status = int(execute(parser.parse_args(words[1:])))
         finally:
             sys.stdout.flush()
+    except ImportError as error:
+        if (error.name or "").split(".")[0] == "tapping_cell":
+            raise
+        return _not_set_up(f"{sys.executable} cannot import '{error.name}' ({error})")
     except RuntimeError as error:
         # What rclpy raises derives from it; rclpy is not imported for verbs that do without.
         refused = security.explain(error)
@@ -90,8 +84,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         # Python flushes once more at its end; what is left is for nobody.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return READER_HAS_GONE
+        return 128 + signal.SIGPIPE
     return status
+
+
+def _not_set_up(why: str) -> int:
+    print(f"error: {why}: {SET_UP}", file=sys.stderr)
+    return 2
+
+
+def _parser_of(words: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
+    """The parser and the work of the verb that the words begin with; else a sentence and an end."""
+    from tapping_cell.cli.errors import Parser, suggestion
+
+    verb = words[0] if words else ""
+    if verb in VERBS:
+        return verb_parser(verb)
+    parser = Parser(
+        prog="python -m tapping_cell",
+        description="A robot cell that positions flat objects by tapping them.",
+        usage="%(prog)s VERB ...",
+        epilog="\n".join(f"  {name:<12} {text}" for name, text in VERBS.items())
+        + "\n\nVERB --help shows the options of a verb, and an example.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    if verb in ("-h", "--help"):
+        parser.parse_args([verb])
+    if verb in MOVED:
+        parser.error(MOVED[verb])
+    if not verb:
+        parser.error(f"which verb? choose from {', '.join(VERBS)}")
+    parser.error(f"there is no verb '{verb}'{suggestion(verb, VERBS)}")
 
 
 def _reader_has_gone() -> bool:
@@ -101,11 +124,13 @@ def _reader_has_gone() -> bool:
     return bool(output.poll(0))
 
 
-def verb_parser(verb: str) -> tuple[argparse.ArgumentParser, Callable[[argparse.Namespace], int]]:
+def verb_parser(verb: str) -> tuple[argparse.ArgumentParser, Execute]:
     """The parser of a verb, and what runs it."""
+    from tapping_cell.cli.errors import Parser
+
     module = importlib.import_module(f"tapping_cell.cli.{verb.replace('-', '_')}")
-    parser = argparse.ArgumentParser(
-        prog=f"tapping_cell {verb}",
+    parser = Parser(
+        prog=f"python -m tapping_cell {verb}",
         description=module.__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -17,12 +17,12 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import sys
 from typing import Protocol, cast
 
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.keep import KeptFile
+from tapping_cell.cli.errors import tell_error
 from tapping_cell.configuration.schema import ConfigurationError
 
 
@@ -66,10 +66,10 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         return _module(arguments.subject).run(arguments)
     except CalibrationRefused as error:
-        print(error, file=sys.stderr)
+        tell_error(str(error))
         return 1
     except (RecordError, KeptFile, ConfigurationError, OSError) as error:
-        print(error, file=sys.stderr)
+        tell_error(str(error))
         return 2
 
 

@@ -14,7 +14,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from tapping_cell.configuration.cell import load_cell, refuse_simulated_ports
+from tapping_cell.configuration.cell import load_cell, refuse_own_drivers, refuse_simulated_ports
 from tapping_cell.hardware.urdf import urdf
 from tapping_cell.nodes import security
 
@@ -87,12 +87,15 @@ def _start(
 ) -> list[Node | LogInfo]:
     """The nodes, once the arguments are known."""
     given = context.launch_configurations
-    if hardware:
-        refuse_simulated_ports(load_cell(given["cell_file"] or None))
+    refuse = refuse_simulated_ports if hardware else refuse_own_drivers
+    refuse(load_cell(given["cell_file"] or None))
     shared: list[dict[str, object] | str] = [{"use_sim_time": LaunchConfiguration("use_sim_time")}]
     overrides = [given["params_file"]] if given["params_file"] else []
     if given["page"].lower() == "true":
         nodes = (*nodes, PAGE)
+    description = given["description"].lower() == "true"
+    # One authority a frame.
+    links = {"link_frames": not (description and _has_state_publisher())}
     started: list[Node | LogInfo] = [
         Node(
             package="tapping_cell",
@@ -101,7 +104,7 @@ def _start(
             namespace=given["namespace"],
             parameters=[
                 *shared,
-                dict(node.parameters),
+                {**node.parameters, **(links if node.name == "scara_arm" else {})},
                 # An argument that was left empty leaves the parameter to params_file.
                 {
                     name: LaunchConfiguration(key)
@@ -113,13 +116,14 @@ def _start(
             ros_arguments=(
                 ["--enclave", security.enclave_of(node.name)] if security.is_enabled() else []
             ),
+            remappings=_own_frames(given["namespace"]),
             output="screen",
             respawn=node.respawn,
             respawn_delay=1.0,
         )
         for node in nodes
     ]
-    if given["description"].lower() == "true":
+    if description:
         started += _describe_arm(given["namespace"], given["cell_file"], shared)
     return started
 
@@ -127,28 +131,29 @@ def _start(
 def _describe_arm(
     namespace: str, cell_file: str, shared: list[dict[str, object] | str]
 ) -> list[Node | LogInfo]:
-    """The arm's URDF and where its base stands, for RViz and Foxglove."""
-    for package in ("robot_state_publisher", "tf2_ros"):
-        try:
-            get_package_prefix(package)
-        except PackageNotFoundError:
-            return [LogInfo(msg=f"{package} is not installed: the arm is not described for RViz")]
+    """The arm's URDF, and its links on /tf from its joint states, for RViz and Foxglove."""
+    if not _has_state_publisher():
+        return [LogInfo(msg="robot_state_publisher is not installed: no robot_description")]
     cell = load_cell(cell_file or None)
-    x, y, yaw = cell.file.arm.base
     return [
         Node(
             package="robot_state_publisher",
             executable="robot_state_publisher",
             namespace=namespace,
             parameters=[*shared, {"robot_description": urdf(cell.file.arm.geometry())}],
-        ),
-        Node(
-            package="tf2_ros",
-            executable="static_transform_publisher",
-            namespace=namespace,
-            arguments=[
-                *("--x", str(x), "--y", str(y), "--yaw", str(yaw)),
-                *("--frame-id", "table", "--child-frame-id", "arm_base"),
-            ],
-        ),
+            remappings=_own_frames(namespace),
+        )
     ]
+
+
+def _has_state_publisher() -> bool:
+    try:
+        get_package_prefix("robot_state_publisher")
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def _own_frames(namespace: str) -> list[tuple[str, str]]:
+    """The frames of a cell in a namespace are its own: two cells have the same names of frames."""
+    return [("/tf", "tf"), ("/tf_static", "tf_static")] if namespace else []

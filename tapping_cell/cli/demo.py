@@ -23,7 +23,8 @@ from pathlib import Path
 from rich.console import Console
 from tapping_cell_msgs.msg import ErrorCode
 
-from tapping_cell.cli import session
+from tapping_cell.cli import argument_types, session
+from tapping_cell.cli.errors import tell_error, tell_refusal
 from tapping_cell.cli.graph import (
     RECORDER,
     SIMULATED,
@@ -71,7 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("X", "Y", "THETA"),
         help="goal in the table frame, in mm, mm and degrees",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the world's noise and scatter")
+    parser.add_argument(
+        "--seed", type=argument_types.seed, default=1, help="of the world's noise and scatter"
+    )
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
     add_truth_arguments(parser)
@@ -87,11 +90,11 @@ def run(arguments: argparse.Namespace) -> int:
     began = time.monotonic()
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)
+        require_planner(arguments.planner or cell.file.goal.planner)
         domain = own_domain()
         folder = _run_folder(arguments.out)
-    except (ConfigurationError, GraphError, OSError) as error:
-        session.tell_error(console, str(error), "error")
-        return 2
+    except (ConfigurationError, UnknownPlannerError, GraphError, OSError) as error:
+        return tell_refusal(error)
     # The client below runs in this process and must meet the nodes.
     os.environ["ROS_DOMAIN_ID"] = str(domain.number)
     # Whatever the shell says: a demo is nobody else's business on the network.
@@ -101,7 +104,6 @@ def run(arguments: argparse.Namespace) -> int:
     parameters[RECORDER] |= {"folder": folder.parent, "name": folder.name}
     nodes = (*SIMULATED, RECORDER)
     try:
-        require_planner(arguments.planner or cell.file.goal.planner)
         with (
             tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports,
             Graph(nodes, with_own_ports(parameters, Path(ports)), folder / "logs") as graph,
@@ -109,16 +111,11 @@ def run(arguments: argparse.Namespace) -> int:
         ):
             record = read_run(_position(arguments, graph, client, console))
     except (GraphError, session.NotReadyInTime, session.NotRecorded, RunError) as error:
-        session.tell_error(console, str(error))
+        tell_error(str(error))
         not_ready = isinstance(error, session.NotReadyInTime)
         code = ErrorCode.NOT_READY if not_ready else ErrorCode.INTERNAL
         write_failure(folder, code, str(error), arguments.seed, time.monotonic() - began)
         return 1
-    except UnknownPlannerError as error:
-        session.tell_error(console, str(error), "error")
-        elapsed = time.monotonic() - began
-        write_failure(folder, ErrorCode.PLANNER_UNKNOWN, str(error), arguments.seed, elapsed)
-        return 2
     except KeyboardInterrupt:
         console.print("interrupted; every node has ended")
         elapsed = time.monotonic() - began
@@ -187,5 +184,5 @@ def _verdict(record: Run, folder: Path, wall_time: float, console: Console) -> i
         )
         return 0
     reason = record.error_msg or "the object is not truly within the tolerance"
-    session.tell_failure(console, record.error_code, reason)
+    tell_error(f"goal not reached: {reason}", record.error_code)
     return 1

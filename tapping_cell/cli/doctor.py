@@ -12,22 +12,28 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import rclpy
+from rclpy.node import Node
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from tapping_cell.cli.errors import tell_error
 from tapping_cell.configuration.arm_assembly import make_dialect
-from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.cell import ArmSection, Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.hardware.dialect import ArmDialect
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.finding import Finding
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.hardware.transport import Connection
+from tapping_cell.nodes.drivers.trajectory_link import RosTrajectoryLink
 
 PATIENCE = 8.0
 """Longest wait for a port, and then for its device, s."""
@@ -59,8 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         cell = load_cell(arguments.cell)
     except ConfigurationError as error:
-        console.print(f"error: {error}", style="red", highlight=False, markup=False)
-        return 1
+        tell_error(str(error))
+        return 2
     rows = [*check_arm(cell, _confirm if arguments.write else None), *check_tapper(cell)]
     good = all(row.ok for row in rows)
     if arguments.json:
@@ -74,16 +80,13 @@ def check_arm(cell: Cell, confirm: Callable[[Finding], bool] | None = None) -> l
     """The arm's controller; ``confirm`` is asked before each setting that is stored."""
     arm = cell.file.arm
     try:
-        port = _port(arm.port)
-        transport = SerialTransport(port, arm.baud)
-        dialect = make_dialect(arm, transport)
-        try:
-            transport.open(PATIENCE)
-            firmware, findings = dialect.inspect(transport.now() + PATIENCE)
-            if confirm is not None and _store(dialect, findings, confirm, transport):
-                firmware, findings = dialect.inspect(transport.now() + PATIENCE)
-        finally:
-            transport.close()
+        with _connection(arm) as connection:
+            port = connection.name
+            dialect = make_dialect(arm, connection)
+            connection.open(PATIENCE)
+            firmware, findings = dialect.inspect(connection.now() + PATIENCE)
+            if confirm is not None and _store(dialect, findings, confirm, connection):
+                firmware, findings = dialect.inspect(connection.now() + PATIENCE)
     except (HardwareFault, ValueError) as fault:
         return [Row("arm", "connection", "failed", False, str(fault))]
     rows = [Row("arm", "controller", f"{firmware.name} {firmware.version} on {port}", True)]
@@ -93,6 +96,29 @@ def check_arm(cell: Cell, confirm: Callable[[Finding], bool] | None = None) -> l
         met = finding.met
         rows.append(Row("arm", finding.setting, finding.found, met, "" if met else remedy))
     return rows
+
+
+@contextmanager
+def _connection(arm: ArmSection) -> Iterator[SerialTransport | RosTrajectoryLink]:
+    """The way to the arm's controller, closed at the end."""
+    if arm.ros2_control is None:
+        transport = SerialTransport(_port(arm.port), arm.baud)
+        try:
+            yield transport
+        finally:
+            transport.close()
+        return
+    rclpy.init()
+    try:
+        node = Node("doctor")
+        link = RosTrajectoryLink(node, arm.ros2_control, arm.max_acceleration)
+        try:
+            yield link
+        finally:
+            link.destroy()
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
 
 
 def check_tapper(cell: Cell) -> list[Row]:
@@ -131,12 +157,12 @@ def _store(
     dialect: ArmDialect,
     findings: list[Finding],
     confirm: Callable[[Finding], bool],
-    transport: SerialTransport,
+    connection: Connection,
 ) -> bool:
     """Store what may be stored and is agreed to; whether anything was."""
     wanted = [f for f in findings if not f.met and f.storable and confirm(f)]
     for finding in wanted:
-        dialect.store(finding, transport.now() + PATIENCE)
+        dialect.store(finding, connection.now() + PATIENCE)
     return bool(wanted)
 
 

@@ -25,6 +25,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tapping_cell.cli import argument_types
+from tapping_cell.cli.errors import tell_refusal
+
 if TYPE_CHECKING:
     from tapping_cell.planning.evaluation import Evaluation, PhysicsWorld, Results
     from tapping_cell.planning.settings import PlannerSettings
@@ -37,7 +40,12 @@ DEFAULT_TASKS = (40.0, 20.0)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     numbers: Callable[..., Any] = parser.add_argument
-    parser.add_argument("--planner", default="optimal", metavar="P", help="planning method")
+    parser.add_argument(
+        "--planner",
+        default="optimal",
+        metavar="P",
+        help="planning method",
+    )
     parser.add_argument("--all", action="store_true", help="compare all methods")
     numbers("--trials", type=int, default=2000, metavar="N", help="number of trials (2000)")
     numbers(
@@ -157,7 +165,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(physics; --object)",
     )
     numbers("--most-taps", type=int, default=100, metavar="N", help="then a trial is endless (100)")
-    numbers("--seed", type=int, default=0, help="of the random numbers (0)")
+    numbers("--seed", type=argument_types.seed, default=0, help="of the random numbers (0)")
     numbers("--processes", type=int, metavar="N", help="default: one a core")
     parser.add_argument("--json", action="store_true", help="print JSON")
     numbers("--report", type=Path, metavar="DIR", help="write a table and plots (with --all)")
@@ -179,8 +187,7 @@ def run(arguments: argparse.Namespace) -> int:
         evaluation = make_evaluation(arguments, arguments.planner)
         figures = measure(arguments, evaluation)
     except (PlanningError, ConfigurationError, MechanicsError) as error:
-        print(f"evaluate: {error}", file=sys.stderr)
-        return 2
+        return tell_refusal(error)
     if arguments.json:
         print(json.dumps(figures, indent=2))
     else:

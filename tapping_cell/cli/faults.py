@@ -32,8 +32,9 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
-from tapping_cell.cli import goal_faults
+from tapping_cell.cli import argument_types, goal_faults
 from tapping_cell.cli.driver_soak import soak
+from tapping_cell.cli.errors import tell_error
 from tapping_cell.cli.fault_terminals import terminal_cell
 from tapping_cell.cli.fault_trials import (
     Dialect,
@@ -61,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=[dialect.value for dialect in Dialect],
         help="the arm's controller; all by turns when left out",
     )
-    parser.add_argument("--seed", type=int, default=0, help="default: %(default)s")
+    parser.add_argument("--seed", type=argument_types.seed, default=0, help="default: %(default)s")
     parser.add_argument(
         "--jobs", type=int, default=os.cpu_count() or 1, help="processes; default: the cores"
     )
@@ -119,10 +120,10 @@ def run(arguments: argparse.Namespace) -> int:
     taps = (20 if arguments.pty else 1000) if arguments.taps is None else arguments.taps
     goals = 1 if arguments.goals is None else arguments.goals
     if taps < 1 or goals < 1 or arguments.jobs < 1 or arguments.seed < 0:
-        print("--taps, --goals and --jobs must be at least 1, --seed at least 0", file=sys.stderr)
+        tell_error("--taps, --goals and --jobs must be at least 1, --seed at least 0")
         return 2
     if arguments.soak is not None and not 0 < arguments.soak <= 1000:
-        print("--soak must be above 0 and at most 1000 hours", file=sys.stderr)
+        tell_error("--soak must be above 0 and at most 1000 hours")
         return 2
     if arguments.replay is not None:
         return goal_faults.replay(arguments.replay, arguments.goals or GOALS_A_RUN)

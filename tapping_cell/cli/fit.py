@@ -18,11 +18,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tapping_cell.cli import argument_types
+from tapping_cell.cli.errors import tell_error
 from tapping_cell.cli.fit_words import shown, speed_lines
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--object", type=Path, metavar="FILE", help="object file: shape, mass and the old values"
     )
     parser.add_argument("--report", type=Path, metavar="DIR", help="write figures and report.html")
-    parser.add_argument("--seed", type=int, default=0, help="of the bootstrap (0)")
+    parser.add_argument("--seed", type=argument_types.seed, default=0, help="of the bootstrap (0)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser, required=False)
 
@@ -73,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
 
             write_report(arguments.report.expanduser(), fit, record)
     except (RecordError, KeptFile, ConfigurationError, OSError) as error:
-        print(f"fit: {error}", file=sys.stderr)
+        tell_error(str(error))
         return 2
     if arguments.json:
         print(json.dumps(figures(fit), indent=1))

@@ -9,24 +9,40 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import time
 
-from tapping_cell.cli import session
+from tapping_cell.cli import argument_types, session
+from tapping_cell.cli.errors import tell_error
+from tapping_cell.messages import ErrorCode
 from tapping_cell.nodes.clients.goal_client import Finished, GoalClient
 from tapping_cell.report.error_codes import hint
 from tapping_cell.report.run_folder import for_people
 from tapping_cell.se2 import Pose
 
+STARTING = (
+    ErrorCode.NOT_READY,
+    ErrorCode.ARM_NOT_CONNECTED,
+    ErrorCode.ARM_SILENT,
+    ErrorCode.TAPPER_NOT_CONNECTED,
+    ErrorCode.TAPPER_SILENT,
+    ErrorCode.CAMERA_SILENT,
+)
+"""With these codes a cell that has not started in full ends a goal: it is sent again meanwhile."""
+AGAIN_S = 1.0
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of the verb."""
-    parser.add_argument("x", type=float, help="goal in table, mm")
-    parser.add_argument("y", type=float, help="goal in table, mm")
+    parser.add_argument("x", type=argument_types.within(-10000, 10000), help="goal in table, mm")
+    parser.add_argument("y", type=argument_types.within(-10000, 10000), help="goal in table, mm")
     parser.add_argument("theta", type=float, help="goal in table, degrees")
-    parser.add_argument("--namespace", default="", help="namespace of the nodes")
+    parser.add_argument(
+        "--namespace", type=argument_types.namespace, default="", help="namespace of the nodes"
+    )
     parser.add_argument(
         "--tolerance",
         nargs=2,
-        type=float,
+        type=argument_types.within(0, 1000),
         default=(0.0, 0.0),
         metavar=("MM", "DEG"),
         help="tolerance in mm and degrees (default: the cell's own)",
@@ -37,7 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="begin with a few of the smallest taps, to measure an unknown object's friction",
     )
     parser.add_argument(
-        "--wait", type=float, default=20.0, help="longest wait for the cell, in seconds"
+        "--wait",
+        type=argument_types.within(0, 3600),
+        default=20.0,
+        help="longest wait for the cell, in seconds",
     )
     session.add_output_arguments(parser)
 
@@ -65,12 +84,17 @@ def run(arguments: argparse.Namespace) -> int:
     distance, angle = arguments.tolerance
     with GoalClient("goal", arguments.namespace) as client:
         try:
-            session.wait_until_ready(client, arguments.wait, lambda: None, console)
+            deadline = time.monotonic() + arguments.wait
+            session.wait_for_planner(client, arguments.wait, console)
             tolerance = (distance / 1000, math.radians(angle))
-            client.send(goal, tolerance, probe=arguments.probe)
-            finished = session.follow(client, lambda: None, console)
+            while True:
+                session.send(client, goal, tolerance, console, probe=arguments.probe)
+                finished = session.follow(client, lambda: None, console)
+                if finished.error_code not in STARTING or time.monotonic() > deadline:
+                    break
+                time.sleep(AGAIN_S)
         except session.NotReadyInTime as error:
-            session.tell_error(console, f"{error}; is the graph up?")
+            tell_error(str(error))
             return 1
         except KeyboardInterrupt:
             client.cancel()
@@ -79,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(result_of(finished), indent=2, allow_nan=False))
     if finished.error_code:
-        session.tell_failure(console, finished.error_code, finished.error_msg)
+        tell_error(f"goal not reached: {finished.error_msg}", finished.error_code)
         return 1
     console.print(
         f"[green]goal reached[/green] in {finished.taps} taps; measured residual "

@@ -57,6 +57,32 @@ class Child:
     process: subprocess.Popen[bytes]
     log: Path
     stream: IO[bytes]
+    said_before: int
+    """Length of the log in bytes when this process began."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A node's process that has ended by itself."""
+
+    name: str
+    status: int
+    words: str
+    """The last lines of its log."""
+
+    @property
+    def refused(self) -> bool:
+        """Whether it refused its parameters or files: it would do so again."""
+        return self.status > 0 and self.words.rpartition(" | ")[2].startswith("error: ")
+
+    @property
+    def sentence(self) -> str:
+        """What happened."""
+        how = f"with status {self.status}"
+        if self.status < 0:
+            how = f"by the signal {signal.Signals(-self.status).name}"
+        words = self.words.rpartition(" | ")[2] if self.refused else self.words
+        return f"the node {self.name} ended {how}: {words}"
 
 
 class Graph:
@@ -120,11 +146,14 @@ class Graph:
             command += ["--enclave", security.enclave_of(name)]
         if self._namespace:
             command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
+            # Two cells have the same names of frames: each keeps its own.
+            command += ["-r", "/tf:=tf", "-r", "/tf_static:=tf_static"]
         if self._parameter_file is not None:
             command += ["--params-file", str(self._parameter_file)]
         for key, value in self._parameters.get(name, {}).items():
             command += ["-p", f"{key}:={parameter_text(value)}"]
         log = self._log_folder / f"{name}.log"
+        said_before = log.stat().st_size if log.exists() else 0
         stream = log.open("ab")
         process = subprocess.Popen(
             command,
@@ -136,7 +165,15 @@ class Graph:
             start_new_session=True,
             preexec_fn=_die_with_parent,
         )
-        return Child(name, process, log, stream)
+        return Child(name, process, log, stream, said_before)
+
+    def ended(self) -> list[Ended]:
+        """The nodes that have ended by themselves and were not started again."""
+        return [
+            Ended(child.name, status, last_words(child.log, child.said_before))
+            for child in self._children
+            if (status := child.process.poll()) is not None
+        ]
 
     def check(self) -> None:
         """Raise where a node has ended; the recorder is started again, a few times.
@@ -144,19 +181,12 @@ class Graph:
         Raises:
             NodeDied: with the node's last words.
         """
-        for child in tuple(self._children):
-            status = child.process.poll()
-            if status is not None:
-                if child.name == RECORDER:
-                    self._revive_recorder()
-                    continue
-                words = last_words(child.log)
-                raise NodeDied(f"the node {child.name} ended with status {status}: {words}")
-
-    def _revive_recorder(self) -> None:
-        if self._recorder_starts < MOST_RECORDER_STARTS:
-            self._recorder_starts += 1
-            self.restart(RECORDER)
+        for ended in self.ended():
+            if ended.name != RECORDER:
+                raise NodeDied(ended.sentence)
+            if self._recorder_starts < MOST_RECORDER_STARTS:
+                self._recorder_starts += 1
+                self.restart(RECORDER)
 
     def restart(self, name: str) -> None:
         """Start a node again that has ended, or was killed.
@@ -193,9 +223,9 @@ class Graph:
             self._claim = None
 
 
-def last_words(log: Path, lines: int = 3) -> str:
-    """The last lines of a node's log, in one line."""
-    text = log.read_text(encoding="utf-8", errors="replace")
+def last_words(log: Path, begin: int = 0, lines: int = 3) -> str:
+    """The last lines of a node's log from a byte on, in one line."""
+    text = log.read_bytes()[begin:].decode("utf-8", errors="replace")
     kept = [line.strip() for line in text.splitlines() if line.strip()]
     return " | ".join(kept[-lines:]) or "it said nothing"
 

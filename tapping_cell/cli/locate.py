@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tapping_cell.cli.errors import tell_error
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import (
     MarkerSection,
@@ -116,7 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
             refuse_reference(path, seen, table)
         search = Search(camera, table, [seen.seen() for seen in objects])
     except ValueError as error:
-        print(error, file=sys.stderr)
+        tell_error(str(error))
         return 2
     cv2.setNumThreads(1)
     results: list[dict[str, Any]] = []
@@ -140,7 +140,7 @@ def run(arguments: argparse.Namespace) -> int:
             try:
                 write_picture(arguments.annotate, name, picture)
             except OSError as error:
-                print(f"{arguments.annotate}: cannot be written: {error}", file=sys.stderr)
+                tell_error(f"{arguments.annotate}: cannot be written: {error}")
                 return 2
     if arguments.json:
         print(json.dumps(results, indent=1))

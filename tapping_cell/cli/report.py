@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from tapping_cell.cli.errors import tell_error
 from tapping_cell.report.bag import BagError
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_comparison import Row, comparison_page, groups_of, row_of
@@ -66,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             told.append(tell(path, None if several else arguments.output))
         except (BagError, RunError, OSError) as error:
-            console.print(f"[red]error:[/red] {error}", highlight=False)
+            tell_error(str(error))
     if not told:
         return 2
     rows = [row_of(run) for run, _ in told]

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tapping_cell.cli.errors import tell_error
 from tapping_cell.mechanics import MechanicsError, Tap
 from tapping_cell.mechanics.sensitivity import (
     PAPER_STRIKER_ERROR,
@@ -75,8 +76,8 @@ def run(arguments: argparse.Namespace) -> int:
             "sweep": _sweep(tap, arguments.farthest / 1e3),
         }
     except MechanicsError as problem:
-        print(f"sensitivity: {problem}", file=sys.stderr)
-        return 1
+        tell_error(str(problem))
+        return 2
     if arguments.figures:
         from tapping_cell.report.mechanics_figures import write_figures
 

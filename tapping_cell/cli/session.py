@@ -13,7 +13,6 @@ from rich.console import Console
 
 from tapping_cell.nodes.clients.goal_client import Finished, GoalClient, PhaseChanged, TapDone
 from tapping_cell.nodes.conversions import from_message
-from tapping_cell.report.error_codes import hint
 from tapping_cell.se2 import Pose
 
 
@@ -36,13 +35,6 @@ def console_of(arguments: argparse.Namespace) -> Console:
     return Console(stderr=arguments.json, quiet=arguments.quiet)
 
 
-def tell_error(console: Console, sentence: str, title: str = "failed") -> None:
-    """Say what went wrong, also where a verb is to be quiet."""
-    if console.quiet:
-        console = Console(stderr=True)
-    console.print(f"[red]{title}:[/red] {sentence}", highlight=False)
-
-
 def end_on_signals() -> None:
     """Make Ctrl-C and a termination request end the verb in order, as a KeyboardInterrupt.
 
@@ -60,6 +52,59 @@ def _interrupt(*_: object) -> None:
 def pose_text(pose: Pose) -> str:
     """A pose for people."""
     return f"x {1000 * pose.x:.1f} mm, y {1000 * pose.y:.1f} mm, {math.degrees(pose.theta):.1f} deg"
+
+
+MUTUAL_DISCOVERY_S = 0.5
+ANSWER_S = 10.0
+SENDINGS = 3
+
+
+def send(
+    client: GoalClient,
+    goal: Pose,
+    tolerance: tuple[float, float],
+    console: Console,
+    probe: bool = False,
+) -> None:
+    """Send a goal, and again where nobody answers: an answer can be lost while nodes start.
+
+    Raises:
+        NotReadyInTime: the planner answers none.
+    """
+    for _ in range(SENDINGS):
+        client.send(goal, tolerance, probe=probe)
+        deadline = time.monotonic() + ANSWER_S
+        with console.status("goal sent"):
+            while time.monotonic() < deadline:
+                if client.answered:
+                    return
+                time.sleep(0.02)
+    raise NotReadyInTime(
+        f"the planner did not answer the goal within {SENDINGS * ANSWER_S:.0f} s; look at its log"
+    )
+
+
+def wait_for_planner(client: GoalClient, patience: float, console: Console) -> None:
+    """Wait until the planner takes goals; what else is missing it waits for, and tells, itself.
+
+    Raises:
+        NotReadyInTime: it did not after ``patience`` seconds.
+    """
+    deadline = time.monotonic() + patience
+    found = math.inf
+    with console.status("waiting for the planner"):
+        # The planner must have found this client as well, or its answer goes nowhere.
+        while time.monotonic() < found + MUTUAL_DISCOVERY_S:
+            there = client.planner_active and client.accepts_goals()
+            found = min(found, time.monotonic()) if there else math.inf
+            if not there and time.monotonic() > deadline:
+                raise NotReadyInTime(
+                    f"no planner answered within {patience:.0f} s in ROS domain"
+                    f" {client.node.context.get_domain_id()}, namespace"
+                    f" '{client.node.get_namespace()}': start a cell with python -m tapping_cell"
+                    " up, or choose one with ROS_DOMAIN_ID and --namespace"
+                )
+            time.sleep(0.05)
 
 
 def wait_until_ready(
@@ -128,12 +173,3 @@ def tap_text(event: TapDone) -> str:
         f"{1000 * event.residual_distance:.2f} mm and "
         f"{math.degrees(event.residual_rotation):.2f} deg"
     )
-
-
-def tell_failure(console: Console, code: int, sentence: str) -> None:
-    """Say that a goal was not reached, why, and what to do about it."""
-    if console.quiet:
-        console = Console(stderr=True)
-    console.print(f"[red]goal not reached[/red] (code {code}): {sentence}", highlight=False)
-    if advice := hint(code):
-        console.print(f"what to do: {advice}", highlight=False)

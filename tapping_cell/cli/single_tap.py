@@ -45,7 +45,8 @@ from tapping_cell.calibration.experiment import (
     write_header,
 )
 from tapping_cell.calibration.trials import Trial, read_trials
-from tapping_cell.cli import session
+from tapping_cell.cli import argument_types, session
+from tapping_cell.cli.errors import tell_error
 from tapping_cell.cli.graph import (
     HARDWARE,
     SIMULATED,
@@ -60,7 +61,12 @@ from tapping_cell.cli.tap_series import TapSeries
 from tapping_cell.cli.tap_summary import tell, trial_text
 from tapping_cell.cli.up import add_truth_arguments, node_parameters
 from tapping_cell.configuration import assembly
-from tapping_cell.configuration.cell import Cell, load_cell, refuse_simulated_ports
+from tapping_cell.configuration.cell import (
+    Cell,
+    load_cell,
+    refuse_own_drivers,
+    refuse_simulated_ports,
+)
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError, load
 from tapping_cell.nodes.clients.single_tap_client import NoAnswer, SingleTapClient
@@ -114,14 +120,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--hardware", action="store_true", help="start the nodes of the real camera, arm and tapper"
     )
     how.add_argument("--attach", action="store_true", help="join a graph that is running")
-    parser.add_argument("--namespace", default="", help="with --attach: namespace of the nodes")
+    parser.add_argument(
+        "--namespace",
+        type=argument_types.namespace,
+        default="",
+        help="with --attach: namespace of the nodes",
+    )
     parser.add_argument(
         "--camera", default="/dev/video0", help="with --hardware: device, video file or folder"
     )
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
     add_truth_arguments(parser)
-    parser.add_argument("--seed", type=int, help="simulated: of noise and scatter (default: 1)")
+    parser.add_argument(
+        "--seed", type=argument_types.seed, help="simulated: of noise and scatter (default: 1)"
+    )
     parser.add_argument(
         "--camera-rate", type=float, default=30.0, help="simulated: pictures a second (default: 30)"
     )
@@ -152,16 +165,18 @@ def run(arguments: argparse.Namespace) -> int:
         cell = load_cell(arguments.cell, object_path=arguments.object)
         if arguments.hardware:
             refuse_simulated_ports(cell)
+        else:
+            refuse_own_drivers(cell)
         folder, design = _open(arguments)
         trials = _recorded(folder)
         refusal = _refused(cell, design)
         if refusal:
-            console.print(f"[red]refused:[/red] {refusal}", highlight=False)
+            tell_error(refusal)
             return 2
         if not arguments.resume:
             write_design(folder, design)
     except (ConfigurationError, RecordError, PlanningError, OSError, ValueError) as error:
-        console.print(f"[red]error:[/red] {error}", highlight=False)
+        tell_error(str(error))
         return 2
     code, sentence, status = ErrorCode.NONE, "", 0
     try:

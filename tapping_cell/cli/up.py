@@ -1,7 +1,9 @@
 """Start the node graph from a configuration, simulated or on hardware, and stay.
 
-Ends every node on Ctrl-C, and when one of them dies. Goals come from another terminal, or from the
-operator's page.
+Tells what each node waits for, and "ready" once the cell would take a goal. A node that ends by
+itself is started again, up to three times in two minutes; only where arm, tapper, planner or camera
+stay away, or the simulated world, every node is ended. Ctrl-C ends every node. Goals come from
+another terminal, or from the operator's page.
 
     python -m tapping_cell up
     python -m tapping_cell up --page
@@ -17,7 +19,11 @@ import time
 from pathlib import Path
 
 from rich.console import Console
+from rich.live import Live
+from rich.markup import escape
 
+from tapping_cell.cli import argument_types, start_up
+from tapping_cell.cli.errors import ExitStatus, tell_error, tell_refusal
 from tapping_cell.cli.graph import (
     HARDWARE,
     RECORDER,
@@ -28,19 +34,30 @@ from tapping_cell.cli.graph import (
     with_own_ports,
 )
 from tapping_cell.cli.session import end_on_signals
+from tapping_cell.cli.supervision import Supervisor
 from tapping_cell.configuration.cell import (
     Cell,
     has_simulated_ports,
     load_cell,
+    refuse_own_drivers,
     refuse_simulated_ports,
 )
-from tapping_cell.configuration.schema import ConfigurationError, read_yaml
+from tapping_cell.configuration.schema import ConfigurationError, load, read_yaml
 from tapping_cell.nodes.cell_identity import cell_key
+from tapping_cell.nodes.clients.cell_client import CellClient
 from tapping_cell.planning import UnknownPlannerError, require_planner
+from tapping_cell.simulation.truth import TruthFile
 
 STOP_PORT_OFFSET = 1000
 """From the port of the page to that of its STOP."""
 LOOK_PERIOD_S = 0.2
+CAMERA = "/dev/video0"
+"""The camera of a cell on hardware unless told otherwise."""
+READY_PATIENCE_S = 60.0
+
+
+class NotReadyInTime(GraphError):
+    """The cell was not ready in time; the sentence says what is missing."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,12 +68,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
     parser.add_argument("--planner", help="planning method (default: the cell's)")
-    parser.add_argument("--namespace", default="", help="namespace of the nodes")
+    parser.add_argument(
+        "--namespace", type=argument_types.namespace, default="", help="namespace of the nodes"
+    )
     parser.add_argument(
         "--camera", help="with --hardware: device, video file or folder (default: /dev/video0)"
     )
     add_truth_arguments(parser)
-    parser.add_argument("--seed", type=int, help="simulated: of noise and scatter (default: 1)")
+    parser.add_argument(
+        "--seed", type=argument_types.seed, help="simulated: of noise and scatter (default: 1)"
+    )
+    parser.add_argument(
+        "--set-up",
+        action="store_true",
+        help="set-up mode: slowly, with little energy, and only while an enabling device is held",
+    )
+    parser.add_argument(
+        "--wait",
+        type=argument_types.within(1, 3600),
+        default=READY_PATIENCE_S,
+        help="longest time for the nodes to get ready, in seconds (60)",
+    )
     parser.add_argument(
         "--params",
         type=Path,
@@ -83,29 +115,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 ended by Ctrl-C, 1 a node died, 2 wrong input."""
-    console = Console()
+    """Run the verb; 0 ended by Ctrl-C, 1 not ready in time or a node is lost, 2 wrong input."""
+    console = Console(soft_wrap=True, highlight=False)
     end_on_signals()
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)
         require_planner(arguments.planner or cell.file.goal.planner)
         if arguments.params is not None:
             read_yaml(arguments.params)
-    except (ConfigurationError, UnknownPlannerError) as error:
-        console.print(f"[red]error:[/red] {error}", highlight=False)
-        return 2
+        if arguments.truth is not None:
+            load(TruthFile, arguments.truth)
+        if arguments.hardware:
+            refuse_simulated_ports(cell)
+            require_devices(cell, arguments)
+        else:
+            refuse_own_drivers(cell)
+        key = cell_key(domain_number(), arguments.namespace)
+    except (ConfigurationError, UnknownPlannerError, GraphError) as error:
+        return tell_refusal(error)
     nodes: tuple[str, ...] = HARDWARE if arguments.hardware else SIMULATED
     if not arguments.no_record:
         nodes = (*nodes, RECORDER)
     if arguments.page:
         nodes = (*nodes, "operator_page")
-    try:
-        if arguments.hardware:
-            refuse_simulated_ports(cell)
-        logs = arguments.logs or Path("runs/up") / cell_key(domain_number(), arguments.namespace)
-    except (ConfigurationError, GraphError) as error:
-        console.print(f"[red]error:[/red] {error}", highlight=False)
-        return 2
+    logs = arguments.logs or Path("runs/up") / key
     parameters = node_parameters(arguments, cell)
     if not arguments.hardware:
         # Nobody can be hurt in the simulated cell, so that its arm homes by itself.
@@ -113,28 +146,132 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.hardware and not has_simulated_ports(cell):
         # A file of a real cell names real ports: the simulated devices take none of them.
         parameters = with_own_ports(parameters)
-    page_log = logs / "operator_page.log"
-    page_log.unlink(missing_ok=True)  # what an earlier run said of its page holds no longer
+    graph = Graph(
+        nodes,
+        parameters,
+        logs.resolve(),
+        namespace=arguments.namespace,
+        parameter_file=arguments.params.resolve() if arguments.params else None,
+    )
     try:
-        with Graph(
-            nodes,
-            parameters,
-            logs.resolve(),
-            namespace=arguments.namespace,
-            parameter_file=arguments.params.resolve() if arguments.params else None,
-        ) as graph:
-            console.print(f"{', '.join(nodes)} are up; logs in {logs}; Ctrl-C ends them")
-            told = not arguments.page
-            while True:
-                graph.check()
-                told = told or tell_page(page_log, console)
-                time.sleep(LOOK_PERIOD_S)
+        with graph:
+            console.print(f"logs in {logs}; Ctrl-C ends every node", markup=False)
+            _Running(graph, nodes, arguments, logs, console).stay()
     except GraphError as error:
-        console.print(f"[red]failed:[/red] {error}", highlight=False)
-        return 1
+        tell_error(str(error))
+        return ExitStatus.FAILED
     except KeyboardInterrupt:
         console.print("every node has ended")
-        return 0
+    return ExitStatus.DONE
+
+
+class _Running:
+    """A graph that was started: watched until Ctrl-C."""
+
+    def __init__(
+        self,
+        graph: Graph,
+        nodes: tuple[str, ...],
+        arguments: argparse.Namespace,
+        logs: Path,
+        console: Console,
+    ) -> None:
+        self._graph = graph
+        self._nodes = nodes
+        self._arguments = arguments
+        self._page_log = logs / "operator_page.log"
+        # What an earlier run said of its page holds no longer.
+        self._page_seen = self._page_log.stat().st_size if self._page_log.exists() else 0
+        self._console = console
+        self._supervisor = Supervisor(graph)
+
+    def stay(self) -> None:
+        """Get ready, then start again what ends. Returns never.
+
+        Raises:
+            GraphError: the cell is not ready in time, or a node that it needs is lost.
+        """
+        while True:
+            self._get_ready()
+            while not self._look():
+                time.sleep(LOOK_PERIOD_S)
+
+    def _look(self) -> bool:
+        """Start again what has ended; returns whether anything had."""
+        incidents = self._supervisor.look(time.monotonic())
+        for incident in incidents:
+            self._console.print(f"[red]{incident.node}[/]: {escape(incident.sentence)}")
+        return bool(incidents)
+
+    def _get_ready(self) -> None:
+        """Show each node until the cell takes a goal."""
+        deadline = time.monotonic() + self._arguments.wait
+        told: dict[str, str] = {}
+        asked = ""
+        with (
+            CellClient(self._arguments.namespace) as client,
+            Live(console=self._console, refresh_per_second=5, transient=True) as live,
+        ):
+            while True:
+                self._look()
+                start = start_up.judge(self._nodes, client.state(), self._supervisor.left_alone)
+                if self._console.is_terminal:
+                    live.update(start_up.table(start.lines))
+                for line in start.lines:
+                    # A figure that changes is no news.
+                    news = re.sub(r"\d", "", str(line))
+                    if told.get(line.node) != news and not self._console.is_terminal:
+                        self._console.print(str(line), markup=False)
+                    told[line.node] = news
+                if start.ready:
+                    break
+                if start.person != asked and start.person:
+                    self._console.print(f"[yellow]started, not ready[/]: {escape(start.person)}")
+                    self._tell_page()
+                asked = start.person or asked
+                if start.person:
+                    deadline = time.monotonic() + self._arguments.wait
+                elif time.monotonic() > deadline:
+                    raise NotReadyInTime(
+                        f"the cell was not ready after {self._arguments.wait:.0f} s: {start.reason}"
+                    )
+                time.sleep(LOOK_PERIOD_S)
+        self._console.print("[green]ready[/]: the cell takes a goal")
+        self._tell_page()
+
+    def _tell_page(self) -> None:
+        """Say where the operator's page is, once its node has said so in its log."""
+        if not self._page_log.exists():
+            return
+        text = self._page_log.read_bytes()[self._page_seen :].decode("utf-8", errors="replace")
+        found = re.findall(r"operator page: (http\S+)", text)
+        for url in found:
+            self._console.print(f"operator's page: {url}", markup=False)
+        if found:
+            self._page_seen += len(text.encode())
+
+
+def require_devices(cell: Cell, arguments: argparse.Namespace) -> None:
+    """Check that the camera and both ports are there, before anything is started.
+
+    Raises:
+        ConfigurationError: names everything that is missing, and what to do.
+    """
+    given = arguments.params.read_text(encoding="utf-8") if arguments.params else ""
+    missing = []
+    for name, port in (("arm", cell.file.arm.port), ("tapper", cell.file.tapper.port)):
+        # A file of parameters may name another port for the node.
+        if "port:" not in given and "{" not in port and not Path(port).expanduser().exists():
+            missing.append(f"the {name}'s port {port} (key {name}.port)")
+    camera = arguments.camera or CAMERA
+    device = Path(f"/dev/video{camera}" if camera.isdigit() else camera)
+    if "source:" not in given and "://" not in camera and not device.exists():
+        missing.append(f"the camera {device} (option --camera)")
+    if missing:
+        raise ConfigurationError(
+            f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} not there: check power"
+            f" and cables, or correct the names; the cell file is {cell.path}"
+        )
 
 
 def page_place(text: str) -> tuple[str, int]:
@@ -149,15 +286,6 @@ def page_place(text: str) -> tuple[str, int]:
             f"'{text}' is neither PORT nor ADDRESS:PORT; give one such as 8010 or 0.0.0.0:8010"
         )
     return (found[1] or "localhost").strip("[]"), int(found[2])
-
-
-def tell_page(log: Path, console: Console) -> bool:
-    """Say where the operator's page is, once its node has said so in its log."""
-    text = log.read_text(encoding="utf-8", errors="replace") if log.exists() else ""
-    found = re.findall(r"operator page: (http\S+)", text)
-    for url in found:
-        console.print(f"operator's page: {url}", highlight=False, soft_wrap=True)
-    return bool(found)
 
 
 def add_truth_arguments(parser: argparse.ArgumentParser) -> None:
@@ -206,6 +334,8 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
             "stop_port": stop_port,
             "runs": parameters[RECORDER].get("folder", Path("runs").resolve()),
         }
+    if getattr(arguments, "set_up", False):
+        parameters["scara_arm"]["set_up"] = parameters["tapper_trigger"]["set_up"] = True
     if getattr(arguments, "camera", None):
         parameters["overhead_camera"]["source"] = arguments.camera
     return parameters

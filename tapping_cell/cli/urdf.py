@@ -9,6 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from tapping_cell.cli.errors import tell_error
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.hardware.urdf import urdf
@@ -24,7 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         cell = load_cell(arguments.cell)
     except ConfigurationError as error:
-        print(f"error: {error}", file=sys.stderr)
+        tell_error(str(error))
         return 2
     sys.stdout.write(urdf(cell.file.arm.geometry()))
     return 0

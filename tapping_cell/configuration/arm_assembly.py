@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
-from tapping_cell.configuration.cell import ArmSection
+from typing import cast
+
+from tapping_cell.configuration.cell import ArmSection, Ros2ControlSection
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.dialect import ArmDialect
 from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
 from tapping_cell.hardware.marlin_dialect import MarlinDialect, MarlinSettings
+from tapping_cell.hardware.ros2_control_dialect import Ros2ControlDialect, Ros2ControlSettings
 from tapping_cell.hardware.scara import Joints
+from tapping_cell.hardware.trajectory_link import TrajectoryLink
 from tapping_cell.hardware.transport import Transport
 
 
-def make_arm_driver(arm: ArmSection, transport: Transport) -> ArmDriver:
-    """The driver of the cell's arm on an open or closed line; nothing is sent."""
-    return ArmDriver(transport, make_dialect(arm, transport), arm.geometry(), arm.driver_settings())
+def make_arm_driver(arm: ArmSection, connection: Transport | TrajectoryLink) -> ArmDriver:
+    """The driver of the cell's arm on an open or closed connection; nothing is sent.
+
+    ``connection``: a serial line, or for the dialect ``ros2_control`` a link to its controller.
+    """
+    return ArmDriver(
+        connection, make_dialect(arm, connection), arm.geometry(), arm.driver_settings()
+    )
 
 
-def make_dialect(arm: ArmSection, transport: Transport) -> ArmDialect:
+def make_dialect(arm: ArmSection, connection: Transport | TrajectoryLink) -> ArmDialect:
     """The language of the cell's controller, with what its settings must be."""
+    if arm.ros2_control is not None:
+        link = cast(TrajectoryLink, connection)
+        return Ros2ControlDialect(link, _trajectory_settings(arm, arm.ros2_control))
+    transport = cast(Transport, connection)
     needs = arm.controller_needs()
     if arm.dialect == "marlin":
         return MarlinDialect(transport, MarlinSettings(letters=arm.axis_letters, needs=needs))
@@ -33,4 +46,14 @@ def make_dialect(arm: ArmSection, transport: Transport) -> ArmDialect:
             without_switch=tuple(Joints._fields.index(name) for name in arm.axes_without_switch),
             needs_homing=arm.homing == "firmware",
         ),
+    )
+
+
+def _trajectory_settings(arm: ArmSection, section: Ros2ControlSection) -> Ros2ControlSettings:
+    angle, quill = arm.tolerance_angle, arm.tolerance_quill
+    return Ros2ControlSettings(
+        section.joints,
+        arm.max_acceleration,
+        (angle, angle, quill, angle),
+        section.state_timeout,
     )

@@ -32,6 +32,9 @@ from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraModel, ReferenceMap, marker_ids
 
 FourNumbers = tuple[float, float, float, float]
+ARM_TAPPER = "tapper"
+"""Name of the one tapper that an arm carries."""
+
 Constraint = Literal["linear_bearings", "free"]
 JointName = Literal["shoulder", "elbow", "quill", "tool"]
 
@@ -66,6 +69,43 @@ class KeepOutSection:
 
 
 @dataclass(frozen=True, slots=True)
+class Ros2ControlSection:
+    """An arm with a ROS driver of its own: how it is commanded and where it tells its joints."""
+
+    controller: str = text(
+        "full name of its joint_trajectory_controller, such as /scara_controller"
+    )
+    joints: tuple[str, ...] = text(
+        "its names of the joints, in the order of the arm's kinematics (SCARA: shoulder, elbow, "
+        "quill, tool)"
+    )
+    joint_states: str = text("full name of the topic of its joint states", default="/joint_states")
+    interface: str = choice(
+        "how trajectories are sent: auto takes the action where control_msgs is installed and the "
+        "controller offers it, else the topic",
+        "auto",
+        "topic",
+        "action",
+        default="topic",
+    )
+    state_timeout: float = quantity(
+        "longest silence of the joint states before the arm counts as lost",
+        "s",
+        0.05,
+        1.0,
+        default=0.25,
+    )
+
+    def __post_init__(self) -> None:
+        for key in ("controller", "joint_states"):
+            name = getattr(self, key)
+            if not name.startswith("/") or name.endswith("/") or len(name) < 2:
+                raise ValueError(f"{key} is '{name}', but must be a full name, such as /name")
+        if len(set(self.joints)) != len(self.joints) or not all(self.joints):
+            raise ValueError(f"joints {list(self.joints)}: each needs a name of its own")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ArmSection:
     """The SCARA arm: where it stands, its dimensions, limits, moves and controller."""
 
@@ -95,12 +135,21 @@ class ArmSection:
     park: FourNumbers = quantity(
         "joints where the arm waits out of the camera's view: rad, rad, m, rad", "", -20.0, 20.0
     )
-    dialect: str = choice("language of the arm's controller", "grbl", "marlin")
+    dialect: str = choice(
+        "language of the arm's controller; ros2_control: the arm has a ROS driver of its own",
+        "grbl",
+        "marlin",
+        "ros2_control",
+    )
+    ros2_control: Ros2ControlSection | None = section(
+        "the arm's own ROS driver, for the dialect ros2_control", default=None
+    )
     port: str = text(
         "path of the controller's serial port; ~ is the home folder, {namespace} the node's, "
-        "{cell} a name of this namespace in this ROS domain, for the ports of the simulated cell"
+        "{cell} a name of this namespace in this ROS domain, for the ports of the simulated cell",
+        default="",
     )
-    baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000)
+    baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000, default=115_200)
     homing: str = choice("how the arm is homed", "firmware", "manual_pose", "none")
     home: FourNumbers = quantity(
         "joints where homing ends: rad, rad, m, rad", "", -20.0, 20.0, default=(0.0,) * 4
@@ -199,9 +248,10 @@ class ArmSection:
         """Wiring, homing and tolerances for the arm's driver.
 
         Raises:
-            ValueError: axis_sign or axis_letters make no arm.
+            ValueError: axis_sign or axis_letters make no arm, or the dialect lacks what it needs.
         """
         check_letters(self.axis_letters)
+        self._check_dialect()
         return ArmSettings(
             axis_sign=self.axis_sign,
             home_joints=self.home,
@@ -211,6 +261,29 @@ class ArmSection:
             settle_time=self.settle_time,
             quill_brake=self.quill_brake,
         )
+
+    def _check_dialect(self) -> None:
+        section = self.ros2_control
+        if self.dialect != "ros2_control":
+            if section is not None:
+                raise ValueError(f"arm.ros2_control has no meaning for the dialect {self.dialect}")
+            if not self.port:
+                raise ValueError(f"key 'arm.port' is missing: the dialect {self.dialect} needs it")
+            return
+        if section is None:
+            raise ValueError("key 'arm.ros2_control' is missing: the dialect ros2_control needs it")
+        if self.port:
+            raise ValueError("arm.port has no meaning for the dialect ros2_control: leave it out")
+        if len(section.joints) != len(self.lower):
+            raise ValueError(
+                f"arm.ros2_control.joints has {len(section.joints)} names, the arm has"
+                f" {len(self.lower)} joints"
+            )
+        if self.homing != "none":
+            raise ValueError(
+                f"arm.homing is {self.homing}, but must be none for the dialect ros2_control: the"
+                " arm's own driver homes it"
+            )
 
     def controller_needs(self) -> ControllerNeeds:
         """What the controller's own settings must allow.
@@ -235,7 +308,7 @@ class ArmSection:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TapperSection:
     """The striker and the device that charges and fires it."""
 
@@ -331,6 +404,11 @@ class Cell:
         """X of arm_base in table."""
         return Pose(*self.file.arm.base)
 
+    @property
+    def tapper_names(self) -> tuple[str, ...]:
+        """Names of the cell's tappers, as commands and states say them."""
+        return (ARM_TAPPER,)
+
     def outline(self) -> tuple[tuple[float, float], ...]:
         """The object's outline in its own frame: points (x, y) in m, counter-clockwise."""
         shape = self.object.shape
@@ -389,6 +467,21 @@ def refuse_simulated_ports(cell: Cell) -> None:
             f"{cell.path}: key '{key}' is {port}, a port of the simulated cell, and hardware was "
             "asked for: copy the folder config, name the device there (such as "
             "/dev/serial/by-id/...), and give the copy as the cell file"
+        )
+
+
+def refuse_own_drivers(cell: Cell) -> None:
+    """See that a cell file commands no real device, before a simulated cell is started from it.
+
+    Raises:
+        ConfigurationError: the arm has a ROS driver of its own, which no simulated world stands in
+            for.
+    """
+    if cell.file.arm.ros2_control is not None:
+        raise ConfigurationError(
+            f"{cell.path}: key 'arm.dialect' is ros2_control: a simulated cell started from this "
+            f"file would move the arm behind {cell.file.arm.ros2_control.controller}; ask for "
+            "hardware, or give a cell file with a serial arm"
         )
 
 

@@ -196,10 +196,10 @@ def _brake(cell: Cell) -> Iterator[str]:
 def _ports(cell: Cell) -> Iterator[str]:
     ports = {"arm": cell.file.arm.port, "tapper": cell.file.tapper.port}
     for name, port in ports.items():
-        if not Path(port).expanduser().exists():
+        if port and not Path(port).expanduser().exists():
             yield (
                 f"{cell.path}: key '{name}.port': {port} is not there (yet); the simulated world "
                 "makes it, a device has to be plugged in"
             )
-    if ports["arm"] == ports["tapper"]:
+    if ports["arm"] and ports["arm"] == ports["tapper"]:
         yield f"{cell.path}: arm and tapper have the same port {ports['arm']}"

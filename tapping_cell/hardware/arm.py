@@ -18,11 +18,18 @@ from tapping_cell.hardware.arm_settings import (
     HomingStrategy,
 )
 from tapping_cell.hardware.axis_units import in_words, to_axes, to_joints
-from tapping_cell.hardware.dialect import ArmDialect, AxisReading, Firmware, LineCounters
+from tapping_cell.hardware.dialect import (
+    ArmDialect,
+    Axes,
+    AxisReading,
+    Firmware,
+    LineCounters,
+    StraightMove,
+)
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.motion import Waypoint, check_limits, move_duration
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
-from tapping_cell.hardware.transport import Transport
+from tapping_cell.hardware.transport import Connection
 
 MOVE_ATTEMPTS = 3
 """A line that was lost or garbled is sent again this often while the arm stands where it stood."""
@@ -53,7 +60,7 @@ class ArmDriver:
 
     def __init__(
         self,
-        transport: Transport,
+        transport: Connection,
         dialect: ArmDialect,
         geometry: ScaraGeometry,
         settings: ArmSettings | None = None,
@@ -341,22 +348,24 @@ class ArmDriver:
     def _send(
         self, places: Sequence[Joints], speed: float, deadline: float
     ) -> HardwareFault | None:
-        """Send a line for each step; returns the controller's refusal if it refused one."""
+        """Send what leads from place to place; returns the controller's refusal of a step."""
+        moves: list[StraightMove] = []
         for start, goal in pairwise(places):
-            target = to_axes(self.settings.axis_sign, goal)
-            length = math.dist(to_axes(self.settings.axis_sign, start), target)
+            target = self._to_axes(goal)
+            length = math.dist(self._to_axes(start), target)
             time = max(
                 abs(b - a) / (v * speed)
                 for a, b, v in zip(start, goal, self.geometry.max_speed, strict=True)
             )
             if time == 0:
                 continue
-            try:
-                self._dialect.start_move(target, max(60 * length / time, LEAST_FEED), deadline)
-            except HardwareFault as fault:
-                if fault.reason is not FaultReason.REJECTED:
-                    raise
-                return fault
+            moves.append(StraightMove(target, max(60 * length / time, LEAST_FEED)))
+        try:
+            self._dialect.start_moves(moves, deadline)
+        except HardwareFault as fault:
+            if fault.reason is not FaultReason.REJECTED:
+                raise
+            return fault
         return None
 
     def _arrive(self, expected_end: float, deadline: float) -> ArmReading:
@@ -365,7 +374,7 @@ class ArmDriver:
 
     def _home_by_firmware(self) -> Joints:
         home = None if self.settings.home_joints is None else Joints(*self.settings.home_joints)
-        axes = None if home is None else to_axes(self.settings.axis_sign, home)
+        axes = None if home is None else self._to_axes(home)
         self._dialect.home(axes, self._transport.now() + self.settings.homing_timeout)
         joints = self._read().joints
         if home is None:
@@ -382,12 +391,18 @@ class ArmDriver:
                 f"the arm's controller is {reading.alarm}: clear the fault before homing"
                 f" by {strategy.value}",
             )
+        if reading.moving:
+            raise HardwareFault(
+                FaultReason.HOMING_FAILED,
+                f"the arm moves at {in_words(reading.joints)}: wait until it stands, then home"
+                " again",
+            )
         home = self.settings.home_joints
         if strategy is HomingStrategy.NONE or home is None:
             check_limits(self.geometry, reading.joints)
             return reading.joints
         target = Joints(*home)
-        self._dialect.set_position(to_axes(self.settings.axis_sign, target), self._reply_deadline())
+        self._dialect.set_position(self._to_axes(target), self._reply_deadline())
         reading = self._read()
         if not self._agrees(target, reading.joints):
             raise self._mismatch(target, reading.joints)
@@ -415,12 +430,18 @@ class ArmDriver:
     def _converted(self, reading: AxisReading) -> ArmReading:
         """In joint values, believed or not."""
         return ArmReading(
-            to_joints(self.settings.axis_sign, reading.axes),
+            self._to_joints(reading.axes),
             reading.moving,
             reading.alarm,
             reading.measured,
             reading.asked,
         )
+
+    def _to_axes(self, joints: Joints) -> Axes:
+        return to_axes(self.settings.axis_sign, self._dialect.units, joints)
+
+    def _to_joints(self, axes: Axes) -> Joints:
+        return Joints(*to_joints(self.settings.axis_sign, self._dialect.units, axes))
 
     def _reply_deadline(self) -> float:
         return self._transport.now() + self.settings.reply_timeout

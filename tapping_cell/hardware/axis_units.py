@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from tapping_cell.hardware.dialect import AXIS_COUNT, AxisValues
+from tapping_cell.hardware.dialect import AXIS_COUNT, Axes
 from tapping_cell.hardware.scara import Joints
 
 LETTERS = "XYZABCUVWE"
@@ -22,16 +22,16 @@ def check_letters(letters: str) -> None:
         raise ValueError(f"axis letters {letters!r}: each must be one of {LETTERS}")
 
 
-def to_axes(axis_sign: Sequence[int], joints: Joints) -> AxisValues:
+def to_axes(axis_sign: Sequence[int], units: Sequence[float], joints: Sequence[float]) -> Axes:
     """Axis values of joints; ``axis_sign``: 1 or -1 for each axis."""
-    scales = zip(axis_sign, TO_UNITS, joints, strict=True)
-    return AxisValues(*(sign * unit * value for sign, unit, value in scales))
+    scales = zip(axis_sign, units, joints, strict=True)
+    return tuple(sign * unit * value for sign, unit, value in scales)
 
 
-def to_joints(axis_sign: Sequence[int], axes: AxisValues) -> Joints:
-    """Joints of axis values; ``axis_sign``: 1 or -1 for each axis."""
-    scales = zip(axis_sign, TO_UNITS, axes, strict=True)
-    return Joints(*(sign * value / unit for sign, unit, value in scales))
+def to_joints(axis_sign: Sequence[int], units: Sequence[float], axes: Axes) -> Axes:
+    """Joint values of axis values; ``axis_sign``: 1 or -1 for each axis."""
+    scales = zip(axis_sign, units, axes, strict=True)
+    return tuple(sign * value / unit for sign, unit, value in scales)
 
 
 def in_words(joints: Joints) -> str:

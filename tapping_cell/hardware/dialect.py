@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -10,13 +11,16 @@ from tapping_cell.hardware.finding import Finding
 AXIS_COUNT = 4
 
 
-class AxisValues(NamedTuple):
-    """Axis values in the controller's units: degrees, degrees, mm, degrees."""
+Axes = tuple[float, ...]
+"""Axis values in the controller's units (``ArmDialect.units``), in the order of the joints."""
 
-    shoulder: float
-    elbow: float
-    quill: float
-    tool: float
+
+class StraightMove(NamedTuple):
+    """A straight absolute move."""
+
+    target: Axes
+    feed: float
+    """Speed along the line, units/min."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +39,7 @@ class Firmware:
 class AxisReading:
     """One reading of the controller."""
 
-    axes: AxisValues
+    axes: Axes
     moving: bool
     alarm: str
     """Empty, or why the controller refuses to move."""
@@ -66,6 +70,10 @@ class ArmDialect(Protocol):
     counters: LineCounters
 
     @property
+    def units(self) -> Sequence[float]:
+        """Units of each axis to one rad or m of its joint."""
+
+    @property
     def stop_bytes(self) -> bytes:
         """What stops the motion at once, sent outside the queue."""
 
@@ -84,8 +92,8 @@ class ArmDialect(Protocol):
     def read(self, deadline: float) -> AxisReading:
         """Ask where the axes are."""
 
-    def start_move(self, target: AxisValues, feed: float, deadline: float) -> None:
-        """Send one straight absolute move at ``feed`` units/min; returns once it is taken."""
+    def start_moves(self, moves: Sequence[StraightMove], deadline: float) -> None:
+        """Send moves that follow each other; returns once they are taken."""
 
     def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
         """Wait until nothing moves any more; asks little before ``expected_end``.
@@ -96,13 +104,13 @@ class ArmDialect(Protocol):
     def idle(self, duration: float) -> None:
         """Listen for up to ``duration`` s without asking anything."""
 
-    def home(self, axes: AxisValues | None, deadline: float) -> None:
+    def home(self, axes: Axes | None, deadline: float) -> None:
         """Run the firmware's own homing cycle, prove that it ran, declare its end to be ``axes``.
 
         ``axes`` None keeps the firmware's own values. Raises HOMING_FAILED.
         """
 
-    def set_position(self, axes: AxisValues, deadline: float) -> None:
+    def set_position(self, axes: Axes, deadline: float) -> None:
         """Declare where the axes stand."""
 
     def clear(self, deadline: float) -> None:

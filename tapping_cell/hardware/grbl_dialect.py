@@ -7,14 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from tapping_cell.hardware import controller_needs, grbl
-from tapping_cell.hardware.axis_units import check_letters
+from tapping_cell.hardware.axis_units import TO_UNITS, check_letters
 from tapping_cell.hardware.controller_needs import ControllerNeeds
 from tapping_cell.hardware.dialect import (
     AXIS_COUNT,
+    Axes,
     AxisReading,
-    AxisValues,
     Firmware,
     LineCounters,
+    StraightMove,
 )
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.finding import Finding
@@ -110,6 +111,11 @@ class GrblDialect:
         self._since = 0.0
 
     @property
+    def units(self) -> Sequence[float]:
+        """Degrees and mm."""
+        return TO_UNITS
+
+    @property
     def stop_bytes(self) -> bytes:
         """Feed hold and soft reset."""
         return grbl.STOP
@@ -158,7 +164,12 @@ class GrblDialect:
                 return self._reading(status)
             last = status
 
-    def start_move(self, target: AxisValues, feed: float, deadline: float) -> None:
+    def start_moves(self, moves: Sequence[StraightMove], deadline: float) -> None:
+        """Send a line for each move."""
+        for move in moves:
+            self._start_move(move.target, move.feed, deadline)
+
+    def _start_move(self, target: Axes, feed: float, deadline: float) -> None:
         """Send one move; a lost answer is not repeated: the position read back decides."""
         line = grbl.move_line(self._settings.letters, target, feed)
         try:
@@ -202,7 +213,7 @@ class GrblDialect:
         self._pump(duration)
         self._frames.clear()
 
-    def home(self, axes: AxisValues | None, deadline: float) -> None:
+    def home(self, axes: Axes | None, deadline: float) -> None:
         """Run ``$H``; the machine position afterwards proves that it ran.
 
         Neither the line nor its ``ok`` has a checksum: one wrong bit makes ``$X`` of it, which is
@@ -239,7 +250,7 @@ class GrblDialect:
         if axes is not None:
             self.set_position(axes, deadline)
 
-    def set_position(self, axes: AxisValues, deadline: float) -> None:
+    def set_position(self, axes: Axes, deadline: float) -> None:
         """``G92``, which a reset forgets; then the mark that proves no reset happened."""
         self._offset, self._frozen = None, False
         self._command(grbl.set_position_line(self._settings.letters, axes), deadline)
@@ -733,7 +744,7 @@ class GrblDialect:
         )
 
     def _reading(self, status: grbl.Status) -> AxisReading:
-        axes = AxisValues(*self._in_order(self._work_position(status) or ()))
+        axes = self._in_order(self._work_position(status) or ())
         return AxisReading(
             axes,
             _moving(status),

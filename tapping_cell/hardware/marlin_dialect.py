@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import secrets
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from tapping_cell.hardware import controller_needs, marlin
-from tapping_cell.hardware.axis_units import check_letters
+from tapping_cell.hardware.axis_units import TO_UNITS, check_letters
 from tapping_cell.hardware.controller_needs import ControllerNeeds
 from tapping_cell.hardware.dialect import (
     AXIS_COUNT,
+    Axes,
     AxisReading,
-    AxisValues,
     Firmware,
     LineCounters,
+    StraightMove,
 )
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.finding import Finding
@@ -92,6 +93,11 @@ class MarlinDialect:
         self._steps: dict[str, float] = {}
 
     @property
+    def units(self) -> Sequence[float]:
+        """Degrees and mm."""
+        return TO_UNITS
+
+    @property
     def stop_bytes(self) -> bytes:
         """``M410`` where the firmware reads it ahead of its queue, else ``M112``: both
         unnumbered."""
@@ -148,7 +154,12 @@ class MarlinDialect:
             self._settle(deadline)
             self.counters.retries += 1
 
-    def start_move(self, target: AxisValues, feed: float, deadline: float) -> None:
+    def start_moves(self, moves: Sequence[StraightMove], deadline: float) -> None:
+        """Send a line for each move."""
+        for move in moves:
+            self._start_move(move.target, move.feed, deadline)
+
+    def _start_move(self, target: Axes, feed: float, deadline: float) -> None:
         """Queue one move."""
         self._order(marlin.move_code(self._settings.letters, target, feed), deadline)
 
@@ -173,7 +184,7 @@ class MarlinDialect:
         """Listen; a restart or a halt that comes is raised."""
         self._pump(duration)
 
-    def home(self, axes: AxisValues | None, deadline: float) -> None:
+    def home(self, axes: Axes | None, deadline: float) -> None:
         """``G28`` and ``G92``: the board takes a line number only after the one before it.
 
         So the position that is read at the end proves that ``G28`` ran, unless the counting had to
@@ -205,7 +216,7 @@ class MarlinDialect:
                 " it homed: home again",
             )
 
-    def set_position(self, axes: AxisValues, deadline: float) -> None:
+    def set_position(self, axes: Axes, deadline: float) -> None:
         """``G92``."""
         self._order("G92" + marlin.axis_words(self._settings.letters, axes), deadline)
 
@@ -490,10 +501,10 @@ class MarlinDialect:
                 f"the controller reports no axis {', '.join(missing)}: build its firmware with"
                 f" {AXIS_COUNT} axes or correct the axis letters",
             )
-        commanded = AxisValues(*(frame.commanded[letter] for letter in letters))
+        commanded = tuple(frame.commanded[letter] for letter in letters)
         if not self._steps or not set(letters) <= set(frame.counts):
             return AxisReading(commanded, False, "", False, asked)
-        actual = AxisValues(*(frame.counts[a] / self._steps[a] for a in letters))
+        actual = tuple(frame.counts[a] / self._steps[a] for a in letters)
         # Commanded values are rounded to 0.01; beyond that and one step the axes are on the way.
         moving = any(
             abs(a - c) > 0.006 + 1 / self._steps[letter]

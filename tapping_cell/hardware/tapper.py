@@ -118,6 +118,8 @@ class TapperDriver:
     ) -> None:
         self.settings = settings or TapperSettings()
         self.counters = TapperCounters()
+        self.last_reply: Reply | None = None
+        """What the board answered last."""
         self._transport = transport
         self._draw_number = draw_number
         self._buffer = b""
@@ -509,6 +511,7 @@ class TapperDriver:
         while (left := until - self._transport.now()) > 0:
             for reply in self._listen(left):
                 if (reply.session, reply.sequence) == (self._session, sequence):
+                    self.last_reply = reply
                     return reply
         self.counters.timeouts += 1
         return None

@@ -1,41 +1,88 @@
-"""A URDF of the arm from the same dimensions that the kinematics use, for viewers and planners."""
+"""A URDF of the arm from the same dimensions that the kinematics use, for viewers and planners.
+
+Shapes and masses are those of plain aluminium bars, as the cell file knows neither; efforts are
+what the arm's accelerations ask of each joint with these masses and the arm stretched out.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from xml.etree import ElementTree
 
+from tapping_cell.hardware.link_frames import LINKS, link_frames
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 
 LINK_RADIUS = 0.02
-"""Radius of the bars that stand for the links, m; for the eye alone."""
+"""Radius of the bars that stand for the links, m."""
+DENSITY = 2700.0
+"""Of aluminium, kg/m^3."""
+GRAVITY = 9.81
+"""m/s^2"""
+
+
+@dataclass(frozen=True, slots=True)
+class _Bar:
+    """A solid cylinder from the link's origin along one of its axes."""
+
+    length: float
+    """m"""
+    upright: bool
+    """Along z; else along x."""
+
+    @property
+    def mass(self) -> float:
+        """In kg."""
+        return DENSITY * math.pi * LINK_RADIUS**2 * self.length
+
+    @property
+    def along(self) -> float:
+        """Moment of inertia about the bar's own axis, kg m^2."""
+        return self.mass * LINK_RADIUS**2 / 2
+
+    @property
+    def across(self) -> float:
+        """Moment of inertia about an axis across it through its centre, kg m^2."""
+        return self.mass * (3 * LINK_RADIUS**2 + self.length**2) / 12
+
+    @property
+    def centre(self) -> tuple[float, float, float]:
+        """In the link's frame, m."""
+        return (0.0, 0.0, self.length / 2) if self.upright else (self.length / 2, 0.0, 0.0)
+
+    def about_z(self, distance: float) -> float:
+        """Moment of inertia about a vertical axis ``distance`` m before the link's origin."""
+        own = self.along if self.upright else self.across
+        return own + self.mass * (self.centre[0] + distance) ** 2
 
 
 def urdf(geometry: ScaraGeometry, name: str = "scara_arm") -> str:
     """The arm as URDF text: links from ``arm_base`` to ``striker``, joints named as in ``Joints``.
 
-    ``striker`` is the tip with x along its line of travel, as ``ScaraGeometry.forward`` gives it.
+    ``arm_base`` has no inertia: it stands still, and KDL allows none at the root.
     """
     robot = ElementTree.Element("robot", name=name)
-    chain = ("arm_base", "upper_arm", "forearm", "quill_rod", "tool")
-    lengths = (0.0, geometry.upper_arm, geometry.forearm, 0.0, 0.0)
-    for link, length in zip(chain, lengths, strict=True):
-        _link(robot, link, length, geometry.tip_height)
-    ElementTree.SubElement(robot, "link", name="striker")
-    height = geometry.tip_height
-    places = ((0, 0, height), (geometry.upper_arm, 0, 0), (geometry.forearm, 0, 0), (0, 0, 0))
-    for index, joint in enumerate(Joints._fields):
-        sliding = joint == "quill"
-        element = ElementTree.SubElement(
-            robot, "joint", name=joint, type="prismatic" if sliding else "revolute"
-        )
-        ElementTree.SubElement(element, "parent", link=chain[index])
-        ElementTree.SubElement(element, "child", link=chain[index + 1])
-        x, y, z = places[index]
-        offset = geometry.joint_offset[index]
-        lift, turn = (offset, 0.0) if sliding else (0.0, offset)
+    bars = _bars(geometry)
+    for link in LINKS:
+        element = ElementTree.SubElement(robot, "link", name=link)
+        if link in bars:
+            _shape(element, bars[link], inertia=link != LINKS[0])
+    efforts = _efforts(geometry, bars)
+    frames = link_frames(geometry, Joints(0.0, 0.0, 0.0, 0.0))
+    names = (*Joints._fields, "striker_mount")
+    for index, (joint, frame) in enumerate(zip(names, frames, strict=True)):
+        kind = {"quill": "prismatic", "striker_mount": "fixed"}.get(joint, "revolute")
+        element = ElementTree.SubElement(robot, "joint", name=joint, type=kind)
+        ElementTree.SubElement(element, "parent", link=frame.parent)
+        ElementTree.SubElement(element, "child", link=frame.link)
         ElementTree.SubElement(
-            element, "origin", xyz=_numbers(x, y, z + lift), rpy=_numbers(0, 0, turn)
+            element,
+            "origin",
+            xyz=_numbers(frame.x, frame.y, frame.z),
+            rpy=_numbers(0, 0, frame.yaw),
         )
+        if kind == "fixed":
+            continue
         ElementTree.SubElement(element, "axis", xyz="0 0 1")
         ElementTree.SubElement(
             element,
@@ -43,38 +90,62 @@ def urdf(geometry: ScaraGeometry, name: str = "scara_arm") -> str:
             lower=repr(geometry.lower[index]),
             upper=repr(geometry.upper[index]),
             velocity=repr(geometry.max_speed[index]),
-            effort="0",
+            effort=repr(round(efforts[index], 6)),
         )
-    tip = ElementTree.SubElement(robot, "joint", name="striker_mount", type="fixed")
-    ElementTree.SubElement(tip, "parent", link="tool")
-    ElementTree.SubElement(tip, "child", link="striker")
-    ElementTree.SubElement(
-        tip,
-        "origin",
-        xyz=_numbers(geometry.tip_forward, geometry.tip_side, 0),
-        rpy=_numbers(0, 0, geometry.tip_yaw),
-    )
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _link(robot: ElementTree.Element, name: str, length: float, height: float) -> None:
-    link = ElementTree.SubElement(robot, "link", name=name)
-    if name == "arm_base":
-        _cylinder(link, height, (0, 0, height / 2), "0 0 0")
-    elif length > 0:
-        _cylinder(link, length, (length / 2, 0, 0), _numbers(0, 1.5707963267948966, 0))
-    else:
-        _cylinder(link, LINK_RADIUS, (0, 0, 0), "0 0 0")
+def _bars(geometry: ScaraGeometry) -> dict[str, _Bar]:
+    """The solid of each link but ``striker``, which is a point."""
+    return {
+        "arm_base": _Bar(max(geometry.tip_height, LINK_RADIUS), upright=True),
+        "upper_arm": _Bar(geometry.upper_arm, upright=False),
+        "forearm": _Bar(geometry.forearm, upright=False),
+        "quill_rod": _Bar(max(geometry.tip_height, LINK_RADIUS), upright=True),
+        "tool": _Bar(max(geometry.tip_forward, LINK_RADIUS), upright=False),
+    }
 
 
-def _cylinder(
-    link: ElementTree.Element, length: float, place: tuple[float, float, float], turn: str
-) -> None:
-    visual = ElementTree.SubElement(link, "visual")
-    ElementTree.SubElement(visual, "origin", xyz=_numbers(*place), rpy=turn)
-    shape = ElementTree.SubElement(visual, "geometry")
-    ElementTree.SubElement(shape, "cylinder", radius=repr(LINK_RADIUS), length=repr(length))
+def _efforts(geometry: ScaraGeometry, bars: dict[str, _Bar]) -> tuple[float, float, float, float]:
+    """Torques in N m and the quill's force in N: inertia times acceleration, arm stretched out."""
+    rod, tool = bars["quill_rod"], bars["tool"]
+    reach = geometry.forearm
+    elbow = bars["forearm"].about_z(0.0) + rod.about_z(reach) + tool.about_z(reach)
+    reach += geometry.upper_arm
+    shoulder = bars["upper_arm"].about_z(0.0) + bars["forearm"].about_z(geometry.upper_arm)
+    shoulder += rod.about_z(reach) + tool.about_z(reach)
+    acceleration = Joints(*geometry.max_acceleration)
+    return (
+        shoulder * acceleration.shoulder,
+        elbow * acceleration.elbow,
+        (rod.mass + tool.mass) * (acceleration.quill + GRAVITY),
+        tool.about_z(0.0) * acceleration.tool,
+    )
+
+
+def _shape(link: ElementTree.Element, bar: _Bar, inertia: bool) -> None:
+    turn = _numbers(0, 0, 0) if bar.upright else _numbers(0, math.pi / 2, 0)
+    for part in ("visual", "collision", "inertial")[: 3 if inertia else 2]:
+        element = ElementTree.SubElement(link, part)
+        ElementTree.SubElement(element, "origin", xyz=_numbers(*bar.centre), rpy=turn)
+        if part == "inertial":
+            ElementTree.SubElement(element, "mass", value=repr(bar.mass))
+            ElementTree.SubElement(
+                element,
+                "inertia",
+                ixx=repr(bar.across),
+                iyy=repr(bar.across),
+                izz=repr(bar.along),
+                ixy="0",
+                ixz="0",
+                iyz="0",
+            )
+        else:
+            shape = ElementTree.SubElement(element, "geometry")
+            ElementTree.SubElement(
+                shape, "cylinder", radius=repr(LINK_RADIUS), length=repr(bar.length)
+            )
 
 
 def _numbers(*values: float) -> str:

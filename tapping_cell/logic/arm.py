@@ -17,11 +17,20 @@ from tapping_cell.hardware.arm_settings import HomingStrategy
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.motion import MotionSettings, check_limits
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
-from tapping_cell.logic import arm_jobs, tap_commands
+from tapping_cell.logic import arm_jobs, enabling, tap_commands
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
-from tapping_cell.logic.effects import Answer, JobEnded, LogLevel, Message, Publish, Token
+from tapping_cell.logic.effects import (
+    Answer,
+    JobEnded,
+    LogLevel,
+    Message,
+    Publish,
+    StopWire,
+    Token,
+)
+from tapping_cell.logic.enabling import EnablingDevice
 from tapping_cell.logic.error_codes import of_arm
 from tapping_cell.logic.host import Configured
 from tapping_cell.logic.poses import from_message, to_message
@@ -136,6 +145,8 @@ WIRE = {
 HEALTHY = frozenset(
     {S.HOMING, S.IDLE, S.PLACING, S.IN_POSITION, S.LEAVING, S.WITHDRAWING, S.FOLLOWING}
 )
+AT_WORK = HEALTHY - {S.IDLE}
+"""States in which the arm moves, or stands at an object and may move on."""
 UNHOMED = (FaultReason.NOT_HOMED, FaultReason.HOMING_FAILED)
 
 
@@ -147,7 +158,7 @@ class ArmOptions:
     state_rate: float = 20.0
     """Hz."""
     set_up: bool = False
-    """Whether the arm moves at reduced speed, for commissioning and the first taps."""
+    """Set-up mode: the arm moves slowly, and only while an enabling device is held."""
 
 
 class ArmLogic(DeviceLogic[State, Event]):
@@ -177,6 +188,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._promised_to = (0, 0)
         self._promise_end = -math.inf
         self._outcome_told = 0
+        self._enabling = EnablingDevice()
 
     # Messages and requests
 
@@ -184,13 +196,18 @@ class ArmLogic(DeviceLogic[State, Event]):
         if topic == "tap_command":
             self._tap_command(message, now)
         elif topic == "tapper_state":
+            self._enabling.hear_switch(message.enabling_switch, now)
             self._tapper_told(message, now)
+            self._watch_enabling(now)
         elif topic == "joint_trajectory":
-            self._trajectory(message)
+            self._trajectory(message, now)
+        elif topic == enabling.TOPIC:
+            self._enabling.hear_key(message.data, now)
+            self._watch_enabling(now)
 
     def _handle_request(self, service: str, request: Message, token: Token, now: Now) -> None:
         if service == "~/home":
-            self._home(token)
+            self._home(token, now)
         elif service == "hold_still":
             self._effects.append(Answer(token, self._hold_still(request, now)))
 
@@ -233,6 +250,8 @@ class ArmLogic(DeviceLogic[State, Event]):
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
         if self.state is not S.IDLE:
             return ErrorCode.ARM_BUSY, f"the arm is not idle ({self._trouble[1] or 'it is busy'})"
+        if not self._enabled(now):
+            return enabling.RELEASED
         if tap_commands.expired(command, now):
             return ErrorCode.ARM_COMMAND_EXPIRED, "its expiry has passed"
         return tap_commands.refusal(command, now, self._last_tap_id)
@@ -244,11 +263,15 @@ class ArmLogic(DeviceLogic[State, Event]):
         else:
             self._log(LogLevel.ERROR, sentence)
 
-    def _trajectory(self, message: JointTrajectory) -> None:
+    def _trajectory(self, message: JointTrajectory, now: Now) -> None:
         if not self._active or self.state is not S.IDLE:
             code = ErrorCode.ARM_BUSY if self._active else ErrorCode.NOT_ACTIVE
             reason = self._trouble[1] or "busy"
             self._refuse(code, f"trajectory refused: the arm is not idle ({reason})")
+            return
+        if not self._enabled(now):
+            code, reason = enabling.RELEASED
+            self._refuse(code, f"trajectory refused: {reason}")
             return
         try:
             targets = trajectory_targets(message)
@@ -266,12 +289,14 @@ class ArmLogic(DeviceLogic[State, Event]):
             partial(arm_jobs.follow, targets=targets, scale=scale, not_before=self._promise_end),
         )
 
-    def _home(self, token: Token) -> None:
+    def _home(self, token: Token, now: Now) -> None:
         if not self._active:
             self._answer(token, False, "the node is not active; activate it first")
         elif self.state not in (S.NOT_HOMED, S.IDLE):
             reason = self._trouble[1] or "busy"
             self._answer(token, False, f"the arm cannot home now: {reason}")
+        elif not self._enabled(now):
+            self._answer(token, False, enabling.RELEASED[1])
         else:
             self._begin_homing()
             self._answer(token, True, "homing has begun; arm_state tells when it is done")
@@ -289,6 +314,22 @@ class ArmLogic(DeviceLogic[State, Event]):
                 not_before=self._promise_end,
             ),
         )
+
+    # Set-up mode
+
+    def _enabled(self, now: Now) -> bool:
+        """Whether the arm may begin to move, as far as set-up mode goes."""
+        return not self._options.set_up or self._enabling.held(now)
+
+    def _watch_enabling(self, now: Now) -> None:
+        """Stop an arm at work whose enabling device is no longer held."""
+        if self._enabled(now) or self.state not in AT_WORK:
+            return
+        self._effects.append(StopWire())
+        if self._stops.press(enabling.SOURCE):
+            self._keep_stops(now)
+        self._stop(now)
+        self._say(*enabling.STOPPED)
 
     # Standing still for the tapper
 
@@ -489,7 +530,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state not in (S.NOT_HOMED, S.IDLE, S.INACTIVE):
             return
         self._stand(Event.ACTIVATED)
-        if self._options.home_on_activate and self._cell.file.arm.homes_alone:
+        alone = self._options.home_on_activate and not self._options.set_up
+        if alone and self._cell.file.arm.homes_alone:
             self._begin_homing()
 
     def _deactivated(self, now: Now) -> None:
@@ -538,6 +580,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._run("clear", arm_jobs.clear)
 
     def _time_passed(self, now: Now) -> None:
+        self._watch_enabling(now)
         if self.state is S.DISCONNECTED:
             if self._job is None and now.steady >= self._read_at + READ_PERIOD_S:
                 self._read_at = now.steady
@@ -569,6 +612,8 @@ class ArmLogic(DeviceLogic[State, Event]):
             tap_id=self._tap_id,
             homed=reading is not None,
             clear_of_camera=self._clear_of_camera,
+            set_up=self._options.set_up,
+            enabled=self._options.set_up and self._enabling.held(now),
             error_code=code,
             error_msg=sentence,
         )
@@ -578,7 +623,9 @@ class ArmLogic(DeviceLogic[State, Event]):
             tip = self._geometry.forward(reading.joints)
             planar = self._cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
             message.tip_pose = to_message(planar, tip.z)
-            if self._read_stamp != self._joints_told:
+            # An arm with a driver of its own tells them itself.
+            own_driver = self._cell.file.arm.ros2_control is not None
+            if self._read_stamp != self._joints_told and not own_driver:
                 self._joints_told = self._read_stamp
                 joints = JointState(name=list(Joints._fields), position=list(reading.joints))
                 joints.header.stamp = self._read_stamp
@@ -586,7 +633,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return Publish("arm_state", message)
 
     def _comparable(self, message: Message) -> Message:
-        return message.state, message.tap_id, message.error_code, message.error_msg
+        return message.state, message.tap_id, message.enabled, message.error_code, message.error_msg
 
 
 INACTIVE_TROUBLE = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activate it")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from tapping_cell.logic import enabling
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock
 from tapping_cell.logic.poses import from_message
@@ -89,6 +90,8 @@ class CellMonitor:
         arm, tapper = self.arm, self.tapper
         if arm is None or self.silent("arm", now):
             return ErrorCode.ARM_SILENT, self._silence("arm", now)
+        if arm.set_up and not arm.enabled:
+            return enabling.RELEASED
         if arm.state != ArmState.IDLE:
             return arm.error_code or ErrorCode.ARM_BUSY, arm.error_msg or "the arm is busy"
         if tapper is None or self.silent("tapper", now):

@@ -7,14 +7,16 @@ from dataclasses import dataclass
 
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
+from tapping_cell.logic import tap_commands
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Token
+from tapping_cell.logic.frames import TABLE, Frames, TableOnly
 from tapping_cell.logic.goal_validation import REFUSALS, Refused, read_goal, read_tolerance
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.table_maps import TableMap, TableMaps
 from tapping_cell.logic.task import SingleTapTask, Task
-from tapping_cell.messages import ErrorCode, PoseStamped, SingleTap
+from tapping_cell.messages import ErrorCode, Header, PoseStamped, SingleTap
 from tapping_cell.planning import (
     Gains,
     Planner,
@@ -65,13 +67,16 @@ class GoalHandling:
         keep_for: str,
         time_limit: float,
         maps: TableMaps | None = None,
+        frames: Frames | None = None,
         solve_in_background: bool = True,
     ) -> None:
         """``other_objects``: to be avoided; ``adapt``: learn from taps; ``probe``: begin with
         a few of the smallest taps for an object that is not known; ``keep_for``: the cell for which
         what was learnt is remembered between runs, empty for none; ``time_limit``: of a goal that
-        states none, s; ``maps``: made before for the same cell."""
+        states none, s; ``maps``: made before for the same cell;
+        ``frames``: knows the frames of goals, None for ``table`` alone."""
         self.cell = cell
+        self._frames = frames or TableOnly()
         self.other_objects = other_objects
         self._adapt = adapt
         self._probe = probe
@@ -155,7 +160,7 @@ class GoalHandling:
 
     def accept(self, request: Request, now: Now) -> Task | Refused:
         """A task for a request, or why there is none."""
-        goal = read_goal(request.message, 1e-9 * now.ros)
+        goal = read_goal(request.message, 1e-9 * now.ros, self._frames)
         if isinstance(goal, Refused):
             return goal
         tolerance = read_tolerance(
@@ -192,7 +197,12 @@ class GoalHandling:
             most_taps=max_taps,
         )
         expires = now.steady + (request.time_limit or self._time_limit)
-        return Task(request.message, goal, tolerance, max_taps, session, request.token, expires)
+        message = request.message
+        if message.header.frame_id != TABLE:
+            message = PoseStamped(
+                header=Header(stamp=message.header.stamp, frame_id=TABLE), pose=to_message(goal)
+            )
+        return Task(message, goal, tolerance, max_taps, session, request.token, expires)
 
     def accept_tap(
         self, asked: SingleTap.Goal, token: Token, pose: Pose | None, now: Now
@@ -206,6 +216,9 @@ class GoalHandling:
                 f"{1000 * curve.slowest:.0f} to {1000 * curve.fastest:.0f} mm/s; ask for one of "
                 "these",
             )
+        names = self.cell.tapper_names
+        if asked.tapper and asked.tapper not in names:
+            return Refused(*tap_commands.unknown_tapper(asked.tapper, names))
         direction = None if math.isnan(asked.direction) else asked.direction
         try:
             tap = Prescription(asked.striker_speed, asked.incidence, direction, asked.slack)

@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 
 from tapping_cell.logic.clock import to_seconds
-from tapping_cell.logic.poses import from_message, is_finite, quaternion_norm, tilt
+from tapping_cell.logic.frames import TABLE, FrameError, Frames
+from tapping_cell.logic.poses import compose, from_message, is_finite, quaternion_norm, tilt
 from tapping_cell.messages import ErrorCode, PoseStamped
 from tapping_cell.planning import RefusalReason
 from tapping_cell.se2 import Pose
@@ -44,15 +45,11 @@ class Refused:
     sentence: str
 
 
-def read_goal(message: PoseStamped, now: float) -> Pose | Refused:
-    """The planar goal of a message, or why it is not taken. ``now`` is ROS time in s."""
-    frame = message.header.frame_id
-    if frame != "table":
-        return Refused(
-            ErrorCode.GOAL_WRONG_FRAME,
-            f"the goal's frame_id is '{frame}', but goals are poses in 'table'; set "
-            "header.frame_id to table",
-        )
+def read_goal(message: PoseStamped, now: float, frames: Frames) -> Pose | Refused:
+    """The planar goal of a message in ``table``, or why it is not taken.
+
+    ``now`` is ROS time in s; ``frames`` knows where the message's frame is.
+    """
     if not is_finite(message.pose):
         return Refused(
             ErrorCode.GOAL_NOT_FINITE,
@@ -65,13 +62,19 @@ def read_goal(message: PoseStamped, now: float) -> Pose | Refused:
             f"the goal's quaternion has length {norm:.3f}, but must have 1 within {NORM_SLACK:g}; "
             "for an angle a about z send z = sin(a/2), w = cos(a/2)",
         )
-    leaning = tilt(message.pose)
-    height = message.pose.position.z
+    frame, pose = message.header.frame_id, message.pose
+    if frame != TABLE:
+        try:
+            pose = compose(frames.in_table(frame, message.header.stamp), pose)
+        except FrameError as error:
+            return Refused(ErrorCode.GOAL_WRONG_FRAME, str(error))
+    leaning = tilt(pose)
+    height = pose.position.z
     if leaning > LARGEST_TILT or abs(height) > LARGEST_HEIGHT:
         return Refused(
             ErrorCode.GOAL_NOT_PLANAR,
             f"the goal is tilted by {math.degrees(leaning):.2f} deg and lifted by "
-            f"{1000 * height:.2f} mm; taps keep the object flat on the table: at most "
+            f"{1000 * height:.2f} mm in '{TABLE}'; taps keep the object flat on the table: at most "
             f"{math.degrees(LARGEST_TILT):.1f} deg and {1000 * LARGEST_HEIGHT:.0f} mm",
         )
     stamp = to_seconds(message.header.stamp)
@@ -82,7 +85,7 @@ def read_goal(message: PoseStamped, now: float) -> Pose | Refused:
             f"the goal's stamp is {age:.1f} s old; at most {OLDEST_S:.0f} s are taken (and "
             f"{FARTHEST_AHEAD_S:.0f} s ahead); send it again with a fresh stamp or none",
         )
-    return from_message(message.pose)
+    return from_message(pose)
 
 
 def read_tolerance(

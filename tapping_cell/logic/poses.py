@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from tapping_cell.messages import Point, Quaternion
 from tapping_cell.messages import Pose as PoseMessage
@@ -29,6 +30,22 @@ def from_message(message: PoseMessage) -> Pose:
     q = message.orientation
     theta = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
     return Pose(message.position.x, message.position.y, theta)
+
+
+def compose(frame: PoseMessage, pose: PoseMessage) -> PoseMessage:
+    """A pose that is given in a frame, in the frame's parent; ``frame``: its pose in the parent."""
+    turn, own = _rotation(frame.orientation), _rotation(pose.orientation)
+    p, origin = pose.position, frame.position
+    x, y, z = turn.apply([p.x, p.y, p.z])
+    qx, qy, qz, qw = (turn * own).as_quat()
+    return PoseMessage(
+        position=Point(x=origin.x + float(x), y=origin.y + float(y), z=origin.z + float(z)),
+        orientation=Quaternion(x=float(qx), y=float(qy), z=float(qz), w=float(qw)),
+    )
+
+
+def _rotation(q: Quaternion) -> Rotation:
+    return Rotation.from_quat([q.x, q.y, q.z, q.w])
 
 
 def is_finite(message: PoseMessage) -> bool:

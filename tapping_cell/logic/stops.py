@@ -69,10 +69,10 @@ class StopLatch:
             changed = self._add(TOPIC) or changed
         return changed and self.stopped
 
-    def press(self) -> bool:
-        """The service ``stop``: it ends with its call, but latches; returns whether it is new."""
+    def press(self, source: str = SERVICE) -> bool:
+        """A stop without a level, such as the service's: it latches; returns whether it is new."""
         self._heard += 1
-        return self._add(SERVICE)
+        return self._add(source)
 
     def begin_reset(self) -> None:
         """A reset is asked for: the publishers are asked for their levels."""

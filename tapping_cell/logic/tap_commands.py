@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_nanoseconds
 from tapping_cell.logic.poses import is_finite, quaternion_norm
@@ -67,6 +68,20 @@ def refusal(command: TapCommand, now: Now, last_tap_id: int) -> Trouble | None:
             f"it expires in {left:.0f} s; the most is {LONGEST_EXPIRY_S:.0f} s",
         )
     return None
+
+
+def named_tapper(name: str, tappers: Sequence[str]) -> str | None:
+    """Which of the tappers a name means: an empty one the only tapper; None for none of them."""
+    if name == "" and len(tappers) == 1:
+        return tappers[0]
+    return name if name in tappers else None
+
+
+def unknown_tapper(name: str, tappers: Sequence[str]) -> Trouble:
+    """The refusal of a command whose tapper is none of these."""
+    known = ", ".join(f"'{tapper}'" for tapper in tappers)
+    asked = f"there is no tapper '{name}'" if name else "it names no tapper and there are several"
+    return ErrorCode.TAPPER_UNKNOWN, f"{asked}; name one of {known}"
 
 
 def expired(command: TapCommand, now: Now) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import secrets
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
@@ -14,10 +15,11 @@ from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.tapper import FireOutcome
 from tapping_cell.hardware.tapper_protocol import Reply
-from tapping_cell.logic import tap_commands, tapper_jobs
+from tapping_cell.logic import enabling, tap_commands, tapper_jobs
 from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
 from tapping_cell.logic.effects import Call, JobEnded, LogLevel, Message, Publish, Token
+from tapping_cell.logic.enabling import EnablingDevice
 from tapping_cell.logic.error_codes import of_tapper
 from tapping_cell.logic.host import Configured
 from tapping_cell.logic.poses import from_message
@@ -134,18 +136,25 @@ LATCHED = (
 )
 
 
+def random_key() -> int:
+    """A number that nobody guesses, above 0."""
+    return 1 + secrets.randbelow(2**63)
+
+
 @dataclass(frozen=True, slots=True)
 class TapperOptions:
     """The node's parameters that the machine needs.
 
-    ``draw_key``: a random number from 1 to 2**64 - 1, with which this tapper alone can end the
+    ``draw_key``: a random number above 0, with which this tapper alone can end the
     arm's promise to stand still before its time.
     """
 
-    draw_key: Callable[[], int]
     state_rate: float = 20.0
     """Hz."""
     limits: PeerLimits = field(default_factory=PeerLimits)
+    set_up: bool = False
+    """Set-up mode: charges and fires only while an enabling device is held."""
+    draw_key: Callable[[], int] = random_key
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,8 +200,11 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._key = 0
         self._draw_key = options.draw_key
         self._last_tap_id = 0
+        self._names: tuple[str, ...] = ()
         self._told = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
+        self._set_up = options.set_up
+        self._enabling = EnablingDevice()
 
     # Queries of the running job: they answer and change nothing
 
@@ -205,6 +217,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             return self._given_up
         if self._stops.stopped or not self._active:
             return ErrorCode.NONE, "the tapper was stopped or deactivated"
+        if self._set_up and not self._enabling.held(now):
+            return enabling.RELEASED
         if now.ros > tap.expiry:
             return ErrorCode.TAPPER_COMMAND_EXPIRED, "the tap's expiry passed while it was charged"
         return self._peers.doubt(tap.tap_id, tap.planned, now)
@@ -241,9 +255,17 @@ class TapperLogic(DeviceLogic[State, Event]):
                 self._give_up(gone)
         elif topic == "object_state":
             self._peers.hear_object(message, now)
+        elif topic == enabling.TOPIC:
+            self._enabling.hear_key(message.data, now)
+            self._watch_enabling(now)
 
     def _handle_request(self, service: str, request: Message, token: Token, now: Now) -> None:
         raise AssertionError(f"the tapper has no service {service}")
+
+    def _watch_enabling(self, now: Now) -> None:
+        """End a tap whose enabling device is no longer held."""
+        if self._set_up and self.state in SERVING and not self._enabling.held(now):
+            self._give_up(enabling.RELEASED)
 
     def _tap_command(self, command: TapCommand, now: Now) -> None:
         if command.request == TapCommand.WITHDRAW:
@@ -251,12 +273,15 @@ class TapperLogic(DeviceLogic[State, Event]):
             if tap is not None and command.tap_id == tap.tap_id:
                 self._give_up((ErrorCode.NONE, ""))
             return
+        tapper = tap_commands.named_tapper(command.tapper, self._names)
         refusal = self._refusal(command, now)
         if refusal is not None:
             self._refuse(command, refusal, now)
             return
         assert self._curve is not None
+        assert tapper is not None
         self._machine.move(Event.TAP, S.WAITING)
+        self._told.tapper = tapper
         self._last_tap_id = command.tap_id
         self._tap = Tap(
             command.tap_id,
@@ -282,6 +307,10 @@ class TapperLogic(DeviceLogic[State, Event]):
             return ErrorCode.TAPPER_BUSY, f"it serves tap {self._told.tap_id}"
         if self.state is not S.SAFE:
             return ErrorCode.TAPPER_BUSY, f"the tapper is not at rest: {self._trouble[1]}"
+        if tap_commands.named_tapper(command.tapper, self._names) is None:
+            return tap_commands.unknown_tapper(command.tapper, self._names)
+        if self._set_up and not self._enabling.held(now):
+            return enabling.RELEASED
         if tap_commands.expired(command, now):
             return ErrorCode.TAPPER_COMMAND_EXPIRED, "its expiry has passed"
         speed = command.striker_speed
@@ -313,7 +342,11 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._run(
             "charge",
             partial(
-                tapper_jobs.charge, shot=tap.tap_id, energy=tap.energy, doubt=self.doubt_charging
+                tapper_jobs.charge,
+                shot=tap.tap_id,
+                energy=tap.energy,
+                doubt=self.doubt_charging,
+                tell=self._set_up,
             ),
         )
 
@@ -366,7 +399,12 @@ class TapperLogic(DeviceLogic[State, Event]):
         elif not late:
             self._permit = Permit(tap.tap_id, until)
             self._machine.move(Event.HELD, S.FIRING)
-            self._run("fire", partial(tapper_jobs.fire, shot=tap.tap_id, doubt=self.doubt_firing))
+            self._run(
+                "fire",
+                partial(
+                    tapper_jobs.fire, shot=tap.tap_id, doubt=self.doubt_firing, tell=self._set_up
+                ),
+            )
         elif self._attempts < HOLD_ATTEMPTS:
             self._ask_arm(now)
         else:
@@ -386,7 +424,8 @@ class TapperLogic(DeviceLogic[State, Event]):
     # Jobs
 
     def _job_told(self, name: str, content: Any, now: Now) -> None:
-        raise AssertionError(f"the job {name} tells nothing before its end")
+        assert isinstance(content, Reply), f"the job {name} tells replies of the board alone"
+        self._hear_switch(content, now)
 
     def _job_done(self, name: str, result: Any, now: Now) -> None:
         if isinstance(result, FireEnd):
@@ -396,6 +435,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         else:
             assert isinstance(result, Status)
             self._take_in(result)
+            self._hear_switch(result.reply, now)
             if name == "discharge":
                 self._not_fired(self._given_up)
             elif name == "connect":
@@ -481,7 +521,13 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     def _read_done(self, result: Any, now: Now) -> None:
         self._take_in(result)
+        self._hear_switch(result.reply, now)
         self._see_stop(result.reply)
+
+    def _hear_switch(self, reply: Reply, now: Now) -> None:
+        self._told.enabling_switch = reply.enabled
+        self._enabling.hear_switch(reply.enabled, now)
+        self._watch_enabling(now)
 
     def _see_stop(self, reply: Reply) -> None:
         """A stop that was pressed at the cell."""
@@ -503,6 +549,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _configured_with(self, event: Configured, now: Now) -> None:
         assert isinstance(event.cell, Cell)
         self._curve = event.cell.file.tapper.curve()
+        self._names = event.cell.tapper_names
 
     def _connected(self, answer: Any, now: Now) -> None:
         assert isinstance(answer, Reply)
@@ -569,6 +616,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._run("clear", tapper_jobs.clear)
 
     def _time_passed(self, now: Now) -> None:
+        self._watch_enabling(now)
         if self.state is S.DISCONNECTED:
             if self._job is None and now.steady >= self._read_at + READ_PERIOD_S:
                 self._read_at = now.steady
@@ -593,12 +641,17 @@ class TapperLogic(DeviceLogic[State, Event]):
         told = self._told
         message = TapperState(
             state=WIRE[self.state],
+            tappers=list(self._names),
+            tapper=told.tapper,
+            mounts_proven=True,
             tap_id=told.tap_id,
             outcome=told.outcome,
             measured_speed=told.measured_speed,
             shots_fired=told.shots_fired,
             boot_number=told.boot_number,
             interlock_closed=told.interlock_closed,
+            set_up=self._set_up,
+            enabling_switch=told.enabling_switch,
             error_code=code,
             error_msg=sentence,
         )

@@ -72,14 +72,23 @@ def discharge(context: JobContext) -> Status:
 
 
 def charge(
-    context: JobContext, shot: int, energy: float, doubt: Callable[[Now], Trouble | None]
+    context: JobContext,
+    shot: int,
+    energy: float,
+    doubt: Callable[[Now], Trouble | None],
+    tell: bool,
 ) -> ChargeEnd:
-    """Charge ``energy`` in J for a shot, and discharge at once when ``doubt`` is met."""
+    """Charge ``energy`` in J for a shot, and discharge at once when ``doubt`` is met.
+
+    ``tell``: post the board's last reply before each check.
+    """
     driver: TapperDriver = context.driver
     refusal: Trouble | None = None
 
     def go_on() -> bool:
         nonlocal refusal
+        if tell and driver.last_reply is not None:
+            context.post(driver.last_reply)
         refusal = refusal or context.ask(doubt)
         return refusal is None and not context.abandoned()
 
@@ -90,16 +99,24 @@ def charge(
     return ChargeEnd(_told(driver, reply), charged, refusal)
 
 
-def fire(context: JobContext, shot: int, doubt: Callable[[float, Now], Trouble | None]) -> FireEnd:
+def fire(
+    context: JobContext,
+    shot: int,
+    doubt: Callable[[float, Now], Trouble | None],
+    tell: bool,
+) -> FireEnd:
     """Fire a charged shot within a window that ``doubt`` allows, and discharge what was not fired.
 
     ``doubt`` gets the latest time of the steady clock at which the release can still be on, in s.
+    ``tell``: post the board's last reply before each check.
     """
     driver: TapperDriver = context.driver
     refusal: Trouble | None = None
 
     def still_allowed(release_by: float) -> bool:
         nonlocal refusal
+        if tell and driver.last_reply is not None:
+            context.post(driver.last_reply)
         refusal = context.ask(lambda now: doubt(release_by, now))
         return refusal is None and not context.abandoned()
 

@@ -56,6 +56,7 @@ class Shot:
         command = TapCommand(
             request=TapCommand.TAP,
             tap_id=self.tap_id,
+            tapper=plan.tapper,
             striker_speed=plan.striker_speed,
             expiry=to_stamp(expiry),
             strike_pose=to_message(plan.strike_pose, height),
@@ -75,6 +76,7 @@ class Shot:
             seen.pose.pose = to_message(Pose(math.nan, math.nan, math.nan))
         record = TapRecord(
             tap_id=self.tap_id,
+            tapper=strike.plan.tapper,
             number=number,
             planner=strike.method,
             object_pose=to_message(self.before),

@@ -208,8 +208,9 @@ class PolygonSlide:
         moment = self._weights @ b
         return ex * (1 + loss) - ey * turn, ey * (1 + loss) + ex * turn, moment
 
-    def _rates(self, unit: Array, angle: Array) -> tuple[Array, Array]:
-        """Friction (3, n) on the velocity (vx, vy, gyration * omega) and its part along it."""
+    def rates(self, unit: Array, angle: Array) -> tuple[Array, Array]:
+        """Friction (3, n) on the velocity (vx, vy, gyration * omega), of unit length and in the
+        axes of the launch, of a body turned by ``angle`` since; and its part along the velocity."""
         cos, sin = np.cos(angle), np.sin(angle)
         mean_x, mean_y, moment = self.friction(
             cos * unit[0] + sin * unit[1], cos * unit[1] - sin * unit[0], unit[2] / self._gyration
@@ -233,7 +234,7 @@ class PolygonSlide:
         per_size = size0 / self._deceleration
 
         def slope(length: float, unit: Array, state: Array) -> tuple[Array, Array]:
-            force, loss = self._rates(unit, state[2])
+            force, loss = self.rates(unit, state[2])
             size = np.exp(-length)
             time = per_size * size / loss
             return unit - force / loss, np.stack([*(unit / scale * size0 * size * time), time])
@@ -252,7 +253,7 @@ class PolygonSlide:
             state = state + _STEP / 6 * (p + 2 * q + 2 * r + s)
         # The rest of the way, 1e-6 of it, at the last friction.
         size = np.exp(-_STEPS * _STEP)
-        _, loss = self._rates(unit, state[2])
+        _, loss = self.rates(unit, state[2])
         time = per_size * size / loss
         tail = np.stack([*(unit / scale * size0 * size * time / 2), time])
         return np.asarray(np.where(moving, state + tail, 0.0)), steps

@@ -257,6 +257,7 @@ class ErrorCode:
     GOAL_NOT_FINITE: ClassVar[int] = 101
     GOAL_NOT_PLANAR: ClassVar[int] = 108
     GOAL_OFF_TABLE: ClassVar[int] = 103
+    GOAL_OUTSIDE_WORKING_AREA: ClassVar[int] = 113
     GOAL_OUT_OF_REACH: ClassVar[int] = 104
     GOAL_REPLACED: ClassVar[int] = 110
     GOAL_STALE: ClassVar[int] = 106
@@ -286,7 +287,9 @@ class ErrorCode:
     TAPPER_FAULT: ClassVar[int] = 611
     TAPPER_FIRMWARE_UNKNOWN: ClassVar[int] = 612
     TAPPER_INTERLOCK_OPEN: ClassVar[int] = 602
+    TAPPER_MOUNT_UNPROVEN: ClassVar[int] = 617
     TAPPER_NOT_CONNECTED: ClassVar[int] = 601
+    TAPPER_OTHER_CHARGED: ClassVar[int] = 618
     TAPPER_OUTCOME_UNKNOWN: ClassVar[int] = 607
     TAPPER_REPLY_GARBLED: ClassVar[int] = 613
     TAPPER_RESET: ClassVar[int] = 609
@@ -295,6 +298,7 @@ class ErrorCode:
     TAPPER_SPENT: ClassVar[int] = 605
     TAPPER_STOPPED: ClassVar[int] = 603
     TAPPER_TIMEOUT: ClassVar[int] = 604
+    TAPPER_UNKNOWN: ClassVar[int] = 616
     TAP_LEAVES_TABLE: ClassVar[int] = 410
     TAP_LEAVES_VIEW: ClassVar[int] = 411
     TAP_LIMIT_REACHED: ClassVar[int] = 402
@@ -332,6 +336,7 @@ class TapRecord:
     ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/TapRecord"
 
     tap_id: int = 0
+    tapper: str = ""
     number: int = 0
     planner: str = ""
     object_pose: Pose = field(default_factory=lambda: Pose())
@@ -465,6 +470,7 @@ class TapCommand:
     header: Header = field(default_factory=lambda: Header())
     request: int = 0
     tap_id: int = 0
+    tapper: str = ""
     strike_pose: Pose = field(default_factory=lambda: Pose())
     striker_speed: float = 0.0
     expiry: Time = field(default_factory=lambda: Time())
@@ -491,11 +497,14 @@ class TapperState:
 
     header: Header = field(default_factory=lambda: Header())
     state: int = 0
+    tappers: list[str] = field(default_factory=list)
+    tapper: str = ""
     tap_id: int = 0
     outcome: int = 0
     measured_speed: float = 0.0
     shots_fired: int = 0
     boot_number: int = 0
+    mounts_proven: bool = False
     interlock_closed: bool = False
     set_up: bool = False
     enabling_switch: bool = False
@@ -585,6 +594,7 @@ class SingleTap:
         ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/action/SingleTap.Goal"
 
         striker_speed: float = 0.0
+        tapper: str = ""
         incidence: float = 0.0
         direction: float = 0.0
         slack: float = 0.0

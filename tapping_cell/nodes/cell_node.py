@@ -57,7 +57,14 @@ PROFILES = {True: "fastdds_profile.xml", False: "fastdds_messages.xml"}
 
 
 class NotReady(RuntimeError):
-    """The node cannot be configured or activated yet; the sentence says why. Tried again."""
+    """The node cannot be configured or activated yet; the sentence says why. Tried again.
+
+    ``expected``: every healthy start comes by here, so that it is no warning.
+    """
+
+    def __init__(self, sentence: str, expected: bool = False) -> None:
+        super().__init__(sentence)
+        self.expected = expected
 
 
 class CellNode(LifecycleNode, Generic[Parameters]):
@@ -144,7 +151,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
             self.cleanup()
             return TransitionCallbackReturn.FAILURE
         except NotReady as error:
-            self._complain(str(error))
+            self._complain(str(error), error.expected)
             self.cleanup()
             return TransitionCallbackReturn.FAILURE
         self.configured = True
@@ -157,7 +164,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
             self.activate()
         except NotReady as error:
             self.active = False
-            self._complain(str(error))
+            self._complain(str(error), error.expected)
             return TransitionCallbackReturn.FAILURE
         self._last_complaint = ""
         return super().on_activate(state)
@@ -195,11 +202,13 @@ class CellNode(LifecycleNode, Generic[Parameters]):
             self.get_logger().info("active")
             timer.cancel()
 
-    def _complain(self, sentence: str) -> None:
+    def _complain(self, sentence: str, expected: bool = False) -> None:
         """Say why the node is not ready, once for each reason."""
-        if sentence != self._last_complaint:
+        if sentence != self._last_complaint and expected:
+            self.get_logger().info(sentence)
+        elif sentence != self._last_complaint:
             self.get_logger().warning(sentence)
-            self._last_complaint = sentence
+        self._last_complaint = sentence
 
     # Emergency stop
 

@@ -48,6 +48,7 @@ class LogicHost(Generic[Machine]):
         self._worker: Worker | None = None
         self._abandoned: set[int] = set()
         self._publishers: dict[str, Any] = {}
+        self._observers: dict[str, Callable[[Any], None]] = {}
         self._clients: dict[str, Any] = {}
         self._calls: dict[Any, tuple[Any, Any, float]] = {}
         self._tokens = itertools.count(1)
@@ -70,6 +71,10 @@ class LogicHost(Generic[Machine]):
     def offers(self, kind: Any, topic: str, profile: Any) -> None:
         """Offer a topic of a ROS type that has no mirror; a subclass publishes on it."""
         self._publishers[topic] = self._node.create_publisher(kind, topic, profile)
+
+    def observes(self, topic: str, observe: Callable[[Any], None]) -> None:
+        """Hand what the machine publishes on a topic to the node, too: a mirror, not ROS's."""
+        self._observers[topic] = observe
 
     def subscribes(self, kind: type[Mirrored], topic: str, profile: Any) -> None:
         """Hand a topic's messages to the machine."""
@@ -160,6 +165,8 @@ class LogicHost(Generic[Machine]):
             # At the node's end the machine still tells its last state; nobody can hear it then.
             if self._node.context.ok():
                 self._publishers[effect.topic].publish(to_ros(effect.message))
+                if effect.topic in self._observers:
+                    self._observers[effect.topic](effect.message)
         elif isinstance(effect, fx.StopWire):
             if self.driver is not None:
                 self.driver.stop()

@@ -99,6 +99,7 @@ class StrikePlan:
     contact_pose: tip at the moment of contact; strike_pose: tip at rest, ``standoff`` before it.
     striker_speed: m/s. elbow: index of the arm's elbow side that reaches every waypoint.
     approach: waypoints to the strike pose, the last one at rest there; retreat: away from it.
+    tapper: name of the tapper that strikes; empty where there is only one.
     """
 
     contact_angle: float
@@ -108,6 +109,7 @@ class StrikePlan:
     elbow: int
     approach: tuple[Waypoint, ...]
     retreat: tuple[Waypoint, ...]
+    tapper: str = ""
 
 
 class StrikeSpace:
@@ -121,10 +123,10 @@ class StrikeSpace:
         settings: StrikeSettings | None = None,
         scatter: Scatter | None = None,
     ) -> None:
-        self.tap = replace(tap, sliding=tap.sliding.approximated(), smallest_distance=0.0)
-        """The mechanics, fast rather than exact for polygons, without its smallest tap: that is for
-        the planning method to keep, since it counts in true distance and commands are scaled by the
-        gains learnt."""
+        self.tap = replace(tap, sliding=tap.sliding.tabulated(), smallest_distance=0.0)
+        """The mechanics, with a polygon's slides from a table, and without its smallest tap: that
+        is for the planning method to keep, since it counts in true distance and commands are
+        scaled by the gains learnt."""
         self.workspace = workspace
         self.settings = StrikeSettings() if settings is None else settings
         self.scatter = Scatter() if scatter is None else scatter

@@ -239,7 +239,7 @@ class Trial:
             draw = np.random.default_rng([self.seed, 4, round(1e6 * self.scheduler.now)])
             driver = TapperDriver(tapper_line, draw_number=lambda below: int(draw.integers(below)))
             return TapperLogic(
-                TapperOptions(lambda: int(draw.integers(1, 2**63)), limits=limits)
+                TapperOptions(limits=limits, draw_key=lambda: int(draw.integers(1, 2**63)))
             ), driver
 
         limits = PeerLimits(unseen=unseen)
@@ -265,9 +265,7 @@ class Trial:
     def run(self, goals: int) -> Report:
         """Bring up the cell and work through so many goals, faults among them."""
         try:
-            for process in self.processes.values():
-                process.start()
-            self._recover()
+            self.bring_up()
             for number in range(goals):
                 self._work_on_a_goal(number)
                 if self.report.violations:
@@ -284,6 +282,12 @@ class Trial:
         self.report.violations = self.witness.violations
         self.report.cell_seconds = self.scheduler.now
         return self.report
+
+    def bring_up(self) -> None:
+        """Start every node and wait until the cell is ready for a goal."""
+        for process in self.processes.values():
+            process.start()
+        self._recover()
 
     def draw_goal(self, rng: np.random.Generator) -> Pose:
         """A goal somewhere in the middle of the table."""

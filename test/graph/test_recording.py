@@ -46,7 +46,7 @@ def goal(*words: str) -> tuple[int, str]:
     ended = subprocess.run(
         [*command, *words], capture_output=True, text=True, timeout=240, check=False
     )
-    return ended.returncode, " ".join(ended.stdout.split())
+    return ended.returncode, " ".join((ended.stdout + ended.stderr).split())
 
 
 def recorded(folder: Path, number: int) -> list[Run]:

@@ -126,5 +126,5 @@ def test_what_cannot_be_measured_is_refused_before_anything_starts(
 ) -> None:
     folder = () if "--resume" in options else ("--runs-folder", str(tmp_path / "runs"))
     assert main(["single-tap", *options, *folder]) == 2
-    assert word in capsys.readouterr().out.replace("\n", " ")
+    assert word in capsys.readouterr().err.replace("\n", " ")
     assert not (tmp_path / "runs").exists()

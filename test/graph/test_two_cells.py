@@ -109,7 +109,7 @@ def test_a_second_cell_in_one_domain_and_namespace_is_refused(tmp_path: Path) ->
             command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=30
         )
     assert second.returncode == 1
-    words = " ".join(second.stdout.split())
+    words = " ".join(second.stderr.split())
     assert f"another cell runs on this machine in ROS domain {domain}, namespace '/left'" in words
 
 
@@ -123,6 +123,6 @@ def test_hardware_on_the_packaged_example_file_is_refused(
         (*CELL, "up", "--hardware", *given), cwd=folder, capture_output=True, text=True, timeout=30
     )
     assert ended.returncode == 2
-    words = " ".join(ended.stdout.split())
+    words = " ".join(ended.stderr.split())
     assert "key 'arm.port' is ~/.ros/tapping_cell/{cell}/arm" in words
     assert "a port of the simulated cell" in words

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import os
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import rclpy
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes import MODULES, security
 from tapping_cell.nodes.cell_node import CellNode
+from tapping_cell.nodes.clients.cell_client import CellClient
 from tapping_cell.nodes.clients.goal_client import GoalClient
 
 FOLDER = shared_folder() / "security"
@@ -46,6 +48,14 @@ OPENED_LATER: dict[str, dict[str, set[str]]] = {
         },
         "request": {f"/{name}/get_state" for name in MODULES},
     },
+    # For each node that is found.
+    "cell_client": {"request": {f"/{name}/get_state" for name in MODULES}},
+}
+
+OPENED_WITH_TF2: dict[str, dict[str, set[str]]] = {
+    "scara_arm": {"publish": {"/tf", "/tf_static"}},
+    "camera_pose": {"publish": {"/tf", "/tf_static"}},
+    "tap_planner": {"subscribe": {"/tf", "/tf_static"}},
 }
 
 Endpoints = dict[str, set[str]]
@@ -109,11 +119,14 @@ def node_class(name: str) -> type[CellNode[Any]]:
     return found
 
 
-@pytest.mark.parametrize("name", [*MODULES, "goal"])
+@pytest.mark.parametrize("name", [*MODULES, "goal", "cell_client"])
 def test_a_node_is_granted_what_it_opens_and_nothing_else(name: str) -> None:
     if name == "goal":
         with GoalClient("goal") as client:
             real = opened(client.node, "goal")
+    elif name == "cell_client":
+        with CellClient() as watching:
+            real = opened(watching.node, name)
     else:
         rclpy.init(args=["--ros-args", "-p", "autostart:=false"])
         node = node_class(name)()
@@ -124,6 +137,8 @@ def test_a_node_is_granted_what_it_opens_and_nothing_else(name: str) -> None:
             node.destroy_node()
             rclpy.try_shutdown()
     rules, later = granted()[name], OPENED_LATER.get(name, {})
+    if importlib.util.find_spec("tf2_ros") is None:
+        later = later | OPENED_WITH_TF2.get(name, {})
     for kind, names in real.items():
         assert names <= rules[kind], f"{name} may not {kind} {sorted(names - rules[kind])}"
         needless = rules[kind] - names - later.get(kind, set())
@@ -140,6 +155,9 @@ def test_a_node_is_granted_what_it_opens_and_nothing_else(name: str) -> None:
         ("/tapper_state", {"tapper_trigger"}),
         ("/camera/image_raw", {"overhead_camera", "sim_world"}),
         ("/emergency_stop", {"operator_page_stop"}),
+        ("/enabling", {"operator_page"}),
+        ("/tf", {"scara_arm", "camera_pose"}),
+        ("/tf_static", {"scara_arm", "camera_pose"}),
         ("/goal_pose", set()),
         ("/joint_trajectory", set()),
         ("/clock", set()),

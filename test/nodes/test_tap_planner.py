@@ -1,12 +1,12 @@
-"""The planning node against drivers that fail: every wait ends in words, nothing is fired twice."""
+"""The planning node over DDS: topics, its kept goal, its end.
+
+What it decides is tested in virtual time (``test/pure/logic/test_planner_with_played_devices.py``).
+"""
 
 from __future__ import annotations
 
 import gc
 import json
-import math
-import os
-import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -23,14 +23,12 @@ from rclpy.context import Context
 from rclpy.node import Node
 from tapping_cell_msgs.msg import (
     ArmState,
-    ErrorCode,
     ObjectState,
     PlanState,
     TapCommand,
     TapperState,
 )
 
-from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import covariance_to_message, from_message, to_message
 from tapping_cell.nodes.planner.tap_planner import TapPlanner
@@ -197,164 +195,6 @@ def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
     assert ended == ids
 
 
-def test_an_arm_that_does_not_arrive_is_given_up_in_words(actors: Actors) -> None:
-    actors.arm_arrives = False
-    actors.send()
-    end = actors.end()
-    assert end.error_code == ErrorCode.ARM_TIMEOUT and "within 2 s" in end.error_msg
-    assert len(actors.taps()) == 1
-    assert actors.commands[-1].request == TapCommand.WITHDRAW
-
-
-def test_a_goal_ends_at_its_time_limit_and_takes_its_tap_back() -> None:
-    with acted(goal_time_limit=1.0, place_deadline=10.0) as made:
-        made.arm_arrives = False
-        made.send()
-        end = made.end(8.0)
-        assert end.error_code == ErrorCode.DEADLINE_EXCEEDED
-        made.bench.wait(lambda: made.arm_state == ArmState.IDLE, "the tap was withdrawn")
-
-
-def test_an_arm_that_does_not_withdraw_is_given_up_in_words(actors: Actors) -> None:
-    actors.arm_withdraws = False
-    actors.send()
-    assert actors.end().error_code == ErrorCode.ARM_TIMEOUT
-    assert len(actors.taps()) == 1
-
-
-def test_a_faulted_arm_ends_the_goal_with_the_arms_own_words(actors: Actors) -> None:
-    actors.arm_arrives = False
-    actors.send()
-    actors.bench.wait(actors.taps, "a tap")
-    actors.arm_error = (ErrorCode.ARM_ALARM, "a limit switch was hit")
-    actors.arm_state = ArmState.FAULT
-    end = actors.end()
-    assert (end.error_code, end.error_msg) == actors.arm_error
-
-
-def test_an_unknown_outcome_is_looked_at_and_never_fired_again(actors: Actors) -> None:
-    actors.tapper_answers = TapperState.UNKNOWN
-    actors.send()
-    assert actors.end().state == PlanState.REACHED
-    ids = [command.tap_id for command in actors.taps()]
-    assert len(ids) == len(set(ids))
-
-
-def test_a_tapper_that_never_answers_is_looked_after_and_no_id_is_used_again(
-    actors: Actors,
-) -> None:
-    actors.tapper_answers = None
-    actors.send()
-    actors.bench.wait(lambda: len(actors.taps()) >= 2, "another look, then another tap")
-    first, second = actors.taps()[:2]
-    assert second.tap_id > first.tap_id
-
-
-def test_taps_that_are_not_fired_end_after_three_attempts(actors: Actors) -> None:
-    actors.tapper_answers = TapperState.NOT_FIRED
-    actors.send()
-    end = actors.end()
-    assert end.state == PlanState.FAILED
-    assert len(actors.taps()) == 3 and end.taps == 0
-
-
-def test_taps_without_any_effect_end(actors: Actors) -> None:
-    actors.moves_when_fired = False
-    actors.send()
-    end = actors.end()
-    assert end.error_code == ErrorCode.TAP_WITHOUT_EFFECT
-    assert "3 taps" in end.error_msg
-    assert len(actors.taps()) == 3
-
-
-@pytest.mark.parametrize(
-    ("change", "code"),
-    [
-        ({"visible": False}, ErrorCode.OBJECT_NOT_SEEN),
-        ({"at_rest": False}, ErrorCode.OBJECT_NOT_AT_REST),
-        ({"camera_talks": False}, ErrorCode.CAMERA_SILENT),
-        ({"arm_talks": False}, ErrorCode.ARM_SILENT),
-        ({"tapper_talks": False}, ErrorCode.TAPPER_SILENT),
-        ({"arm_state": ArmState.NOT_HOMED}, ErrorCode.ARM_BUSY),
-    ],
-    ids=lambda value: str(value),
-)
-def test_what_is_missing_is_named_and_no_tap_is_commanded(
-    actors: Actors, change: dict[str, object], code: int
-) -> None:
-    for name, value in change.items():
-        setattr(actors, name, value)
-    time.sleep(0.6)
-    actors.send()
-    end = actors.end()
-    assert end.error_code == code, end.error_msg
-    assert len(end.error_msg) > 15
-    assert actors.taps() == []
-
-
-def test_an_object_moved_before_the_tap_is_looked_at_again(actors: Actors) -> None:
-    actors.arm_arrives = False
-    actors.send()
-    actors.bench.wait(actors.taps, "a tap")
-    actors.pose = Pose(-0.04, 0.03, 0.2)
-    actors.arm_arrives = True
-    actors.bench.wait(lambda: len(actors.taps()) >= 2, "a second tap")
-    first, second = actors.taps()[:2]
-    assert actors.commands[1].request == TapCommand.WITHDRAW
-    assert actors.commands[1].tap_id == first.tap_id < second.tap_id
-    assert from_message(second.object_pose).distance_to(Pose(-0.04, 0.03, 0.2)) < 1e-6
-
-
-def test_a_goal_that_the_arm_cannot_serve_is_refused(tmp_path: Path) -> None:
-    folder = tmp_path / "config"
-    shutil.copytree(shared_folder(), folder)
-    path = folder / "cell.yaml"
-    content = path.read_text()
-    path.write_text(content.replace("forearm: 0.375", "forearm: 0.150"))
-    with acted(cell_file=path) as made:
-        made.send(Pose(0.2, -0.12, 0.0))
-        made.bench.wait(
-            lambda: any(p.error_code == ErrorCode.GOAL_OUT_OF_REACH for p in made.plans), "refused"
-        )
-        assert made.taps() == []
-
-
-def test_a_tap_left_behind_by_a_dead_planner_is_withdrawn(actors: Actors) -> None:
-    actors._tap = TapCommand(tap_id=77)
-    actors.arm_state = ArmState.IN_POSITION
-    actors.send()
-    actors.bench.wait(lambda: actors.commands, "a command")
-    assert actors.commands[0].request == TapCommand.WITHDRAW
-    assert actors.commands[0].tap_id == 77
-    assert actors.end().state == PlanState.REACHED
-
-
-@pytest.mark.parametrize("age", [1.0, 100.0], ids=["a moment ago", "long ago"])
-def test_only_a_goal_that_a_crash_left_a_moment_ago_is_gone_on_with(
-    age: float, tmp_path: Path
-) -> None:
-    folder = tmp_path / ".ros" / "tapping_cell" / f"domain{os.environ['ROS_DOMAIN_ID']}"
-    folder.mkdir(parents=True)
-    left = folder / "goal.json"
-    content = {
-        "goal": list(GOAL),
-        "tolerance": [0.001, 0.0175],
-        "max_taps": 10,
-        "time_left": 60.0,
-    }
-    left.write_text(json.dumps(content))
-    then = time.time() - age
-    os.utime(left, (then, then))
-    with acted() as made:
-        made.bench.wait(lambda: made.plans, "the planner is up")
-        if age < 15:
-            assert made.end().state == PlanState.REACHED
-        else:
-            time.sleep(1.0)
-            assert made.taps() == []
-    assert not left.exists()
-
-
 def test_a_goal_under_way_is_kept_for_a_crash_and_forgotten_at_its_end(tmp_path: Path) -> None:
     with acted() as made:
         made.arm_arrives = False
@@ -364,14 +204,3 @@ def test_a_goal_under_way_is_kept_for_a_crash_and_forgotten_at_its_end(tmp_path:
         assert json.loads(kept.read_text())["goal"] == pytest.approx(list(GOAL))
         made.end()
         assert not kept.exists()
-
-
-def test_the_residual_is_reported(actors: Actors) -> None:
-    actors.send()
-    actors.bench.wait(
-        lambda: any(math.isfinite(p.residual_distance) for p in actors.plans), "a residual"
-    )
-    first = next(p for p in actors.plans if math.isfinite(p.residual_distance))
-    assert first.residual_distance == pytest.approx(START.distance_to(GOAL), abs=1e-6)
-    assert first.residual_rotation == pytest.approx(START.rotation_to(GOAL), abs=1e-6)
-    actors.end()

@@ -126,7 +126,7 @@ def imports_of(package: Path) -> Iterator[Import]:
 def is_ros(name: str) -> bool:
     """Whether the module is ROS's client library or its messages."""
     top = name.split(".")[0]
-    return top in {"rclpy", "launch", "launch_ros"} or top.endswith(
+    return top in {"rclpy", "launch", "launch_ros", "tf2_ros"} or top.endswith(
         ("_msgs", "_srvs", "_interfaces")
     )
 

@@ -45,7 +45,7 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
     session.end_on_signals()
     growing = GrowingCsv(arguments.record, HEADER, arguments.resume)
     try:
-        with ArmPoseClient(arguments.namespace) as client:
+        with ArmPoseClient(arguments.namespace, cell.file.arm.ros2_control) as client:
             session.wait_until_ready(client, READY_PATIENCE_S, lambda: None, console)
             _visit(arguments, cell, client, growing, console)
     except KeyboardInterrupt:

@@ -24,6 +24,7 @@ from tapping_cell_msgs.msg import ErrorCode, ObjectState, PlanState
 from tapping_cell.configuration.cell import Cell, load_cell, load_other_objects
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.logic.frames import TABLE
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.dropped_frames import Backlog
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
@@ -34,6 +35,7 @@ from tapping_cell.nodes.conversions import (
     seconds,
     to_message,
 )
+from tapping_cell.nodes.frame_broadcaster import FrameBroadcaster, transform
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import (
     CameraError,
@@ -139,6 +141,7 @@ class CameraPose(CellNode[Parameters]):
         self._picture_publisher = self.create_publisher(
             Image, "camera/image_annotated", images.PICTURES
         )
+        self._broadcaster = FrameBroadcaster(self)
         self.create_subscription(
             CameraInfo, "camera/camera_info", self._on_camera_info, images.PICTURES
         )
@@ -299,6 +302,8 @@ class CameraPose(CellNode[Parameters]):
         if state.visible:
             pose = PoseWithCovarianceStamped(header=state.header, pose=state.pose)
             self._pose_publisher.publish(pose)
+            stamp = state.header.stamp
+            self._broadcaster.send([transform(TABLE, "object", state.pose.pose, stamp)])
         self._state_publisher.publish(state)
         self._last = state
         self._note(observation)
@@ -319,8 +324,11 @@ class CameraPose(CellNode[Parameters]):
         self._camera_told_at = now
         message = PoseStamped(pose=camera_to_message(view.pose))
         message.header.stamp = picture.header.stamp
-        message.header.frame_id = "table"
+        message.header.frame_id = TABLE
         self._camera_publisher.publish(message)
+        # The camera is fixed over the table: what is sent anew is a better estimate.
+        stamp = message.header.stamp
+        self._broadcaster.send_fixed([transform(TABLE, "camera_optical", message.pose, stamp)])
 
     def _refuse(self, picture: Image, code: int, sentence: str) -> None:
         assert self._cell is not None

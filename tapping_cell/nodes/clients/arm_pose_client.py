@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState
 from tapping_cell_msgs.msg import ArmState, ObjectState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from tapping_cell.configuration.cell import Ros2ControlSection
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.nodes.cell_node import COMMAND
 from tapping_cell.nodes.clients.goal_client import GoalClient
@@ -48,13 +49,16 @@ class Seen(NamedTuple):
 class ArmPoseClient(GoalClient):
     """A :class:`GoalClient` that sends the arm to postures; use as a context manager."""
 
-    def __init__(self, namespace: str = "") -> None:
+    def __init__(self, namespace: str = "", own_driver: Ros2ControlSection | None = None) -> None:
+        """``own_driver``: of an arm that tells its joints itself, by its own names."""
         super().__init__("arm_pose_client", namespace)
+        self._names = own_driver.joints if own_driver else Joints._fields
         self._joints: JointState | None = None
         self._trajectories = self.node.create_publisher(
             JointTrajectory, "joint_trajectory", COMMAND
         )
-        self.node.create_subscription(JointState, "joint_states", self._on_joints, 10)
+        topic = own_driver.joint_states if own_driver else "joint_states"
+        self.node.create_subscription(JointState, topic, self._on_joints, 10)
 
     def missing(self) -> list[str]:
         """What still keeps the arm from being sent, in words; empty when it is ready."""
@@ -73,7 +77,7 @@ class ArmPoseClient(GoalClient):
         if self._joints is None:
             return None
         known = dict(zip(self._joints.name, self._joints.position, strict=True))
-        return Joints(*(known[name] for name in Joints._fields))
+        return Joints(*(known[name] for name in self._names))
 
     def visit(self, target: Joints, speed: float, check: Callable[[], None]) -> Seen | None:
         """Go to a posture at ``speed`` (rad/s of the farthest joint) and look; None where the
@@ -140,4 +144,5 @@ class ArmPoseClient(GoalClient):
         return None
 
     def _on_joints(self, message: JointState) -> None:
-        self._joints = message
+        if set(self._names) <= set(message.name):
+            self._joints = message

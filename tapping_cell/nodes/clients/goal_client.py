@@ -10,22 +10,16 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from types import TracebackType
-from typing import TypeVar
 
-import rclpy
 from geometry_msgs.msg import PoseStamped
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
-from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from tapping_cell_msgs.action import PositionObject
 from tapping_cell_msgs.msg import ArmState, ObjectState, PlanState, TapperState, TapRecord
 
 from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.clients.client_node import ClientNode
 from tapping_cell.nodes.conversions import from_message, to_message
 from tapping_cell.report.words import PHASES
 from tapping_cell.se2 import Pose
@@ -61,23 +55,22 @@ class Finished:
     taps: int
 
 
-Client = TypeVar("Client", bound="GoalClient")
 Event = PhaseChanged | TapDone | Finished
 
 
-class GoalClient:
-    """A node of its own in a context and a thread of its own; use as a context manager."""
+class GoalClient(ClientNode):
+    """Hears what a goal needs, sends it and follows it; use as a context manager."""
 
     def __init__(self, name: str = "goal_client", namespace: str = "") -> None:
-        self._context = Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node(name, namespace=namespace, context=self._context)
+        super().__init__(name, namespace)
         self.object_state: ObjectState | None = None
         self.arm_state: ArmState | None = None
         self.tapper_state: TapperState | None = None
         self.true_pose: Pose | None = None
         self.last_run = ""
         """Folder of the run that the recorder finished last; empty until it has."""
+        self.planner_active = False
+        """Whether the planner has said what it does, which it does once it is active."""
         self._true_pose_heard = 0.0
         self._events: queue.Queue[Event] = queue.Queue()
         self._taps_heard = 0
@@ -88,36 +81,13 @@ class GoalClient:
         subscribe(ObjectState, "object_state", self._on_object_state, 10)
         subscribe(ArmState, "arm_state", self._on_arm_state, LATCHED)
         subscribe(TapperState, "tapper_state", self._on_tapper_state, LATCHED)
+        subscribe(PlanState, "plan_state", self._on_plan_state, LATCHED)
         subscribe(String, "last_run", self._on_last_run, LATCHED)
         subscribe(PoseStamped, "ground_truth", self._on_ground_truth, 10)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._spin, name="goal client", daemon=True)
 
-    def __enter__(self: Client) -> Client:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        # First the thread, then what it works with: rclpy's shutdown does not wait for a callback.
-        self._ended.set()
-        self._thread.join(2.0)
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()
-
-    def _spin(self) -> None:
-        try:
-            while not self._ended.is_set():
-                self._executor.spin_once(timeout_sec=0.1)
-        except ExternalShutdownException:
-            return
+    def accepts_goals(self) -> bool:
+        """Whether the planner's action is there."""
+        return bool(self._action.server_is_ready())
 
     def missing(self) -> list[str]:
         """What still keeps the cell from taking a goal, in words; empty when it is ready."""
@@ -126,6 +96,8 @@ class GoalClient:
             reasons.append("the planner is not up")
         if self.arm_state is None:
             reasons.append("the arm's driver is not up")
+        elif self.arm_state.state == ArmState.DISCONNECTED:
+            reasons.append(self.arm_state.error_msg or "the arm is not connected yet")
         elif self.arm_state.state != ArmState.IDLE:
             reasons.append(f"the arm is not idle ({self.arm_state.error_msg or 'busy'})")
         if self.tapper_state is None:
@@ -165,7 +137,7 @@ class GoalClient:
         message.goal_pose.pose = to_message(goal)
         message.position_tolerance, message.angle_tolerance = tolerance
         message.probe = probe
-        self._taps_heard, self._phase = 0, ""
+        self._taps_heard, self._phase, self._handle = 0, "", None
         # Sent from the executor's thread: from another one the response can overtake rclpy's own
         # note of the request, and is then dropped.
         self._executor.create_task(self._send, message)
@@ -173,6 +145,11 @@ class GoalClient:
     def _send(self, message: PositionObject.Goal) -> None:
         future = self._action.send_goal_async(message, feedback_callback=self._on_feedback)
         future.add_done_callback(self._on_response)
+
+    @property
+    def answered(self) -> bool:
+        """Whether the planner has answered the goal sent last."""
+        return self._handle is not None
 
     def cancel(self, patience: float = 5.0) -> bool:
         """Cancel the goal and wait until the cell has taken that in; False where there is none."""
@@ -216,6 +193,9 @@ class GoalClient:
 
     def _on_tapper_state(self, message: TapperState) -> None:
         self.tapper_state = message
+
+    def _on_plan_state(self, _: PlanState) -> None:
+        self.planner_active = True
 
     def _on_last_run(self, message: String) -> None:
         self.last_run = message.data

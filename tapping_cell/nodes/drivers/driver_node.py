@@ -11,7 +11,7 @@ from std_msgs.msg import Bool
 
 from tapping_cell import messages
 from tapping_cell.configuration.cell import Cell
-from tapping_cell.hardware.faults import HardwareFault
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.logic import stops
 from tapping_cell.logic.device import DeviceLogic
 from tapping_cell.logic.host import Activated, Configured, Deactivated, ShutDown, Unreachable
@@ -78,6 +78,11 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
             connected = read(answer)
         except HardwareFault as fault:
             driver.close()
+            if fault.reason is FaultReason.PORT_MISSING and not port.startswith("/dev/"):
+                # No device of the system: a simulated one, which starts about now.
+                waits = f"the simulated device has not opened {port} yet; start sim_world"
+                self.host.lifecycle(Unreachable(HardwareFault(fault.reason, waits)))
+                raise NotReady(waits, expected=True) from fault
             self.host.lifecycle(Unreachable(fault))
             raise NotReady(fault.sentence) from fault
         self.driver, self.port = driver, port

@@ -6,18 +6,27 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import TransformStamped
 
 from tapping_cell import messages
 from tapping_cell.configuration.arm_assembly import make_arm_driver
-from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.cell import ArmSection, Ros2ControlSection, load_cell
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.link_frames import LINKS, LinkFrame, link_frames
+from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.serial_transport import SerialTransport
-from tapping_cell.logic import arm_jobs
+from tapping_cell.logic import arm_jobs, enabling
 from tapping_cell.logic.arm import ArmLogic, ArmOptions, State
+from tapping_cell.logic.frames import TABLE
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.drivers.driver_node import DriverNode, run_driver
+from tapping_cell.nodes.drivers.trajectory_link import RosTrajectoryLink
+from tapping_cell.nodes.frame_broadcaster import FrameBroadcaster, transform
+from tapping_cell.se2 import Pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +42,12 @@ class Parameters:
     )
     state_rate: float = quantity("rate of arm_state", "Hz", 1.0, 200.0, default=20.0)
     set_up: bool = text(
-        "set-up mode: move at a quarter of the speed, for commissioning and the first taps",
+        "set-up mode: move at a quarter of the speed and only while an enabling device is held, "
+        "for commissioning and the first taps",
         default=False,
+    )
+    link_frames: bool = text(
+        "send the arm's links on /tf; false where robot_state_publisher does", default=True
     )
 
 
@@ -45,23 +58,53 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
 
     def __init__(self) -> None:
         super().__init__("scara_arm", Parameters, make_logic)
+        self._link: RosTrajectoryLink | None = None
+        self._linked_to: Ros2ControlSection | None = None
         self.host.publishes(messages.ArmState, "arm_state", LATCHED)
         self.host.publishes(messages.JointState, "joint_states", 10)
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
         self.host.subscribes(messages.JointTrajectory, "joint_trajectory", COMMAND)
         self.host.subscribes(messages.TapperState, "tapper_state", LATCHED)
+        self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
         self.host.serves(messages.Trigger, "~/home")
         self.host.serves(messages.HoldStill, "hold_still")
+        self._broadcaster = FrameBroadcaster(self, moving=self.settings.link_frames)
+        self._geometry = ScaraGeometry()
+        if self._broadcaster.is_open and self.settings.link_frames:
+            self.host.observes("joint_states", self._send_links)
 
     def configure(self) -> None:
         """Read the cell file, open the port, identify the controller."""
         cell = load_cell(self.settings.cell_file or None)
         arm = cell.file.arm
-        port = str(self.port_path(self.settings.port or arm.port))
-        driver = make_arm_driver(arm, SerialTransport(port, arm.baud))
+        self._send_base(arm)
+        if arm.ros2_control is None:
+            port = str(self.port_path(self.settings.port or arm.port))
+            driver = make_arm_driver(arm, SerialTransport(port, arm.baud))
+        else:
+            port = arm.ros2_control.controller
+            driver = make_arm_driver(arm, self._link_to(arm.ros2_control, arm.max_acceleration))
         firmware = self.connect(driver, port, cell, lambda _: arm_jobs.reading_of(driver))
         for remark in firmware.remarks:
             self.get_logger().warning(remark)
+
+    def destroy_node(self) -> None:
+        """End the link with the node."""
+        if self._link is not None:
+            self._link.destroy()
+        super().destroy_node()  # type: ignore[no-untyped-call]
+
+    def _link_to(
+        self, section: Ros2ControlSection, max_acceleration: Sequence[float]
+    ) -> RosTrajectoryLink:
+        """The link to the arm's own driver, kept while the cell file is not changed."""
+        if self._link is not None and self._linked_to != section:
+            self._link.destroy()
+            self._link = None
+        if self._link is None:
+            self._link = RosTrajectoryLink(self, section, max_acceleration)
+            self._linked_to = section
+        return self._link
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Port, firmware, homing and counters."""
@@ -88,6 +131,26 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
             refused = self.logic.state is State.IDLE
             return (DiagnosticStatus.WARN if refused else DiagnosticStatus.ERROR), sentence, values
         return DiagnosticStatus.OK, "ok", values
+
+    def _send_base(self, arm: ArmSection) -> None:
+        x, y, yaw = arm.base
+        now = self.get_clock().now().to_msg()
+        frames = [transform(TABLE, LINKS[0], to_message(Pose(x, y, yaw)), now)]
+        self._geometry = arm.geometry()
+        if self.settings.link_frames:
+            tip = link_frames(self._geometry, Joints(0.0, 0.0, 0.0, 0.0))[-1]
+            frames.append(_link_transform(tip, now))
+        self._broadcaster.send_fixed(frames)
+
+    def _send_links(self, state: messages.JointState) -> None:
+        links = link_frames(self._geometry, Joints(*state.position))[:-1]
+        stamp = Time(sec=state.header.stamp.sec, nanosec=state.header.stamp.nanosec)
+        self._broadcaster.send(_link_transform(link, stamp) for link in links)
+
+
+def _link_transform(frame: LinkFrame, stamp: Time) -> TransformStamped:
+    pose = to_message(Pose(frame.x, frame.y, frame.yaw), frame.z)
+    return transform(frame.parent, frame.link, pose, stamp)
 
 
 def make_logic(parameters: Parameters) -> ArmLogic:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import secrets
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.hardware.tapper import TapperDriver, TapperSettings
 from tapping_cell.hardware.tapper_protocol import Mode
+from tapping_cell.logic import enabling
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.logic.tapper_peers import PeerLimits
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
@@ -31,8 +31,8 @@ class Parameters:
     port: str = text("path of the tapper's serial port; empty for the cell file's", default="")
     state_rate: float = quantity("rate of tapper_state", "Hz", 1.0, 200.0, default=20.0)
     set_up: bool = text(
-        "set-up mode: the board charges its small set-up energy only, unless the enabling switch "
-        "at the cell is held",
+        "set-up mode: charge and fire only while an enabling device is held, and only the board's "
+        "small set-up energy unless that is the switch at the board",
         default=False,
     )
     arm_freshness: float = quantity(
@@ -81,6 +81,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver]):
         self.host.subscribes(messages.ArmState, "arm_state", LATCHED)
         self.host.subscribes(messages.PlanState, "plan_state", LATCHED)
         self.host.subscribes(messages.ObjectState, "object_state", LATCHED)
+        self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
         self.host.calls(messages.HoldStill, "hold_still")
 
     def configure(self) -> None:
@@ -125,8 +126,7 @@ def make_logic(parameters: Parameters) -> TapperLogic:
         parameters.moved_limit,
         parameters.turned_limit,
     )
-    options = TapperOptions(lambda: 1 + secrets.randbelow(2**64 - 1), parameters.state_rate, limits)
-    return TapperLogic(options)
+    return TapperLogic(TapperOptions(parameters.state_rate, limits, parameters.set_up))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -224,9 +224,11 @@ class CellView:
         return {
             "mode": mode.word,
             "sentence": sentence,
+            "code": int(mode.code),
             "hint": hint(mode.code),
             "recovery": [step._asdict() for step in self._recovery_steps()],
             "blocked": self._blocked(mode),
+            "set_up": self._set_up_state(),
             "object": self._object_state(),
             "plan": self._plan_state(),
             "taps": self._taps,
@@ -255,6 +257,12 @@ class CellView:
         if arm is not None and not arm.homed and not self._monitor.silent("arm", _now()):
             return "No goal can be sent: the arm is not homed."
         return ""
+
+    def _set_up_state(self) -> dict[str, bool]:
+        """Whether the cell is in set-up mode, and whether an enabling device is held."""
+        arm, tapper = self._monitor.arm, self._monitor.tapper
+        on = (arm is not None and arm.set_up) or (tapper is not None and tapper.set_up)
+        return {"on": on, "enabled": arm is not None and arm.enabled}
 
     def _object_state(self) -> dict[str, object]:
         seen = self._monitor.object

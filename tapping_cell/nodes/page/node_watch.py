@@ -23,6 +23,8 @@ LEVELS = {
     DiagnosticStatus.ERROR: "error",
     DiagnosticStatus.STALE: "error",
 }
+NOT_YET = "no diagnostics yet"
+"""Sentence of a node that was just found."""
 GET_STATE = "lifecycle_msgs/srv/GetState"
 
 
@@ -122,6 +124,6 @@ class NodeWatch:
         if not peer.life:
             return {**row, "level": "error", "sentence": f"start {name}"}
         if time.monotonic() - peer.heard_at > SILENCE_LIMIT_S:
-            silent = "no diagnostics yet" if not peer.heard_at else "has gone silent"
+            silent = NOT_YET if not peer.heard_at else "has gone silent"
             return {**row, "level": "warn", "sentence": silent}
         return {**row, "level": peer.level, "sentence": peer.sentence}

@@ -40,9 +40,10 @@ from tapping_cell_msgs.msg import (
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.logic import enabling
 from tapping_cell.logic.goal_validation import REFUSALS
 from tapping_cell.nodes.camera import images
-from tapping_cell.nodes.cell_node import LATCHED, CellNode, NotReady, run
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, NotReady, run
 from tapping_cell.nodes.conversions import camera_from_message, is_finite, seconds, to_message
 from tapping_cell.nodes.page import guard, server
 from tapping_cell.nodes.page.cell_view import CellView, counted, with_code
@@ -137,6 +138,7 @@ class OperatorPage(CellNode[Parameters]):
         }
         self._home_client = self.create_client(Trigger, "scara_arm/home")
         self._button_client = self.create_client(Trigger, "sim_world/press_clear_button")
+        self._enabling = self.create_publisher(Bool, enabling.TOPIC, COMMAND)
         self._last_run = ""
         self._clearing: list[server.Answer] = []
         self.create_subscription(PlanState, "plan_state", self._view.on_plan, LATCHED)
@@ -364,6 +366,8 @@ class OperatorPage(CellNode[Parameters]):
             sent = self._stop is not None and self._stop.stop(who)
             text = "stop sent to arm, tapper and planner" if sent else STOP_NOT_SENT
             answer(_answer("stop", sent, text))
+        elif isinstance(request, Command) and request.name in ("enable", "disable"):
+            self._do(self._enable, request.name == "enable")
         elif isinstance(request, Command):
             serve = {
                 "clear": self._clear,
@@ -462,6 +466,10 @@ class OperatorPage(CellNode[Parameters]):
     def _home(self, who: str, answer: server.Answer) -> None:
         self._view.note(f"homing asked for on the page ({who})")
         self._call(self._home_client, Trigger.Request(), "home", "scara_arm", answer)
+
+    def _enable(self, held: bool) -> None:
+        """Relay each heartbeat of a held key; without the next one the cell counts it released."""
+        self._enabling.publish(Bool(data=held))
 
     def _press_button(self, _: str, answer: server.Answer) -> None:
         self._call(

@@ -80,7 +80,7 @@ class Command:
 
 Request = Hello | Seen | Move | Turn | Place | SendGoal | Command
 
-COMMANDS = ("stop", "clear", "cancel", "home", "press_button")
+COMMANDS = ("stop", "clear", "cancel", "home", "press_button", "enable", "disable")
 KINDS = ("hello", "seen", "move", "turn", "place", "goal", *COMMANDS)
 
 

@@ -30,6 +30,7 @@ from tapping_cell.nodes.logic_host import LogicHost
 from tapping_cell.nodes.message_conversion import from_ros, to_ros
 from tapping_cell.nodes.planner.deferred_action_server import DeferredActionServer
 from tapping_cell.nodes.planner.markers import cell_markers, region_marker
+from tapping_cell.nodes.planner.tf_frames import open_frames
 from tapping_cell.planning import PlanningError
 
 
@@ -89,6 +90,7 @@ class TapPlanner(CellNode[Parameters]):
         host.subscribes(messages.ObjectState, "other_objects", 10)
         host.subscribes(messages.ArmState, "arm_state", LATCHED)
         host.subscribes(messages.TapperState, "tapper_state", LATCHED)
+        self._frames = open_frames(self)
         self._actions = DeferredActionServer(
             self,
             {
@@ -115,6 +117,7 @@ class TapPlanner(CellNode[Parameters]):
                 probe=settings.probe,
                 keep_for=key_of(self) if settings.keep_gains else "",
                 time_limit=settings.goal_time_limit,
+                frames=self._frames,
             )
         except PlanningError as error:
             raise ConfigurationError(f"{cell.path}: {error}") from error

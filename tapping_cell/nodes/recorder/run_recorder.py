@@ -517,7 +517,7 @@ class RunRecorder(CellNode[Parameters]):
         self._last_run.publish(String(data=str(recording.folder)))
         self.get_logger().info(f"recorded {recording.folder}")
 
-    def _complain(self, sentence: str) -> None:
+    def _complain(self, sentence: str, expected: bool = False) -> None:
         self._trouble = f"({ErrorCode.RECORDING_FAILED}) {sentence}"
         self.get_logger().error(self._trouble)
 

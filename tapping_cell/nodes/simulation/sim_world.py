@@ -18,7 +18,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.srv import ResetWorld
 
-from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.cell import Cell, load_cell, refuse_own_drivers
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import load, quantity, text
 from tapping_cell.nodes.camera import images
@@ -89,6 +89,7 @@ class SimWorld(CellNode[Parameters]):
         """Make the world and open the two ports."""
         settings = self.settings
         cell = load_cell(settings.cell_file or None, settings.object_file or None)
+        refuse_own_drivers(cell)
         truth = load(TruthFile, settings.truth_file or shared_folder() / "truth" / "default.yaml")
         world = World(
             cell.object,

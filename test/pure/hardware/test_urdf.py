@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import shutil
+import subprocess
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -11,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tapping_cell.hardware.link_frames import LINKS, link_frames
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.urdf import urdf
 
@@ -27,6 +31,28 @@ def shifted(place: list[float]) -> NDArray[np.float64]:
     matrix = np.eye(4)
     matrix[:3, 3] = place
     return matrix
+
+
+JOINTS = st.tuples(
+    *(st.floats(lo, hi) for lo, hi in zip(GEOMETRY.lower, GEOMETRY.upper, strict=True))
+)
+
+
+@given(JOINTS, st.tuples(*[st.floats(-0.02, 0.02)] * 4))
+def test_the_frames_of_the_links_end_at_the_tip(
+    values: tuple[float, ...], offset: tuple[float, float, float, float]
+) -> None:
+    geometry = ScaraGeometry(tip_side=0.013, tip_yaw=0.4, joint_offset=offset)
+    pose, parent = np.eye(4), LINKS[0]
+    for frame in link_frames(geometry, Joints(*values)):
+        assert frame.parent == parent
+        pose = pose @ shifted([frame.x, frame.y, frame.z]) @ turned(frame.yaw)
+        parent = frame.link
+    assert parent == LINKS[-1] == "striker"
+    tip = geometry.forward(values)
+    assert np.allclose(pose[:3, 3], tip[:3], atol=1e-12)
+    yaw = math.atan2(pose[1, 0], pose[0, 0])
+    assert abs(math.remainder(yaw - tip.yaw, 2 * math.pi)) < 1e-9
 
 
 @given(
@@ -67,3 +93,54 @@ def test_limits_are_those_of_the_geometry() -> None:
         assert float(limit.get("lower")) == GEOMETRY.lower[index]
         assert float(limit.get("upper")) == GEOMETRY.upper[index]
         assert float(limit.get("velocity")) == pytest.approx(GEOMETRY.max_speed[index])
+        assert float(limit.get("effort")) > 0
+
+
+def test_every_link_that_moves_has_a_solid_with_mass() -> None:
+    robot = ElementTree.fromstring(urdf(GEOMETRY))
+    links = {link.get("name"): link for link in robot.iter("link")}
+    assert tuple(links) == LINKS
+    for name in LINKS[1:-1]:
+        solid = links[name].find("collision/geometry/cylinder")
+        radius, length = float(solid.get("radius")), float(solid.get("length"))
+        mass = float(links[name].find("inertial/mass").get("value"))
+        assert 500 < mass / (math.pi * radius**2 * length) < 8000, "kg/m^3 of a machine"
+        given = links[name].find("inertial/inertia").attrib
+        xx, yy, zz = (float(given[key]) for key in ("ixx", "iyy", "izz"))
+        # What the moments of any solid obey, and those of this one (integrals over a cylinder).
+        assert min(xx + yy - zz, yy + zz - xx, zz + xx - yy) > 0
+        assert zz == pytest.approx(mass * radius**2 / 2)
+        assert xx == yy == pytest.approx(mass * (3 * radius**2 + length**2) / 12)
+        places = [links[name].find(f"{part}/origin").attrib for part in ("collision", "inertial")]
+        assert places[0] == places[1], "the mass is where the solid is"
+
+
+def test_the_shoulder_turns_the_stretched_arm_with_its_effort() -> None:
+    # Point masses along the arm, a hundredth of a millimetre apart.
+    geometry = ScaraGeometry()
+    robot = ElementTree.fromstring(urdf(geometry))
+    masses = {
+        link.get("name"): float(link.find("inertial/mass").get("value"))
+        for link in robot.iter("link")
+        if link.find("inertial") is not None
+    }
+    wrist = geometry.upper_arm + geometry.forearm
+    spans = {
+        "upper_arm": (0.0, geometry.upper_arm),
+        "forearm": (geometry.upper_arm, wrist),
+        "quill_rod": (wrist, wrist),
+        "tool": (wrist, wrist + geometry.tip_forward),
+    }
+    inertia = sum(
+        mass * np.mean(np.linspace(*spans[name], 10_000) ** 2) for name, mass in masses.items()
+    )
+    effort = float(robot.find("joint[@name='shoulder']/limit").get("effort"))
+    assert effort == pytest.approx(inertia * geometry.max_acceleration[0], rel=2e-3)
+
+
+@pytest.mark.skipif(shutil.which("check_urdf") is None, reason="needs check_urdf (urdfdom)")
+def test_check_urdf_takes_it(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf(GEOMETRY))
+    ended = subprocess.run(["check_urdf", path], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tapping_cell.logic.frames import FrameError, TableOnly
 from tapping_cell.logic.goal_validation import Refused, read_goal, read_tolerance
 from tapping_cell.logic.poses import from_message, to_message
-from tapping_cell.messages import ErrorCode, PoseStamped
+from tapping_cell.messages import ErrorCode, Point, PoseStamped, Quaternion, Time
+from tapping_cell.messages import Pose as PoseMessage
 from tapping_cell.se2 import Pose
 
+Numbers = tuple[float, ...]
 NOW = 1000.0
 SOMEWHERE = Pose(0.01, 0.02, 0.3)
 
@@ -37,7 +42,7 @@ def test_a_planar_goal_in_table_is_read_as_it_was_meant(
     # A quaternion and its negative are the same rotation.
     q = message.pose.orientation
     q.z, q.w = flip * q.z, flip * q.w
-    goal = read_goal(message, NOW)
+    goal = read_goal(message, NOW, TableOnly())
     assert isinstance(goal, Pose)
     assert goal[:2] == pytest.approx((x, y))
     assert math.cos(goal.theta - theta) == pytest.approx(1.0)
@@ -70,7 +75,7 @@ def spoiled(**changes: float | str) -> PoseStamped:
 def test_a_bad_goal_is_refused_with_its_code_and_value(
     message: PoseStamped, code: int, word: str
 ) -> None:
-    refused = read_goal(message, NOW)
+    refused = read_goal(message, NOW, TableOnly())
     assert isinstance(refused, Refused)
     assert refused.code == code
     assert word in refused.sentence
@@ -80,9 +85,108 @@ def test_a_tilted_goal_is_refused() -> None:
     message = goal_message(Pose(0.0, 0.0, 0.0))
     message.pose.orientation.x = math.sin(0.1)
     message.pose.orientation.w = math.cos(0.1)
-    refused = read_goal(message, NOW)
+    refused = read_goal(message, NOW, TableOnly())
     assert isinstance(refused, Refused) and refused.code == ErrorCode.GOAL_NOT_PLANAR
     assert "11.46 deg" in refused.sentence
+
+
+def point(values: Sequence[float]) -> Point:
+    return Point(**dict(zip("xyz", map(float, values), strict=True)))
+
+
+def quaternion(values: Sequence[float]) -> Quaternion:
+    return Quaternion(**dict(zip("xyzw", values, strict=True)))
+
+
+class OneFrame:
+    """Knows where one frame is."""
+
+    def __init__(self, place: Numbers, turn: Numbers) -> None:
+        self.pose = PoseMessage(position=point(place), orientation=quaternion(turn))
+
+    def in_table(self, frame: str, stamp: Time) -> PoseMessage:
+        if frame != "fixture":
+            raise FrameError(f"'{frame}' is not known; known are table, fixture")
+        return self.pose
+
+
+def matrix(q: Numbers) -> np.ndarray:
+    """The rotation of a unit quaternion, by its textbook formula."""
+    x, y, z, w = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+quaternions = (
+    st.tuples(*[st.floats(-1, 1)] * 4)
+    .filter(lambda q: math.hypot(*q) > 0.1)
+    .map(lambda q: tuple(v / math.hypot(*q) for v in q))
+)
+
+
+@given(
+    place=st.tuples(*[st.floats(-2, 2)] * 3),
+    turn=quaternions,
+    wanted=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-3.1, 3.1)),
+)
+def test_a_goal_in_another_frame_is_the_same_place_on_the_table(
+    place: Numbers, turn: Numbers, wanted: tuple[float, float, float]
+) -> None:
+    # The goal as seen from a frame that may stand anywhere, such as a camera's.
+    rotation, planar = matrix(turn), matrix(tuple(vars_of(to_message(Pose(*wanted)))))
+    local = rotation.T @ (np.array([wanted[0], wanted[1], 0.0]) - place)
+    own = rotation.T @ planar
+    message = PoseStamped(
+        pose=PoseMessage(position=point(local), orientation=quaternion(quaternion_of(own)))
+    )
+    message.header.frame_id = "fixture"
+    goal = read_goal(message, NOW, OneFrame(place, turn))
+    assert isinstance(goal, Pose), goal
+    assert goal[:2] == pytest.approx(wanted[:2], abs=1e-9)
+    assert math.remainder(goal.theta - wanted[2], 2 * math.pi) == pytest.approx(0.0, abs=1e-6)
+
+
+def vars_of(pose: PoseMessage) -> Numbers:
+    q = pose.orientation
+    return q.x, q.y, q.z, q.w
+
+
+def quaternion_of(rotation: np.ndarray) -> Numbers:
+    """The unit quaternion of a rotation: the eigenvector of Bar-Itzhack's matrix."""
+    r = rotation
+    k = np.array(
+        [
+            [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
+            [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
+            [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], np.trace(r)],
+        ]
+    )
+    values, vectors = np.linalg.eigh(k / 3)
+    return tuple(float(v) for v in vectors[:, np.argmax(values)])
+
+
+def test_a_goal_that_is_not_flat_on_the_table_in_its_frame_is_refused() -> None:
+    message = goal_message()
+    message.header.frame_id = "fixture"
+    leaning = (math.sin(0.1), 0.0, 0.0, math.cos(0.1))
+    refused = read_goal(message, NOW, OneFrame((0.0, 0.0, 0.0), leaning))
+    assert isinstance(refused, Refused) and refused.code == ErrorCode.GOAL_NOT_PLANAR
+    lifted = read_goal(message, NOW, OneFrame((0.0, 0.0, 0.02), (0.0, 0.0, 0.0, 1.0)))
+    assert isinstance(lifted, Refused) and "20.00 mm in 'table'" in lifted.sentence
+
+
+def test_an_unknown_frame_is_refused_with_those_that_are_known() -> None:
+    message = goal_message()
+    message.header.frame_id = "fixtrue"
+    refused = read_goal(message, NOW, OneFrame((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
+    assert isinstance(refused, Refused) and refused.code == ErrorCode.GOAL_WRONG_FRAME
+    assert "'fixtrue'" in refused.sentence and "table, fixture" in refused.sentence
 
 
 @given(position=st.floats(), angle=st.floats())

@@ -60,7 +60,7 @@ class Pair:
 
     arm: arms.ArmLogic = field(default_factory=lambda: arms.ArmLogic(arms.ArmOptions()))
     tapper: tappers.TapperLogic = field(
-        default_factory=lambda: tappers.TapperLogic(tappers.TapperOptions(lambda: 7))
+        default_factory=lambda: tappers.TapperLogic(tappers.TapperOptions())
     )
 
     def command(self, request: int, now: Now) -> TapCommand:

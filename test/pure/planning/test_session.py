@@ -272,7 +272,7 @@ def test_near_an_edge_an_unknown_object_is_refused_until_it_is_probed(planner, t
     goal, start = (0.003, 0.0, 0.0), (0.0, 0.0, 0.0)
     refusal = PositioningSession(goal, planner, space, free).decide(start)
     assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.PROBE_NEEDED
-    assert "parameter probe" in refusal.sentence and "times as far" in refusal.sentence
+    assert "goal --probe" in refusal.sentence and "times as far" in refusal.sentence
     sure = PositioningSession(goal, planner, space, free, known()).decide(start)
     assert isinstance(sure, Strike)
 

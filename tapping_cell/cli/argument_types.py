@@ -1,0 +1,72 @@
+"""Types of arguments that several verbs take; each refuses a wrong value in a sentence."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Callable
+
+_NAMESPACE = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*/?")
+LONGEST_NAMESPACE = 200
+
+
+def finite(text: str) -> float:
+    """A finite number."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a finite number")
+    return number
+
+
+def within(lowest: float, highest: float) -> Callable[[str], float]:
+    """A finite number between two limits."""
+
+    def number(text: str) -> float:
+        value = finite(text)
+        if not lowest <= value <= highest:
+            raise argparse.ArgumentTypeError(
+                f"{text} is outside its limits {lowest:g} to {highest:g}"
+            )
+        return value
+
+    return number
+
+
+def whole_number(text: str) -> int:
+    """A whole number."""
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number") from None
+
+
+def whole(lowest: int, highest: int) -> Callable[[str], int]:
+    """A whole number between two limits."""
+
+    def number(text: str) -> int:
+        value = whole_number(text)
+        if not lowest <= value <= highest:
+            raise argparse.ArgumentTypeError(f"{text} is outside its limits {lowest} to {highest}")
+        return value
+
+    return number
+
+
+seed = whole(0, 2**31 - 1)
+"""Of random numbers."""
+
+
+def namespace(text: str) -> str:
+    """A namespace of ROS nodes; empty for none."""
+    if text in ("", "/"):
+        return ""
+    if not _NAMESPACE.fullmatch(text) or len(text) > LONGEST_NAMESPACE:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is no ROS namespace: letters, digits and _ in parts that do not begin with "
+            "a digit, with / between them, such as left or hall/cell_2"
+        )
+    return text.strip("/")

@@ -1,0 +1,60 @@
+"""Clear the stop and the faults of arm and tapper of a running cell. Nothing moves by it.
+
+A stop that somebody still holds refuses, and says who. Press the clear button at the tapper first.
+
+    python -m tapping_cell clear
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+from tapping_cell.cli import cell_arguments, cell_words
+from tapping_cell.cli.errors import ExitStatus, tell_error
+from tapping_cell.nodes.clients.cell_client import CellClient
+
+PATIENCE_S = 10.0
+BUTTON_S = 1.0
+"""The simulated button is held for less than this."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the verb."""
+    cell_arguments.add_arguments(parser)
+    parser.add_argument(
+        "--press-button",
+        action="store_true",
+        help="simulated cell: press the clear button at the tapper first",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb; 0 neither stop nor fault is left, 1 one is: the sentence says which."""
+
+    def clear(client: CellClient) -> int:
+        client.wait_for_cell(cell_arguments.PATIENCE_S)
+        if arguments.press_button:
+            print(client.press_button())
+            time.sleep(BUTTON_S)
+        for words in client.clear():
+            print(words)
+        state = _settled(client)
+        if state["mode"] in ("stopped", "fault"):
+            tell_error(state["sentence"])
+        for line in cell_words.recovery(state):
+            print(line)
+        return ExitStatus.FAILED if state["mode"] in ("stopped", "fault") else ExitStatus.DONE
+
+    return cell_arguments.with_cell(arguments, clear)
+
+
+def _settled(client: CellClient) -> dict[str, Any]:
+    """The state once neither stop nor fault is left, or what is known in the end."""
+    deadline = time.monotonic() + PATIENCE_S
+    while True:
+        state = client.state()
+        if state["mode"] not in ("stopped", "fault") or time.monotonic() > deadline:
+            return state
+        time.sleep(0.1)

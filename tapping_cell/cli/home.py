@@ -1,0 +1,48 @@
+"""Home the arm of a running cell, and wait until it is done. See that its way is free.
+
+python -m tapping_cell home
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+from tapping_cell.cli import argument_types, cell_arguments
+from tapping_cell.cli.errors import ExitStatus, tell_error
+from tapping_cell.nodes.clients.cell_client import CellClient
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the verb."""
+    cell_arguments.add_arguments(parser)
+    parser.add_argument(
+        "--wait",
+        type=argument_types.within(1, 3600),
+        default=120.0,
+        help="longest time for homing, in seconds (120)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb; 0 the arm is homed and idle, 1 it is not: the sentence says why."""
+
+    def home(client: CellClient) -> int:
+        client.wait_for_cell(cell_arguments.PATIENCE_S)
+        print(client.home())
+        deadline = time.monotonic() + arguments.wait
+        begun = False
+        while time.monotonic() < deadline:
+            arm = client.state()["arm"]
+            begun = begun or arm["state"] == "homing"
+            if begun and arm["state"] == "idle":
+                print("the arm is homed")
+                return ExitStatus.DONE
+            if begun and arm["state"] != "homing":
+                tell_error(f"the arm is {arm['state']}: {arm['sentence']}", arm["code"])
+                return ExitStatus.FAILED
+            time.sleep(0.05)
+        tell_error(f"the arm was not homed within {arguments.wait:.0f} s; see its state")
+        return ExitStatus.FAILED
+
+    return cell_arguments.with_cell(arguments, home)

@@ -1,0 +1,109 @@
+"""The start of a running graph as people see it: a line for every node, and whether it is ready."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rich.table import Table
+
+from tapping_cell.messages import ErrorCode
+from tapping_cell.nodes.page.node_watch import NOT_YET
+
+PERSONS = (
+    ErrorCode.EMERGENCY_STOP,
+    ErrorCode.ARM_NOT_HOMED,
+    ErrorCode.ARM_STOPPED,
+    ErrorCode.TAPPER_STOPPED,
+    ErrorCode.TAPPER_INTERLOCK_OPEN,
+    ErrorCode.ENABLING_RELEASED,
+    ErrorCode.OBJECT_NOT_SEEN,
+    ErrorCode.OBJECT_NOT_AT_REST,
+    ErrorCode.OBJECT_OFF_TABLE,
+    ErrorCode.REFERENCES_NOT_SEEN,
+    ErrorCode.MARKER_AMBIGUOUS,
+    ErrorCode.CAMERA_MOVED,
+)
+"""Codes that end only by what a person does; the cell itself has started."""
+STYLES = {
+    "ready": "green",
+    "warns": "yellow",
+    "waits": "yellow",
+    "starting": "yellow",
+    "fault": "red",
+    "ended": "red",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One node: a word, and what it waits for or what is wrong."""
+
+    node: str
+    word: str
+    """starting, waits, ready, warns (works, but not as it should), fault or ended."""
+    sentence: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.node}: {self.word}" + (f", {self.sentence}" if self.sentence else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where the start of a cell is."""
+
+    lines: tuple[Line, ...]
+    ready: bool
+    """Whether a goal would be taken now."""
+    person: str = ""
+    """What a person has to do, where everything has started and only that is missing."""
+    reason: str = ""
+    """Why no goal would be taken; empty when ready."""
+
+
+def judge(nodes: Sequence[str], state: dict[str, Any], ended: dict[str, str]) -> Start:
+    """What a state of the cell means for its start.
+
+    ``nodes``: that were started; ``state``: of the cell's client; ``ended``: why nodes are down.
+    """
+    rows = {row["name"]: row for row in state["nodes"]}
+    world = rows.get("sim_world", {}).get("life") == "active"
+    waits_for_world = "sim_world" in nodes and not world
+    lines = tuple(_line(name, rows.get(name), ended, waits_for_world) for name in nodes)
+    up = all(line.word not in ("starting", "waits") for line in lines)
+    mode, code = state["mode"], state["code"]
+    # A cell at work takes a goal, too, in the place of the one under way.
+    takes = mode == "ready" or (mode == "moving" and state["plan"]["busy"])
+    ready = up and takes and all(line.word != "fault" for line in lines)
+    person = ""
+    if up and not ready and code in PERSONS:
+        steps = [step["text"] for step in state["recovery"] if step["state"] != "done"]
+        person = f"{state['sentence']}. {' '.join(steps) or state['hint']}"
+    missing = "; ".join(str(line) for line in lines if line.word in ("starting", "waits", "fault"))
+    return Start(lines, ready, person, "" if ready else missing or state["sentence"])
+
+
+def _line(
+    name: str, row: dict[str, str] | None, ended: dict[str, str], waits_for_world: bool
+) -> Line:
+    if name in ended:
+        return Line(name, "ended", ended[name])
+    if row is None or row["life"] == "not running" or row["sentence"] == NOT_YET:
+        return Line(name, "starting")
+    if waits_for_world and name != "sim_world":
+        return Line(name, "waits", "for sim_world")
+    if row["life"] != "active":
+        said = "" if row["sentence"] in ("ok", "not configured") else row["sentence"]
+        return Line(name, "waits", said) if said else Line(name, "starting")
+    if row["level"] == "ok":
+        return Line(name, "ready")
+    return Line(name, "fault" if row["level"] == "error" else "warns", row["sentence"])
+
+
+def table(lines: Sequence[Line]) -> Table:
+    """The lines for a terminal."""
+    shown = Table(box=None, show_header=False, pad_edge=False)
+    for line in lines:
+        shown.add_row(line.node, f"[{STYLES[line.word]}]{line.word}[/]", line.sentence)
+    return shown

@@ -1,0 +1,36 @@
+"""Show the state of a running cell: whether a goal would be taken, and else what to do.
+
+python -m tapping_cell status
+python -m tapping_cell status --json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from rich.console import Console
+
+from tapping_cell.cli import cell_arguments, cell_words
+from tapping_cell.cli.errors import ExitStatus
+from tapping_cell.nodes.clients.cell_client import CellClient
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the verb."""
+    cell_arguments.add_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="print the state for a program")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb; 0 ready or at work, 1 not ready or no cell answers."""
+
+    def show(client: CellClient) -> int:
+        state = client.wait_for_cell(cell_arguments.PATIENCE_S)
+        if arguments.json:
+            print(json.dumps(state, indent=2, allow_nan=False))
+        else:
+            Console(highlight=False, soft_wrap=True).print(cell_words.overview(state))
+        return ExitStatus.DONE if state["mode"] in ("ready", "moving") else ExitStatus.FAILED
+
+    return cell_arguments.with_cell(arguments, show)

@@ -1,0 +1,45 @@
+"""Watch a running cell in the terminal: state, taps, nodes and events, until Ctrl-C.
+
+python -m tapping_cell watch
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+from rich.console import Console
+from rich.live import Live
+
+from tapping_cell.cli import argument_types, cell_arguments, cell_words
+from tapping_cell.cli.errors import ExitStatus
+from tapping_cell.nodes.clients.cell_client import CellClient
+
+PERIOD_S = 0.2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the verb."""
+    cell_arguments.add_arguments(parser)
+    parser.add_argument(
+        "--seconds",
+        type=argument_types.within(0, 1e6),
+        help="end after this time (default: watch until Ctrl-C)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb; 0 ended, 1 no cell answers."""
+
+    def follow(client: CellClient) -> int:
+        console = Console(highlight=False)
+        began = time.monotonic()
+        client.wait_for_cell(cell_arguments.PATIENCE_S)
+        with Live(console=console, screen=console.is_terminal, auto_refresh=False) as live:
+            while arguments.seconds is None or time.monotonic() - began < arguments.seconds:
+                live.update(cell_words.overview(client.state(), log=True), refresh=True)
+                time.sleep(PERIOD_S)
+        return ExitStatus.DONE
+
+    status = cell_arguments.with_cell(arguments, follow)
+    return ExitStatus.DONE if status == ExitStatus.INTERRUPTED else status

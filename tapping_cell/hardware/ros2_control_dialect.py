@@ -1,0 +1,286 @@
+"""An arm with a ROS driver of its own, behind the interface of the other controllers.
+
+It gets trajectories for its ``joint_trajectory_controller`` and is believed by its joint states
+alone: what the controller says of a trajectory can only make a move fail, never succeed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tapping_cell.hardware import controller_needs
+from tapping_cell.hardware.dialect import Axes, AxisReading, Firmware, LineCounters, StraightMove
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.finding import Finding
+from tapping_cell.hardware.joint_trajectory import straight_points
+from tapping_cell.hardware.trajectory_link import GoalState, JointSample, TrajectoryLink
+
+REST_WINDOW = 0.05
+"""The arm rests when its joints have not changed for so long, s: three states at 50 Hz."""
+REST_SPEED = 0.02
+"""A joint that is told to be faster than this moves, rad/s or m/s; encoders at rest are below."""
+LEAST_RATE = 20.0
+"""Joint states a second that are needed: a strike pose is confirmed twenty times a second."""
+RATE_WINDOW = 0.5
+"""Over which the rate is measured, s."""
+CLOCK_LIMIT = 0.1
+"""Stamps further in the future are those of another clock, s."""
+WAIT = 0.02
+"""Between looks for a sample, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ros2ControlSettings:
+    """The joints, in the order of the kinematics, and what is asked of their states."""
+
+    joints: tuple[str, ...]
+    max_acceleration: tuple[float, ...]
+    """rad/s^2 or m/s^2."""
+    tolerance: tuple[float, ...]
+    """The arm's tolerances in position, rad or m: half of it is what a joint at rest may vary."""
+    state_timeout: float = 0.25
+    """Longest silence of the joint states, s."""
+
+
+class Ros2ControlDialect:
+    """One trajectory controller; see :class:`~tapping_cell.hardware.dialect.ArmDialect`."""
+
+    stop_bytes = b""
+
+    def __init__(self, link: TrajectoryLink, settings: Ros2ControlSettings) -> None:
+        self._link = link
+        self._settings = settings
+        self.counters = LineCounters()
+        self._ends = -math.inf
+
+    @property
+    def units(self) -> Sequence[float]:
+        """Rad and m, as the joints."""
+        return (1.0,) * len(self._settings.joints)
+
+    def connect(self, deadline: float) -> Firmware:
+        """Hear the joint states for a while; refuses a rate or a clock that interlocks cannot
+        use."""
+        firmware, findings = self.inspect(deadline)
+        controller_needs.refuse(findings)
+        return firmware
+
+    def inspect(self, deadline: float) -> tuple[Firmware, list[Finding]]:
+        """The joint states' names, rate and clock; nothing moves."""
+        self._ends = -math.inf
+        self._await_first(deadline)
+        until = self._link.now() + RATE_WINDOW
+        while (left := until - self._link.now()) > 0:
+            self._link.wait(left)
+        heard = [s for s in self._link.samples if s.received >= until - RATE_WINDOW]
+        rate = len(heard) / RATE_WINDOW
+        ahead = max((s.ahead for s in heard), default=0.0)
+        age = min((s.received - s.measured for s in heard), default=0.0)
+        findings = [
+            Finding(
+                "rate of the joint states",
+                f"{rate:.0f} Hz",
+                f"must be at least {LEAST_RATE:.0f} Hz (the broadcaster's or the controller"
+                " manager's update_rate)",
+                rate >= LEAST_RATE,
+            ),
+            Finding(
+                "clock of the joint states' stamps",
+                f"{ahead:.3f} s ahead" if ahead > age else f"{age:.3f} s behind",
+                f"must be at most {CLOCK_LIMIT:g} s ahead and {self._settings.state_timeout:g} s"
+                " behind of this computer's: synchronise the clocks (chrony, PTP)",
+                ahead <= CLOCK_LIMIT and age <= self._settings.state_timeout,
+            ),
+        ]
+        remarks = [
+            f"{name} can send trajectories to {self._link.name} as well: while the cell works,"
+            " nothing else may"
+            for name in self._link.rivals
+        ]
+        if heard and heard[-1].velocities is None:
+            remarks.append("the joint states tell no velocities: rest is seen by positions alone")
+        # Nothing proves that an arm's driver, or its drives, were not restarted meanwhile.
+        firmware = Firmware("ros2_control", self._link.interface, False, tuple(remarks))
+        return firmware, findings
+
+    def store(self, finding: Finding, deadline: float) -> None:
+        """Nothing of an arm's own driver is changed from here."""
+        raise ValueError(f"{finding.setting} must be set in the configuration of the arm's driver")
+
+    def read(self, deadline: float) -> AxisReading:
+        """The first state measured after the question, and whether the joints rest."""
+        asked = self._link.now()
+        return self._reading(self._measured_after(asked, deadline), asked)
+
+    def start_moves(self, moves: Sequence[StraightMove], deadline: float) -> None:
+        """Send the moves as one trajectory from where the arm stands."""
+        here = self._measured_after(self._link.now(), deadline)
+        points = straight_points(here.positions, moves, self._settings.max_acceleration)
+        if not points:
+            return
+        self._link.send(points)
+        self._ends = self._link.now() + points[-1].time
+
+    def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
+        """Wait until the trajectory is over, the joints rest, and the controller has no more to
+        say.
+
+        An arm that is not heard any more is told to brake: its states may be lost on a way that its
+        commands do not take.
+        """
+        try:
+            return self._finished(expected_end, deadline)
+        except HardwareFault as fault:
+            if fault.reason is FaultReason.DISCONNECTED:
+                self._link.brake()
+            raise
+
+    def _finished(self, expected_end: float, deadline: float) -> AxisReading:
+        while self._link.now() < max(expected_end, self._ends):
+            self._hear()
+            self._check_goal()
+        while True:
+            reading = self.read(max(deadline, self._link.now() + self._settings.state_timeout))
+            goal = self._check_goal()
+            if not reading.moving and goal is not GoalState.ACTIVE:
+                return reading
+            if self._link.now() >= deadline:
+                self.counters.timeouts += 1
+                raise HardwareFault(
+                    FaultReason.TIMEOUT,
+                    f"{self._link.name} "
+                    + ("still moves" if reading.moving else "has not ended its goal"),
+                )
+
+    def idle(self, duration: float) -> None:
+        """Listen; states that stay away are raised."""
+        until = self._link.now() + duration
+        while (left := until - self._link.now()) > 0:
+            self._hear(left)
+
+    def home(self, axes: Axes | None, deadline: float) -> None:
+        """The arm's own driver knows where it is."""
+        raise HardwareFault(
+            FaultReason.HOMING_FAILED,
+            "an arm with its own ROS driver is homed by that driver: set arm.homing to none",
+        )
+
+    def set_position(self, axes: Axes, deadline: float) -> None:
+        """As ``home``."""
+        self.home(axes, deadline)
+
+    def clear(self, deadline: float) -> None:
+        """After a stop: the arm must stand still and be heard before it may be homed again."""
+        self._ends = -math.inf
+        while self.read(deadline).moving:
+            if self._link.now() >= deadline:
+                raise HardwareFault(
+                    FaultReason.TIMEOUT,
+                    f"{self._link.name} still moves after the stop: stop it at its own panel",
+                )
+
+    def _check_goal(self) -> GoalState:
+        """What the controller says of the trajectory; a failure is raised."""
+        progress = self._link.progress()
+        if progress.state is GoalState.FAILED:
+            raise HardwareFault(
+                FaultReason.REJECTED,
+                f"{self._link.name} did not carry out a trajectory: {progress.words}: look for an"
+                " obstacle, for limits and tolerances of the controller, and for another program"
+                " that sends it trajectories",
+            )
+        return progress.state
+
+    def _hear(self, longest: float = WAIT) -> None:
+        """Wait a little; states that have stayed away too long are raised."""
+        self._link.wait(min(longest, WAIT))
+        if self._silence() > self._settings.state_timeout:
+            raise self._silent()
+
+    def _silence(self) -> float:
+        """Time since the newest state was measured, s."""
+        samples = self._link.samples
+        return self._link.now() - samples[-1].measured if samples else math.inf
+
+    def _silent(self) -> HardwareFault:
+        self.counters.timeouts += 1
+        samples = self._link.samples
+        late = bool(samples) and self._link.now() - samples[-1].received < 0.1
+        told = (
+            "come with stamps that are too old: the arm's computer has another clock, or the"
+            " network is slow; synchronise the clocks"
+            if late
+            else "have stopped: check the arm's driver, its joint_state_broadcaster and the network"
+        )
+        silence = self._silence()
+        since = f"{silence:.2f} s" if math.isfinite(silence) else "more than a second"
+        return HardwareFault(
+            FaultReason.DISCONNECTED,
+            f"the joint states of {self._link.name} {told} (nothing measured for {since}, limit"
+            f" {self._settings.state_timeout:.2f} s)",
+        )
+
+    def _await_first(self, deadline: float) -> None:
+        while not self._link.samples:
+            if self._link.now() >= deadline:
+                self.counters.timeouts += 1
+                other = ", ".join(self._link.other_names)
+                heard = f"only messages with the joints {other}" if other else "nothing"
+                raise HardwareFault(
+                    FaultReason.TIMEOUT,
+                    f"no joint states of {', '.join(self._settings.joints)} for"
+                    f" {self._link.name}; heard was {heard}: check arm.ros2_control.joint_states"
+                    " and .joints, and that the joint_state_broadcaster is active",
+                )
+            self._link.wait(WAIT)
+
+    def _measured_after(self, asked: float, deadline: float) -> JointSample:
+        while True:
+            samples = self._link.samples
+            if samples and samples[-1].measured >= asked:
+                return self._checked(samples[-1])
+            waited = self._link.now() - asked
+            if waited > self._settings.state_timeout and (
+                self._silence() > self._settings.state_timeout or self._link.now() >= deadline
+            ):
+                raise self._silent()
+            self._link.wait(WAIT)
+
+    def _checked(self, sample: JointSample) -> JointSample:
+        for name, value in zip(self._settings.joints, sample.positions, strict=True):
+            if not math.isfinite(value):
+                raise HardwareFault(
+                    FaultReason.POSITION_LOST,
+                    f"the joint states of {self._link.name} give {value} for joint {name}: its"
+                    " hardware is not active",
+                )
+        if sample.ahead > CLOCK_LIMIT:
+            raise HardwareFault(
+                FaultReason.POSITION_LOST,
+                f"the joint states of {self._link.name} are stamped {sample.ahead:.2f} s in the"
+                " future: how old they are is not known; synchronise the clocks (chrony, PTP)",
+            )
+        return sample
+
+    def _reading(self, sample: JointSample, asked: float) -> AxisReading:
+        return AxisReading(sample.positions, self._moving(sample), "", True, asked)
+
+    def _moving(self, newest: JointSample) -> bool:
+        """Whether a joint moves, is not yet known to rest, or is due to move."""
+        if newest.measured < self._ends:
+            return True
+        if newest.velocities is not None and any(abs(v) > REST_SPEED for v in newest.velocities):
+            return True
+        samples = [s for s in self._link.samples if s.measured <= newest.measured]
+        since = newest.measured - REST_WINDOW
+        before = [s for s in samples if s.measured <= since]
+        if not before:
+            return True
+        window = [before[-1], *(s for s in samples if s.measured > since)]
+        columns = zip(*(s.positions for s in window), strict=True)
+        return any(
+            max(values) - min(values) > limit / 2
+            for values, limit in zip(columns, self._settings.tolerance, strict=True)
+        )

@@ -1,0 +1,191 @@
+"""The client that watches a whole cell and gives its commands: what the page does, for a terminal.
+
+Not an executable of its own: the command line's verbs `up`, `status`, `watch`, `home`, `stop`,
+`clear` and `commission` use it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.task import Future
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+from tapping_cell_msgs.msg import (
+    ArmState,
+    GoalReport,
+    ObjectState,
+    PlanState,
+    StopState,
+    TapperState,
+)
+
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.clients.client_node import ClientNode
+from tapping_cell.nodes.page.cell_view import CellView, Mode
+from tapping_cell.nodes.page.node_watch import CAMERAS, CORE, NOT_YET, NodeWatch
+
+NAME = "cell_client"
+ACTORS = ("scara_arm", "tapper_trigger")
+STOP_PATIENCE_S = 2.0
+STOP_PERIOD_S = 0.02
+_POLL_S = 0.05
+
+
+class NoCell(RuntimeError):
+    """Nobody of a cell answers; the sentence says what to do."""
+
+
+class NotDone(RuntimeError):
+    """The cell did not do what was asked; the sentence says why."""
+
+
+class CellClient(ClientNode):
+    """See the module's docstring; use as a context manager."""
+
+    def __init__(self, namespace: str = "") -> None:
+        super().__init__(NAME, namespace)
+        self._view = CellView()
+        self._stopped: dict[str, bool] = {}
+        subscribe, view = self.node.create_subscription, self._view
+        subscribe(ObjectState, "object_state", view.on_object, LATCHED)
+        subscribe(ArmState, "arm_state", view.on_arm, LATCHED)
+        subscribe(TapperState, "tapper_state", view.on_tapper, LATCHED)
+        subscribe(PlanState, "plan_state", view.on_plan, LATCHED)
+        subscribe(GoalReport, "goal_report", view.on_report, LATCHED)
+        subscribe(Bool, "emergency_stop", self._on_stop_level, LATCHED)
+        for actor in ACTORS:
+            subscribe(StopState, f"{actor}/stop_state", self._on_stop_state(actor), LATCHED)
+        self._stop = {actor: self.node.create_client(Trigger, f"{actor}/stop") for actor in ACTORS}
+        self._home = self.node.create_client(Trigger, "scara_arm/home")
+        self._clear = {
+            actor: self.node.create_client(Trigger, f"{actor}/clear_fault") for actor in ACTORS
+        }
+        self._button = self.node.create_client(Trigger, "sim_world/press_clear_button")
+        self._watch = NodeWatch(self.node)
+
+    def _on_stop_level(self, message: Bool) -> None:
+        self._view.emergency_stop = message.data
+
+    def _on_stop_state(self, actor: str) -> Callable[[StopState], None]:
+        def hear(message: StopState) -> None:
+            self._stopped[actor] = message.stopped
+            self._view.stops[actor] = tuple(message.sources) if message.stopped else ()
+
+        return hear
+
+    # What is the case
+
+    def mode(self) -> Mode:
+        """The whole cell in a word, with sentence and code."""
+        return self.in_executor(self._view.mode)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the page shows, and the nodes."""
+
+        def gather() -> dict[str, Any]:
+            self._view.simulated = self._watch.runs("sim_world")
+            return {**self._view.state(), "nodes": self._watch.rows()}
+
+        return self.in_executor(gather)
+
+    def wait_for_cell(self, patience: float) -> dict[str, Any]:
+        """The state once every node of a cell was heard, or what is known after ``patience`` s.
+
+        Raises:
+            NoCell: nobody was heard.
+        """
+        deadline = time.monotonic() + patience
+        while True:
+            self.in_executor(self._watch.look)
+            state = self.state()
+            rows = {row["name"]: row for row in state["nodes"]}
+            heard = [row for row in rows.values() if row["life"] != "not running"]
+            known = {row["name"] for row in heard if row["sentence"] != NOT_YET}
+            complete = known.issuperset(CORE) and not known.isdisjoint(CAMERAS)
+            if (complete and state["mode"] != "not ready") or (
+                heard and time.monotonic() > deadline
+            ):
+                return state
+            if time.monotonic() > deadline:
+                break
+            time.sleep(0.1)
+        domain, namespace = self.node.context.get_domain_id(), self.node.get_namespace()
+        raise NoCell(
+            f"no cell answers in ROS domain {domain}, namespace '{namespace}': start one with"
+            " python -m tapping_cell up, or choose the cell with ROS_DOMAIN_ID and --namespace"
+        )
+
+    # What it is told
+
+    def stop(self) -> None:
+        """Stop arm and tapper, which ends the planner's goal; returns when both have said so.
+
+        Raises:
+            NotDone: names who did not confirm the stop.
+        """
+        asked: dict[str, Future] = {}
+
+        def ask() -> None:
+            for actor, client in self._stop.items():
+                if actor not in asked and client.service_is_ready():
+                    asked[actor] = client.call_async(Trigger.Request())
+
+        deadline = time.monotonic() + STOP_PATIENCE_S
+        missing = list(ACTORS)
+        while missing and time.monotonic() < deadline:
+            self.in_executor(ask)
+            missing = [actor for actor in ACTORS if actor not in asked or not asked[actor].done()]
+            time.sleep(STOP_PERIOD_S)
+        if missing:
+            raise NotDone(
+                f"{' and '.join(missing)} did not confirm the stop within {STOP_PATIENCE_S:.0f} s:"
+                " use the wired emergency stop"
+            )
+
+    def clear(self) -> list[str]:
+        """Clear stop and faults of arm and tapper; returns what they say.
+
+        Raises:
+            NotDone: one of them refuses; the sentence is its own.
+        """
+        answers = [self._call(client, actor) for actor, client in self._clear.items()]
+        refused = [words for good, words in answers if not good]
+        if refused:
+            raise NotDone("; ".join(refused))
+        return [words for _, words in answers]
+
+    def home(self) -> str:
+        """Begin to home the arm. Raises NotDone: the arm's own sentence."""
+        good, words = self._call(self._home, "scara_arm")
+        if not good:
+            raise NotDone(words)
+        return words
+
+    def press_button(self) -> str:
+        """Press the clear button at the simulated tapper. Raises NotDone: there is none."""
+        good, words = self._call(self._button, "sim_world")
+        if not good:
+            raise NotDone(words)
+        return words
+
+    def _call(self, client: Any, name: str, patience: float = 5.0) -> tuple[bool, str]:
+        if not client.wait_for_service(patience):
+            return False, f"{name} does not answer; is it up?"
+        done = threading.Event()
+        answers: list[Any] = []
+
+        def ask() -> None:
+            client.call_async(Trigger.Request()).add_done_callback(told)
+
+        def told(future: Future) -> None:
+            answers.append(future.result())
+            done.set()
+
+        self.in_executor(ask)
+        if not done.wait(patience):
+            return False, f"{name} did not answer within {patience:.0f} s"
+        return bool(answers[0].success), f"{name}: {answers[0].message}"

@@ -1,0 +1,73 @@
+"""What the clients of a running cell share: a node in a context and a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, TypeVar
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+Self = TypeVar("Self", bound="ClientNode")
+T = TypeVar("T")
+
+
+class ClientNode:
+    """Use as a context manager: the thread runs meanwhile."""
+
+    def __init__(self, name: str, namespace: str = "") -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node(name, namespace=namespace, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._spin, name=name, daemon=True)
+
+    def __enter__(self: Self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        # First the thread, then what it works with: rclpy's shutdown does not wait for a callback.
+        self._ended.set()
+        self._thread.join(2.0)
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def _spin(self) -> None:
+        try:
+            while not self._ended.is_set():
+                self._executor.spin_once(timeout_sec=0.1)
+        except ExternalShutdownException:
+            return
+
+    def in_executor(self, function: Callable[[], T], patience: float = 5.0) -> T:
+        """Call in the executor's thread and wait for what it returns.
+
+        Raises:
+            TimeoutError: the executor did not come to it.
+        """
+        done = threading.Event()
+        found: list[T] = []
+
+        def call() -> None:
+            found.append(function())
+            done.set()
+
+        task: Any = call
+        self._executor.create_task(task)
+        if not done.wait(patience):
+            raise TimeoutError(f"the client's own thread did not answer within {patience:.0f} s")
+        return found[0]

@@ -1,0 +1,42 @@
+"use strict";
+// The enabling key of set-up mode: says that it is held ten times a second. Whatever ends the holding
+// ends that: the pointer or key goes up, the page loses the focus, the connection drops, the page hangs.
+
+const ENABLE_PERIOD_MS = 100;
+let enableTimer = 0;
+
+function holdEnabling(event) {
+  if (event.type === "keydown") {
+    if (event.key !== " " && event.key !== "Enter") return;
+    event.preventDefault();
+    if (event.repeat) return;
+  }
+  if (enableTimer || event.button > 0) return;
+  if (event.pointerId !== undefined) $("enable").setPointerCapture(event.pointerId);
+  say({ do: "enable" });
+  enableTimer = setInterval(() => { if (!say({ do: "enable" })) releaseEnabling(); }, ENABLE_PERIOD_MS);
+  $("enable").setAttribute("aria-pressed", "true");
+}
+
+function releaseEnabling() {
+  if (!enableTimer) return;
+  clearInterval(enableTimer);
+  enableTimer = 0;
+  say({ do: "disable" });
+  $("enable").setAttribute("aria-pressed", "false");
+}
+
+function renderEnabling(setUp, connected) {
+  $("set-up").hidden = !setUp || !setUp.on;
+  $("enable").disabled = !connected;
+  if (!connected || !setUp || !setUp.on) releaseEnabling();
+  setText($("enabled"), setUp && setUp.enabled ? "Enabled: the arm may move." : "Not enabled: nothing moves.");
+}
+
+for (const name of ["pointerdown", "keydown"]) $("enable").addEventListener(name, holdEnabling);
+for (const name of ["pointerup", "pointercancel", "lostpointercapture", "keyup", "blur", "contextmenu"]) {
+  $("enable").addEventListener(name, releaseEnabling);
+}
+window.addEventListener("blur", releaseEnabling);
+window.addEventListener("pagehide", releaseEnabling);
+document.addEventListener("visibilitychange", () => { if (document.hidden) releaseEnabling(); });

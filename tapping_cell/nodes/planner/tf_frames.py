@@ -1,0 +1,75 @@
+"""The frames of ``/tf`` for the planner's goals, where tf2_ros is installed."""
+
+from __future__ import annotations
+
+import yaml
+from geometry_msgs.msg import TransformStamped
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.time import Time
+
+from tapping_cell.logic.clock import to_nanoseconds
+from tapping_cell.logic.frames import TABLE, FrameError, Frames, TableOnly
+from tapping_cell.messages import Point, Pose, Quaternion
+from tapping_cell.messages import Time as Stamp
+
+try:
+    import tf2_ros
+except ImportError:
+    tf2_ros = None
+
+KEPT_S = 60.0
+"""How long transforms are kept: as old as the stamp of a goal may be."""
+NEWEST_S = 0.5
+"""How far a goal's stamp may lie beyond the newest transform, which then stands for it."""
+
+
+class TfFrames:
+    """What was heard on ``/tf`` and ``/tf_static``."""
+
+    def __init__(self, node: Node) -> None:
+        self._buffer = tf2_ros.Buffer(cache_time=Duration(seconds=KEPT_S))
+        self._listener = tf2_ros.TransformListener(self._buffer, node)
+
+    def in_table(self, frame: str, stamp: Stamp) -> Pose:
+        """See ``logic.frames.Frames``."""
+        try:
+            found = self._look_up(frame, Time(nanoseconds=to_nanoseconds(stamp)))
+        except tf2_ros.TransformException as error:
+            raise FrameError(self._refusal(frame, error)) from error
+        place, turn = found.transform.translation, found.transform.rotation
+        return Pose(
+            position=Point(x=place.x, y=place.y, z=place.z),
+            orientation=Quaternion(x=turn.x, y=turn.y, z=turn.z, w=turn.w),
+        )
+
+    def _look_up(self, frame: str, at: Time) -> TransformStamped:
+        try:
+            return self._buffer.lookup_transform(TABLE, frame, at)
+        except tf2_ros.ExtrapolationException:
+            newest = self._buffer.lookup_transform(TABLE, frame, Time())
+            behind = at.nanoseconds - Time.from_msg(newest.header.stamp).nanoseconds
+            if not 0 <= behind <= 1e9 * NEWEST_S:
+                raise
+            return newest
+
+    def _refusal(self, frame: str, error: Exception) -> str:
+        known = self._known()
+        if frame in known:
+            return f"where the goal's frame '{frame}' is at the goal's stamp is not known: {error}"
+        return (
+            f"the goal's frame_id is '{frame}', which is not connected to '{TABLE}'; known are "
+            f"{', '.join((TABLE, *known))}"
+        )
+
+    def _known(self) -> list[str]:
+        """The frames that are connected to ``table``."""
+        heard = yaml.safe_load(self._buffer.all_frames_as_yaml()) or {}
+        names = set(heard) | {entry["parent"] for entry in heard.values()}
+        connected = (n for n in names - {TABLE} if self._buffer.can_transform(TABLE, n, Time()))
+        return sorted(connected)
+
+
+def open_frames(node: Node) -> Frames:
+    """The frames of ``/tf``; ``table`` alone where tf2_ros is not installed."""
+    return TableOnly() if tf2_ros is None else TfFrames(node)

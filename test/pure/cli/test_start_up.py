@@ -1,0 +1,67 @@
+"""What `up` says of a start: "ready" only where a goal would be taken, else what is missing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tapping_cell.cli.start_up import judge
+from tapping_cell.messages import ErrorCode
+
+NODES = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger", "operator_page")
+
+
+def cell(mode: str = "ready", code: int = 0, **rows: dict[str, str]) -> dict[str, Any]:
+    """A state of the cell's client, with other rows for some nodes."""
+    well = {"life": "active", "level": "ok", "sentence": "ok"}
+    return {
+        "nodes": [{**well, "name": name, **rows.get(name, {})} for name in NODES],
+        "mode": mode,
+        "code": code,
+        "sentence": "the cell takes a goal" if mode == "ready" else "a reason",
+        "hint": "a remedy.",
+        "plan": {"busy": False},
+        "recovery": [],
+    }
+
+
+def test_a_cell_that_takes_a_goal_is_ready() -> None:
+    start = judge(NODES, cell(), {})
+    assert start.ready and not start.reason and {line.word for line in start.lines} == {"ready"}
+
+
+@pytest.mark.parametrize("name", NODES)
+@pytest.mark.parametrize("life", ["not running", "unconfigured", "inactive"])
+def test_a_node_that_is_not_active_keeps_the_cell_from_being_ready(name: str, life: str) -> None:
+    start = judge(NODES, cell(**{name: {"life": life, "sentence": "waits for X"}}), {})
+    assert not start.ready and not start.person and name in start.reason
+
+
+@pytest.mark.parametrize("mode", ["not ready", "stopped", "fault", "moving"])
+def test_active_nodes_alone_are_not_ready(mode: str) -> None:
+    start = judge(NODES, cell(mode, ErrorCode.CAMERA_SILENT), {})
+    assert not start.ready and start.reason == "a reason" and not start.person
+
+
+def test_what_only_a_person_can_do_is_said_and_is_no_late_start() -> None:
+    start = judge(NODES, cell("not ready", ErrorCode.ARM_NOT_HOMED), {})
+    assert not start.ready and start.person == "a reason. a remedy."
+
+
+def test_devices_wait_for_the_simulated_world_without_a_word_of_cables() -> None:
+    state = cell(
+        "not ready",
+        ErrorCode.ARM_NOT_CONNECTED,
+        sim_world={"life": "not running"},
+        scara_arm={"life": "unconfigured", "level": "warn", "sentence": "check the cable"},
+    )
+    lines = {line.node: str(line) for line in judge(NODES, state, {}).lines}
+    assert lines["sim_world"] == "sim_world: starting"
+    assert lines["scara_arm"] == "scara_arm: waits, for sim_world"
+
+
+def test_a_page_that_was_left_alone_does_not_keep_the_cell_from_work() -> None:
+    state = cell(operator_page={"life": "not running"})
+    start = judge(NODES, state, {"operator_page": "ended by SIGKILL"})
+    assert start.ready and str(start.lines[-1]) == "operator_page: ended, ended by SIGKILL"

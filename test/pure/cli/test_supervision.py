@@ -1,0 +1,73 @@
+"""Nodes that end are started again with a limit; only those of the cell's work end the others."""
+
+from __future__ import annotations
+
+import pytest
+
+from tapping_cell.cli.graph import Ended, NodeDied
+from tapping_cell.cli.supervision import DELAY_S, MOST_RESTARTS, WINDOW_S, Supervisor
+
+
+class FakeGraph:
+    """Processes that end when they are told to."""
+
+    def __init__(self) -> None:
+        self.down: dict[str, Ended] = {}
+        self.started: list[str] = []
+
+    def ended(self) -> list[Ended]:
+        return list(self.down.values())
+
+    def restart(self, name: str) -> None:
+        del self.down[name]
+        self.started.append(name)
+
+    def end(self, name: str, status: int = -9, words: str = "it said nothing") -> None:
+        self.down[name] = Ended(name, status, words)
+
+
+@pytest.mark.parametrize("name", ["operator_page", "run_recorder", "tap_planner", "scara_arm"])
+def test_a_node_that_is_killed_is_named_and_started_again(name: str) -> None:
+    graph = FakeGraph()
+    supervisor = Supervisor(graph)  # type: ignore[arg-type]
+    graph.end(name)
+    (incident,) = supervisor.look(10.0)
+    assert incident.node == name and "SIGKILL" in incident.sentence
+    assert not supervisor.look(10.0 + DELAY_S / 2) and not graph.started
+    assert not supervisor.look(10.0 + DELAY_S) and graph.started == [name]
+
+
+@pytest.mark.parametrize(("name", "ends"), [("operator_page", False), ("tapper_trigger", True)])
+def test_a_node_that_ends_again_and_again(name: str, ends: bool) -> None:
+    graph, now = FakeGraph(), 0.0
+    supervisor = Supervisor(graph)  # type: ignore[arg-type]
+    for _ in range(MOST_RESTARTS):
+        graph.end(name)
+        supervisor.look(now)
+        now += DELAY_S
+        supervisor.look(now)
+    graph.end(name)
+    if ends:
+        with pytest.raises(NodeDied, match=f"without {name}: 4 times"):
+            supervisor.look(now)
+        return
+    (incident,) = supervisor.look(now)
+    assert incident.given_up and "the cell works without it" in incident.sentence
+    assert not supervisor.look(now + WINDOW_S) and name in supervisor.left_alone
+
+
+def test_rare_ends_are_forgotten() -> None:
+    graph = FakeGraph()
+    supervisor = Supervisor(graph)  # type: ignore[arg-type]
+    for number in range(20):
+        graph.end("scara_arm")
+        supervisor.look(number * WINDOW_S)
+        supervisor.look(number * WINDOW_S + DELAY_S)
+    assert len(graph.started) == 20
+
+
+def test_a_node_that_refuses_its_parameters_is_not_started_again() -> None:
+    graph = FakeGraph()
+    graph.end("tap_planner", 1, "loading | error: unknown parameter 'speeed'")
+    with pytest.raises(NodeDied, match="error: unknown parameter 'speeed'"):
+        Supervisor(graph).look(0.0)  # type: ignore[arg-type]

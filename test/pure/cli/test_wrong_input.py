@@ -1,0 +1,109 @@
+"""Wrong input is refused in one sentence, at once, before anything starts."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from tapping_cell.cli import main
+from tapping_cell.configuration.files import shared_folder
+
+LONGEST_S = 2.0
+"""Of processor time: the machine may be busy with something else."""
+WRONG: list[tuple[str, str]] = [
+    ("", "which verb?"),
+    ("dance", "there is no verb 'dance'"),
+    ("gaol 1 2 3", "did you mean 'goal'?"),
+    ("--planner exact", "there is no verb '--planner'"),
+    ("bench", "python -m benchmarks"),
+    ("goal", "x, y, theta"),
+    ("goal 1 2", "theta"),
+    ("goal 1 2 3 4", "there is no argument 4"),
+    ("goal nan 0 0", "'nan' is not a finite number"),
+    ("goal 0 inf 0", "'inf' is not a finite number"),
+    ("goal 0 0 east", "'east' is not a finite number"),
+    ("goal 20000 0 0", "limits -10000 to 10000"),
+    ("goal 1 2 3 --tolerance -1 1", "limits 0 to 1000"),
+    ("goal 1 2 3 --tolerence 1 1", "did you mean '--tolerance'?"),
+    ("goal 1 2 3 --wait -1", "limits 0 to 3600"),
+    ("goal 1 2 3 --namespace bad-name!", "'bad-name!' is no ROS namespace"),
+    ("goal 1 2 3 --namespace 9lives", "no ROS namespace"),
+    ("up --namespace a//b", "no ROS namespace"),
+    ("up --planner guess", "no planning method 'guess'"),
+    ("up --planner guess", "(404)"),
+    ("up --seed -1", "limits 0 to 2147483647"),
+    ("up --seed 1.5", "'1.5' is not a whole number"),
+    ("up --page 99999999", "neither PORT nor ADDRESS:PORT"),
+    ("up --wait nan", "'nan' is not a finite number"),
+    ("up --cell /nowhere/cell.yaml", "/nowhere/cell.yaml"),
+    ("up --object /nowhere/disk.yaml", "/nowhere/disk.yaml"),
+    ("up --truth /nowhere/truth.yaml", "/nowhere/truth.yaml"),
+    ("up --params /nowhere/parameters.yaml", "/nowhere/parameters.yaml"),
+    ("up --hardware", "a port of the simulated cell"),
+    ("up --hardware --cell HARDWARE", "the arm's port /dev/no_arm"),
+    ("up --hardware --cell HARDWARE", "the tapper's port /dev/no_tapper"),
+    ("up --hardware --cell HARDWARE --camera /dev/no_camera", "the camera /dev/no_camera"),
+    ("demo --planner guess", "no planning method 'guess'"),
+    ("demo --move nan 0 0", "'nan' is not a finite number"),
+    ("demo --move 1 2", "--move"),
+    ("demo --cell /nowhere/cell.yaml", "/nowhere/cell.yaml"),
+    ("evaluate --planner guess", "no planning method 'guess'"),
+    ("evaluate --trials many", "'many' is not a whole number"),
+    ("evaluate --goal nan 0 0", "'nan' is not a finite number"),
+    ("status --namspace left", "did you mean '--namespace'?"),
+    ("stop now", "there is no argument now"),
+    ("home --wait 0", "limits 1 to 3600"),
+    ("clear all", "there is no argument all"),
+    ("watch --seconds -5", "limits 0 to"),
+    ("locate /nowhere/picture.png --camera /nowhere/camera.yaml", "/nowhere/camera.yaml"),
+    ("calibrate lens", "choose from"),
+    ("urdf --cell /nowhere/cell.yaml", "/nowhere/cell.yaml"),
+    ("doctor --cell /nowhere/cell.yaml", "/nowhere/cell.yaml"),
+    ("completion --shell tcsh", "choose from bash, zsh, fish"),
+    ("fit /nowhere/records", "/nowhere/records"),
+    ("faults --taps 0", "at least 1"),
+    ("sensitivity --distance nan", "'nan' is not a finite number"),
+]
+
+
+@pytest.fixture(scope="module")
+def hardware_cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cell file with ports that are not there."""
+    folder = tmp_path_factory.mktemp("cell")
+    for entry in shared_folder().iterdir():
+        (folder / entry.name).symlink_to(entry)
+    text = (folder / "cell.yaml").read_text(encoding="utf-8")
+    for device in ("arm", "tapper"):
+        port = f"port: ~/.ros/tapping_cell/{{cell}}/{device}"
+        assert port in text
+        text = text.replace(port, f"port: /dev/no_{device}")
+    (folder / "cell.yaml").unlink()
+    (folder / "cell.yaml").write_text(text, encoding="utf-8")
+    return folder / "cell.yaml"
+
+
+@pytest.mark.parametrize(("line", "words"), WRONG, ids=[f"{a} ({b})" for a, b in WRONG])
+def test_wrong_input_is_refused_in_one_sentence(
+    line: str,
+    words: str,
+    hardware_cell: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    began = time.process_time()
+    try:
+        status = main(line.replace("HARDWARE", str(hardware_cell)).split())
+    except SystemExit as ended:
+        status = int(ended.code or 0)
+    took = time.process_time() - began
+    said = capsys.readouterr()
+    lines = said.err.strip().splitlines()
+    assert status == 2, said
+    assert [text for text in lines if not text.startswith("what to do: ")] == lines[:1], said.err
+    assert lines[0].startswith("error: ") and words in lines[0], said.err
+    assert not said.out and took < LONGEST_S, (said.out, took)
+    assert not list(tmp_path.iterdir()), "something was begun"

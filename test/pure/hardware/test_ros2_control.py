@@ -1,0 +1,380 @@
+"""The arm's driver in front of an arm with its own ROS driver; in told time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
+from tapping_cell.hardware.dialect import StraightMove
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.joint_trajectory import brake_point, straight_points
+from tapping_cell.hardware.motion import move_duration
+from tapping_cell.hardware.ros2_control_dialect import Ros2ControlDialect, Ros2ControlSettings
+from tapping_cell.hardware.scara import Joints, ScaraGeometry
+from tapping_cell.simulation.trajectory_controller import ControllerSettings, TrajectoryController
+from tapping_cell.simulation.virtual_trajectory_link import VirtualTrajectoryLink
+
+NAMES = ("j1", "j2", "z", "j4")
+START = (0.3, 1.2, -0.030, 0.0)
+GOAL = Joints(-0.4, 1.6, -0.010, 0.5)
+GEOMETRY = ScaraGeometry()
+
+
+class Cell:
+    """An emulated controller and the driver, in a time of their own."""
+
+    def __init__(self, by_action: bool = False, rate: float = 50.0, **settings: float) -> None:
+        self.time = 100.0
+        self.events: list[tuple[float, Callable[[], object]]] = []
+        self.controller = TrajectoryController(
+            ControllerSettings(NAMES, **settings), START, self.time
+        )
+        self.link = VirtualTrajectoryLink(
+            self.controller,
+            GEOMETRY.max_acceleration,
+            lambda: self.time,
+            self.sleep,
+            rate,
+            by_action,
+        )
+        dialect = Ros2ControlDialect(
+            self.link,
+            Ros2ControlSettings(NAMES, GEOMETRY.max_acceleration, (1e-3, 1e-3, 1e-4, 1e-3)),
+        )
+        self.driver = ArmDriver(self.link, dialect, GEOMETRY, ArmSettings())
+
+    def sleep(self, duration: float) -> None:
+        end = self.time + duration
+        while self.events and self.events[0][0] <= end:
+            self.time, action = self.events.pop(0)
+            action()
+        self.time = end
+        assert self.time < 1e4, "a call does not end"
+
+    def after(self, duration: float, action: Callable[[], object]) -> None:
+        self.events.append((self.time + duration, action))
+        self.events.sort(key=lambda event: event[0])
+
+    def ready(self) -> ArmDriver:
+        self.driver.connect()
+        self.driver.home(HomingStrategy.NONE)
+        return self.driver
+
+    def truth(self) -> Joints:
+        return Joints(*self.controller.state(self.time)[0])
+
+
+@pytest.fixture(params=[False, True], ids=["topic", "action"])
+def cell(request: pytest.FixtureRequest) -> Cell:
+    return Cell(by_action=request.param)
+
+
+def close(first: Joints, second: Joints) -> bool:
+    return bool(np.allclose(first, second, atol=1e-4))
+
+
+joints = st.tuples(*(st.floats(a, b) for a, b in zip(GEOMETRY.lower, GEOMETRY.upper, strict=True)))
+speeds = st.floats(0.05, 1.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(joints, joints, speeds)
+def test_a_move_keeps_to_the_limits_and_takes_the_least_time(
+    start: tuple[float, ...], goal: tuple[float, ...], speed: float
+) -> None:
+    """As the controller interpolates it: sampled, not by the formulas that made the points."""
+    duration = move_duration(GEOMETRY, start, goal, speed)
+    if duration < 0.05:
+        return
+    length = math.dist(start, goal)
+    ratios = zip(start, goal, GEOMETRY.max_speed, strict=True)
+    slowest = max(abs(b - a) / (v * speed) for a, b, v in ratios)
+    points = straight_points(
+        start, [StraightMove(goal, 60 * length / slowest)], GEOMETRY.max_acceleration
+    )
+    assert points[-1].time == pytest.approx(duration, rel=1e-6)
+    controller = TrajectoryController(ControllerSettings(NAMES, lag=0.0), start)
+    assert controller.take(NAMES, points, 0.0) == ""
+    times = np.linspace(0, duration, 200)
+    track = np.array([controller.state(t)[0] for t in times])
+    step = times[1]
+    rates = np.diff(track, axis=0) / step
+    assert np.all(np.abs(rates) <= np.array(GEOMETRY.max_speed) * speed * (1 + 1e-6) + 1e-9)
+    pulls = np.abs(np.diff(rates, axis=0)) / step
+    assert np.all(pulls <= np.array(GEOMETRY.max_acceleration) * 1.001 + 1e-6)
+    # Straight in joint space.
+    way = (np.array(goal) - np.array(start)) / length
+    beside = (track - np.array(start)) - np.outer((track - np.array(start)) @ way, way)
+    assert np.max(np.abs(beside)) < 1e-9
+    assert controller.state(duration + 0.1)[0] == pytest.approx(goal, abs=1e-12)
+
+
+@given(joints, st.tuples(*(st.floats(-v, v) for v in GEOMETRY.max_speed)))
+def test_braking_keeps_to_the_deceleration(
+    place: tuple[float, ...], speed: tuple[float, ...]
+) -> None:
+    point = brake_point(place, speed, GEOMETRY.max_acceleration)
+    assert point.velocities == (0.0,) * 4
+    for v, way, a in zip(
+        speed,
+        np.array(point.positions) - np.array(place),
+        GEOMETRY.max_acceleration,
+        strict=True,
+    ):
+        assert way == pytest.approx(v * point.time / 2, abs=1e-12)
+        assert abs(v) / point.time <= a * (1 + 1e-9)
+
+
+def test_it_moves_and_stands_where_it_was_sent(cell: Cell) -> None:
+    driver = cell.ready()
+    for goal in (GOAL, Joints(*START), GOAL):
+        reading = driver.move_to(goal)
+        assert close(reading.joints, goal) and not reading.moving and reading.measured
+        assert close(cell.truth(), goal) and not cell.controller.moving(cell.time)
+        assert reading.stamp <= cell.time
+    assert driver.counters.moves == 3 and driver.counters.retries == 0
+
+
+def test_nothing_moves_before_it_is_homed(cell: Cell) -> None:
+    cell.driver.connect()
+    with pytest.raises(HardwareFault) as told:
+        cell.driver.move_to(GOAL)
+    assert told.value.reason is FaultReason.NOT_HOMED
+    assert cell.controller.taken == 0
+
+
+def test_the_way_over_a_via_point_goes_through_it(cell: Cell) -> None:
+    driver, via = cell.ready(), Joints(0.1, 1.3, -0.030, 0.2)
+    seen: list[float] = []
+
+    def look() -> None:
+        seen.append(math.dist(cell.truth(), via))
+        cell.after(0.002, look)
+
+    look()
+    driver.move_to(GOAL, via=via)
+    assert min(seen) < 1e-3
+
+
+def test_a_lost_trajectory_is_sent_again_while_the_arm_stands() -> None:
+    cell = Cell()
+    driver = cell.ready()
+    cell.link.faults.lost_trajectories = 1
+    assert close(driver.move_to(GOAL).joints, GOAL)
+    assert driver.counters.retries == 1
+
+
+@pytest.mark.parametrize("after", [0.02, 0.1, 0.2, 0.4])
+def test_a_stop_brakes_and_latches(cell: Cell, after: float) -> None:
+    driver = cell.ready()
+    told: list[tuple[float, bool]] = []
+    cell.after(after, lambda: told.append((cell.time, driver.stop())))
+    with pytest.raises(HardwareFault) as stopped:
+        driver.move_to(GOAL)
+    assert stopped.value.reason is FaultReason.STOPPED
+    ((at, sent),) = told
+    assert sent
+    longest = max(v / a for v, a in zip(GEOMETRY.max_speed, GEOMETRY.max_acceleration, strict=True))
+    cell.sleep(longest + 0.1)
+    here = cell.truth()
+    assert not cell.controller.moving(cell.time) and not close(here, GOAL)
+    with pytest.raises(HardwareFault):
+        driver.move_to(GOAL)
+    driver.clear_fault()
+    with pytest.raises(HardwareFault) as unhomed:
+        driver.move_to(GOAL)
+    assert unhomed.value.reason is FaultReason.NOT_HOMED
+    assert close(cell.truth(), here), "something moved before it was homed again"
+    driver.home(HomingStrategy.NONE)
+    assert close(driver.move_to(GOAL).joints, GOAL)
+
+
+@pytest.mark.parametrize("when", [-1.0, 0.2], ids=["at rest", "in motion"])
+def test_silent_joint_states_are_a_fault_with_a_sentence(cell: Cell, when: float) -> None:
+    driver = cell.ready()
+    began = cell.time
+    if when < 0:
+        cell.link.faults.silent = True
+    else:
+        cell.after(when, lambda: setattr(cell.link.faults, "silent", True))
+    with pytest.raises(HardwareFault, match="joint_state_broadcaster") as told:
+        driver.move_to(GOAL)
+    assert told.value.reason is FaultReason.DISCONNECTED
+    assert cell.time - began - max(when, 0) < 0.6
+    assert not driver.connected
+
+
+def test_old_stamps_are_told_from_silence(cell: Cell) -> None:
+    driver = cell.ready()
+    cell.link.faults.late = 0.6
+    cell.sleep(1.0)
+    with pytest.raises(HardwareFault, match="synchronise the clocks"):
+        driver.read()
+
+
+def test_a_clock_that_is_ahead_is_refused_at_connect(cell: Cell) -> None:
+    cell.link.faults.ahead = 0.4
+    with pytest.raises(HardwareFault, match="synchronise the clocks") as told:
+        cell.driver.connect()
+    assert told.value.reason is FaultReason.SETTINGS_MISMATCH
+
+
+def test_slow_joint_states_are_refused_at_connect() -> None:
+    with pytest.raises(HardwareFault, match=r"10 Hz, must be at least 20 Hz"):
+        Cell(rate=10.0).driver.connect()
+
+
+def test_other_joints_are_named(cell: Cell) -> None:
+    cell.link.faults.foreign_names = True
+    with pytest.raises(HardwareFault, match=r"j1, j2, z, j4 .*gripper"):
+        cell.driver.connect()
+
+
+def test_a_controller_that_is_not_there(cell: Cell) -> None:
+    cell.link.faults.present = False
+    with pytest.raises(HardwareFault) as told:
+        cell.driver.connect(timeout=1.0)
+    assert told.value.reason is FaultReason.PORT_MISSING
+
+
+def test_an_obstacle_stops_the_arm(cell: Cell) -> None:
+    driver = cell.ready()
+    cell.after(0.2, lambda: cell.controller.block(cell.time))
+    with pytest.raises(HardwareFault) as told:
+        driver.move_to(GOAL)
+    assert told.value.reason in (FaultReason.REJECTED, FaultReason.POSITION_MISMATCH)
+    assert not close(cell.truth(), GOAL)
+
+
+def test_a_joint_beside_its_command_is_no_success(cell: Cell) -> None:
+    cell.controller = cell.link.controller = TrajectoryController(
+        ControllerSettings(NAMES, offset=0.003), START, cell.time
+    )
+    driver = cell.ready()
+    with pytest.raises(HardwareFault):
+        driver.move_to(GOAL)
+
+
+def test_another_program_that_moves_the_arm_at_rest_is_seen(cell: Cell) -> None:
+    driver = cell.ready()
+    driver.move_to(GOAL)
+    cell.controller.push((0.01, 0.0, 0.0, 0.0), cell.time)
+    cell.sleep(0.2)
+    with pytest.raises(HardwareFault, match="it was moved") as told:
+        driver.move_to(Joints(*START))
+    assert told.value.reason is FaultReason.POSITION_LOST
+
+
+def test_another_program_that_takes_the_controller_in_motion_fails_the_move() -> None:
+    for by_action in (False, True):
+        cell = Cell(by_action)
+        driver = cell.ready()
+        elsewhere = straight_points(
+            START, [StraightMove((0.8, 1.0, -0.03, 0.0), 60.0)], GEOMETRY.max_acceleration
+        )
+
+        def rival(cell: Cell = cell, points: object = elsewhere) -> None:
+            cell.controller.take(NAMES, points, cell.time)  # type: ignore[arg-type]
+
+        cell.after(0.2, rival)
+        with pytest.raises(HardwareFault):
+            driver.move_to(GOAL)
+        assert driver.counters.moves == 0
+
+
+def test_a_speed_slider_is_waited_for_within_reason(cell: Cell) -> None:
+    slow = Cell(speed_scaling=0.7)
+    assert close(slow.ready().move_to(GOAL).joints, GOAL)
+    slower = Cell(speed_scaling=0.1)
+    driver = slower.ready()
+    with pytest.raises(HardwareFault, match="had not ended") as told:
+        driver.move_to(GOAL)
+    assert told.value.reason is FaultReason.TIMEOUT
+    slower.sleep(4.0)
+    assert not slower.controller.moving(slower.time)
+
+
+def test_rest_is_seen_without_velocities(cell: Cell) -> None:
+    cell.link.faults.no_velocities = True
+    driver = cell.ready()
+    assert "no velocities" in " ".join(driver.firmware.remarks if driver.firmware else ())
+    assert close(driver.move_to(GOAL).joints, GOAL)
+
+
+def test_a_moving_arm_is_not_homed(cell: Cell) -> None:
+    cell.driver.connect()
+    points = straight_points(START, [StraightMove(GOAL, 60.0)], GEOMETRY.max_acceleration)
+    cell.controller.take(NAMES, points, cell.time)
+    cell.sleep(0.2)
+    with pytest.raises(HardwareFault, match="wait until it stands"):
+        cell.driver.home(HomingStrategy.NONE)
+
+
+def test_a_joint_that_is_not_a_number_is_a_lost_position(cell: Cell) -> None:
+    driver = cell.ready()
+    cell.controller.push((math.nan, 0.0, 0.0, 0.0), cell.time)
+    cell.sleep(0.2)
+    with pytest.raises(HardwareFault, match="hardware is not active") as told:
+        driver.read()
+    assert told.value.reason is FaultReason.POSITION_LOST
+    assert not driver.homed
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.booleans(),
+    st.lists(
+        st.tuples(
+            joints,
+            speeds,
+            st.sampled_from(["", "lose", "silence", "block", "push", "stop", "rival", "absent"]),
+            st.floats(0.0, 1.0),
+        ),
+        min_size=1,
+        max_size=3,
+    ),
+)
+def test_success_means_there_and_at_rest_whatever_happens(
+    by_action: bool, plan: list[tuple[tuple[float, ...], float, str, float]]
+) -> None:
+    cell = Cell(by_action)
+    driver = cell.ready()
+    faults = cell.link.faults
+    actions: dict[str, Callable[[], object]] = {
+        "lose": lambda: setattr(faults, "lost_trajectories", 1),
+        "silence": lambda: setattr(faults, "silent", True),
+        "block": lambda: cell.controller.block(cell.time),
+        "push": lambda: cell.controller.push((0.02, 0.0, 0.0, 0.0), cell.time),
+        "stop": driver.stop,
+        "rival": lambda: cell.controller.take(
+            NAMES, [brake_point(START, (0.0,) * 4, (1.0,) * 4)], cell.time
+        ),
+        "absent": lambda: setattr(faults, "present", False),
+    }
+    for goal, speed, fault, when in plan:
+        if fault:
+            cell.after(when, actions[fault])
+        try:
+            reading = driver.move_to(Joints(*goal), speed)
+        except HardwareFault as told:
+            assert len(told.sentence) > 20
+        else:
+            assert np.all(np.abs(np.subtract(cell.truth(), goal)) <= (2e-3, 2e-3, 2e-4, 2e-3))
+            assert close(reading.joints, Joints(*goal)) or fault
+        cell.sleep(1.5)
+        cell.events.clear()
+        # An arm that could not be reached goes to the end of its trajectory.
+        while fault == "absent" and cell.controller.moving(cell.time):
+            cell.sleep(0.5)
+        faults.silent, faults.present, faults.lost_trajectories = False, True, 0
+        cell.controller.unblock(cell.time)
+        cell.sleep(1.0)
+        driver.clear_fault()
+        driver.home(HomingStrategy.NONE)

@@ -1,0 +1,387 @@
+"""The arm's machine with its driver and its emulated controller, in virtual time: homed before it
+moves, in position only by read-back, withdrawn when told."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from virtual_node import VirtualNode
+
+from tapping_cell.configuration.arm_assembly import make_arm_driver
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.logic import arm_jobs
+from tapping_cell.logic.arm import ArmLogic, ArmOptions
+from tapping_cell.logic.host import Activated, Deactivated
+from tapping_cell.logic.poses import from_message, to_message
+from tapping_cell.messages import (
+    ArmState,
+    Bool,
+    ErrorCode,
+    HoldStill,
+    JointTrajectory,
+    JointTrajectoryPoint,
+    TapCommand,
+    TapperState,
+)
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.devices import arm_emulator
+from tapping_cell.simulation.truth import ArmTruth
+from tapping_cell.verification.serial_line import SerialLine
+
+STRIKE = Pose(-0.08, 0.02, 0.3)
+JOINT_NAMES = ["shoulder", "elbow", "quill", "tool"]
+
+
+class Cell(VirtualNode):
+    """The node, its emulated controller, and hands to play the planner."""
+
+    def __init__(self, dialect: str = "grbl", home: bool = True, started: bool = True) -> None:
+        settings = replace(load_cell().file.arm, dialect=dialect)
+        self.device = arm_emulator(settings, ArmTruth(), 1, 0.0)
+
+        def make(line: SerialLine | None) -> tuple[ArmLogic, ArmDriver]:
+            assert line is not None
+            return ArmLogic(ArmOptions(home)), make_arm_driver(settings, line)
+
+        def connect(driver: ArmDriver, patience: float, _: object) -> arm_jobs.Reading:
+            driver.connect(timeout=patience)
+            return arm_jobs.reading_of(driver)
+
+        super().__init__("scara_arm", self.device, make, connect, "arm_state", started=started)
+        self.joints = self.listen("joint_states")
+
+    def command(self, tap_id: int, strike: Pose = STRIKE, frame: str = "table") -> None:
+        message = TapCommand(request=TapCommand.TAP, tap_id=tap_id, striker_speed=0.3)
+        message.header.frame_id = frame
+        message.strike_pose = to_message(strike)
+        message.expiry = self.stamp(20.0)
+        self.publish("tap_command", message)
+
+    def withdraw(self, tap_id: int) -> None:
+        self.publish("tap_command", TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id))
+
+    def moving(self) -> bool:
+        """Whether the emulated arm moves now."""
+        return self.device.moving(self.now())
+
+    def moves(self, seconds: float) -> bool:
+        """Whether the emulated arm moves at any time in the next seconds."""
+        end = self.now() + seconds
+        moved = False
+        while self.now() < end:
+            moved = moved or self.moving()
+            self.run(0.01)
+        return moved
+
+
+@pytest.fixture
+def cell(request: pytest.FixtureRequest) -> Cell:
+    made = Cell(getattr(request, "param", "grbl"))
+    made.wait_state(ArmState.IDLE)
+    return made
+
+
+def test_it_homes_by_itself_and_reports_joints_only_then(cell: Cell) -> None:
+    unhomed = [s for s in cell.states if s.state in (ArmState.DISCONNECTED, ArmState.NOT_HOMED)]
+    assert not any(state.homed for state in unhomed)
+    assert cell.last.homed and cell.last.clear_of_camera
+    cell.wait(lambda: cell.joints, "joint states")
+    park = load_cell().file.arm.park
+    assert list(cell.joints[-1].name) == JOINT_NAMES
+    assert list(cell.joints[-1].position) == pytest.approx(park, abs=2e-3)
+
+
+@pytest.mark.parametrize("cell", ["grbl", "marlin"], indirect=True)
+def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) -> None:
+    cell.command(100)
+    cell.wait_state(ArmState.IN_POSITION)
+    assert cell.last.tap_id == 100 and not cell.last.clear_of_camera
+    tip = from_message(cell.last.tip_pose)
+    assert tip.distance_to(STRIKE) < 0.0005 and abs(tip.rotation_to(STRIKE)) < 0.002
+    assert cell.last.tip_pose.position.z == pytest.approx(0.006, abs=2e-4)
+    # Where the arm truly is, by the emulator and forward kinematics, not by what it says.
+    configuration = load_cell()
+    joints = cell.device.joints(cell.now())
+    true = configuration.file.arm.geometry().forward(joints)
+    assert (configuration.arm_base @ Pose(true.x, true.y, true.yaw)).distance_to(STRIKE) < 0.0005
+    first = cell.last.header.stamp
+    cell.wait(lambda: cell.last.header.stamp != first, "read back again and again")
+    cell.withdraw(100)
+    cell.wait_state(ArmState.IDLE)
+    assert cell.last.clear_of_camera and cell.last.tap_id == 0
+
+
+def test_the_striker_is_lowered_only_at_its_place(cell: Cell) -> None:
+    """Raise, travel, lower: below travel height the tip is over the strike pose alone."""
+    configuration = load_cell()
+    geometry = configuration.file.arm.geometry()
+    cell.command(100)
+    low = []
+    while cell.last.state != ArmState.IN_POSITION:
+        tip = geometry.forward(cell.device.joints(cell.now()))
+        if tip.z < configuration.file.arm.travel_height - 0.002:
+            low.append((configuration.arm_base @ Pose(tip.x, tip.y, tip.yaw)).distance_to(STRIKE))
+        cell.run(0.005)
+    assert low and max(low) < 0.001
+
+
+@pytest.mark.parametrize(
+    ("strike", "frame"),
+    [
+        (STRIKE, "map"),
+        (Pose(math.nan, 0.0, 0.0), "table"),
+    ],
+    ids=["frame", "not finite"],
+)
+def test_a_bad_command_moves_nothing(cell: Cell, strike: Pose, frame: str) -> None:
+    cell.command(100, strike, frame)
+    assert not cell.moves(0.5)
+    assert cell.last.state == ArmState.IDLE
+
+
+def test_a_pose_out_of_reach_is_a_worded_fault_and_moves_nothing(cell: Cell) -> None:
+    cell.command(100, Pose(0.0, -3.0, 0.0))
+    cell.wait_state(ArmState.FAULT)
+    assert cell.last.error_code == ErrorCode.ARM_OUT_OF_REACH
+    assert "reach" in cell.last.error_msg
+    assert not cell.moves(0.3)
+
+
+def test_a_tap_id_is_served_once(cell: Cell) -> None:
+    cell.command(100)
+    cell.wait_state(ArmState.IN_POSITION)
+    cell.withdraw(100)
+    cell.wait_state(ArmState.IDLE)
+    cell.command(100)
+    cell.command(99)
+    assert not cell.moves(0.5)
+
+
+@pytest.mark.parametrize("cell", ["grbl", "marlin"], indirect=True)
+def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> None:
+    cell.command(100, Pose(0.15, -0.1, 0.0))
+    cell.wait(cell.moving, "the arm moves")
+    cell.publish("emergency_stop", Bool(data=True))
+    cell.wait_state(ArmState.STOPPED)
+    cell.run(0.2)
+    assert not cell.moves(0.5)
+    cell.command(101)
+    assert not cell.moves(0.5)
+    refused = cell.call("~/clear_fault")
+    assert (
+        not refused.success and "still held; publishers of emergency_stop: probe" in refused.message
+    )
+    assert cell.last.state == ArmState.STOPPED
+    cell.publish("emergency_stop", Bool(data=False))
+    cell.run(0.1)
+    assert cell.call("~/clear_fault").success
+    cell.wait_state(ArmState.NOT_HOMED)
+    assert not cell.moves(0.3)
+    cell.ask("~/home")
+    cell.wait_state(ArmState.IDLE)
+    cell.command(102)
+    cell.wait_state(ArmState.IN_POSITION)
+
+
+def test_a_withdrawal_of_no_tap_moves_nothing(cell: Cell) -> None:
+    """S6: the default id of a message is 0."""
+    cell.withdraw(0)
+    cell.withdraw(7)
+    assert not cell.moves(0.5)
+    cell.publish("joint_trajectory", a_trajectory(np.array([0.3, 1.0, -0.01, 0.5]), 2.0))
+    cell.wait_state(ArmState.MOVING)
+    cell.withdraw(0)
+    cell.wait_state(ArmState.IDLE)
+    cell.wait(
+        lambda: np.allclose(cell.joints[-1].position, [0.3, 1.0, -0.01, 0.5], atol=2e-3),
+        "the trajectory was not cut off",
+    )
+
+
+def test_an_inactive_arm_is_still(cell: Cell) -> None:
+    cell.process.lifecycle(Deactivated())
+    cell.wait_state(ArmState.FAULT)
+    cell.withdraw(0)
+    assert not cell.call("~/home").success
+    assert not cell.moves(0.5)
+
+
+def hold(cell: Cell, tap_id: int, duration: float = 0.25) -> Any:
+    return cell.call("hold_still", HoldStill.Request(tap_id=tap_id, duration=duration))
+
+
+def test_the_arm_stands_still_for_as_long_as_it_promised(cell: Cell) -> None:
+    """S1: a withdrawal, whoever sends it, waits for the promise to end."""
+    assert not hold(cell, 100).granted
+    cell.command(100)
+    cell.wait_state(ArmState.IN_POSITION)
+    assert not hold(cell, 99).granted
+    assert not hold(cell, 100, duration=0.3).granted
+    asked = cell.now()
+    answer = hold(cell, 100)
+    assert answer.granted and answer.duration == 0.25
+    cell.withdraw(100)
+    cell.wait(cell.moving, "it withdraws in the end")
+    assert cell.now() - asked > 0.25
+    cell.wait_state(ArmState.IDLE)
+
+
+def test_an_outcome_ends_the_promise(cell: Cell) -> None:
+    cell.command(100)
+    cell.wait_state(ArmState.IN_POSITION)
+    assert hold(cell, 100).granted
+    cell.publish("tapper_state", TapperState(tap_id=100, outcome=TapperState.FIRED))
+    cell.wait(lambda: not hold(cell, 100).granted, "the tap is over")
+
+
+def test_withdrawing_in_mid_move_never_reports_in_position(cell: Cell) -> None:
+    cell.command(100)
+    cell.wait(cell.moving, "the arm moves")
+    heard = len(cell.states)
+    cell.withdraw(100)
+    cell.wait_state(ArmState.IDLE)
+    assert all(state.state != ArmState.IN_POSITION for state in cell.states[heard:])
+
+
+def a_trajectory(target: np.ndarray, seconds: float) -> JointTrajectory:
+    point = JointTrajectoryPoint(positions=target.tolist())
+    point.time_from_start.sec = int(seconds)
+    return JointTrajectory(joint_names=JOINT_NAMES, points=[point])
+
+
+def test_a_joint_trajectory_is_followed_in_any_order_of_names(cell: Cell) -> None:
+    order = [2, 0, 3, 1]
+    target = np.array([0.3, 1.0, -0.01, 0.5])
+    message = JointTrajectory(joint_names=[JOINT_NAMES[index] for index in order])
+    point = JointTrajectoryPoint(positions=target[order].tolist())
+    point.time_from_start.sec = 2
+    message.points = [point]
+    cell.publish("joint_trajectory", message)
+    cell.wait_state(ArmState.MOVING)
+    cell.wait_state(ArmState.IDLE)
+    cell.wait(
+        lambda: np.allclose(cell.joints[-1].position, target, atol=2e-3), "the target is reported"
+    )
+    assert not cell.last.clear_of_camera
+
+
+BAD_TRAJECTORIES: dict[str, tuple[list[str], list[tuple[list[float], float]], str]] = {
+    "three joints": (JOINT_NAMES[:3], [([0.0, 0.0, 0.0], 1.0)], "its joints are"),
+    "a name twice": (["shoulder", *JOINT_NAMES[:3]], [([0.0] * 4, 1.0)], "its joints are"),
+    "no points": (JOINT_NAMES, [], "0 points"),
+    "NaN": (JOINT_NAMES, [([0.0, math.nan, 0.0, 0.0], 1.0)], "four finite"),
+    "two positions": (JOINT_NAMES, [([0.0, 0.0], 1.0)], "four finite"),
+    "beyond a limit": (
+        JOINT_NAMES,
+        [([0.3, 1.0, -0.01, 0.5], 1.0), ([3.0, 1.0, -0.01, 0.5], 2.0)],
+        "171.89 deg is outside -131.78 to 131.78 deg",
+    ),
+    "back in time": (
+        JOINT_NAMES,
+        [([0.3, 1.0, -0.01, 0.5], 2.0), ([0.2, 1.0, -0.01, 0.5], 1.0)],
+        "point 2 is due at 1 s, the one before at 2 s",
+    ),
+}
+
+
+def test_a_bad_trajectory_is_refused_in_words_and_moves_nothing(cell: Cell) -> None:
+    for names, points, words in BAD_TRAJECTORIES.values():
+        message = JointTrajectory(joint_names=names)
+        for positions, at in points:
+            point = JointTrajectoryPoint(positions=positions)
+            point.time_from_start.sec = int(at)
+            message.points.append(point)
+        cell.publish("joint_trajectory", message)
+        cell.wait(lambda w=words: w in cell.last.error_msg, words)
+        assert cell.last.error_code == ErrorCode.TRAJECTORY_INVALID
+    assert not cell.moves(0.3)
+    assert cell.last.state == ArmState.IDLE
+    cell.command(100)
+    cell.wait_state(ArmState.IN_POSITION)
+    assert cell.last.error_code == 0
+
+
+def test_foreign_clients_on_the_bus_do_not_disturb_a_tap(cell: Cell) -> None:
+    cell.command(100)
+    cell.wait_state(ArmState.MOVING)
+    cell.command(999, Pose(0.1, 0.1, 0.0))
+    cell.withdraw(999)
+    cell.ask("~/home")
+    cell.ask("~/clear_fault")
+    cell.publish("joint_trajectory", JointTrajectory(joint_names=JOINT_NAMES))
+    cell.wait_state(ArmState.IN_POSITION)
+    assert cell.last.tap_id == 100 and cell.last.error_code == 0
+    assert from_message(cell.last.tip_pose).distance_to(STRIKE) < 0.0005
+    cell.withdraw(100)
+    cell.wait_state(ArmState.IDLE)
+    cell.command(101)
+    cell.wait_state(ArmState.MOVING)
+
+
+def test_a_deactivated_arm_comes_to_a_stand_and_says_what_it_needs(cell: Cell) -> None:
+    cell.command(100, Pose(0.15, -0.1, 0.0))
+    cell.wait_state(ArmState.MOVING)
+    cell.process.lifecycle(Deactivated())
+    cell.wait_state(ArmState.FAULT)
+    assert cell.last.error_code == ErrorCode.NOT_ACTIVE and cell.last.tap_id == 0
+    assert not cell.moves(0.5)
+    cell.command(101)
+    assert not cell.moves(0.3)
+    cell.process.lifecycle(Activated())
+    cell.wait_state(ArmState.IDLE)
+    cell.command(102)
+    cell.wait_state(ArmState.IN_POSITION)
+
+
+def test_a_stop_outlives_its_node_and_homes_nothing(cell: Cell) -> None:
+    """S5: killed and started again after a stop, the arm must not home by itself."""
+    assert cell.call("~/stop").success
+    cell.wait_state(ArmState.STOPPED)
+    cell.process.kill()
+    cell.run(1.0)
+    cell.process.start()
+    assert not cell.moves(3.0)
+    assert cell.last.state == ArmState.STOPPED
+    assert cell.call("~/clear_fault").success
+    cell.wait_state(ArmState.NOT_HOMED)
+    assert not cell.moves(0.5)
+
+
+def test_nothing_homes_by_itself_unless_an_option_says_so() -> None:
+    cell = Cell(home=False)
+    cell.wait_state(ArmState.NOT_HOMED)
+    assert not cell.moves(1.0)
+    assert cell.call("~/home").success
+    cell.wait_state(ArmState.IDLE)
+
+
+def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell) -> None:
+    """S4: who clears must have seen what became of the panel that stopped the cell."""
+    cell.network.publish("panel", "emergency_stop", Bool(data=True))
+    cell.wait_state(ArmState.STOPPED)
+    cell.network.leave("panel")
+    cell.run(0.5)
+    first = cell.call("~/clear_fault")
+    assert not first.success and "vanished without releasing it" in first.message
+    assert cell.last.state == ArmState.STOPPED
+    assert cell.call("~/clear_fault").success
+    cell.wait_state(ArmState.NOT_HOMED)
+
+
+def test_a_stop_published_before_the_node_was_there_keeps_it_from_homing() -> None:
+    cell = Cell(started=False)
+    cell.publish("emergency_stop", Bool(data=True))
+    cell.run(1.0)
+    cell.process.start()
+    assert not cell.moves(3.0)
+    cell.wait_state(ArmState.STOPPED)
+    cell.publish("emergency_stop", Bool(data=False))
+    cell.run(0.1)
+    assert cell.call("~/clear_fault").success
+    cell.wait_state(ArmState.NOT_HOMED)
+    assert not cell.moves(0.3)

@@ -1,0 +1,174 @@
+"""Set-up mode: nothing moves, charges or fires unless an enabling device is held at that moment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from test_permit import CELL, START, Pair, at, board, jobs, messages
+
+from tapping_cell.hardware.scara import Joints
+from tapping_cell.hardware.tapper_protocol import State as BoardState
+from tapping_cell.logic import arm as arms
+from tapping_cell.logic import enabling
+from tapping_cell.logic import tapper as tappers
+from tapping_cell.logic.arm_jobs import Reading
+from tapping_cell.logic.effects import Answer, JobEnded, StopWire
+from tapping_cell.logic.enabling import HEARTBEAT_S, EnablingDevice
+from tapping_cell.logic.host import Activated, Configured
+from tapping_cell.logic.tapper_jobs import Status
+from tapping_cell.messages import Bool, ErrorCode, TapCommand, TapperState, Trigger
+
+HELD, LET_GO = Bool(data=True), Bool(data=False)
+PARKED = Joints(*CELL.file.arm.park)
+
+
+def set_up_pair() -> Pair:
+    """Both machines in set-up mode."""
+    return Pair(
+        arms.ArmLogic(arms.ArmOptions(set_up=True)),
+        tappers.TapperLogic(tappers.TapperOptions(set_up=True)),
+    )
+
+
+def idle_arm() -> arms.ArmLogic:
+    arm = arms.ArmLogic(arms.ArmOptions(set_up=True))
+    arm.on_lifecycle(Configured(CELL, Reading(True, PARKED, False, START)), at(START))
+    arm.on_lifecycle(Activated(), at(START))
+    return arm
+
+
+def working(steady: float = START) -> Pair:
+    """In position and charged, with the page's key held."""
+    pair = set_up_pair()
+    for machine in (pair.arm, pair.tapper):
+        machine.on_message(enabling.TOPIC, HELD, at(steady))
+    pair.begin()
+    return pair
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans(), st.floats(0, 1)), max_size=30))
+def test_held_means_heard_held_within_the_heartbeat(
+    heard: list[tuple[bool, bool, float]],
+) -> None:
+    device, now = EnablingDevice(), START
+    last = {True: -1.0, False: -1.0}
+    for is_key, held, pause in heard:
+        now += pause
+        (device.hear_key if is_key else device.hear_switch)(held, at(now))
+        last[is_key] = now if held else -1.0
+        for later in (0.0, HEARTBEAT_S / 2, HEARTBEAT_S * 1.01):
+            wanted = now + later - max(last.values()) <= HEARTBEAT_S
+            assert device.held(at(now + later)) == wanted
+
+
+@pytest.mark.parametrize("what", ["tap", "trajectory", "home"])
+def test_nothing_begins_to_move_while_no_device_is_held(what: str) -> None:
+    arm, now = idle_arm(), at(START)
+    if what == "tap":
+        made = arm.on_message("tap_command", Pair().command(TapCommand.TAP, now), now)
+    elif what == "home":
+        made = arm.on_request("~/home", Trigger.Request(), 1, now)
+        (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+        assert not answer.response.success and "enabling device" in answer.response.message
+    else:
+        from tapping_cell.messages import Duration, JointTrajectory, JointTrajectoryPoint
+
+        point = JointTrajectoryPoint(positions=list(PARKED), time_from_start=Duration(sec=1))
+        message = JointTrajectory(joint_names=list(Joints._fields), points=[point])
+        made = arm.on_message("joint_trajectory", message, now)
+    assert not jobs(made) and arm.state is arms.State.IDLE
+    if what != "home":
+        assert arm.trouble[0] == ErrorCode.ENABLING_RELEASED
+
+
+@pytest.mark.parametrize("end", ["let go", "silence", "another node"])
+def test_an_arm_at_work_stops_when_the_key_is_no_longer_held(end: str) -> None:
+    pair = working()
+    arm, now = pair.arm, at(START + 1.1 * HEARTBEAT_S)
+    assert arm.state is arms.State.IN_POSITION
+    if end == "let go":
+        made = arm.on_message(enabling.TOPIC, LET_GO, at(START + 0.01))
+    elif end == "silence":
+        made = arm.on_tick(now)
+    else:
+        made = arm.on_message("tapper_state", TapperState(), now)
+    assert isinstance(made[0], StopWire) and arm.state is arms.State.STOPPED
+    assert arm.trouble[0] == ErrorCode.ENABLING_RELEASED
+    (stop,) = messages(made, "stop_state") or messages(made, "~/stop_state")
+    assert stop.stopped and enabling.SOURCE in stop.sources
+    # Held again, the arm stays stopped: a person clears the stop first.
+    made = arm.on_message(enabling.TOPIC, HELD, at(START + 1.0))
+    assert not jobs(made) and arm.state is arms.State.STOPPED
+
+
+def test_an_idle_arm_is_not_stopped_by_letting_go() -> None:
+    arm = idle_arm()
+    arm.on_message(enabling.TOPIC, HELD, at(START))
+    arm.on_message(enabling.TOPIC, LET_GO, at(START + 0.1))
+    arm.on_tick(at(START + 5.0))
+    assert arm.state is arms.State.IDLE
+
+
+def test_the_foot_switch_enables_as_the_key_does() -> None:
+    arm = idle_arm()
+    arm.on_message("tapper_state", TapperState(enabling_switch=True), at(START))
+    made = arm.on_message("tap_command", Pair().command(TapCommand.TAP, at(START)), at(START))
+    assert jobs(made) and arm.state is arms.State.PLACING
+
+
+@given(st.floats(0.0, 1.0))
+def test_the_last_check_before_fire_wants_the_key_held(late: float) -> None:
+    pair = working()
+    now = at(START + late)
+    doubt = pair.tapper.doubt_firing(now.steady, now)
+    assert doubt is not None
+    held = late <= HEARTBEAT_S
+    assert (doubt[0] == ErrorCode.ENABLING_RELEASED) != held
+
+
+def test_a_charged_tapper_discharges_when_the_key_is_let_go() -> None:
+    pair = working()
+    tapper = pair.tapper
+    made = tapper.on_message(enabling.TOPIC, LET_GO, at(START + 0.05))
+    (discharge,) = jobs(made)
+    assert tapper.state is tappers.State.DISCHARGING
+    status = Status(board(BoardState.SAFE), 0)
+    told = messages(tapper.on_job(JobEnded(discharge, status), at(START + 0.1)), "tapper_state")
+    assert told[-1].outcome == TapperState.NOT_FIRED
+    assert told[-1].error_code == ErrorCode.ENABLING_RELEASED
+
+
+def test_a_tap_without_a_device_held_is_refused_and_surely_not_fired() -> None:
+    tapper, now = tappers.TapperLogic(tappers.TapperOptions(set_up=True)), at(START)
+    tapper.on_lifecycle(Configured(CELL, board(BoardState.SAFE)), now)
+    tapper.on_lifecycle(Activated(), now)
+    made = tapper.on_message("tap_command", Pair().command(TapCommand.TAP, now), now)
+    (told,) = messages(made, "tapper_state")
+    assert (told.outcome, told.error_code) == (TapperState.NOT_FIRED, ErrorCode.ENABLING_RELEASED)
+
+
+def test_the_board_tells_its_switch() -> None:
+    tapper, now = tappers.TapperLogic(tappers.TapperOptions(set_up=True)), at(START)
+    held = replace(board(BoardState.SAFE), enabled=True)
+    tapper.on_lifecycle(Configured(CELL, held), now)
+    tapper.on_lifecycle(Activated(), now)
+    (read,) = jobs(tapper.on_tick(at(START + 0.2)))
+    made = tapper.on_job(JobEnded(read, Status(held, 0)), at(START + 0.2))
+    made = [*made, *tapper.on_tick(at(START + 0.25))]
+    assert messages(made, "tapper_state")[-1].enabling_switch
+    tap = Pair().command(TapCommand.TAP, now)
+    tapper.on_message("tap_command", tap, at(START + 0.3))
+    assert tapper.state is tappers.State.WAITING
+
+
+def test_without_set_up_mode_no_device_is_wanted() -> None:
+    pair = Pair()
+    pair.begin()
+    for machine in (pair.arm, pair.tapper):
+        machine.on_message(enabling.TOPIC, LET_GO, at(START + 0.1))
+        machine.on_tick(at(START + 0.1))
+    assert pair.arm.state is arms.State.IN_POSITION
+    assert pair.tapper.state is tappers.State.CHARGED

@@ -1,0 +1,332 @@
+"""The planner's machine in virtual time, against devices that fail: every wait ends in words and
+nothing is fired twice."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from virtual_node import VirtualNode
+
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.goal_handling import GoalHandling
+from tapping_cell.logic.other_objects import OtherObjects
+from tapping_cell.logic.planner import PlannerLogic
+from tapping_cell.logic.planner_settings import PlannerSettings
+from tapping_cell.logic.poses import from_message, to_message
+from tapping_cell.logic.table_maps import TableMaps
+from tapping_cell.messages import (
+    ArmState,
+    ErrorCode,
+    ObjectState,
+    PlanState,
+    PoseStamped,
+    TapCommand,
+    TapperState,
+)
+from tapping_cell.se2 import Pose
+
+START = Pose(-0.05, 0.02, 0.2)
+GOAL = Pose(-0.03, 0.02, 0.25)
+FAST = PlannerSettings(
+    ready_deadline=2.0,
+    look_deadline=1.5,
+    place_deadline=1.5,
+    fire_deadline=1.0,
+    withdraw_deadline=1.5,
+    silence_limit=0.5,
+)
+
+COVARIANCE = np.zeros((6, 6))
+COVARIANCE[0, 0] = COVARIANCE[1, 1] = 1e-10
+COVARIANCE[5, 5] = 1e-8
+
+
+@cache
+def shipped() -> tuple[Cell, TableMaps]:
+    cell = load_cell()
+    return cell, TableMaps(cell)
+
+
+class Actors(VirtualNode):
+    """Camera, arm and tapper played by hand; each behaves unless a test says otherwise."""
+
+    def __init__(
+        self,
+        settings: PlannerSettings = FAST,
+        cell: Cell | None = None,
+    ) -> None:
+        self.pose = START
+        self.moves_when_fired = True
+        self.visible = self.at_rest = True
+        self.camera_talks = self.arm_talks = self.tapper_talks = True
+        self.arm_arrives = self.arm_withdraws = True
+        self.arm_state = ArmState.IDLE
+        self.arm_error: tuple[int, str] = (0, "")
+        self.tapper_answers: int | None = TapperState.FIRED
+        self.commands: list[TapCommand] = []
+        self.tap: TapCommand | None = None
+        self._outcome = TapperState.NONE
+        cell, maps = (cell, TableMaps(cell)) if cell is not None else shipped()
+
+        def connect(_: Any, __: float, now: Now) -> GoalHandling:
+            return GoalHandling(
+                cell,
+                "",
+                OtherObjects((), 5.0, 0.002),
+                now,
+                adapt=True,
+                probe=False,
+                keep_for="",
+                time_limit=settings.goal_time_limit,
+                maps=maps,
+                solve_in_background=False,
+            )
+
+        super().__init__(
+            "tap_planner",
+            None,
+            lambda _: (PlannerLogic(settings), None),
+            connect,
+            "plan_state",
+            cell,
+            started=False,
+        )
+        self.network.subscribe("actors", "tap_command", lambda _, m: self._on_command(m))
+        self.scheduler.after(0.0, self._say)
+        self.process.start()
+
+    def _on_command(self, command: TapCommand) -> None:
+        self.commands.append(command)
+        if command.request == TapCommand.TAP:
+            self.tap, self._outcome = command, TapperState.NONE
+            self.arm_state = ArmState.IN_POSITION if self.arm_arrives else ArmState.MOVING
+            if self.arm_arrives and self.tapper_answers is not None:
+                self._outcome = self.tapper_answers
+                fired = self.tapper_answers != TapperState.NOT_FIRED
+                if fired and self.moves_when_fired:
+                    self.pose = from_message(command.predicted_pose)
+        elif self.arm_withdraws:
+            self.arm_state = ArmState.IDLE
+
+    def _say(self) -> None:
+        now = self.stamp()
+        tap_id = self.tap.tap_id if self.tap is not None else 0
+        if self.camera_talks:
+            seen = ObjectState(
+                visible=self.visible, at_rest=self.at_rest, frames_fused=30, object_id="disk"
+            )
+            seen.header.stamp, seen.header.frame_id = now, "table"
+            seen.pose.pose = to_message(self.pose)
+            seen.references_used = list(range(101, 109))
+            seen.pose.covariance = COVARIANCE.reshape(-1).tolist()
+            self.publish("object_state", seen)
+        if self.arm_talks:
+            code, sentence = self.arm_error
+            idle = self.arm_state == ArmState.IDLE
+            arm = ArmState(
+                state=self.arm_state,
+                tap_id=0 if idle else tap_id,
+                homed=True,
+                clear_of_camera=idle,
+                error_code=code,
+                error_msg=sentence,
+            )
+            arm.header.stamp = now
+            self.publish("arm_state", arm)
+        if self.tapper_talks:
+            self.publish(
+                "tapper_state",
+                TapperState(
+                    state=TapperState.SAFE,
+                    tap_id=tap_id,
+                    outcome=self._outcome,
+                    interlock_closed=True,
+                ),
+            )
+        self.scheduler.after(0.03, self._say)
+
+    @property
+    def plans(self) -> list[PlanState]:
+        return self.states
+
+    def send(self, goal: Pose = GOAL) -> None:
+        self.wait(lambda: self.states, "the planner is up")
+        self.run(0.3)
+        message = PoseStamped(pose=to_message(goal))
+        message.header.frame_id = "table"
+        self.publish("goal_pose", message)
+
+    def end(self, patience: float = 60.0) -> PlanState:
+        final = (PlanState.REACHED, PlanState.FAILED)
+        self.wait(lambda: self.plans[-1].state in final, "the goal's end", patience)
+        return self.plans[-1]
+
+    def taps(self) -> list[TapCommand]:
+        return [command for command in self.commands if command.request == TapCommand.TAP]
+
+
+@pytest.fixture
+def actors() -> Actors:
+    return Actors()
+
+
+def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
+    actors.send()
+    end = actors.end()
+    assert end.state == PlanState.REACHED, end.error_msg
+    assert end.taps == len(actors.taps()) >= 1
+    # Every tap is ended by exactly one withdrawal, and ids rise.
+    ids = [command.tap_id for command in actors.taps()]
+    assert ids == sorted(set(ids))
+    ended = [c.tap_id for c in actors.commands if c.request == TapCommand.WITHDRAW]
+    assert ended == ids
+
+
+def test_an_arm_that_does_not_arrive_is_given_up_in_words(actors: Actors) -> None:
+    actors.arm_arrives = False
+    actors.send()
+    end = actors.end()
+    assert end.error_code == ErrorCode.ARM_TIMEOUT and "within 2 s" in end.error_msg
+    assert len(actors.taps()) == 1
+    assert actors.commands[-1].request == TapCommand.WITHDRAW
+
+
+def test_an_arm_that_does_not_withdraw_is_given_up_in_words(actors: Actors) -> None:
+    actors.arm_withdraws = False
+    actors.send()
+    assert actors.end().error_code == ErrorCode.ARM_TIMEOUT
+    assert len(actors.taps()) == 1
+
+
+def test_a_faulted_arm_ends_the_goal_with_the_arms_own_words(actors: Actors) -> None:
+    actors.arm_arrives = False
+    actors.send()
+    actors.wait(actors.taps, "a tap")
+    actors.arm_error = (ErrorCode.ARM_ALARM, "a limit switch was hit")
+    actors.arm_state = ArmState.FAULT
+    end = actors.end()
+    assert (end.error_code, end.error_msg) == actors.arm_error
+
+
+def test_an_unknown_outcome_is_looked_at_and_never_fired_again(actors: Actors) -> None:
+    actors.tapper_answers = TapperState.UNKNOWN
+    actors.send()
+    assert actors.end().state == PlanState.REACHED
+    ids = [command.tap_id for command in actors.taps()]
+    assert len(ids) == len(set(ids))
+
+
+def test_a_tapper_that_never_answers_is_looked_after_and_no_id_is_used_again(
+    actors: Actors,
+) -> None:
+    actors.tapper_answers = None
+    actors.send()
+    actors.wait(lambda: len(actors.taps()) >= 2, "another look, then another tap")
+    first, second = actors.taps()[:2]
+    assert second.tap_id > first.tap_id
+
+
+def test_taps_that_are_not_fired_end_after_three_attempts(actors: Actors) -> None:
+    actors.tapper_answers = TapperState.NOT_FIRED
+    actors.send()
+    end = actors.end()
+    assert end.state == PlanState.FAILED
+    assert len(actors.taps()) == 3 and end.taps == 0
+
+
+def test_taps_without_any_effect_end(actors: Actors) -> None:
+    actors.moves_when_fired = False
+    actors.send()
+    end = actors.end()
+    assert end.error_code == ErrorCode.TAP_WITHOUT_EFFECT
+    assert "3 taps" in end.error_msg
+    assert len(actors.taps()) == 3
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"visible": False}, ErrorCode.OBJECT_NOT_SEEN),
+        ({"at_rest": False}, ErrorCode.OBJECT_NOT_AT_REST),
+        ({"camera_talks": False}, ErrorCode.CAMERA_SILENT),
+        ({"arm_talks": False}, ErrorCode.ARM_SILENT),
+        ({"tapper_talks": False}, ErrorCode.TAPPER_SILENT),
+        ({"arm_state": ArmState.NOT_HOMED}, ErrorCode.ARM_BUSY),
+    ],
+    ids=lambda value: str(value),
+)
+def test_what_is_missing_is_named_and_no_tap_is_commanded(
+    actors: Actors, change: dict[str, object], code: int
+) -> None:
+    for name, value in change.items():
+        setattr(actors, name, value)
+    actors.run(0.6)
+    actors.send()
+    end = actors.end()
+    assert end.error_code == code, end.error_msg
+    assert len(end.error_msg) > 15
+    assert actors.taps() == []
+
+
+def test_an_object_moved_before_the_tap_is_looked_at_again(actors: Actors) -> None:
+    actors.arm_arrives = False
+    actors.send()
+    actors.wait(actors.taps, "a tap")
+    actors.pose = Pose(-0.04, 0.03, 0.2)
+    actors.arm_arrives = True
+    actors.wait(lambda: len(actors.taps()) >= 2, "a second tap")
+    first, second = actors.taps()[:2]
+    assert actors.commands[1].request == TapCommand.WITHDRAW
+    assert actors.commands[1].tap_id == first.tap_id < second.tap_id
+    assert from_message(second.object_pose).distance_to(Pose(-0.04, 0.03, 0.2)) < 1e-6
+
+
+def test_a_tap_left_behind_by_a_dead_planner_is_withdrawn(actors: Actors) -> None:
+    actors.tap = TapCommand(tap_id=77)
+    actors.arm_state = ArmState.IN_POSITION
+    actors.send()
+    actors.wait(lambda: actors.commands, "a command")
+    assert actors.commands[0].request == TapCommand.WITHDRAW
+    assert actors.commands[0].tap_id == 77
+    assert actors.end().state == PlanState.REACHED
+
+
+def test_the_residual_is_reported(actors: Actors) -> None:
+    actors.send()
+    actors.wait(lambda: any(math.isfinite(p.residual_distance) for p in actors.plans), "a residual")
+    first = next(p for p in actors.plans if math.isfinite(p.residual_distance))
+    assert first.residual_distance == pytest.approx(START.distance_to(GOAL), abs=1e-6)
+    assert first.residual_rotation == pytest.approx(START.rotation_to(GOAL), abs=1e-6)
+    actors.end()
+
+
+def test_a_goal_ends_at_its_time_limit_and_takes_its_tap_back() -> None:
+    made = Actors(replace(FAST, goal_time_limit=1.0, place_deadline=10.0))
+    made.arm_arrives = False
+    made.send()
+    sent = made.now()
+    assert made.end(8.0).error_code == ErrorCode.DEADLINE_EXCEEDED
+    assert made.now() - sent < 1.5
+    made.wait(lambda: made.arm_state == ArmState.IDLE, "the tap was withdrawn")
+
+
+def test_a_goal_that_the_arm_cannot_serve_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "config"
+    shutil.copytree(shared_folder(), folder)
+    path = folder / "cell.yaml"
+    path.write_text(path.read_text().replace("forearm: 0.375", "forearm: 0.150"))
+    made = Actors(cell=load_cell(path))
+    made.send(Pose(0.2, -0.12, 0.0))
+    made.wait(
+        lambda: any(p.error_code == ErrorCode.GOAL_OUT_OF_REACH for p in made.plans), "refused"
+    )
+    assert made.taps() == []

@@ -1,0 +1,66 @@
+"""A tap command names its tapper; an empty name means the only one."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.hardware.tapper_protocol import Mode, Reply, Result
+from tapping_cell.hardware.tapper_protocol import State as BoardState
+from tapping_cell.logic import tap_commands
+from tapping_cell.logic.clock import Now, to_stamp
+from tapping_cell.logic.effects import Publish
+from tapping_cell.logic.host import Activated, Configured
+from tapping_cell.logic.tapper import TapperLogic, TapperOptions
+from tapping_cell.messages import ErrorCode, TapCommand, TapperState
+
+NAMES = st.lists(st.text("abc123", min_size=1, max_size=4), min_size=1, max_size=12, unique=True)
+
+
+@given(names=NAMES, name=st.text("abc123", max_size=4))
+def test_a_name_means_that_tapper_or_none(names: list[str], name: str) -> None:
+    found = tap_commands.named_tapper(name, names)
+    if name in names:
+        assert found == name
+    elif name == "" and len(names) == 1:
+        assert found == names[0]
+    else:
+        assert found is None
+        code, sentence = tap_commands.unknown_tapper(name, names)
+        assert code == ErrorCode.TAPPER_UNKNOWN
+        assert all(f"'{known}'" in sentence for known in names)
+
+
+def test_the_tapper_refuses_a_tap_of_another_one_and_names_itself() -> None:
+    now = Now(steady=100.0, ros=10**18)
+    machine = TapperLogic(TapperOptions())
+    safe = Reply(
+        session=1,
+        sequence=1,
+        result=Result.OK,
+        state=BoardState.SAFE,
+        shot=0,
+        energy=0.0,
+        interlock_closed=True,
+        stop_latched=False,
+        last_fired=0,
+        speed=None,
+        boot=1,
+        time_ms=0,
+        mode=Mode.RUN,
+        enabled=False,
+    )
+    machine.on_lifecycle(Configured(load_cell(), safe), now)
+    machine.on_lifecycle(Activated(), now)
+    for tap_id, name, code in ((1, "south", ErrorCode.TAPPER_UNKNOWN), (2, "", ErrorCode.NONE)):
+        command = TapCommand(tap_id=tap_id, tapper=name, striker_speed=0.3)
+        command.header.frame_id = "table"
+        command.strike_pose.orientation.w = 1.0
+        command.expiry = to_stamp(now.ros + 10**9)
+        made = machine.on_message("tap_command", command, now)
+        (told,) = [effect.message for effect in made if isinstance(effect, Publish)]
+        assert isinstance(told, TapperState)
+        assert (told.tap_id, told.error_code) == (tap_id, code)
+        assert told.tappers == ["tapper"]
+        assert told.outcome == (TapperState.NOT_FIRED if code else TapperState.NONE)

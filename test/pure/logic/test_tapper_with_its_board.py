@@ -1,0 +1,416 @@
+"""The tapper's machine with its driver and its emulated board, in virtual time: it fires once, and
+only while the arm is in position for that very tap."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from virtual_node import VirtualNode
+
+from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.logic.host import Deactivated
+from tapping_cell.logic.poses import to_message
+from tapping_cell.logic.tapper import TapperLogic, TapperOptions
+from tapping_cell.messages import (
+    ArmState,
+    Bool,
+    ErrorCode,
+    HoldStill,
+    ObjectState,
+    PlanState,
+    PoseWithCovariance,
+    TapCommand,
+    TapperState,
+)
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.spring_drive import SpringMechanism
+from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
+from tapping_cell.verification.serial_line import SerialLine
+
+
+class Cell(VirtualNode):
+    """The node, its emulated board, and hands to play planner and arm."""
+
+    def __init__(self, machine: TapperMachine | None = None, started: bool = True) -> None:
+        self.device = TapperEmulator(machine, now=0.0)
+
+        def make(line: SerialLine | None) -> tuple[TapperLogic, TapperDriver]:
+            assert line is not None
+            return TapperLogic(TapperOptions()), TapperDriver(line, draw_number=lambda below: 7)
+
+        super().__init__(
+            "tapper_trigger",
+            self.device,
+            make,
+            lambda driver, patience, _: driver.connect(timeout=patience),
+            "tapper_state",
+            started=started,
+        )
+        self.arm_holds = True
+        self.network.serve("arm", "hold_still", self._hold_still)
+        if started:
+            self.wait_state(TapperState.SAFE)
+
+    def _hold_still(self, request: HoldStill.Request, answer: Callable[[Any], None]) -> None:
+        code = 0 if self.arm_holds else ErrorCode.TAPPER_ARM_NOT_IN_POSITION
+        answer(
+            HoldStill.Response(granted=self.arm_holds, duration=request.duration, error_code=code)
+        )
+
+    def command(self, tap_id: int, speed: float = 0.3, valid: float = 30.0) -> None:
+        message = TapCommand(request=TapCommand.TAP, tap_id=tap_id, striker_speed=speed)
+        message.header.frame_id = "table"
+        message.expiry = self.stamp(valid)
+        self.publish("tap_command", message)
+
+    def withdraw(self, tap_id: int) -> None:
+        self.publish("tap_command", TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id))
+
+    def say_arm(self, tap_id: int, state: int = ArmState.IN_POSITION, age: float = 0.0) -> None:
+        message = ArmState(state=state, tap_id=tap_id, homed=True)
+        message.header.stamp = self.stamp(-age)
+        self.publish("arm_state", message)
+
+    def say_until(
+        self, condition: Callable[[], bool], what: str, say: Callable[[], None], every: float = 0.03
+    ) -> None:
+        """Let somebody speak until the condition holds."""
+        end = self.now() + 20.0
+        while not condition():
+            assert self.now() < end, f"waited in vain: {what}"
+            say()
+            self.run(every)
+
+    def keep_saying(self, seconds: float, **arm: Any) -> None:
+        """Let the arm speak for so long."""
+        end = self.now() + seconds
+        while self.now() < end:
+            self.say_arm(**arm)
+            self.run(0.05)
+
+    def arm_stands(self) -> None:
+        self.say_arm(100)
+
+    def fire(self, tap_id: int) -> None:
+        """Command a tap, let the arm stand there, wait for the release."""
+        self.command(tap_id)
+        self.say_until(
+            lambda: self.outcome(tap_id) == TapperState.FIRED,
+            f"tap {tap_id} fired",
+            lambda: self.say_arm(tap_id),
+        )
+
+    def outcome(self, tap_id: int) -> int:
+        return int(self.last.outcome) if self.last.tap_id == tap_id else TapperState.NONE
+
+    def press_clear_button(self) -> None:
+        self.device.press_clear_button(self.now())
+        assert self.line is not None
+        self.line.schedule()
+
+    def shots(self) -> list[int]:
+        return [shot for shot, _, _ in self.device.fires]
+
+
+@pytest.fixture
+def cell() -> Cell:
+    return Cell()
+
+
+def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
+    cell.command(100)
+    cell.run(0.2)
+    assert cell.shots() == []
+    cell.say_until(
+        lambda: cell.outcome(100) == TapperState.FIRED, "fired", lambda: cell.say_arm(100)
+    )
+    assert cell.shots() == [100]
+    # The same command again, and the arm still in position: answered, not fired.
+    cell.command(100)
+    cell.keep_saying(0.5, tap_id=100)
+    assert cell.shots() == [100]
+
+
+@pytest.mark.parametrize(
+    "arm",
+    [
+        {"tap_id": 99},
+        {"tap_id": 100, "state": ArmState.MOVING},
+        {"tap_id": 100, "state": ArmState.FAULT},
+        {"tap_id": 100, "age": 2.0},
+        {"tap_id": 100, "age": -2.0},
+    ],
+    ids=["another tap", "moving", "faulted", "stale", "from the future"],
+)
+def test_it_does_not_fire_on_doubt(cell: Cell, arm: dict[str, object]) -> None:
+    cell.command(100, valid=1.0)
+    cell.keep_saying(1.2, **arm)
+    cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
+    assert cell.shots() == []
+    assert cell.last.error_code == ErrorCode.TAPPER_COMMAND_EXPIRED
+
+
+def test_a_withdrawn_tap_is_not_fired_later(cell: Cell) -> None:
+    cell.command(100)
+    cell.withdraw(100)
+    cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
+    cell.keep_saying(0.5, tap_id=100)
+    assert cell.shots() == []
+
+
+def test_a_tap_older_than_one_served_is_refused(cell: Cell) -> None:
+    cell.fire(100)
+    cell.command(50)
+    cell.keep_saying(0.8, tap_id=50)
+    assert cell.shots() == [100]
+
+
+def test_an_expired_command_is_refused(cell: Cell) -> None:
+    cell.command(100, valid=-1.0)
+    cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
+    assert cell.last.error_code == ErrorCode.TAPPER_COMMAND_EXPIRED
+
+
+def test_a_speed_beyond_the_curve_is_refused_with_its_range(cell: Cell) -> None:
+    cell.command(100, speed=9.0)
+    cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
+    assert cell.last.error_code == ErrorCode.TAPPER_SPEED_OUT_OF_RANGE
+    assert "9000.0 mm/s" in cell.last.error_msg
+    assert "2500.0 mm/s" in cell.last.error_msg
+
+
+def test_an_emergency_stop_latches_until_a_person_clears_it(cell: Cell) -> None:
+    cell.command(100)
+    cell.publish("emergency_stop", Bool(data=True))
+    cell.wait(lambda: cell.last.state == TapperState.STOPPED, "stopped")
+    cell.publish("emergency_stop", Bool(data=False))
+    cell.keep_saying(0.5, tap_id=100)
+    assert cell.shots() == []
+    assert cell.last.state == TapperState.STOPPED
+    cell.press_clear_button()
+    assert cell.call("~/clear_fault").success
+    cell.wait(lambda: cell.last.state == TapperState.SAFE, "safe again")
+    cell.fire(101)
+    assert cell.shots() == [101]
+
+
+def test_nothing_is_fired_while_the_arm_does_not_promise_to_stand_still(cell: Cell) -> None:
+    """S1: in position is not enough."""
+    cell.arm_holds = False
+    cell.command(100)
+    cell.say_until(
+        lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired", lambda: cell.say_arm(100)
+    )
+    assert cell.last.error_code == ErrorCode.TAPPER_ARM_NOT_IN_POSITION
+    assert cell.shots() == []
+    cell.arm_holds = True
+    cell.fire(101)
+
+
+@pytest.mark.parametrize(
+    ("pose", "visible", "code"),
+    [
+        (Pose(0.0, 0.0, math.radians(40)), True, ErrorCode.OBJECT_MOVED),
+        (Pose(0.004, 0.0, 0.0), True, ErrorCode.OBJECT_MOVED),
+        (Pose(0.0, 0.0, 0.0), False, ErrorCode.OBJECT_NOT_SEEN),
+    ],
+    ids=["turned", "moved", "hidden"],
+)
+def test_an_object_that_is_not_where_the_tap_was_planned_is_not_struck(
+    cell: Cell, pose: Pose, visible: bool, code: int
+) -> None:
+    """S11."""
+    cell.command(100, valid=1.0)
+
+    def say() -> None:
+        seen = ObjectState(visible=visible, pose=PoseWithCovariance(pose=to_message(pose)))
+        seen.header.stamp = cell.stamp()
+        cell.publish("object_state", seen)
+        cell.say_arm(100)
+
+    cell.say_until(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired", say)
+    assert cell.shots() == []
+    words = {ErrorCode.OBJECT_MOVED: "from where the tap was planned"}
+    assert words.get(code, "has not been seen") in cell.last.error_msg
+
+
+def test_the_state_of_a_tap_under_way_is_never_overwritten_by_a_read() -> None:
+    """S7: CHARGING was told as SAFE, and a second tap was taken."""
+    cell = Cell(SLOW)
+    for number in range(4):
+        tap_id = 100 + number
+        cell.command(tap_id)
+        cell.say_until(
+            lambda: cell.last.state == TapperState.CHARGING,
+            "charging",
+            lambda tap_id=tap_id: cell.say_arm(tap_id),
+        )
+        start = len(cell.states)
+        cell.keep_saying(0.4, tap_id=tap_id)
+        cell.command(200 + number)
+        cell.keep_saying(0.3, tap_id=tap_id)
+        told = {(s.state, s.tap_id) for s in cell.states[start:]}
+        assert told == {(TapperState.CHARGING, tap_id)}
+        cell.withdraw(tap_id)
+        cell.wait(lambda tap_id=tap_id: cell.outcome(tap_id) == TapperState.NOT_FIRED, "let down")
+    assert cell.shots() == []
+
+
+def test_an_id_that_cannot_be_refuses_no_tap_after_it(cell: Cell) -> None:
+    """S9."""
+    cell.command(2**64 - 1)
+    cell.command(2**63)
+    cell.run(0.2)
+    cell.fire(100)
+    assert cell.shots() == [100]
+
+
+LET_DOWN = ("DISCHARGING", "SAFE")
+SLOW = TapperMachine(SpringMechanism(step_rate=100.0))
+"""A spring that takes so long to charge that whoever falls silent does so in mid-draw."""
+
+
+@pytest.mark.parametrize(
+    "lost", ["planner", "arm", "camera", "pictures", "usable pictures"], ids=lambda name: name
+)
+def test_whoever_falls_silent_has_the_striker_let_down(lost: str) -> None:
+    """How soon, with processes that are killed and hung, is measured by benchmarks/disarm.py."""
+    cell = Cell(SLOW)
+    last = cell.stamp()
+
+    def all_speak(but: str = "") -> None:
+        if but != "planner":
+            cell.publish("plan_state", PlanState(state=PlanState.FIRING))
+        if but != "camera":
+            seen = ObjectState(visible=True)
+            # The node of a camera whose last picture is old, or shows nothing, still speaks.
+            seen.header.stamp = last if but == "pictures" else cell.stamp()
+            if but == "usable pictures":
+                seen.error_code = ErrorCode.IMAGE_INVALID
+            cell.publish("object_state", seen)
+        if but != "arm":
+            cell.say_arm(100)
+
+    cell.command(100)
+    cell.say_until(lambda: cell.device.state == "CHARGING", "the draw begins", all_speak, 0.04)
+    last = cell.stamp()
+    silent = cell.now()
+    cell.say_until(
+        lambda: cell.outcome(100) != TapperState.NONE, "let down", lambda: all_speak(lost), 0.01
+    )
+    assert cell.now() - silent < 1.0
+    assert cell.outcome(100) == TapperState.NOT_FIRED and cell.device.state in LET_DOWN
+    assert ("camera" if "pictures" in lost else lost) in cell.last.error_msg
+    assert cell.shots() == []
+
+
+def test_nothing_is_drawn_while_the_planner_is_silent_and_goes_on_when_it_is_heard(
+    cell: Cell,
+) -> None:
+    cell.command(100)
+    cell.wait(lambda: cell.last.tap_id == 100, "taken")
+    cell.publish("plan_state", PlanState(state=PlanState.PLACING))
+    cell.run(0.6)
+    cell.keep_saying(0.6, tap_id=100)
+    assert cell.device.state == "UNHOMED" and cell.outcome(100) == TapperState.NONE
+
+    def say() -> None:
+        cell.publish("plan_state", PlanState(state=PlanState.FIRING))
+        cell.say_arm(100)
+
+    cell.say_until(lambda: cell.outcome(100) == TapperState.FIRED, "fired", say, 0.05)
+    assert cell.shots() == [100]
+
+
+def test_another_program_may_command_taps_while_the_planner_is_idle(cell: Cell) -> None:
+    """The idle planner speaks only twice a second: that is no silence of a tap not its own."""
+    for tap_id in (100, 101, 102):
+        cell.command(tap_id)
+        for _ in range(10):
+            cell.publish("plan_state", PlanState(state=PlanState.IDLE))
+            cell.keep_saying(0.6, tap_id=tap_id)
+            if cell.outcome(tap_id) == TapperState.FIRED:
+                break
+    assert cell.shots() == [100, 101, 102]
+
+
+def test_a_planner_that_was_restarted_does_not_fire_the_tap_of_the_one_before(cell: Cell) -> None:
+    cell.command(100)
+    cell.wait(lambda: cell.last.tap_id == 100, "taken")
+    cell.publish("plan_state", PlanState(state=PlanState.PLACING))
+    cell.run(0.2)
+    cell.publish("plan_state", PlanState(state=PlanState.WAITING_FOR_CELL))
+    cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "given up")
+    assert "planner" in cell.last.error_msg
+    cell.keep_saying(0.5, tap_id=100)
+    assert cell.shots() == []
+
+
+def test_a_foreign_command_changes_nothing_of_the_tap_under_way(cell: Cell) -> None:
+    cell.command(100)
+    cell.wait(lambda: cell.last.tap_id == 100, "taken")
+    cell.command(999)
+    cell.withdraw(999)
+    cell.run(0.3)
+    assert cell.last.tap_id == 100 and cell.outcome(100) == TapperState.NONE
+    cell.say_until(
+        lambda: cell.outcome(100) == TapperState.FIRED, "fired", lambda: cell.say_arm(100)
+    )
+    assert cell.shots() == [100]
+    # And the next tap of the planner is taken although 999 was heard.
+    cell.fire(101)
+    assert cell.shots() == [100, 101]
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"request": 7}, ErrorCode.COMMAND_INVALID),
+        ({"frame": "map"}, ErrorCode.COMMAND_INVALID),
+        ({"speed": float("nan")}, ErrorCode.COMMAND_INVALID),
+        ({"valid": 1e5}, ErrorCode.COMMAND_INVALID),
+        ({"ahead": 60.0}, ErrorCode.STAMP_INVALID),
+    ],
+    ids=["request", "frame", "NaN", "expires in a day", "from the future"],
+)
+def test_a_command_that_makes_no_sense_is_refused_in_words_and_blocks_nobody(
+    cell: Cell, change: dict[str, float], code: int
+) -> None:
+    message = TapCommand(request=int(change.get("request", TapCommand.TAP)), tap_id=100)
+    message.header.frame_id = str(change.get("frame", "table"))
+    message.striker_speed = float(change.get("speed", 0.3))
+    message.header.stamp = cell.stamp(change.get("ahead", 0.0))
+    message.expiry = cell.stamp(change.get("valid", 5.0))
+    cell.publish("tap_command", message)
+    cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "refused")
+    assert cell.last.error_code == code
+    assert len(cell.last.error_msg) > 20
+    cell.fire(101)
+    assert cell.shots() == [101]
+
+
+def test_deactivating_in_mid_draw_lets_the_striker_down() -> None:
+    cell = Cell(SLOW)
+    cell.command(100)
+    cell.say_until(
+        lambda: cell.device.state == "CHARGING", "the draw begins", lambda: cell.say_arm(100), 0.04
+    )
+    cell.process.lifecycle(Deactivated())
+    cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
+    # Not for want of anybody's word, nor because the draw took too long.
+    assert cell.last.error_code == ErrorCode.NONE
+    assert cell.device.state in LET_DOWN and cell.shots() == []
+
+
+def test_a_stop_published_before_the_node_was_there_holds() -> None:
+    cell = Cell(started=False)
+    cell.publish("emergency_stop", Bool(data=True))
+    cell.run(1.0)
+    cell.process.start()
+    cell.wait(lambda: cell.device.state == "STOPPED", "the board is stopped as well")
+    cell.command(100)
+    cell.keep_saying(0.5, tap_id=100)
+    assert cell.shots() == [] and cell.last.state == TapperState.STOPPED

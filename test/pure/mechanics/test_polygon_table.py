@@ -1,0 +1,90 @@
+"""The table of a polygon's slides against their integration."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tapping_cell.mechanics import Disk, Polygon, Sliding
+from tapping_cell.mechanics.polygon_table import LARGEST_SIZE, symmetry
+
+SQUARE = Polygon([(0, 0), (0.08, 0), (0.08, 0.08), (0, 0.08)], 0.2, 0.01)
+PLANK = Polygon([(0, 0), (0.16, 0), (0.16, 0.02), (0, 0.02)], 0.2, 0.01)
+TRIANGLE = Polygon([(0, 0), (0.1, 0), (0, 0.07)], 0.2, 0.01)
+MU, G = 0.2, 9.81
+
+
+def launches(body: Polygon, count: int, largest: float) -> np.ndarray:
+    """Launches of all directions, ratios of spin to speed and sizes, both ends included."""
+    random = np.random.default_rng(4)
+    rho = body.radius_of_gyration
+    major = np.sqrt(largest * random.uniform(0, 1, count) ** 2 * MU * G * rho)
+    ratio = random.uniform(-math.pi / 2, math.pi / 2, count)
+    ratio[:4] = 0.0, math.pi / 2, -math.pi / 2, 1e-9
+    direction = random.uniform(-math.pi, math.pi, count)
+    v = major * np.cos(ratio)
+    return np.stack(
+        [v * np.cos(direction), v * np.sin(direction), major * np.sin(ratio) / rho], axis=-1
+    )
+
+
+@pytest.mark.parametrize("body", [SQUARE, PLANK, TRIANGLE], ids=["square", "plank", "triangle"])
+@pytest.mark.parametrize("factor", [1.0, 3.64])
+def test_the_table_agrees_with_the_integration(body: Polygon, factor: float) -> None:
+    exact = Sliding(body, MU, factor, G)
+    twist = launches(body, 300, LARGEST_SIZE)
+    true, told = exact.displace(twist), exact.tabulated().displace(twist)
+    scale = np.array([1.0, 1.0, body.radius_of_gyration])
+    size = np.linalg.norm(true * scale, axis=1)
+    error = np.linalg.norm((told - true) * scale, axis=1) / size
+    assert error.max() < 1.5e-3 and np.percentile(error, 95) < 1e-3
+    direction = np.arctan2(twist[:, 1], twist[:, 0])
+    speed = np.hypot(twist[:, 0], twist[:, 1])
+    rest = exact.rest(speed, twist[:, 2], direction)
+    assert exact.tabulated().rest(speed, twist[:, 2], direction).duration == pytest.approx(
+        rest.duration, rel=1e-2
+    )
+
+
+def test_the_inverse_undoes_it_and_nothing_moves_without_a_launch() -> None:
+    table = Sliding(TRIANGLE, MU, 2.0, G).tabulated()
+    twist = launches(TRIANGLE, 200, 2.0)[4:]
+    assert table.twist_for(table.displace(twist)) == pytest.approx(twist, rel=1e-7, abs=1e-9)
+    assert np.all(table.displace(np.zeros((2, 3))) == 0.0)
+
+
+def test_a_launch_beyond_the_table_is_integrated() -> None:
+    exact = Sliding(SQUARE, MU, 2.0, G)
+    twist = launches(SQUARE, 20, 6 * LARGEST_SIZE)
+    size = (twist[:, :2] ** 2).sum(axis=1) + (SQUARE.radius_of_gyration * twist[:, 2]) ** 2
+    beyond = size > LARGEST_SIZE * MU * G * SQUARE.radius_of_gyration
+    assert 2 < beyond.sum() < 20
+    told = exact.tabulated().displace(twist)
+    assert told[beyond] == pytest.approx(exact.displace(twist[beyond]), rel=1e-9)
+
+
+def test_one_shape_has_one_table_at_every_scale_and_friction() -> None:
+    Sliding(SQUARE, MU, 2.0, G).tabulated()
+    larger = replace(SQUARE, vertices=tuple((2 * x, 2 * y) for x, y in SQUARE.vertices))
+    began = time.process_time()
+    slow = Sliding(larger, 3 * MU, 2.0, G).tabulated()
+    assert time.process_time() - began < 0.2
+    launch = [0.2, 0.1, 1.0]
+    assert slow.displace(launch) == pytest.approx(
+        Sliding(larger, 3 * MU, 2.0, G).displace(launch), rel=2e-3
+    )
+
+
+def test_a_round_body_needs_no_other_table() -> None:
+    disk = Sliding(Disk(0.04, 0.2, 0.01), MU)
+    assert disk.tabulated() is disk
+
+
+def test_symmetries_are_found() -> None:
+    angles = np.arange(6) * math.pi / 3
+    hexagon = Polygon(np.stack([np.cos(angles), np.sin(angles)], axis=1), 1.0, 1.0)
+    assert [symmetry(body) for body in (SQUARE, PLANK, TRIANGLE, hexagon)] == [4, 2, 1, 6]

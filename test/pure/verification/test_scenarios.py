@@ -1,0 +1,116 @@
+"""What a client and a person can do to a goal, told of one cell in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from tapping_cell.messages import ArmState, ErrorCode, PlanState, TapCommand, TapperState
+from tapping_cell.se2 import Pose
+from tapping_cell.verification.trial import Trial
+
+START, GOAL, SECOND = Pose(0.0, 0.0, 0.0), Pose(0.04, -0.02, 0.3), Pose(-0.02, 0.01, 0.0)
+FINAL = (PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
+
+
+class Told:
+    """A cell that is ready, and everything that its nodes say from then on."""
+
+    def __init__(self) -> None:
+        self.trial = Trial(seed=21)
+        self.trial.bring_up()
+        self.trial.physical.world.place(START)
+        self.plans: list[PlanState] = []
+        self.commands: list[TapCommand] = []
+        self.arm, self.tapper = ArmState(), TapperState()
+        heard = {
+            "plan_state": self.plans.append,
+            "tap_command": self.commands.append,
+            "arm_state": lambda message: setattr(self, "arm", message),
+            "tapper_state": lambda message: setattr(self, "tapper", message),
+        }
+        for topic, hear in heard.items():
+            self.trial.network.subscribe("test", topic, lambda _, message, hear=hear: hear(message))
+        self.run(2.0)
+        self.plans.clear()
+
+    def run(self, duration: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Let virtual time pass; whether the condition came."""
+        self.trial.scheduler.run(self.trial.scheduler.now + duration, until)
+        return until()
+
+    def ends(self) -> list[int]:
+        """Error codes of the goals that have ended; an end is told again until the next goal."""
+        return list(dict.fromkeys(plan.error_code for plan in self.plans if plan.state in FINAL))
+
+    def begin(self) -> None:
+        """Send the goal and wait until the arm is on its way to the first tap."""
+        self.trial.send_goal(GOAL)
+        assert self.run(20.0, lambda: self.arm.state == ArmState.MOVING and self.arm.tap_id > 0)
+
+    def object_pose(self) -> Pose:
+        return self.trial.physical.object_pose(self.trial.scheduler.now)
+
+    def at(self, goal: Pose) -> bool:
+        pose = self.object_pose()
+        return pose.distance_to(goal) <= 1e-3 and abs(pose.rotation_to(goal)) <= 0.01745
+
+
+@pytest.fixture
+def cell() -> Told:
+    return Told()
+
+
+def test_a_second_goal_replaces_the_first_and_is_reached(cell: Told) -> None:
+    cell.begin()
+    cell.trial.send_goal(SECOND, foreign=True)
+    assert cell.run(120.0, lambda: any(plan.state == PlanState.REACHED for plan in cell.plans))
+    assert ErrorCode.GOAL_REPLACED in cell.ends()
+    assert cell.at(SECOND)
+    assert cell.trial.witness.violations == []
+
+
+def test_an_object_pushed_off_by_hand_between_taps_is_still_brought_to_the_goal(
+    cell: Told,
+) -> None:
+    cell.begin()
+    assert cell.run(60.0, lambda: any(plan.taps == 1 for plan in cell.plans))
+    cell.trial.move_object(Pose(0.02, -0.03, -0.2))
+    assert cell.run(120.0, lambda: bool(cell.ends()))
+    assert cell.ends() == [0] and cell.at(GOAL)
+    assert cell.trial.witness.violations == []
+
+
+def test_a_canceled_goal_withdraws_the_arm_and_fires_nothing(cell: Told) -> None:
+    cell.begin()
+    cell.trial.cancel_goal()
+    assert cell.run(20.0, lambda: cell.arm.state == ArmState.IDLE)
+    assert cell.ends() == [ErrorCode.GOAL_CANCELED]
+    assert cell.object_pose() == START and cell.tapper.state == TapperState.SAFE
+
+
+def test_an_emergency_stop_ends_the_goal_and_latches_both_devices(cell: Told) -> None:
+    cell.begin()
+    cell.trial.press_emergency_stop(60.0)
+    stopped = (ArmState.STOPPED, TapperState.STOPPED)
+    assert cell.run(1.0, lambda: (cell.arm.state, cell.tapper.state) == stopped)
+    assert cell.ends() == [ErrorCode.EMERGENCY_STOP]
+    commanded = len(cell.commands)
+    cell.trial.send_goal(GOAL)
+    assert not cell.run(5.0, lambda: len(cell.commands) > commanded)
+    assert cell.object_pose() == START
+
+
+@pytest.mark.parametrize("node", ["tap_planner", "camera_pose"])
+def test_nothing_is_drawn_while_a_node_hangs_and_the_tap_goes_on_after_it(
+    cell: Told, node: str
+) -> None:
+    cell.begin()
+    tap = cell.arm.tap_id
+    cell.trial.freeze(node, 8.0)
+    assert cell.run(8.0, lambda: cell.arm.state == ArmState.IN_POSITION)
+    assert not cell.run(1.5, lambda: cell.tapper.state != TapperState.SAFE)
+    assert cell.tapper.tap_id != tap or cell.tapper.outcome == TapperState.NONE
+    assert cell.run(120.0, lambda: bool(cell.ends()))
+    assert cell.ends() == [0] and cell.at(GOAL)

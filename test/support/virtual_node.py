@@ -1,0 +1,110 @@
+"""One node in virtual time: its machine and, of a device, its driver and its emulated board, with
+hands to play everybody else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.logic.clock import Now, to_stamp
+from tapping_cell.logic.host import Logic
+from tapping_cell.messages import Time, Trigger
+from tapping_cell.simulation.device_emulator import DeviceEmulator
+from tapping_cell.simulation.fault_layer import FaultLayer
+from tapping_cell.verification.host import HostClock, Process, Program
+from tapping_cell.verification.network import Network
+from tapping_cell.verification.scheduler import Scheduler
+from tapping_cell.verification.serial_line import SerialLine
+from tapping_cell.verification.trial import HEARS, QUALITIES, SERVES
+
+PATIENCE_S = 60.0
+PROBE = "probe"
+
+
+class VirtualNode:
+    """A process and a probe that talks to it. Times in s of the run."""
+
+    def __init__(
+        self,
+        name: str,
+        board: DeviceEmulator | None,
+        make: Callable[[SerialLine | None], tuple[Logic, Any]],
+        connect: Callable[[Any, float, Now], Any],
+        states: str,
+        cell: Cell | None = None,
+        started: bool = True,
+    ) -> None:
+        """``make`` gives the machine and its driver on the board's line, ``connect`` is what the
+        node does to configure, ``states`` the topic on which it tells its state."""
+        self.scheduler = Scheduler()
+        self.network = Network(self.scheduler, np.random.default_rng(1), QUALITIES)
+        line = SerialLine(self.scheduler, FaultLayer(board), name) if board is not None else None
+        clock = self._clock = HostClock(self.scheduler)
+        program = Program(
+            lambda: make(line), connect, cell or load_cell(), HEARS[name], SERVES[name], line
+        )
+        self.process = Process(
+            name, program, self.scheduler, self.network, clock, lambda low, high: low
+        )
+        self.line = line
+        self.states: list[Any] = self.listen(states)
+        if started:
+            self.process.start()
+
+    def listen(self, topic: str) -> list[Any]:
+        """Every message of a topic from now on."""
+        heard: list[Any] = []
+        self.network.subscribe(PROBE, topic, lambda _, message: heard.append(message))
+        return heard
+
+    @property
+    def last(self) -> Any:
+        """The node's last state."""
+        return self.states[-1]
+
+    def now(self) -> float:
+        """The time of the run, s."""
+        return self.scheduler.now
+
+    def stamp(self, ahead: float = 0.0) -> Time:
+        """The node's ROS time, or ``ahead`` s later."""
+        return to_stamp(self._clock.now().ros + round(1e9 * ahead))
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Send a message as somebody else."""
+        self.network.publish(PROBE, topic, message)
+
+    def run(self, duration: float) -> None:
+        """Let time pass."""
+        self.scheduler.run(self.now() + duration)
+
+    def wait(
+        self, condition: Callable[[], object], what: str, patience: float = PATIENCE_S
+    ) -> None:
+        """Let time pass until the condition holds; fail with the words otherwise."""
+        self.scheduler.run(self.now() + patience, lambda: bool(condition()))
+        assert condition(), f"waited {patience:.0f} s in vain: {what}"
+
+    def wait_state(self, state: int) -> None:
+        """Wait until the node says that it is in a state."""
+        self.wait(lambda: self.states and self.last.state == state, f"state {state}")
+
+    def ask(self, service: str, request: Any = None) -> list[Any]:
+        """Call a service; its answer comes into the list."""
+        answers: list[Any] = []
+        self.network.call(service, request or Trigger.Request(), answers.append, math.inf)
+        return answers
+
+    def call(self, service: str, request: Any = None) -> Any:
+        """The answer of a service."""
+        answers = self.ask(service, request)
+        self.wait(lambda: answers, f"{service} answers")
+        return answers[0]
+
+    def said(self) -> Sequence[str]:
+        """Defects that the node met, in words: there are to be none."""
+        return self.process.defects
