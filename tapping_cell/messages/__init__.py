@@ -525,6 +525,7 @@ class HoldStill:
 
         tap_id: int = 0
         duration: float = 0.0
+        key: int = 0
 
     @dataclass(slots=True, kw_only=True)
     class Response:

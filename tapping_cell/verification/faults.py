@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +13,7 @@ from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.host import Activated, Deactivated
 from tapping_cell.messages import (
     ArmState,
+    HoldStill,
     JointTrajectory,
     JointTrajectoryPoint,
     PlanState,
@@ -156,18 +157,28 @@ def _deactivate(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"{node} deactivated for {away:.2f} s"
 
 
+LINKS = {
+    "arm_state": ("tap_planner", "tapper_trigger"),
+    "tapper_state": ("tap_planner", "scara_arm"),
+    "object_state": ("tap_planner", "tapper_trigger"),
+    "plan_state": ("tapper_trigger",),
+    "tap_command": ("scara_arm", "tapper_trigger"),
+    "hold_still": ("request", "answer"),
+    "emergency_stop": NODES,
+}
+"""Who hears what; of a service both ways."""
+
+
 def _slow_topic(rng: np.random.Generator, trial: Trial) -> Made:
-    topic = _pick(
-        rng,
-        ("arm_state", "tapper_state", "object_state", "plan_state", "tap_command", "hold_still"),
-    )
+    topic = _pick(rng, tuple(LINKS))
+    towards = _pick(rng, LINKS[topic])
     delay, lasting = _duration(rng, 0.01, 2.0), _duration(rng, 0.2, 6.0)
 
     def strike(t: Trial) -> None:
-        t.network.faults.slow_topics[topic] = delay
-        t.scheduler.after(lasting, lambda: t.network.hasten(topic))
+        t.network.faults.slow[topic, towards] = delay
+        t.scheduler.after(lasting, lambda: t.network.hasten(topic, towards))
 
-    return strike, f"{topic} late by {delay:.2f} s for {lasting:.1f} s"
+    return strike, f"{topic} to {towards} late by {delay:.2f} s for {lasting:.1f} s"
 
 
 def _duplicates(rng: np.random.Generator, trial: Trial) -> Made:
@@ -220,6 +231,49 @@ def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"a foreign {name} with id {('0', 'of the present tap', 'of the next tap')[how]}"
 
 
+def _foreign_outcome(rng: np.random.Generator, trial: Trial) -> Made:
+    """Somebody else says that the shot is over, by topic or by service."""
+    fired, by_service = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
+
+    def strike(t: Trial) -> None:
+        last = max(t.witness.commands, default=0)
+        if by_service:
+            request = HoldStill.Request(tap_id=last, duration=0.0, key=1)
+            t.network.call("hold_still", request, lambda _: None)
+            return
+        told = TapperState(state=TapperState.SAFE, tap_id=last)
+        told.outcome = TapperState.FIRED if fired else TapperState.NOT_FIRED
+        told.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
+        t.network.publish("somebody_else", "tapper_state", told)
+
+    return strike, "somebody else lets the arm go" if by_service else (
+        f"a foreign tapper_state: {'FIRED' if fired else 'NOT_FIRED'}"
+    )
+
+
+def _foreign_state(rng: np.random.Generator, trial: Trial) -> Made:
+    """Somebody else says that the arm is in position, or that the planner waits for its shot."""
+    of_arm = bool(rng.random() < 0.5)
+
+    def strike(t: Trial) -> None:
+        last = max(t.witness.commands, default=0)
+        node = "scara_arm" if of_arm else "tap_planner"
+        message: ArmState | PlanState = (
+            ArmState(state=ArmState.IN_POSITION, tap_id=last)
+            if of_arm
+            else PlanState(state=PlanState.FIRING)
+        )
+        message.header.stamp = to_stamp(t.clocks[node].now().ros)
+        t.network.publish("somebody_else", "arm_state" if of_arm else "plan_state", message)
+
+    return strike, f"a foreign {'arm_state: in position' if of_arm else 'plan_state: firing'}"
+
+
+def _second_node(rng: np.random.Generator, trial: Trial) -> Made:
+    node, lasting = _pick(rng, NODES), _duration(rng, 1.0, 20.0)
+    return lambda t: t.start_second(node, lasting), f"a second {node} for {lasting:.1f} s"
+
+
 def _trajectory(rng: np.random.Generator, trial: Trial) -> Made:
     joints = [float(v) for v in rng.uniform((-0.5, 0.5, -0.05, -1.0), (1.0, 1.8, 0.0, 1.0))]
 
@@ -261,19 +315,22 @@ def _line(rng: np.random.Generator, trial: Trial) -> Made:
 
     def strike(t: Trial) -> None:
         layer = (t.physical.arm_line if name == "arm" else t.physical.tapper_line).layer
-        layer.add(
-            type(drawn)(
-                drawn.kind,
-                direction,
-                layer.count(direction) + drawn.byte,
-                drawn.length,
-                drawn.duration,
-                drawn.bit,
-            )
-        )
+        layer.add(replace(drawn, byte=layer.count(direction) + drawn.byte))
 
     reset = " (the board restarts)" if drawn.kind is FaultKind.RESET else ""
     return strike, f"{name} line: {drawn.kind.value}{reset} after {drawn.byte} bytes"
+
+
+def _shot_line(rng: np.random.Generator, trial: Trial) -> Made:
+    """The tapper's line in the moment of a shot, which takes some 100 bytes each way."""
+    direction = list(Direction)[int(rng.integers(2))]
+    drawn = random_fault(rng, direction, 0, 120)
+
+    def strike(t: Trial) -> None:
+        layer = t.physical.tapper_line.layer
+        layer.add(replace(drawn, byte=layer.count(direction) + drawn.byte))
+
+    return strike, f"tapper line: {drawn.kind.value} after {drawn.byte} bytes of the shot"
 
 
 def _power(rng: np.random.Generator, trial: Trial) -> Made:
@@ -372,9 +429,13 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "duplicates": _duplicates,
     "replay": _replay,
     "foreign command": _foreign_command,
+    "foreign outcome": _foreign_outcome,
+    "foreign state": _foreign_state,
+    "second node": _second_node,
     "foreign trajectory": _trajectory,
     "clock step": _clock_step,
     "serial line": _line,
+    "line at a shot": _shot_line,
     "loss of power": _power,
     "camera": _camera,
     "object moved": _bump,
@@ -393,8 +454,13 @@ AT_A_MOMENT = (
     "freeze at a write",
     "freeze at a write",
     "freeze after the last check",
+    "slow topic",
+    "slow topic",
+    "line at a shot",
+    "line at a shot",
     "kill",
     "foreign command",
+    "foreign outcome",
     "cancel",
     "object moved",
     "emergency stop",

@@ -59,14 +59,29 @@ QUEUE = 10
 
 def copy_of(value: Any) -> Any:
     """A copy of a message that shares nothing with it that could change."""
-    if isinstance(value, list):
-        return [copy_of(item) for item in value]
-    if not is_dataclass(value):
+    kind: type = type(value)
+    if kind is list:
+        return [copy_of(item) for item in value] if value and _names(type(value[0])) else value[:]
+    names = _names(kind)
+    if names is None:
         return value
-    made = object.__new__(type(value))
-    for item in fields(value):
-        object.__setattr__(made, item.name, copy_of(getattr(value, item.name)))
+    made: Any = object.__new__(kind)
+    for name in names:
+        item = getattr(value, name)
+        object.__setattr__(made, name, item if type(item) in _PLAIN else copy_of(item))
     return made
+
+
+def _names(kind: type) -> tuple[str, ...] | None:
+    """The fields of a class of messages; None of any other class."""
+    if kind not in _FIELDS:
+        known = is_dataclass(kind)
+        _FIELDS[kind] = tuple(item.name for item in fields(kind)) if known else None
+    return _FIELDS[kind]
+
+
+_FIELDS: dict[type, tuple[str, ...] | None] = {}
+_PLAIN = frozenset((int, float, str, bool, bytes))
 
 
 @dataclass(slots=True)
@@ -135,7 +150,10 @@ class Process:
         """Freeze for so long after the next question that a job asks its machine."""
         self.on_handled: Callable[[str, str, Any], None] = lambda process, topic, message: None
         """Told of every message once the machine has handled it."""
+        self.on_asked: Callable[[str, str, Any], None] = lambda process, job, answer: None
+        """Told of every answer that the machine gives to its running job."""
         self.on_log: Callable[[str, str], None] = lambda process, sentence: None
+        self.freezes = 0
         self.defects: list[str] = []
         self.logic: Any = None
         self._program = program
@@ -206,6 +224,7 @@ class Process:
         """As by SIGSTOP and, after ``duration`` s, SIGCONT."""
         if not self.alive:
             return
+        self.freezes += 1
         self.frozen_until = max(self.frozen_until, self._scheduler.now + duration)
         if self._worker is not None:
             self._worker.freeze(self.frozen_until)
@@ -477,6 +496,7 @@ class _Context:
     def ask(self, query: Callable[[Now], Any]) -> Any:
         """Ask the machine."""
         answer = query(self.process._clock.now())
+        self.process.on_asked(self.process.name, self.job.name, answer)
         duration = self.process.freeze_after_check
         if duration > 0:
             self.process.freeze_after_check = 0.0

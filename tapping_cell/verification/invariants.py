@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 from tapping_cell.logic.clock import to_nanoseconds
 from tapping_cell.logic.poses import from_message
-from tapping_cell.messages import PlanState, TapCommand, TapperState
+from tapping_cell.messages import HoldStill, PlanState, TapCommand, TapperState
 from tapping_cell.se2 import Pose
+from tapping_cell.verification.host import HostClock
 from tapping_cell.verification.physical_cell import PhysicalCell, Release
 from tapping_cell.verification.scheduler import Scheduler
 
@@ -18,14 +19,15 @@ STRIKE_POSITION_M = 0.0025
 STRIKE_ANGLE_RAD = 0.01
 """How far the true tip may be from the commanded one at a release: errors of the arm included."""
 STRIKE_HEIGHT_M = 0.0005
-UNSEEN_LIMIT_S = 4.7
-"""A release may follow a change of the scene that nothing covered by so much: the limit of the
-object's being unseen, and of the camera's silence."""
 BUMP_M = 0.004
 BUMP_RAD = math.radians(6.0)
 """From how much on an object that was moved by hand must not be struck as planned."""
 CHARGED_LIMIT_S = 12.0
 """Longest time that a striker may stay charged, whatever happened to the computers."""
+CHECK_S = 0.045
+"""A release follows the last check before FIRE by so much at most: the board's deadline for it."""
+STRIKE_S = 0.08
+"""The arm's promise lasts for so long after a release."""
 FLIGHT_S = 0.045
 """The arm stands still for so long after a release: the pulse and the striker's flight."""
 ORPHAN_S = 1.5
@@ -53,6 +55,7 @@ class Witness:
 
     scheduler: Scheduler
     physical: PhysicalCell
+    tapper_clock: HostClock
     violations: list[Violation] = field(default_factory=list)
     commands: dict[int, TapCommand] = field(default_factory=dict)
     ended_taps: dict[int, float] = field(default_factory=dict)
@@ -67,7 +70,13 @@ class Witness:
     """Since when the panel's emergency stop is held."""
     planner_gone_since: float = math.inf
     """Since when the planner's process does not exist."""
-    tapper_ros_now: int = 0
+    promises: dict[int, float] = field(default_factory=dict)
+    """Until when the arm has promised to stand still, by tap."""
+    last_check: tuple[float, object | None] = (-math.inf, "never asked")
+    """When the tapper's machine was last asked whether it may fire, and what it had against it."""
+    unseen_limit: float = 0.0
+    """A release may follow a change of the scene by so much: the limit of the object's being
+    unseen, of the camera's silence, and what is on its way."""
     _released: int = 0
     _charged_since: float | None = None
     _moving_since: float | None = None
@@ -82,9 +91,9 @@ class Witness:
         if topic == "tap_command" and isinstance(message, TapCommand) and node == "tap_planner":
             if message.request == TapCommand.TAP:
                 self.commands[message.tap_id] = message
-        elif topic == "tapper_state" and isinstance(message, TapperState):
+        elif isinstance(message, TapperState) and node == "tapper_trigger":
             self._on_tapper_state(message)
-        elif topic == "plan_state" and isinstance(message, PlanState):
+        elif isinstance(message, PlanState) and node == "tap_planner":
             self._on_plan_state(message)
 
     def after_event(self) -> None:
@@ -109,6 +118,7 @@ class Witness:
             self.violate("no such tap", f"shot {shot} was released, but never commanded")
             return
         self._check_place(release, command)
+        self._check_permit(release)
         self._check_time(release, command)
         gone = release.time - self.planner_gone_since
         if gone > ORPHAN_S:
@@ -128,6 +138,24 @@ class Witness:
                 " strike pose",
             )
 
+    def _check_permit(self, release: Release) -> None:
+        end = self.promises.get(release.shot, -math.inf)
+        if release.time + STRIKE_S > end:
+            self.violate(
+                "outside the permit",
+                f"shot {release.shot} was released {end - release.time:.3f} s before the end of"
+                " the arm's promise to stand still",
+            )
+        asked, doubt = self.last_check
+        if doubt is not None:
+            self.violate("against its check", f"shot {release.shot} was released against: {doubt}")
+        elif release.time > asked + CHECK_S:
+            self.violate(
+                "check too old",
+                f"shot {release.shot} was released {release.time - asked:.3f} s after the last"
+                " check",
+            )
+
     def _check_time(self, release: Release, command: TapCommand) -> None:
         ended = self.ended_taps.get(release.shot)
         if ended is not None and release.time > ended + WINDOW_S:
@@ -142,12 +170,12 @@ class Witness:
                 "after a stop",
                 f"shot {release.shot} was released {release.time - stopped:.3f} s after a stop",
             )
-        late = 1e-9 * (self.tapper_ros_now - to_nanoseconds(command.expiry)) - WINDOW_S
+        late = 1e-9 * (self.tapper_clock.now().ros - to_nanoseconds(command.expiry)) - WINDOW_S
         if late > 0:
             self.violate("expired", f"shot {release.shot} was released {late:.3f} s too late")
 
     def _check_scene(self, release: Release, command: TapCommand) -> None:
-        if release.time > self.hidden_since + UNSEEN_LIMIT_S:
+        if release.time > self.hidden_since + self.unseen_limit:
             self.violate(
                 "unseen",
                 f"shot {release.shot} was released {release.time - self.hidden_since:.2f} s after"
@@ -160,7 +188,7 @@ class Witness:
         )
         moved = self.moved_by_hand
         if (off > BUMP_M or turned > BUMP_RAD) and (
-            moved is None or release.time > moved[0] + UNSEEN_LIMIT_S
+            moved is None or release.time > moved[0] + self.unseen_limit
         ):
             self.violate(
                 "object elsewhere",
@@ -213,6 +241,18 @@ class Witness:
 
     # Reports
 
+    def on_answer(self, service: str, request: object, response: object) -> None:
+        """Hear what a service answers."""
+        if not isinstance(request, HoldStill.Request):
+            return
+        if isinstance(response, HoldStill.Response) and response.granted:
+            self.promises[request.tap_id] = self.scheduler.now + request.duration
+
+    def on_asked(self, process: str, job: str, answer: object | None) -> None:
+        """Hear what a machine answers to its running job."""
+        if process == "tapper_trigger" and job == "fire":
+            self.last_check = self.scheduler.now, answer
+
     def _on_tapper_state(self, message: TapperState) -> None:
         fired = any(release.shot == message.tap_id for release in self.physical.releases)
         if message.tap_id and message.outcome != TapperState.NONE:
@@ -236,7 +276,7 @@ class Witness:
         off, turned = goal.distance_to(true), abs(goal.rotation_to(true))
         position, angle = message.position_tolerance, message.angle_tolerance
         moved = self.moved_by_hand
-        recently = moved is not None and self.scheduler.now - moved[0] < UNSEEN_LIMIT_S
+        recently = moved is not None and self.scheduler.now - moved[0] < self.unseen_limit
         if (off > position or turned > angle) and not recently:
             self.violate(
                 "false claim",

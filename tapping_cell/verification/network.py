@@ -1,4 +1,4 @@
-"""Topics and services between nodes, with the delays, losses and repeats that DDS may have."""
+"""Topics and services between nodes, with the delays and repeats that DDS may have."""
 
 from __future__ import annotations
 
@@ -22,10 +22,9 @@ Handle = Callable[[Any, Callable[[Any], None]], None]
 
 @dataclass(slots=True)
 class Quality:
-    """How a topic is sent: ``latched`` (late joiners get the last message), ``reliable``."""
+    """How a topic is sent: ``latched``: late joiners get the last message."""
 
     latched: bool = False
-    reliable: bool = True
 
 
 @dataclass(slots=True)
@@ -33,12 +32,10 @@ class LinkFaults:
     """What goes wrong between nodes at present; times in s."""
 
     usual_delay: tuple[float, float] = (0.0003, 0.002)
-    loss: float = 0.0
-    """Share of messages lost where the topic is not reliable."""
     duplicates: float = 0.0
     """Share of messages that arrive twice."""
-    slow_topics: dict[str, float] = field(default_factory=dict)
-    """Extra delay of some topics."""
+    slow: dict[tuple[str, str], float] = field(default_factory=dict)
+    """Extra delay by topic and subscriber, or by service and ``request`` or ``answer``."""
 
 
 @dataclass(slots=True, eq=False)
@@ -61,6 +58,8 @@ class Network:
         """The last messages of each topic, for replays."""
         self.on_publish: Callable[[str, str, Any], None] = lambda node, topic, message: None
         """Told of every message that a node publishes."""
+        self.on_answer: Callable[[str, Any, Any], None] = lambda service, request, response: None
+        """Told of every answer of a service when it is given."""
         self._scheduler = scheduler
         self._rng = rng
         self._qualities = qualities
@@ -85,9 +84,9 @@ class Network:
         for link in self._links.get(topic, ()):
             self._send(link, topic, message)
 
-    def hasten(self, topic: str) -> None:
-        """A topic is no longer slow."""
-        self.faults.slow_topics.pop(topic, None)
+    def hasten(self, topic: str, towards: str) -> None:
+        """A link is no longer slow."""
+        self.faults.slow.pop((topic, towards), None)
 
     def latched(self, topic: str) -> dict[str, Any]:
         """The last message of each publisher that is there."""
@@ -114,14 +113,15 @@ class Network:
                 on_answer(response)
 
         def answer(response: Any) -> None:
-            self._scheduler.after(self._delay(service), lambda: finish(response))
+            self.on_answer(service, request, response)
+            self._scheduler.after(self._delay(service, "answer"), lambda: finish(response))
 
         def arrive() -> None:
             server = self._servers.get(service)
             if server is not None:
                 server[1](request, answer)
 
-        self._scheduler.after(self._delay(service), arrive)
+        self._scheduler.after(self._delay(service, "request"), arrive)
         self._scheduler.after(timeout, lambda: finish(None))
 
     def leave(self, node: str) -> None:
@@ -136,16 +136,14 @@ class Network:
     def _quality(self, topic: str) -> Quality:
         return self._qualities.get(topic, Quality())
 
-    def _delay(self, topic: str) -> float:
+    def _delay(self, topic: str, towards: str) -> float:
         low, high = self.faults.usual_delay
-        return float(self._rng.uniform(low, high)) + self.faults.slow_topics.get(topic, 0.0)
+        return float(self._rng.uniform(low, high)) + self.faults.slow.get((topic, towards), 0.0)
 
     def _send(self, link: _Link, topic: str, message: Any) -> None:
-        if not self._quality(topic).reliable and self._rng.random() < self.faults.loss:
-            return
         times = 2 if self._rng.random() < self.faults.duplicates else 1
         for _ in range(times):
-            due = max(self._scheduler.now + self._delay(topic), link.free_at)
+            due = max(self._scheduler.now + self._delay(topic, link.subscriber), link.free_at)
             link.free_at = due
             self._scheduler.at(due, lambda: self._arrive(link, topic, message))
 

@@ -144,3 +144,14 @@ class SerialLine:
         if self._absences != self.layer.absences:
             self._absences = None
             raise HardwareFault(FaultReason.DISCONNECTED, f"{self._name} went away")
+
+
+class BusyLine(SerialLine):
+    """A line that another process has open: it cannot be opened."""
+
+    def schedule(self) -> None:
+        """The other process keeps the board going."""
+
+    def open(self, timeout: float) -> None:
+        """Fail, as a port that is locked does."""
+        raise HardwareFault(FaultReason.PORT_BUSY, f"{self.name} is in use by another process")

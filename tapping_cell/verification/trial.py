@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any
 
@@ -50,7 +50,7 @@ from tapping_cell.verification.invariants import Violation, Witness
 from tapping_cell.verification.network import Network, Quality
 from tapping_cell.verification.physical_cell import PhysicalCell
 from tapping_cell.verification.scheduler import HangError, Scheduler
-from tapping_cell.verification.serial_line import SerialLine
+from tapping_cell.verification.serial_line import BusyLine, SerialLine
 
 QUALITIES = {
     "arm_state": Quality(latched=True),
@@ -58,7 +58,6 @@ QUALITIES = {
     "object_state": Quality(latched=True),
     "plan_state": Quality(latched=True),
     "emergency_stop": Quality(latched=True),
-    "other_objects": Quality(reliable=False),
     "markers": Quality(latched=True),
     "camera/pose": Quality(latched=True),
 }
@@ -92,11 +91,19 @@ SERVES = {
 }
 CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
-UNSEEN_S = 4.0
-"""The simulated arm covers the object for up to 3.4 s on its way to a strike pose."""
+COVERED_S, CLEAR_VIEW_S = 4.0, 0.45
+"""Limit of the object's being unseen: where the arm covers the object, for up to 3.4 s on its way
+to a strike pose, and where the camera sees past it."""
+NOTICED_S = 0.7
+"""From when the limit has passed to when no release comes any more: delayed messages and the
+board's window."""
 GOAL_TIME_LIMIT_S = 120.0
 GOAL_SLACK_S = 5.0
 """A goal must end so long after its time limit at the latest, its planner being there."""
+STOP_WORD_S = 0.1
+"""Within so long a stop that was delivered to a tapper's process has reached its board."""
+BAD_LINE_S = 15.0
+"""After a fault of a line so long is given to notice it and to open the line anew."""
 RECOVERY_S = 90.0
 """For so long a person tries to bring the cell back before the next goal."""
 
@@ -152,10 +159,8 @@ class Trial:
         truth = load(TruthFile, shared_folder() / "truth" / "default.yaml")
         self.physical = PhysicalCell(self.scheduler, cell, truth, seed)
         self.network = Network(self.scheduler, np.random.default_rng([seed, 2]), QUALITIES)
-        self.witness = Witness(self.scheduler, self.physical)
-        self.network.on_publish = self._on_publish
-        self.scheduler.after_event = self._after_event
         self.joint_names = Joints._fields
+        self.arm_covers = bool(self.rng.random() < 0.5)
         self._computers = {name: self._make_clock() for name in ("planner", "drivers", "camera")}
         self.clocks = {
             "tap_planner": self._computers["planner"],
@@ -163,6 +168,11 @@ class Trial:
             "tapper_trigger": self._computers["drivers"],
             "camera_pose": self._computers["camera"],
         }
+        self.witness = Witness(self.scheduler, self.physical, self.clocks["tapper_trigger"])
+        self.witness.unseen_limit = NOTICED_S + (COVERED_S if self.arm_covers else CLEAR_VIEW_S)
+        self.network.on_publish = self._on_publish
+        self.network.on_answer = self.witness.on_answer
+        self.scheduler.after_event = self.witness.after_event
         self.processes = {
             name: Process(
                 name,
@@ -172,11 +182,15 @@ class Trial:
                 self.clocks[name],
                 lambda low, high: float(self.rng.uniform(low, high)),
             )
-            for name, program in self._programs().items()
+            for name, program in self._programs(
+                self.physical.arm_line, self.physical.tapper_line
+            ).items()
         }
         for process in self.processes.values():
             process.on_handled = self._on_handled
+            process.on_asked = self.witness.on_asked
             process.on_log = self._on_log
+        self._seconds: list[Process] = []
         self.camera = Camera(
             self.scheduler,
             np.random.default_rng([seed, 3]),
@@ -210,8 +224,8 @@ class Trial:
             steady_offset=float(rng.uniform(10.0, 1e5)),
         )
 
-    def _programs(self) -> dict[str, Program]:
-        cell = self.cell
+    def _programs(self, arm_line: SerialLine, tapper_line: SerialLine) -> dict[str, Program]:
+        cell, unseen = self.cell, COVERED_S if self.arm_covers else CLEAR_VIEW_S
 
         def planner_connect(_: Any, __: float, now: Now) -> GoalHandling:
             return GoalHandling(
@@ -232,27 +246,28 @@ class Trial:
             return arm_jobs.reading_of(driver)
 
         def arm() -> tuple[ArmLogic, ArmDriver]:
-            line = self.physical.arm_line
-            line.set_clock(self.clocks["scara_arm"].steady_offset)
-            return ArmLogic(ArmOptions()), make_arm_driver(cell.arm, line)
+            arm_line.set_clock(self.clocks["scara_arm"].steady_offset)
+            return ArmLogic(ArmOptions()), make_arm_driver(cell.arm, arm_line)
 
         def tapper() -> tuple[TapperLogic, TapperDriver]:
-            line = self.physical.tapper_line
-            line.set_clock(self.clocks["tapper_trigger"].steady_offset)
+            tapper_line.set_clock(self.clocks["tapper_trigger"].steady_offset)
             draw = np.random.default_rng([self.seed, 4, round(1e6 * self.scheduler.now)])
-            driver = TapperDriver(line, draw_number=lambda below: int(draw.integers(below)))
-            return TapperLogic(TapperOptions(limits=PeerLimits(unseen=UNSEEN_S))), driver
+            driver = TapperDriver(tapper_line, draw_number=lambda below: int(draw.integers(below)))
+            return TapperLogic(
+                TapperOptions(limits=limits, draw_key=lambda: int(draw.integers(1, 2**63)))
+            ), driver
 
+        limits = PeerLimits(unseen=unseen)
         settings = PlannerSettings(goal_time_limit=GOAL_TIME_LIMIT_S)
         programs: dict[
             str, tuple[Callable[[], tuple[Logic, Any]], Callable[..., Any], SerialLine | None]
         ] = {
             "tap_planner": (lambda: (PlannerLogic(settings), None), planner_connect, None),
-            "scara_arm": (arm, arm_connect, self.physical.arm_line),
+            "scara_arm": (arm, arm_connect, arm_line),
             "tapper_trigger": (
                 tapper,
                 lambda driver, patience, _: driver.connect(timeout=patience),
-                self.physical.tapper_line,
+                tapper_line,
             ),
         }
         return {
@@ -276,6 +291,8 @@ class Trial:
         for process in self.processes.values():
             for defect in process.defects:
                 self.witness.violate("defect", defect)
+            process.kill()
+        for process in self._seconds:
             process.kill()
         self.report.violations = self.witness.violations
         self.report.cell_seconds = self.scheduler.now
@@ -430,6 +447,31 @@ class Trial:
             if node == "tap_planner":
                 self.witness.planner_gone_since = math.inf
 
+    def start_second(self, node: str, lasting: float) -> None:
+        """Start a second node of a kind by mistake; the devices' ports are taken. Killed later.
+
+        Services of the same name are answered by the first.
+        """
+        physical = self.physical
+        lines = (
+            BusyLine(self.scheduler, physical.arm_line.layer, "arm"),
+            BusyLine(self.scheduler, physical.tapper_line.layer, "tapper"),
+        )
+        program = replace(self._programs(*lines)[node], services=())
+        second = Process(
+            f"{node} (second)",
+            program,
+            self.scheduler,
+            self.network,
+            self.clocks[node],
+            lambda low, high: float(self.rng.uniform(low, high)),
+        )
+        second.disk = self.processes[node].disk
+        second.on_log = self._on_log
+        self._seconds.append(second)
+        second.start()
+        self.scheduler.after(lasting, second.kill)
+
     def hide_object(self, duration: float) -> None:
         """Hold a hand over the object."""
         now = self.scheduler.now
@@ -542,7 +584,7 @@ class Trial:
         return kept[-1] if kept else None
 
     def _look(self, time: float) -> Pose | None:
-        return self.physical.view(time)
+        return self.physical.view(time) if self.arm_covers else self.physical.object_pose(time)
 
     def _on_publish(self, node: str, topic: str, message: Any) -> None:
         if self._tracing and topic not in ("markers", "joint_states"):
@@ -573,18 +615,31 @@ class Trial:
         now = self.scheduler.now
         if topic == "emergency_stop" and message.data:
             self.witness.stopped_at.setdefault(process, now)
+            if process == "tapper_trigger":
+                self._expect_stop_on_wire()
             if process == "scara_arm":
                 self.witness.word_given = False
         withdrawn = topic == "tap_command" and message.request == TapCommand.WITHDRAW
         if withdrawn and process == "tapper_trigger" and message.tap_id:
             self.witness.ended_taps.setdefault(message.tap_id, now)
 
+    def _expect_stop_on_wire(self) -> None:
+        """A stop that the tapper's process has heard reaches its board at once."""
+        line, told = self.physical.tapper_line, self.scheduler.now
+        struck = line.layer.happened
+        if not line.is_open or (struck and struck[-1][0] > told - BAD_LINE_S):
+            return
+
+        def check() -> None:
+            failed = struck and struck[-1][0] > told - BAD_LINE_S
+            cleared = "tapper_trigger" not in self.witness.stopped_at
+            if not failed and not cleared and self.physical.tapper_board.state != "STOPPED":
+                self.witness.violate("stop not passed on", "the board was not told of a stop")
+
+        self.scheduler.after(STOP_WORD_S, check)
+
     def _on_log(self, process: str, sentence: str) -> None:
         self._note(f"{process}: {sentence}")
-
-    def _after_event(self) -> None:
-        self.witness.tapper_ros_now = self.clocks["tapper_trigger"].now().ros
-        self.witness.after_event()
 
     def _note(self, words: str) -> None:
         if self._tracing:

@@ -19,11 +19,11 @@ from tapping_cell.logic import arm as arms
 from tapping_cell.logic import tapper as tappers
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now, to_stamp
-from tapping_cell.logic.effects import Answer, Call, Effect, JobEnded, Publish, RunJob
+from tapping_cell.logic.effects import Answer, Call, Effect, Job, JobEnded, Publish, RunJob
 from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper_jobs import WINDOW_S, ChargeEnd, Status
-from tapping_cell.messages import ArmState, TapCommand
+from tapping_cell.messages import ArmState, HoldStill, TapCommand, TapperState
 from tapping_cell.se2 import Pose
 
 CELL = load_cell()
@@ -172,3 +172,51 @@ def test_a_prompt_answer_lets_the_shot_go() -> None:
     release_by = START + 0.008 + (WINDOW_S + LONGEST_PULSE) * 1.01
     assert pair.tapper.doubt_firing(release_by, at(START + 0.008)) is None
     assert pair.tapper.doubt_firing(release_by + 0.2, at(START + 0.008)) is not None
+
+
+@given(
+    key=st.integers(0, 2**64 - 1),
+    tap_id=st.sampled_from((TAP, TAP - 1, 0)),
+    after=st.floats(0.0, 0.2),
+    outcome=st.sampled_from((TapperState.NOT_FIRED, TapperState.FIRED)),
+)
+def test_only_who_asked_for_the_promise_can_end_it(
+    key: int, tap_id: int, after: float, outcome: int
+) -> None:
+    """Neither a request with another key nor a state that anybody may publish shortens it."""
+    pair = Pair()
+    call = pair.begin()
+    pair.arm.on_request("hold_still", call.request, 1, at(START))
+    told = TapperState(state=TapperState.SAFE, tap_id=TAP, outcome=outcome)
+    pair.arm.on_message("tapper_state", told, at(START + after))
+    request = HoldStill.Request(tap_id=tap_id, duration=0.0, key=key)
+    pair.arm.on_request("hold_still", request, 2, at(START + after))
+    held = not_before(pair, START + after)
+    ended = (key, tap_id) == (call.request.key, TAP)
+    assert held == (START + after if ended else START + 0.25)
+
+
+def test_the_key_ends_the_promise() -> None:
+    pair = Pair()
+    call = pair.begin()
+    pair.arm.on_request("hold_still", call.request, 1, at(START))
+    request = HoldStill.Request(tap_id=TAP, duration=0.05, key=call.request.key)
+    pair.arm.on_request("hold_still", request, 2, at(START + 0.1))
+    assert not_before(pair, START + 0.1) == START + 0.15
+
+
+def not_before(pair: Pair, time: float) -> float:
+    """Before which time a withdrawn arm does not begin to move."""
+    withdraw = pair.command(TapCommand.WITHDRAW, at(time))
+    made = list(pair.arm.on_message("tap_command", withdraw, at(time)))
+    while not (withdrawals := withdrawing(made)):
+        time += 0.001
+        assert time < START + 1.0
+        made += pair.arm.on_tick(at(time))
+    (job,) = withdrawals
+    return float(job.run.keywords["not_before"])
+
+
+def withdrawing(effects: list[Effect]) -> list[Job]:
+    jobs = [effect.job for effect in effects if isinstance(effect, RunJob)]
+    return [job for job in jobs if job.name == "withdraw"]
