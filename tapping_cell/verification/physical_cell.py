@@ -91,7 +91,7 @@ class PhysicalCell:
         file = self.cell.file
         lens = np.array(self.truth.camera.position)
         radius = self.cell.object.body().bounding_radius
-        for solid in arm_solids(file.arm, file.tapper, self._base, self.joints(time)):
+        for solid in arm_solids(self.cell.arm, file.tapper, self._base, self.joints(time)):
             scale = (lens[2] - self.cell.object.height) / (lens[2] - solid.points[:, 2])
             shadow = lens[:2] + (solid.points[:, :2] - lens[:2]) * scale[:, None]
             hull = cv2.convexHull(shadow.astype(np.float32))
