@@ -27,6 +27,7 @@ SECTIONS = ("calibrate", "drivers", "emergency_stop", "mechanics", "vision")
 # Long: only when named.
 LONG_SECTIONS = (
     "calibration",
+    "cycle",
     "demos",
     "disarm",
     "idle",
@@ -68,8 +69,8 @@ def make_parser() -> argparse.ArgumentParser:
         "--experiments",
         type=int,
         metavar="N",
-        help="experiments of calibration and lack-of-fit, demos a truth, losses of disarm, scenes "
-        "of outline, scenes or frames of vision*, seconds of node and idle",
+        help="experiments of calibration and lack-of-fit, demos a truth, goals of cycle, losses of "
+        "disarm, scenes of outline, scenes or frames of vision*, seconds of node and idle",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(

@@ -20,7 +20,7 @@ def generate_launch_description() -> LaunchDescription:
         ),
         LaunchedNode("camera_pose", FILES, respawn=True),
         LaunchedNode("tap_planner", {**FILES, "planner": "planner"}),
-        LaunchedNode("scara_arm", CELL),
+        LaunchedNode("scara_arm", FILES),
         LaunchedNode("tapper_trigger", CELL),
         LaunchedNode("run_recorder", {**FILES, "runs": "folder"}, respawn=True),
     )

@@ -22,7 +22,7 @@ def generate_launch_description() -> LaunchDescription:
         LaunchedNode("tap_planner", {**FILES, "planner": "planner"}),
         LaunchedNode(
             "scara_arm",
-            {**CELL, "arm_port": "port"},
+            {**FILES, "arm_port": "port"},
             # Nobody can be hurt by a simulated arm.
             parameters={"home_on_activate": True},
         ),

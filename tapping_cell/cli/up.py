@@ -312,7 +312,7 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
         "overhead_camera": dict(place),
         "camera_pose": files,
         "tap_planner": dict(files),
-        "scara_arm": dict(place),
+        "scara_arm": dict(files),
         "tapper_trigger": dict(place),
         RECORDER: {**files, **seed},
     }

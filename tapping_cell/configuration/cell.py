@@ -22,6 +22,7 @@ from tapping_cell.configuration.schema import (
 )
 from tapping_cell.configuration.table import load_camera_model, load_reference_map
 from tapping_cell.hardware.arm_settings import ArmSettings
+from tapping_cell.hardware.arm_shape import ArmShape
 from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.controller_needs import ControllerNeeds, needs_of
 from tapping_cell.hardware.energy import EnergyCurve
@@ -153,6 +154,24 @@ class ArmSection:
     homing: str = choice("how the arm is homed", "firmware", "manual_pose", "none")
     home: FourNumbers = quantity(
         "joints where homing ends: rad, rad, m, rad", "", -20.0, 20.0, default=(0.0,) * 4
+    )
+    near_height: float = quantity(
+        "height over the strike pose from which the striker is lowered at near_speed",
+        "m",
+        0.0,
+        0.2,
+        default=0.015,
+    )
+    link_half_width: float = quantity(
+        "half the width of the links as the camera sees them", "m", 0.001, 0.5, default=0.03
+    )
+    link_thickness: float = quantity("height of the links", "m", 0.001, 0.5, default=0.04)
+    link_clearance: float = quantity(
+        "undersides of the links over the tip with the quill at zero",
+        "m",
+        -0.5,
+        1.0,
+        default=0.03,
     )
     axes_without_switch: tuple[JointName, ...] = choice(
         "joints that homing does not move: a person turns them to their home before it",
@@ -303,8 +322,19 @@ class ArmSection:
             travel_height=self.travel_height,
             travel_speed=self.travel_speed,
             near_speed=self.near_speed,
+            near_height=self.near_height,
             back_off=self.back_off,
             park=self.park,
+        )
+
+    def shape(self, tapper: TapperSection) -> ArmShape:
+        """What of the arm and its tool can hide the table from the camera."""
+        return ArmShape(
+            link_half_width=self.link_half_width,
+            link_thickness=self.link_thickness,
+            link_clearance=self.link_clearance,
+            tool_half_width=tapper.tool_radius,
+            tool_length=tapper.tool_length,
         )
 
 

@@ -183,25 +183,29 @@ class ArmDriver:
         speed: float = 0.5,
         deadline: float | None = None,
         via: Iterable[float] | None = None,
+        via_speed: float | None = None,
     ) -> ArmReading:
         """Move straight in joint space; returns when idle and read back within tolerance.
 
         ``speed``: fraction of the joint speeds, in (0, 1]. ``deadline``: time of the transport's
         clock, computed from the move when None. ``via``: joints on the way, which nobody confirms:
-        for where it does no harm if their line is lost. Raises HardwareFault: OUT_OF_RANGE,
-        NOT_HOMED, POSITION_LOST, POSITION_MISMATCH, TIMEOUT (the arm is then stopped), ALARM,
-        STOPPED, BOARD_RESET, REJECTED, DISCONNECTED.
+        for where it does no harm if their line is lost; ``via_speed``: up to there. Raises
+        HardwareFault: OUT_OF_RANGE, NOT_HOMED, POSITION_LOST, POSITION_MISMATCH, TIMEOUT (the arm
+        is then stopped), ALARM, STOPPED, BOARD_RESET, REJECTED, DISCONNECTED.
         """
         goal = Joints(*joints)
-        if not 0 < speed <= 1:
-            sentence = f"speed {speed:g} must be a fraction in (0, 1]"
-            raise HardwareFault(FaultReason.OUT_OF_RANGE, sentence)
+        first_speed = speed if via_speed is None else via_speed
+        for fraction in (first_speed, speed):
+            if not 0 < fraction <= 1:
+                sentence = f"speed {fraction:g} must be a fraction in (0, 1]"
+                raise HardwareFault(FaultReason.OUT_OF_RANGE, sentence)
         legs = (goal,) if via is None else (Joints(*via), goal)
         for leg in legs:
             check_limits(self.geometry, leg)
         self._require_ready(homed=True)
+        speeds = (speed,) if via is None else (first_speed, speed)
         try:
-            return self._move(legs, speed, deadline)
+            return self._move(legs, speeds, deadline)
         except HardwareFault as fault:
             raise self._noted(fault) from fault.__cause__
 
@@ -209,7 +213,9 @@ class ArmDriver:
         """Take the waypoints one by one, settle, and read back once more; raises as ``move_to``."""
         last: Joints | None = None
         for waypoint in path:
-            self.move_to(waypoint.joints, waypoint.speed, via=waypoint.via)
+            self.move_to(
+                waypoint.joints, waypoint.speed, via=waypoint.via, via_speed=waypoint.via_speed
+            )
             last = waypoint.joints
         return self.settle(last)
 
@@ -266,7 +272,9 @@ class ArmDriver:
             raise noted from fault.__cause__
         self._fault = None
 
-    def _move(self, legs: tuple[Joints, ...], speed: float, deadline: float | None) -> ArmReading:
+    def _move(
+        self, legs: tuple[Joints, ...], speeds: tuple[float, ...], deadline: float | None
+    ) -> ArmReading:
         goal = legs[-1]
         start = self._recent() or self._read()
         self._fresh = None
@@ -289,7 +297,7 @@ class ArmDriver:
                 " the fault and home again",
             )
         places = (start.joints, *legs)
-        duration = self._duration(places, speed)
+        duration = self._duration(places, speeds)
         if deadline is None:
             deadline = (
                 self._transport.now()
@@ -303,9 +311,9 @@ class ArmDriver:
                 self.counters.retries += attempt > 0
                 # From here on the arm may be anywhere between start and goal.
                 self._confirmed = None
-                refusal = self._send(places, speed, deadline)
+                refusal = self._send(places, speeds, deadline)
                 if refusal is None:
-                    end = self._transport.now() + self._duration(places, speed)
+                    end = self._transport.now() + self._duration(places, speeds)
                     reading = self._arrive(end, deadline)
                 if refusal is not None or not self._agrees(goal, reading.joints):
                     if refusal is not None and len(places) > 2:
@@ -323,7 +331,7 @@ class ArmDriver:
                 stands = [n for n, p in enumerate(places[:-1]) if self._agrees(p, reading.joints)]
                 if reading.moving or not stands:
                     break
-                places = places[stands[-1] :]
+                places, speeds = places[stands[-1] :], speeds[stands[-1] :]
         except HardwareFault as fault:
             if fault.reason is FaultReason.TIMEOUT:
                 raise self._halted(
@@ -342,15 +350,18 @@ class ArmDriver:
         self._confirmed = reading.joints
         raise outcome
 
-    def _duration(self, places: Sequence[Joints], speed: float) -> float:
-        return sum(move_duration(self.geometry, a, b, speed) for a, b in pairwise(places))
+    def _duration(self, places: Sequence[Joints], speeds: Sequence[float]) -> float:
+        return sum(
+            move_duration(self.geometry, a, b, speed)
+            for (a, b), speed in zip(pairwise(places), speeds, strict=True)
+        )
 
     def _send(
-        self, places: Sequence[Joints], speed: float, deadline: float
+        self, places: Sequence[Joints], speeds: Sequence[float], deadline: float
     ) -> HardwareFault | None:
         """Send what leads from place to place; returns the controller's refusal of a step."""
         moves: list[StraightMove] = []
-        for start, goal in pairwise(places):
+        for (start, goal), speed in zip(pairwise(places), speeds, strict=True):
             target = self._to_axes(goal)
             length = math.dist(self._to_axes(start), target)
             time = max(

@@ -13,8 +13,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints, ReachCode, ScaraGeometry, TipPose
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +31,9 @@ class MotionSettings:
     travel_speed: float = 0.8
     """Fraction of the joint speeds while raised."""
     near_speed: float = 0.4
-    """Fraction of the joint speeds while lowering, raising and backing off."""
+    """Fraction of the joint speeds while backing off, and while lowering the last of the way."""
+    near_height: float = 0.015
+    """Over the strike pose, m: above it the striker is lowered at ``travel_speed``."""
     back_off: float = 0.005
     """Backwards along the line of travel before raising from a strike pose, m."""
     park: tuple[float, float, float, float] = (1.2, 1.2, -0.020, 0.0)
@@ -48,9 +55,11 @@ class Waypoint:
     joints: Joints
     speed: float
     phase: str
-    """``raise``, ``travel``, ``lower`` or ``park``."""
+    """``raise``, ``travel``, ``lower``, ``look`` or ``park``."""
     via: Joints | None = None
     """Passed on the way, straight to it and straight on."""
+    via_speed: float | None = None
+    """Fraction of the joint speeds up to ``via``; None for ``speed``."""
 
 
 def strike_path(
@@ -67,24 +76,58 @@ def strike_path(
         raise HardwareFault(FaultReason.UNREACHABLE, solution.reason)
     clear = _clear_quill(geometry, settings)
     goal = solution.joints
+    above = goal._replace(quill=max(goal.quill, clear))
+    fast = settings.travel_speed
+    slow_from = goal._replace(quill=goal.quill + settings.near_height)
+    brief = slow_from.quill >= above.quill - 1e-9
+    # Should the line of the fast step be lost, all of the way is slow: no harm.
+    lower = Waypoint(goal, near, "lower", None if brief else slow_from, None if brief else fast)
     return _moves(
         Joints(*current),
         Waypoint(Joints(*current)._replace(quill=max(current[2], clear)), near, "raise"),
-        Waypoint(goal._replace(quill=max(goal.quill, clear)), settings.travel_speed, "travel"),
-        Waypoint(goal, near, "lower"),
+        Waypoint(above, fast, "travel"),
+        lower,
     )
 
 
 def withdraw_path(
     geometry: ScaraGeometry, current: Sequence[float], settings: MotionSettings
 ) -> tuple[Waypoint, ...]:
-    """Waypoints from joints ``current`` to the park pose: back off while low, raise, travel, park.
+    """Waypoints from joints ``current`` to the park pose: back off while low, raise, travel,
+    park."""
+    park = Joints(*settings.park)
+    above = park._replace(quill=max(park.quill, _clear_quill(geometry, settings)))
+    return _moves(
+        Joints(*current),
+        raise_step(geometry, current, settings),
+        Waypoint(above, settings.travel_speed, "travel"),
+        Waypoint(park, settings.near_speed, "park"),
+    )
+
+
+def look_path(
+    geometry: ScaraGeometry,
+    current: Sequence[float],
+    look: Sequence[float],
+    settings: MotionSettings,
+) -> tuple[Waypoint, ...]:
+    """Waypoints from joints ``current`` to ``look`` at travel height: back off, raise, travel."""
+    return _moves(
+        Joints(*current),
+        raise_step(geometry, current, settings),
+        Waypoint(Joints(*look), settings.travel_speed, "look"),
+    )
+
+
+def raise_step(
+    geometry: ScaraGeometry, current: Sequence[float], settings: MotionSettings
+) -> Waypoint:
+    """From joints ``current`` backwards along the line of travel, then up to travel height.
 
     Backing off is left out when the tip is above travel height already or when the pose behind is
     out of reach; it spares a rod that stayed out from rubbing along the object.
     """
     start = Joints(*current)
-    steps: list[Waypoint] = []
     here = geometry.forward(start)
     low, via = start, None
     if settings.back_off > 0 and here.z < settings.travel_height:
@@ -96,14 +139,9 @@ def withdraw_path(
         if solution.joints is not None:
             # Should the line of this step be lost, the striker rises where it stands: no harm.
             low = via = solution.joints
-    park = Joints(*settings.park)
-    clear = _clear_quill(geometry, settings)
-    raised = low._replace(quill=max(start.quill, clear))
-    steps.append(Waypoint(raised, settings.near_speed, "raise", via))
-    above = park._replace(quill=max(park.quill, clear))
-    steps.append(Waypoint(above, settings.travel_speed, "travel"))
-    steps.append(Waypoint(park, settings.near_speed, "park"))
-    return _moves(start, *steps)
+    raised = low._replace(quill=max(start.quill, _clear_quill(geometry, settings)))
+    # Nothing lies above: only the step backwards is near the object.
+    return Waypoint(raised, settings.travel_speed, "raise", via, settings.near_speed)
 
 
 def move_duration(
@@ -114,14 +152,19 @@ def move_duration(
     One trapezoid for all joints: along the line the speed is the largest that keeps every joint
     within its speed, the acceleration the largest that keeps every joint within its own.
     """
-    distances = [abs(b - a) for a, b in zip(start, goal, strict=True)]
-    at_speed = max(d / (v * speed) for d, v in zip(distances, geometry.max_speed, strict=True))
-    if at_speed == 0:
-        return 0.0
-    # Acceleration along the line in 1/s2, with the whole line as the unit of length.
-    pull = min(a / d for d, a in zip(distances, geometry.max_acceleration, strict=True) if d > 0)
-    ramp = 1 / (at_speed * pull)
-    return at_speed + ramp if ramp <= at_speed else 2 * math.sqrt(1 / pull)
+    return float(move_durations(geometry, start, goal, speed))
+
+
+def move_durations(
+    geometry: ScaraGeometry, start: ArrayLike, goal: ArrayLike, speed: float
+) -> Array:
+    """``move_duration`` of many moves: joints (..., 4) each, which broadcast; NaN stays NaN."""
+    distances = np.abs(np.asarray(goal, dtype=float) - np.asarray(start, dtype=float))
+    at_speed = np.max(distances / (np.array(geometry.max_speed) * speed), axis=-1)
+    # 1 over the acceleration along the line in s2, with the whole line as the unit of length.
+    pull = np.max(distances / np.array(geometry.max_acceleration), axis=-1)
+    ramp = pull / np.where(at_speed > 0, at_speed, 1.0)
+    return np.where(ramp <= at_speed, at_speed + ramp, 2 * np.sqrt(pull))
 
 
 def path_duration(
@@ -131,7 +174,8 @@ def path_duration(
     total, here = 0.0, tuple(start)
     for waypoint in path:
         if waypoint.via is not None:
-            total += move_duration(geometry, here, waypoint.via, waypoint.speed)
+            speed = waypoint.speed if waypoint.via_speed is None else waypoint.via_speed
+            total += move_duration(geometry, here, waypoint.via, speed)
             here = waypoint.via
         total += move_duration(geometry, here, waypoint.joints, waypoint.speed)
         here = waypoint.joints

@@ -15,7 +15,7 @@ from typing import Any
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.arm_settings import HomingStrategy
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.motion import MotionSettings, check_limits
+from tapping_cell.hardware.motion import MotionSettings, Waypoint, check_limits
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
 from tapping_cell.logic import arm_jobs, enabling, tap_commands
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
@@ -36,6 +36,7 @@ from tapping_cell.logic.host import Configured
 from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.tap_commands import Trouble
 from tapping_cell.logic.transitions import StateMachine, table
+from tapping_cell.logic.withdrawal import Scene, withdrawal
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
@@ -92,6 +93,7 @@ class Event(Enum):
     GIVEN_UP = "withdraw or expiry"
     FREE = "promise over"
     WITHDRAWN = "withdrawn"
+    PARK = "withdraw again"
     TRAJECTORY = "trajectory"
     FOLLOWED = "followed"
     FAILED = "failed"
@@ -115,6 +117,7 @@ TABLE = table(
         ((S.PLACING, S.IN_POSITION), Event.GIVEN_UP, (S.LEAVING,)),
         ((S.LEAVING,), Event.FREE, (S.WITHDRAWING,)),
         ((S.WITHDRAWING,), Event.WITHDRAWN, (S.IDLE,)),
+        ((S.IDLE, S.WITHDRAWING), Event.PARK, (S.WITHDRAWING,)),
         ((S.IDLE,), Event.TRAJECTORY, (S.FOLLOWING,)),
         ((S.FOLLOWING,), Event.FOLLOWED, (S.IDLE,)),
         (UNSTOPPED, Event.FAILED, (S.FAULT, S.NOT_HOMED, S.DISCONNECTED)),
@@ -161,6 +164,8 @@ class ArmOptions:
     """Hz."""
     set_up: bool = False
     """Set-up mode: the arm moves slowly, and only while an enabling device is held."""
+    look_early: bool = True
+    """Whether it withdraws only until the camera sees the object; else to the park pose."""
 
 
 class ArmLogic(DeviceLogic[State, Event]):
@@ -187,6 +192,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._last_tap_id = 0
         self._expiry = 0
         self._halting = False
+        self._camera: tuple[float, float, float] | None = None
+        self._scene: Scene | None = None
+        self._to_park = False
         self._promised_tap = 0
         self._promise_end = -math.inf
         self._outcome_told = 0
@@ -206,6 +214,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         elif topic == enabling.TOPIC:
             self._enabling.hear_key(message.data, now)
             self._watch_enabling(now)
+        elif topic == "camera/pose":
+            place = message.pose.position
+            self._camera = (place.x, place.y, place.z)
 
     def _handle_request(self, service: str, request: Message, token: Token, now: Now) -> None:
         if service == "~/home":
@@ -221,6 +232,8 @@ class ArmLogic(DeviceLogic[State, Event]):
             ours = command.tap_id != 0 and command.tap_id == self._tap_id
             if ours and self.state in (S.PLACING, S.IN_POSITION):
                 self._give_up(now)
+            elif command.tap_id != 0 and command.tap_id == self._last_tap_id:
+                self._withdraw_again(now)
             return
         refusal = self._refusal(command, now)
         if refusal is not None:
@@ -231,7 +244,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._tap_id = self._last_tap_id = command.tap_id
         self._expiry = to_nanoseconds(command.expiry)
         self._trouble = (ErrorCode.NONE, "")
-        self._clear_of_camera = False
+        self._clear_of_camera = self._to_park = False
+        self._scene = self._scene_of(command)
         arm = self._cell.file.arm
         tip = self._cell.arm_base.inverse() @ from_message(command.strike_pose)
         place = TipPose(tip.x, tip.y, arm.strike_height, tip.theta)
@@ -245,6 +259,36 @@ class ArmLogic(DeviceLogic[State, Event]):
                 not_before=self._promise_end,
             ),
         )
+
+    def _scene_of(self, command: TapCommand) -> Scene | None:
+        """What must be seen after a tap; None where that is not known."""
+        if self._camera is None or not self._options.look_early:
+            return None
+        poses = (command.object_pose, command.predicted_pose, command.strike_pose)
+        before, predicted, strike = (from_message(pose) for pose in poses)
+        numbers = (*self._camera, *before, *predicted, *strike)
+        if not all(map(math.isfinite, numbers)):
+            return None
+        return Scene(self._camera, before, predicted, strike)
+
+    def _withdraw_again(self, now: Now) -> None:
+        """The pose to which the arm has withdrawn does not do: park it."""
+        if self.state in (S.LEAVING, S.WITHDRAWING):
+            self._to_park = True
+            return
+        may_move = self._active and self.state is S.IDLE and self._enabled(now)
+        if may_move and self._clear_of_camera and self._scene is not None:
+            self._park()
+
+    def _park(self) -> None:
+        self._machine.move(Event.PARK, S.WITHDRAWING)
+        self._clear_of_camera = self._to_park = False
+        self._scene = None
+        self._run_withdrawal()
+
+    def _run_withdrawal(self) -> None:
+        plan = partial(_plan_withdrawal, self._cell, self._scene, self._motion())
+        self._run("withdraw", partial(arm_jobs.withdraw, plan=plan, not_before=self._promise_end))
 
     def _refusal(self, command: TapCommand, now: Now) -> Trouble | None:
         """Why a tap command is not taken; None when it is."""
@@ -394,10 +438,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         told = self._outcome_told == self._tap_id
         if told or now.steady >= self._promise_end:
             self._machine.move(Event.FREE, S.WITHDRAWING)
-            self._run(
-                "withdraw",
-                partial(arm_jobs.withdraw, motion=self._motion(), not_before=self._promise_end),
-            )
+            if self._to_park:
+                self._scene = None
+            self._run_withdrawal()
 
     # Jobs
 
@@ -423,6 +466,8 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._placed, self._strayed = reading.joints, 0
         elif name == "follow":
             self._machine.move(Event.FOLLOWED, S.IDLE)
+        elif name == "withdraw" and self._to_park and self._scene is not None:
+            self._park()
         else:
             event = Event.HOMED if name == "home" else Event.WITHDRAWN
             self._machine.move(event, S.IDLE)
@@ -632,7 +677,16 @@ class ArmLogic(DeviceLogic[State, Event]):
         return Publish("arm_state", message)
 
     def _comparable(self, message: Message) -> Message:
-        return message.state, message.tap_id, message.enabled, message.error_code, message.error_msg
+        # While it moves, the end of each move is told at once.
+        read = self._read_stamp if self.state is S.PLACING else None
+        trouble = message.error_code, message.error_msg
+        return message.state, message.tap_id, message.enabled, *trouble, read
+
+
+def _plan_withdrawal(
+    cell: Cell, scene: Scene | None, motion: MotionSettings, here: Joints
+) -> tuple[Waypoint, ...]:
+    return withdrawal(cell, scene, here, motion)
 
 
 INACTIVE_TROUBLE = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activate it")

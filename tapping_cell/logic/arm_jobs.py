@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from tapping_cell.hardware.arm import ArmDriver
@@ -90,12 +90,17 @@ def place(
     return MotionEnd(not context.abandoned(), _told(driver, reading))
 
 
-def withdraw(context: JobContext, motion: MotionSettings, not_before: float) -> MotionEnd:
-    """Leave the strike pose and park, not before a time of the steady clock."""
+def withdraw(
+    context: JobContext, plan: Callable[[Joints], Sequence[Waypoint]], not_before: float
+) -> MotionEnd:
+    """Leave the strike pose by a path from the present joints, not before a time of the steady
+    clock."""
     driver: ArmDriver = context.driver
     here = driver.read_joints()
+    path = plan(here)
     _wait(context, not_before)
-    return _park(context, here, motion)
+    complete = _move_along(context, path)
+    return MotionEnd(complete, _told(driver, driver.read()))
 
 
 def follow(
@@ -138,6 +143,8 @@ def _move_along(context: JobContext, path: Sequence[Waypoint], expiry: int | Non
     for waypoint in path:
         if context.abandoned() or (expiry is not None and context.now().ros > expiry):
             return False
-        reading = driver.move_to(waypoint.joints, waypoint.speed, via=waypoint.via)
+        reading = driver.move_to(
+            waypoint.joints, waypoint.speed, via=waypoint.via, via_speed=waypoint.via_speed
+        )
         context.post(_told(driver, reading))
     return not context.abandoned()

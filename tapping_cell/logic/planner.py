@@ -52,6 +52,10 @@ from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.se2 import Pose
 
 TICK_S = 0.1
+HIDDEN_S = 0.7
+"""An object that is not seen for so long after the arm withdrew may be hidden by it: it parks."""
+PARKING_S = 0.5
+"""Within so long an arm that was told to park says that it moves."""
 REPORT_PERIOD_S = 0.5
 """Between two reports while nothing changes. While a tap is under way every tick reports: the
 tapper discharges the striker when this heartbeat ends."""
@@ -84,6 +88,7 @@ class Event(Enum):
     OUTCOME_TOLD = "tapper told the outcome"
     GIVEN_UP = "tap given up"
     WITHDRAWN = "arm withdrawn"
+    HIDDEN = "object hidden"
     GOAL_MET = "goal met"
     GOAL_FAILED = "goal failed"
     GOAL_CANCELED = "goal canceled"
@@ -110,6 +115,7 @@ TABLE = table(
         (TAPPING, Event.OUTCOME_TOLD, (S.SETTLING,)),
         (TAPPING, Event.GIVEN_UP, (S.SETTLING,)),
         ((S.SETTLING,), Event.WITHDRAWN, (S.LOOKING,)),
+        ((S.LOOKING,), Event.HIDDEN, (S.SETTLING,)),
         ((S.PLANNING,), Event.GOAL_MET, (S.REACHED, S.IDLE)),
         (WORKING, Event.GOAL_FAILED, (S.FAILED,)),
         (WORKING, Event.GOAL_CANCELED, (S.CANCELED,)),
@@ -164,6 +170,8 @@ class PlannerLogic:
         self._look_after = -math.inf
         self._last_tap_id = 0
         self._withdrawn_tap_id = 0
+        self._parked_tap_id = 0
+        self._parking_until = -math.inf
         self._reported_at = -math.inf
         self._resumed: Request | None = None
         self._effects: list[Effect] = []
@@ -433,6 +441,11 @@ class PlannerLogic:
             if self._monitor.silent("object", now):
                 # Its node may be on the way back: it has as long as any part of the cell.
                 self._wait_again(now)
+            elif self._hidden_by_arm(now):
+                self._park(now)
+                self._parking_until = now.steady + PARKING_S
+                deadline = self._settings.withdraw_deadline
+                self._enter(Event.HIDDEN, S.SETTLING, now, deadline)
             elif self._late(now):
                 self._fail(*self._monitor.blind(self._settings.look_deadline, needed, now), now)
             return
@@ -562,7 +575,7 @@ class PlannerLogic:
         if shot is not None:
             # What the tapper tells later of a tap whose outcome was not known.
             shot.outcome = self._monitor.outcome(shot.tap_id) or shot.outcome
-        if self._monitor.withdrawn(now):
+        if self._monitor.withdrawn(now) and now.steady >= self._parking_until:
             self._look_after = now.steady
             self._enter(Event.WITHDRAWN, S.LOOKING, now, self._settings.look_deadline)
             return
@@ -617,10 +630,28 @@ class PlannerLogic:
         if tap_id == self._withdrawn_tap_id:
             return
         self._withdrawn_tap_id = tap_id
+        self._publish_withdrawal(tap_id, now)
+
+    def _publish_withdrawal(self, tap_id: int, now: Now) -> None:
         command = TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id)
         command.header.stamp = to_stamp(now.ros)
         command.header.frame_id = "table"
         self._effects.append(Publish("tap_command", command))
+
+    def _hidden_by_arm(self, now: Now) -> bool:
+        """True when the object should be seen and is not, and the arm may have to park."""
+        if self._withdrawn_tap_id in (0, self._parked_tap_id):
+            return False
+        looked = now.steady - self._look_after
+        return min(looked, self._monitor.unseen_for(now)) > HIDDEN_S
+
+    def _park(self, now: Now) -> None:
+        """Send the arm on to its park pose: a second withdrawal says so."""
+        tap_id = self._withdrawn_tap_id
+        if tap_id in (0, self._parked_tap_id):
+            return
+        self._parked_tap_id = tap_id
+        self._publish_withdrawal(tap_id, now)
 
     # States and their ends
 
@@ -648,6 +679,7 @@ class PlannerLogic:
             task.lose(self._shot)
         self._report(now, code, sentence)
         self._task = self._shot = None
+        self._park(now)
         self._effects.append(KeepGoal(None))
         try:
             self.goals.learn(task)

@@ -27,7 +27,7 @@ class PlannerSettings:
         default=5.0,
     )
     frames_needed: int = quantity(
-        "minimum number of stationary frames to fuse", "", 1, 1000, default=10
+        "minimum number of stationary frames to fuse", "", 1, 1000, default=5
     )
     goal_time_limit: float = quantity(
         "time after which a goal that states no limit is given up", "s", 1.0, 86400.0, default=600.0

@@ -39,6 +39,9 @@ SHOT_S = 0.18
 """What must be left of the promise to begin a shot: a question to the board, the window, the
 pulse and the flight."""
 HOLD_ATTEMPTS = 5
+LONGEST_CHARGED_S = 3.0
+"""A striker that was charged while the arm lowered it is discharged where the arm is not in
+position so long afterwards."""
 
 
 class State(Enum):
@@ -50,7 +53,7 @@ class State(Enum):
     """A tap is taken; the arm is on its way."""
     CHARGING = "Charging"
     CHARGED = "Charged"
-    """The arm is asked to stand still."""
+    """The arm is on its last way down, or is asked to stand still."""
     FIRING = "Firing"
     DISCHARGING = "Discharging"
     FAULT = "Fault"
@@ -63,7 +66,7 @@ class Event(Enum):
 
     CONNECTED = "connected"
     TAP = "tap"
-    ARM_READY = "arm in position"
+    ARM_READY = "arm above or at the strike pose"
     CHARGED = "charged"
     HELD = "arm holds still"
     GIVEN_UP = "given up"
@@ -154,6 +157,8 @@ class Tap:
     """ROS time, ns."""
     planned: Pose
     """Where the object lay when the tap was planned."""
+    strike: Pose
+    """Where the arm brings the tip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +188,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._permit: Permit | None = None
         self._asked_at = -math.inf
         self._attempts = 0
+        self._charged_at = -math.inf
         self._last_tap_id = 0
         self._names: tuple[str, ...] = ()
         self._told = TapperState(measured_speed=math.nan)
@@ -205,15 +211,19 @@ class TapperLogic(DeviceLogic[State, Event]):
             return enabling.RELEASED
         if now.ros > tap.expiry:
             return ErrorCode.TAPPER_COMMAND_EXPIRED, "the tap's expiry passed while it was charged"
-        return self._peers.doubt(tap.tap_id, tap.planned, now)
+        return self._peers.charging_doubt(tap.tap_id, tap.planned, tap.strike, now)
 
     def doubt_firing(self, release_by: float, now: Now) -> Trouble | None:
         """The last check before FIRE. ``release_by``: when the release is over at the latest."""
         doubt = self.doubt_charging(now)
         if doubt is not None:
             return doubt
-        permit = self._permit
-        if permit is None or self._tap is None or permit.tap_id != self._tap.tap_id:
+        permit, tap = self._permit, self._tap
+        assert tap is not None
+        doubt = self._peers.doubt(tap.tap_id, tap.planned, now)
+        if doubt is not None:
+            return doubt
+        if permit is None or permit.tap_id != tap.tap_id:
             return ErrorCode.TAPPER_ARM_NOT_IN_POSITION, "the arm has not promised to hold still"
         end = max(release_by, now.steady) + FLIGHT_S
         if self.state is not S.FIRING or end > permit.until:
@@ -232,6 +242,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         elif topic == "arm_state":
             self._peers.hear_arm(message, now)
             self._charge_when_ready(now)
+            self._ask_when_in_position(now)
         elif topic == "plan_state":
             self._peers.hear_plan(message, now)
             gone = self._peers.given_up()
@@ -272,6 +283,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._curve.energy_for(command.striker_speed),
             to_nanoseconds(command.expiry),
             from_message(command.object_pose),
+            from_message(command.strike_pose),
         )
         self._given_up = self._permit = None
         self._peers.begin_tap()
@@ -352,6 +364,24 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     # The arm's promise to stand still
 
+    def _ask_when_in_position(self, now: Now) -> None:
+        """Ask the arm to stand still as soon as it is in position, or discharge."""
+        tap = self._tap
+        if self.state is not S.CHARGED or tap is None or self._attempts > 0:
+            return
+        if self._peers.doubt(tap.tap_id, tap.planned, now) is None:
+            self._ask_arm(now)
+            return
+        why = self.doubt_charging(now)
+        if why is None and now.steady > self._charged_at + LONGEST_CHARGED_S:
+            why = (
+                ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
+                f"the arm was not in position {LONGEST_CHARGED_S:.0f} s after the tapper was"
+                " charged",
+            )
+        if why is not None:
+            self._discharge(why)
+
     def _ask_arm(self, now: Now) -> None:
         assert self._tap is not None
         self._attempts += 1
@@ -427,8 +457,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._not_fired(self._given_up or end.refusal)
         else:
             self._machine.move(Event.CHARGED, S.CHARGED)
-            self._attempts = 0
-            self._ask_arm(now)
+            self._attempts, self._charged_at = 0, now.steady
+            self._ask_when_in_position(now)
 
     def _not_fired(self, why: Trouble | None) -> None:
         """The tap ended surely without a release, and the tapper is at rest."""
@@ -594,6 +624,7 @@ class TapperLogic(DeviceLogic[State, Event]):
                 self._run("connect", partial(tapper_jobs.connect, patience=self.patience))
         elif self.state not in (S.STOPPED, S.FAULT):
             self._read_when_due(READ_PERIOD_S, tapper_jobs.read, now)
+        self._ask_when_in_position(now)
         tap = self._tap
         if self.state is S.WAITING and tap is not None and now.ros > tap.expiry:
             doubt = self._peers.doubt(tap.tap_id, tap.planned, now)

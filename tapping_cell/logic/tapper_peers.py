@@ -23,6 +23,8 @@ BLIND = frozenset(
     }
 )
 """Codes with which no usable picture comes: they do not count as a word of the camera."""
+ABOVE_M, ABOVE_RAD = 0.005, 0.05
+"""How near above its strike pose the arm must stand, as read back, for charging to begin."""
 IDLE_LIMIT_S = 1.5
 """A planner whose tap it is not speaks twice a second: it is missed only after so long."""
 
@@ -105,13 +107,37 @@ class TapperPeers:
 
         ``planned``: where the object lay when the tap was planned.
         """
+        return self._arm_doubt(tap_id, now) or self._other_doubt(planned, now)
+
+    def charging_doubt(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
+        """The same against charging, which may begin while the arm lowers the striker.
+
+        ``strike``: the commanded strike pose, in ``table``. The arm must have been read back above
+        it, so that the only motion left is straight down, and must still be heard.
+        """
+        if not self._lowers(tap_id, strike, now):
+            doubt = self._arm_doubt(tap_id, now)
+            if doubt is not None:
+                return doubt
+        return self._other_doubt(planned, now)
+
+    def _other_doubt(self, planned: Pose, now: Now) -> Trouble | None:
         return (
-            self._arm_doubt(tap_id, now)
-            or self.given_up()
+            self.given_up()
             or self._skew(now)
             or self._silence(now)
             or self._disturbance(planned, now)
         )
+
+    def _lowers(self, tap_id: int, strike: Pose, now: Now) -> bool:
+        """True while the arm, heard lately, is on its way down to the strike pose of a tap."""
+        arm = self._arm
+        if arm is None or arm.state != ArmState.MOVING or arm.tap_id != tap_id or not arm.homed:
+            return False
+        if now.steady - self._arm_heard > self._limits.arm_freshness:
+            return False
+        tip = from_message(arm.tip_pose)
+        return tip.distance_to(strike) <= ABOVE_M and abs(tip.rotation_to(strike)) <= ABOVE_RAD
 
     def _arm_doubt(self, tap_id: int, now: Now) -> Trouble | None:
         arm, limit = self._arm, self._limits.arm_freshness

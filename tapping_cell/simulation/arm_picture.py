@@ -13,11 +13,6 @@ from tapping_cell.simulation.rendered_camera import Occluder
 
 Array = NDArray[np.float64]
 
-LINK_HALF_WIDTH = 0.030
-LINK_THICKNESS = 0.040
-"""Of both links, m; the kinematics give their lengths alone."""
-LINK_CLEARANCE = 0.030
-"""The links' undersides over the tip with the quill at zero, m."""
 QUILL_RADIUS = 0.010
 _LINK_LEVEL, _TOOL_LEVEL, _STRIKER_LEVEL = 70.0, 55.0, 120.0
 _ROUND = np.linspace(0.0, 2 * math.pi, 12, endpoint=False)
@@ -37,7 +32,7 @@ def arm_solids(
     elbow_angle = q[0] + q[1]
     elbow = geometry.upper_arm * np.array([math.cos(q[0]), math.sin(q[0])])
     wrist = elbow + geometry.forearm * np.array([math.cos(elbow_angle), math.sin(elbow_angle)])
-    low = arm.tip_height + LINK_CLEARANCE
+    low = arm.tip_height + arm.link_clearance
     pose = np.array([base.x, base.y, base.theta])
     shoulder, elbow, wrist = transform_points(pose, np.array([[0.0, 0.0], elbow, wrist]))
     held = np.array([striker.x, striker.y, striker.theta])
@@ -47,8 +42,8 @@ def arm_solids(
             held, (-tapper.tool_length, -tapper.tool_start), tapper.tool_radius, tip.z, _TOOL_LEVEL
         ),
         _solid(_circle(wrist, QUILL_RADIUS), max(tip.z, 0.0), low, _TOOL_LEVEL),
-        _link(elbow, wrist, low),
-        _link(shoulder, elbow, low),
+        _link(elbow, wrist, low, arm),
+        _link(shoulder, elbow, low, arm),
     )
 
 
@@ -61,9 +56,10 @@ def _box(
     return _solid(transform_points(pose, corners), low, height + half, level)
 
 
-def _link(start: Array, end: Array, low: float) -> Occluder:
-    ends = np.concatenate([_circle(start, LINK_HALF_WIDTH), _circle(end, LINK_HALF_WIDTH)])
-    return _solid(ends, low, low + LINK_THICKNESS, _LINK_LEVEL)
+def _link(start: Array, end: Array, low: float, arm: ArmSection) -> Occluder:
+    half = arm.link_half_width
+    ends = np.concatenate([_circle(start, half), _circle(end, half)])
+    return _solid(ends, low, low + arm.link_thickness, _LINK_LEVEL)
 
 
 def _circle(middle: Array, radius: float) -> Array:

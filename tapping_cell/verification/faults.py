@@ -240,6 +240,7 @@ def _clock_step(rng: np.random.Generator, trial: Trial) -> Made:
 
     def strike(t: Trial) -> None:
         t.clocks[node].offset += step
+        t.disturbed_until = max(t.disturbed_until, t.scheduler.now + lasting)
         t.scheduler.after(lasting, back(t))
 
     def back(t: Trial) -> Callable[[], None]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from itertools import pairwise
 
+import cv2
 import numpy as np
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.se2 import Pose
+from tapping_cell.simulation.arm_picture import arm_solids
 from tapping_cell.simulation.devices import arm_emulator
 from tapping_cell.simulation.fault_layer import FaultLayer
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
@@ -18,9 +18,6 @@ from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.simulation.world import World
 from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.verification.serial_line import SerialLine
-
-LINK_RADIUS_M = 0.045
-"""Half the width of the arm's links as the camera sees them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +74,7 @@ class PhysicalCell:
     def view(self, time: float) -> Pose | None:
         """The object's true pose, or None while the arm stands between it and the camera."""
         pose = self.object_pose(time)
-        radius = self.cell.object.body().bounding_radius + LINK_RADIUS_M
-        return None if self._arm_distance(pose, time) < radius else pose
+        return None if self._hidden(pose, time) else pose
 
     def press_clear_button(self) -> None:
         """A person presses the button at the tapper's board."""
@@ -90,25 +86,18 @@ class PhysicalCell:
         self.tapper_board.set_interlock(closed, self._scheduler.now)
         self.tapper_line.schedule()
 
-    def _arm_distance(self, pose: Pose, time: float) -> float:
-        """From the object's centre to the middle line of the arm, seen from above, m."""
-        joints = self.joints(time)
-        tip = self.geometry.forward(joints)
-        elbow = self._base @ Pose(
-            self.geometry.upper_arm * math.cos(joints.shoulder),
-            self.geometry.upper_arm * math.sin(joints.shoulder),
-            0.0,
-        )
-        wrist = self._base @ Pose(
-            self.geometry.upper_arm * math.cos(joints.shoulder)
-            + self.geometry.forearm * math.cos(joints.shoulder + joints.elbow),
-            self.geometry.upper_arm * math.sin(joints.shoulder)
-            + self.geometry.forearm * math.sin(joints.shoulder + joints.elbow),
-            0.0,
-        )
-        end = self._base @ Pose(tip.x, tip.y, tip.yaw)
-        points = [self._base, elbow, wrist, end]
-        return min(_distance(pose, first, second) for first, second in pairwise(points))
+    def _hidden(self, pose: Pose, time: float) -> bool:
+        """Whether the arm's silhouette, as the camera sees it, meets the object's top."""
+        file = self.cell.file
+        lens = np.array(self.truth.camera.position)
+        radius = self.cell.object.body().bounding_radius
+        for solid in arm_solids(file.arm, file.tapper, self._base, self.joints(time)):
+            scale = (lens[2] - self.cell.object.height) / (lens[2] - solid.points[:, 2])
+            shadow = lens[:2] + (solid.points[:, :2] - lens[:2]) * scale[:, None]
+            hull = cv2.convexHull(shadow.astype(np.float32))
+            if cv2.pointPolygonTest(hull, (pose.x, pose.y), True) > -radius:
+                return True
+        return False
 
     def _release(self, shot: int, energy: float, now: float) -> float | None:
         """The board released the striker."""
@@ -128,12 +117,3 @@ class PhysicalCell:
         speed = self._curve.speed_for(energy)
         self.world.strike(tip, height, speed, now)
         return self.world.gate_speed(speed)
-
-
-def _distance(point: Pose, start: Pose, end: Pose) -> float:
-    """From a point to a segment, m."""
-    way = np.array([end.x - start.x, end.y - start.y])
-    offset = np.array([point.x - start.x, point.y - start.y])
-    length = float(way @ way)
-    share = 0.0 if length == 0.0 else min(max(float(offset @ way) / length, 0.0), 1.0)
-    return float(np.hypot(*(offset - share * way)))

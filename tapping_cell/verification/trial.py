@@ -60,6 +60,7 @@ QUALITIES = {
     "emergency_stop": Quality(latched=True),
     "other_objects": Quality(reliable=False),
     "markers": Quality(latched=True),
+    "camera/pose": Quality(latched=True),
 }
 HEARS = {
     "tap_planner": (
@@ -69,7 +70,13 @@ HEARS = {
         "tapper_state",
         "emergency_stop",
     ),
-    "scara_arm": ("tap_command", "tapper_state", "joint_trajectory", "emergency_stop"),
+    "scara_arm": (
+        "tap_command",
+        "tapper_state",
+        "joint_trajectory",
+        "camera/pose",
+        "emergency_stop",
+    ),
     "tapper_trigger": (
         "tap_command",
         "arm_state",
@@ -132,8 +139,10 @@ class Report:
 class Trial:
     """The whole cell of one seed. Times in s of the run."""
 
-    def __init__(self, seed: int, trace: bool = False) -> None:
+    def __init__(self, seed: int, trace: bool = False, *, faults: bool = True) -> None:
+        """``faults`` False: nothing happens to the cell."""
         self.seed = seed
+        self._faulty = faults
         self.rng = np.random.default_rng([seed, 0])
         self._fault_rng = np.random.default_rng([seed, 1])
         self.scheduler = Scheduler()
@@ -178,6 +187,8 @@ class Trial:
             CAMERA_SIGMA,
         )
         self._hidden_until = -math.inf
+        self.disturbed_until = -math.inf
+        """Until when a fault of an earlier goal may last."""
         self._token = 0
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
@@ -185,6 +196,10 @@ class Trial:
         self._states_seen: Counter[tuple[str, int]] = Counter()
         self._last_words: dict[tuple[str, str], str] = {}
         self.network.publish("panel", "emergency_stop", Bool(data=False))
+        lens = PoseStamped()
+        place = lens.pose.position
+        place.x, place.y, place.z = truth.camera.position
+        self.network.publish("camera_pose", "camera/pose", lens)
 
     def _make_clock(self) -> HostClock:
         rng = self.rng
@@ -277,11 +292,10 @@ class Trial:
         x, y = rng.uniform((-0.1, -0.06), (0.1, 0.06))
         return Pose(float(x), float(y), float(rng.uniform(-0.6, 0.6)))
 
-    def _work_on_a_goal(self, number: int) -> None:
-        faults = draw_faults(self._fault_rng, self)
-        self.report.faults.update(fault.kind for fault in faults)
-        true = self.physical.object_pose(self.scheduler.now)
+    def next_goal(self, number: int) -> Pose:
+        """The goal of this number: mostly like the published task, not far from the object."""
         rng = self.rng
+        true = self.physical.object_pose(self.scheduler.now)
         goal = self.draw_goal(rng)
         if rng.random() < 0.8:
             # The published task and its like: some way and some rotation from where it lies.
@@ -292,6 +306,12 @@ class Trial:
                 float(np.clip(true.y + way * math.sin(angle), -0.1, 0.1)),
                 float(true.theta + turn),
             )
+        return goal
+
+    def _work_on_a_goal(self, number: int) -> None:
+        faults = draw_faults(self._fault_rng, self) if self._faulty else []
+        self.report.faults.update(fault.kind for fault in faults)
+        goal = self.next_goal(number)
         began = self.scheduler.now
         self._result = None
         self._note(f"goal {number}: {goal}")
@@ -317,6 +337,7 @@ class Trial:
         result = self._result
         # What went wrong in the goal before may last into this one.
         quiet = not faults and (number == 0 or not self.report.outcomes[-1].faults)
+        quiet = quiet and began > self.disturbed_until
         if quiet and result.error_code:
             self.witness.violate(
                 "failed without a fault", f"code {result.error_code}: {result.error_msg}"

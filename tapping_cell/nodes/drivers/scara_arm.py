@@ -35,6 +35,7 @@ class Parameters:
 
     autostart: bool = text("configure and activate without being asked", default=True)
     cell_file: str = text("path of the cell file; empty for the package's own", default="")
+    object_file: str = text("path of the object file; empty for the cell file's", default="")
     port: str = text("path of the arm's serial port; empty for the cell file's", default="")
     home_on_activate: bool = text(
         "home when activated, where homing needs no person: only for a cell that nobody can reach",
@@ -45,6 +46,10 @@ class Parameters:
         "set-up mode: move at a quarter of the speed and only while an enabling device is held, "
         "for commissioning and the first taps",
         default=False,
+    )
+    look_early: bool = text(
+        "after a tap, withdraw only until the camera sees the object; false: to the park pose",
+        default=True,
     )
     link_frames: bool = text(
         "send the arm's links on /tf; false where robot_state_publisher does", default=True
@@ -65,6 +70,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
         self.host.subscribes(messages.JointTrajectory, "joint_trajectory", COMMAND)
         self.host.subscribes(messages.TapperState, "tapper_state", LATCHED)
+        self.host.subscribes(messages.PoseStamped, "camera/pose", LATCHED)
         self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
         self.host.serves(messages.Trigger, "~/home")
         self.host.serves(messages.HoldStill, "hold_still")
@@ -75,7 +81,8 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
 
     def configure(self) -> None:
         """Read the cell file, open the port, identify the controller."""
-        cell = load_cell(self.settings.cell_file or None)
+        files = self.settings
+        cell = load_cell(files.cell_file or None, object_path=files.object_file or None)
         arm = cell.file.arm
         self._send_base(arm)
         if arm.ros2_control is None:
@@ -156,7 +163,12 @@ def _link_transform(frame: LinkFrame, stamp: Time) -> TransformStamped:
 def make_logic(parameters: Parameters) -> ArmLogic:
     """The arm's machine for these parameters."""
     return ArmLogic(
-        ArmOptions(parameters.home_on_activate, parameters.state_rate, parameters.set_up)
+        ArmOptions(
+            parameters.home_on_activate,
+            parameters.state_rate,
+            parameters.set_up,
+            parameters.look_early,
+        )
     )
 
 

@@ -131,9 +131,12 @@ def test_path_duration_adds_the_moves() -> None:
     path += withdraw_path(GEOMETRY, path[-1].joints, SETTINGS)
     here, total = Joints(*SETTINGS.park), 0.0
     for waypoint in path:
-        for place in (waypoint.via, waypoint.joints):
+        for place, speed in (
+            (waypoint.via, waypoint.via_speed or waypoint.speed),
+            (waypoint.joints, waypoint.speed),
+        ):
             if place is not None:
-                total += move_duration(GEOMETRY, here, place, waypoint.speed)
+                total += move_duration(GEOMETRY, here, place, speed)
                 here = place
     assert len(path) == 4 and path_duration(GEOMETRY, SETTINGS.park, path) == pytest.approx(total)
 

@@ -1,0 +1,280 @@
+"""Seconds per tap by activity, of the published task: 10 mm and 10 degrees, forth and back.
+
+Two cells work on it. In the one, every node is a process, with drawn pictures and emulated boards;
+in the other, the same machines, drivers and boards run in virtual time, where software takes no
+time and messages take a few milliseconds: what it needs is what the cell's mechanics need. A tap
+lasts from its command to the next command, or to the end of its goal. Its activities follow each
+other without gaps or overlaps; what happens besides (the slide, a charge while the arm travels) is
+told apart.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import tempfile
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from tapping_cell_msgs.msg import ArmState, ObjectState, PlanState, TapCommand, TapperState
+
+from tapping_cell.cli import session
+from tapping_cell.cli.graph import SIMULATED, Graph, own_domain, with_own_ports
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.clients.goal_client import GoalClient
+from tapping_cell.se2 import Pose, wrap_angle
+from tapping_cell.verification.host import HostClock
+from tapping_cell.verification.trial import Trial
+
+DEFAULT_COUNT = 20
+MOVES = ((10.0, 0.0, 10.0), (-10.0, 0.0, -10.0))
+"""Goals from where the object lies, mm, mm and degrees, in turn."""
+READY_PATIENCE_S = 60.0
+ACTIVITIES = ("travel", "lower", "settle", "charge", "fire", "withdraw", "camera", "planning")
+BESIDES = ("slide", "charging")
+TOPICS = {
+    "tap_command": (TapCommand, COMMAND),
+    "plan_state": (PlanState, LATCHED),
+    "arm_state": (ArmState, LATCHED),
+    "tapper_state": (TapperState, LATCHED),
+    "object_state": (ObjectState, 10),
+}
+
+
+@dataclass(slots=True)
+class Tap:
+    """One tap: when what happened, s."""
+
+    commanded: float
+    above: float = math.nan
+    at_pose: float = math.nan
+    in_position: float = math.nan
+    charging: float = math.nan
+    charged: float = math.nan
+    told: float = math.nan
+    free: float = math.nan
+    observed: float = math.nan
+    at_rest: float = math.nan
+    done: float = math.nan
+
+    def activities(self) -> dict[str, float]:
+        """Seconds of each of ``ACTIVITIES`` and ``BESIDES``."""
+        ready = max(self.in_position, self.charged)
+        return {
+            "travel": self.above - self.commanded,
+            "lower": self.at_pose - self.above,
+            "settle": self.in_position - self.at_pose,
+            "charge": ready - self.in_position,
+            "fire": self.told - ready,
+            "withdraw": self.free - self.told,
+            "camera": self.observed - self.free,
+            "planning": self.done - self.observed,
+            "slide": self.at_rest - self.told,
+            "charging": self.charged - self.charging,
+        }
+
+
+class Stopwatch:
+    """Hears the cell's topics and takes the times of each tap; times are the messages' stamps."""
+
+    def __init__(self, travel_height: float) -> None:
+        self.taps: list[Tap] = []
+        self.goals: list[tuple[float, int]] = []
+        """Seconds and taps of each goal that was reached."""
+        self._accepted = math.nan
+        self._height = travel_height
+        self._tap: Tap | None = None
+        self._ids: list[int] = []
+
+    def hear(self, topic: str, message: Any) -> None:
+        """Take in one message."""
+        stamp = _seconds(message.header.stamp)
+        if topic == "plan_state":
+            self._time_goal(message, stamp)
+        if topic == "tap_command" and message.request == TapCommand.TAP:
+            self._end(stamp)
+            self._tap = Tap(stamp)
+            self._ids.append(message.tap_id)
+        elif self._tap is not None:
+            getattr(self, f"_{topic}")(self._tap, message, stamp)
+
+    def _end(self, stamp: float) -> None:
+        if self._tap is not None and not math.isnan(self._tap.observed):
+            self._tap.done = stamp
+            self.taps.append(self._tap)
+        self._tap = None
+
+    def _time_goal(self, message: Any, stamp: float) -> None:
+        if message.state == PlanState.REACHED and not math.isnan(self._accepted):
+            self.goals.append((stamp - self._accepted, message.taps))
+        if message.state in (PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED):
+            self._accepted = math.nan
+        elif math.isnan(self._accepted) and message.state != PlanState.IDLE:
+            self._accepted = stamp
+
+    def _tap_command(self, tap: Tap, message: Any, stamp: float) -> None:
+        """A withdrawal tells nothing new."""
+
+    def _plan_state(self, tap: Tap, message: Any, stamp: float) -> None:
+        if message.state == PlanState.LOOKING and math.isnan(tap.free):
+            tap.free = stamp
+        elif message.state == PlanState.PLANNING and not math.isnan(tap.free):
+            tap.observed = stamp
+        elif message.state == PlanState.REACHED:
+            self._end(stamp)
+        elif message.state in (PlanState.FAILED, PlanState.CANCELED):
+            self._tap = None
+
+    def _arm_state(self, tap: Tap, message: Any, stamp: float) -> None:
+        height = message.tip_pose.position.z
+        if message.state == ArmState.MOVING and stamp >= tap.commanded:
+            if height > self._height - 1e-3:
+                tap.above = stamp
+            else:
+                tap.at_pose = stamp
+        elif message.state == ArmState.IN_POSITION and math.isnan(tap.in_position):
+            tap.in_position = stamp
+            if math.isnan(tap.at_pose):
+                tap.at_pose = stamp
+
+    def _tapper_state(self, tap: Tap, message: Any, stamp: float) -> None:
+        if message.tap_id != self._ids[-1]:
+            return
+        if message.state == TapperState.CHARGING and math.isnan(tap.charging):
+            tap.charging = stamp
+        if message.state in (TapperState.CHARGED, TapperState.FIRING) and math.isnan(tap.charged):
+            tap.charged = stamp
+        if message.outcome == TapperState.FIRED and math.isnan(tap.told):
+            tap.told = stamp
+
+    def _object_state(self, tap: Tap, message: Any, stamp: float) -> None:
+        fired = not math.isnan(tap.told)
+        if fired and message.at_rest and math.isnan(tap.at_rest):
+            since = _seconds(message.at_rest_since)
+            if since > tap.told:
+                tap.at_rest = since
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
+
+
+def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
+    """Mean seconds of every activity, over ``count`` goals in either cell."""
+    return {
+        "mechanics": _summary(in_virtual_time(count)),
+        "graph": _summary(in_graph(count)),
+        "load": os.getloadavg()[0],
+    }
+
+
+def _summary(watch: Stopwatch) -> dict[str, Any]:
+    columns: dict[str, list[float]] = defaultdict(list)
+    for tap in watch.taps:
+        activities = tap.activities()
+        columns["cycle"].append(tap.done - tap.commanded)
+        for name, seconds in activities.items():
+            columns[name].append(seconds)
+    return {
+        "taps": len(watch.taps),
+        "goals": len(watch.goals),
+        "goal": float(np.mean([seconds for seconds, _ in watch.goals])),
+        "taps_a_goal": float(np.mean([number for _, number in watch.goals])),
+        **{name: float(np.nanmean(values)) for name, values in columns.items()},
+    }
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    free, graph = report["mechanics"], report["graph"]
+    rows = [
+        f"{'':18s}{'virtual time':>14s}{'graph':>10s}{'difference':>12s}",
+        *(
+            f"{name:18s}{free[name]:12.3f} s{graph[name]:8.3f} s{graph[name] - free[name]:10.3f} s"
+            for name in (*ACTIVITIES, "cycle")
+        ),
+        *(
+            f"{'(' + name + ')':18s}{free[name]:12.3f} s{graph[name]:8.3f} s"
+            for name in ("slide", "charging")
+        ),
+    ]
+    for name, part in (("virtual time", free), ("graph", graph)):
+        rows.append(
+            f"{name}: {part['goals']} goals, {part['goal']:.2f} s and {part['taps_a_goal']:.2f}"
+            " taps each, from the goal to its end"
+        )
+    share = 1.0 - free["cycle"] / graph["cycle"]
+    rows.append(
+        f"software, messages and pictures: {graph['cycle'] - free['cycle']:.2f} s a tap"
+        f" ({100 * share:.0f} %); load {report['load']:.1f} on {os.cpu_count()} cores"
+    )
+    return rows
+
+
+class QuietTrial(Trial):
+    """A cell in virtual time to which nothing happens, all computers having one clock."""
+
+    def __init__(self, seed: int, hear: Callable[[str, Any], None]) -> None:
+        self._hear = hear
+        super().__init__(seed, faults=False)
+
+    def _make_clock(self) -> HostClock:
+        return HostClock(self.scheduler)
+
+    def _on_publish(self, node: str, topic: str, message: Any) -> None:
+        super()._on_publish(node, topic, message)
+        if topic in TOPICS:
+            self._hear(topic, message)
+
+    def next_goal(self, number: int) -> Pose:
+        """The published task, forth and back."""
+        return _goal(self.physical.object_pose(self.scheduler.now), number)
+
+
+def in_virtual_time(count: int) -> Stopwatch:
+    """Times of goals, each pair of them in a cell and with a seed of its own."""
+    watch = Stopwatch(load_cell().file.arm.travel_height)
+    for seed in range(1, 1 + (count + 1) // len(MOVES)):
+        report = QuietTrial(seed, watch.hear).run(len(MOVES))
+        for violation in report.violations:
+            raise RuntimeError(str(violation))
+    return watch
+
+
+def in_graph(count: int) -> Stopwatch:
+    """Times of goals in the cell whose nodes are processes."""
+    domain = own_domain()
+    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    watch = Stopwatch(load_cell().file.arm.travel_height)
+    quiet = Console(file=io.StringIO())
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        parameters: dict[str, dict[str, object]] = {node: {} for node in SIMULATED}
+        with (
+            Graph(SIMULATED, with_own_ports(parameters, folder), folder / "logs") as graph,
+            GoalClient("cycle_bench") as client,
+        ):
+            for topic, (kind, quality) in TOPICS.items():
+                client.node.create_subscription(kind, topic, partial(watch.hear, topic), quality)
+            for number in range(count):
+                session.wait_until_ready(client, READY_PATIENCE_S, graph.check, quiet)
+                look = client.object_state
+                client.send(_goal(client.object_pose(), number), look=look)
+                session.follow(client, graph.check, quiet)
+    return watch
+
+
+def _goal(here: Pose, number: int) -> Pose:
+    """The goal of this number from where the object lies."""
+    dx, dy, turn = MOVES[number % len(MOVES)]
+    theta = float(wrap_angle(here.theta + math.radians(turn)))
+    return Pose(here.x + dx / 1000, here.y + dy / 1000, theta)

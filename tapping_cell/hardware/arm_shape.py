@@ -1,0 +1,78 @@
+"""What of the arm can hide the table from a camera: round bars along its links, quill and tool."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tapping_cell.hardware.scara import ScaraGeometry
+
+Array = NDArray[np.float64]
+
+QUILL_RADIUS = 0.012
+"""m; a quill that is thicker is covered by the margin of whoever asks."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmShape:
+    """Dimensions beside those of the kinematics, m."""
+
+    link_half_width: float = 0.03
+    link_thickness: float = 0.04
+    link_clearance: float = 0.03
+    """Undersides of the links over the tip with the quill at zero."""
+    tool_half_width: float = 0.009
+    tool_length: float = 0.12
+    """From the tip backwards along the line of travel."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bars:
+    """Round bars of N poses of an arm: ``start`` and ``end`` (N, K, 3), ``radius`` (K,), in m."""
+
+    start: Array
+    end: Array
+    radius: Array
+
+
+def arm_bars(geometry: ScaraGeometry, shape: ArmShape, joints: ArrayLike) -> Bars:
+    """The bars, in ``arm_base``, of an arm with joints (N, 4).
+
+    A link is as many bars, one over the other, as its thickness needs.
+    """
+    given = np.asarray(joints, dtype=float)
+    q = given + geometry.joint_offset
+    reach = q[:, 0] + q[:, 1]
+    shoulder = np.zeros((len(q), 2))
+    elbow = geometry.upper_arm * _direction(q[:, 0])
+    wrist = elbow + geometry.forearm * _direction(reach)
+    tip = geometry.forward_many(given)
+    back = tip[:, :2] - shape.tool_length * _direction(tip[:, 3])
+    low = geometry.tip_height + shape.link_clearance
+    levels = np.linspace(low, low + shape.link_thickness, _levels(shape))
+    bars = [
+        (_at(first, level), _at(second, level), shape.link_half_width)
+        for first, second in ((shoulder, elbow), (elbow, wrist))
+        for level in levels
+    ]
+    bars.append((_at(wrist, tip[:, 2]), _at(wrist, low), QUILL_RADIUS))
+    bars.append((_at(tip[:, :2], tip[:, 2]), _at(back, tip[:, 2]), shape.tool_half_width))
+    starts, ends, radii = zip(*bars, strict=True)
+    return Bars(np.stack(starts, axis=1), np.stack(ends, axis=1), np.array(radii))
+
+
+def _levels(shape: ArmShape) -> int:
+    """So that neighbours lie no farther apart than half the width."""
+    return 2 + int(shape.link_thickness / shape.link_half_width)
+
+
+def _direction(angle: Array) -> Array:
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def _at(place: Array, height: ArrayLike) -> Array:
+    """Places (N, 2) at a height, or one for each."""
+    z = np.broadcast_to(np.asarray(height, dtype=float), (len(place),))
+    return np.concatenate([place, z[:, None]], axis=1)

@@ -1,0 +1,146 @@
+"""How far the arm withdraws after a tap: until the camera sees what it must, and no farther.
+
+The shapes of arm and tool throw shadows from the camera's lens on the table. The object, wherever
+the tap may have sent it, and enough reference markers must lie outside them. Among the poses at
+travel height with such a view, the arm goes to the one from which the tap and the next one take the
+least time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.hardware.arm_shape import arm_bars
+from tapping_cell.hardware.motion import (
+    MotionSettings,
+    Waypoint,
+    look_path,
+    move_durations,
+    raise_step,
+    withdraw_path,
+)
+from tapping_cell.hardware.scara import Joints, ScaraGeometry
+from tapping_cell.se2 import Array, Pose
+from tapping_cell.vision.free_view import view_clearance
+
+VIEW_MARGIN_M = 0.008
+"""Around the object and the markers, for errors of arm, camera and shapes."""
+OVERSHOOT = 1.3
+"""How far the object may have slid over the predicted displacement."""
+PLACES = 6
+"""Places along its way at which the object is looked for."""
+MARKERS_HIDDEN = 3
+"""Most reference markers that the arm may hide; at least half of them stay free."""
+STEPS = np.linspace(-1.0, 1.0, 13)
+"""Changes of shoulder and elbow that are tried, rad."""
+TURNS = (-1.2, 0.0, 1.2)
+"""Changes of the tool's joint that are tried, rad."""
+HEADINGS = np.arange(8) * (2.0 * math.pi / 8)
+"""In which the next tap may be."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What the camera looks at after a tap. ``camera``: place of its lens in ``table``, m.
+
+    ``before``: the object when the tap was planned; ``predicted``: after it. ``strike``: the tip.
+    """
+
+    camera: tuple[float, float, float]
+    before: Pose
+    predicted: Pose
+    strike: Pose
+
+
+def withdrawal(
+    cell: Cell, scene: Scene | None, current: Joints, motion: MotionSettings
+) -> tuple[Waypoint, ...]:
+    """Waypoints from joints ``current`` to a pose with a free view, else to the park pose.
+
+    The park pose is also taken where no pose at travel height has a free view.
+    """
+    geometry = cell.file.arm.geometry()
+    parked = withdraw_path(geometry, current, motion)
+    if scene is None:
+        return parked
+    raised = raise_step(geometry, current, motion).joints
+    tried = _candidates(geometry, raised)
+    free = tried[_is_free(cell, geometry, scene, tried)]
+    if not len(free):
+        return parked
+    way = move_durations(geometry, raised, free, motion.travel_speed)
+    onwards = _to_next(cell, geometry, scene, free, motion)
+    best = free[int(np.argmin(way + onwards))]
+    return look_path(geometry, current, Joints(*best.tolist()), motion)
+
+
+def _candidates(geometry: ScaraGeometry, raised: Joints) -> Array:
+    """Joints (N, 4) around the raised pose, itself the first, within their limits and with the
+    elbow on the same side."""
+    shoulder, elbow, tool = np.meshgrid(STEPS, STEPS, TURNS, indexing="ij")
+    change = np.stack([shoulder, elbow, np.zeros_like(shoulder), tool], axis=-1).reshape(-1, 4)
+    all_of = np.concatenate([np.zeros((1, 4)), change]) + np.array(raised)
+    within = np.all((all_of >= geometry.lower) & (all_of <= geometry.upper), axis=1)
+    true_elbow = all_of[:, 1] + geometry.joint_offset[1]
+    side = geometry.branch_of(raised).value
+    within &= true_elbow * side >= geometry.singularity_margin
+    within[0] = True
+    return np.asarray(all_of[within])
+
+
+def _is_free(cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array) -> Array:
+    """Which of the arm's poses (N, 4) leave object and enough markers to the camera, (N,) bool."""
+    bars = arm_bars(geometry, cell.file.arm.shape(cell.file.tapper), joints)
+    start, end = (_in_table(cell.arm_base, places) for places in (bars.start, bars.end))
+    radius = bars.radius + VIEW_MARGIN_M
+    height = cell.object.height
+    along = np.linspace(0.0, OVERSHOOT, PLACES)
+    before = np.array([scene.before.x, scene.before.y])
+    way = np.array([scene.predicted.x, scene.predicted.y]) - before
+    places = before + along[:, None] * way
+    of_object = np.column_stack([places, np.full(PLACES, height)])
+    room = view_clearance(scene.camera, start, end, radius, of_object)
+    seen = np.all(room > cell.object.body().bounding_radius, axis=1)
+    markers = cell.references.markers
+    of_markers = np.array([[marker.x, marker.y, 0.0] for marker in markers])
+    half_diagonals = np.array([marker.size / math.sqrt(2.0) for marker in markers])
+    room = view_clearance(scene.camera, start, end, radius, of_markers)
+    hidden = np.sum(room <= half_diagonals, axis=1)
+    return np.asarray(seen & (hidden <= min(MARKERS_HIDDEN, len(markers) // 2)))
+
+
+def _to_next(
+    cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array, motion: MotionSettings
+) -> Array:
+    """Mean time (N,) in s from the arm's poses (N, 4) to a next tap, whose heading is not known."""
+    reach = math.hypot(scene.strike.x - scene.before.x, scene.strike.y - scene.before.y)
+    yaw = HEADINGS - cell.arm_base.theta
+    middle = cell.arm_base.inverse() @ scene.predicted
+    tips = np.column_stack(
+        [
+            middle.x - reach * np.cos(yaw),
+            middle.y - reach * np.sin(yaw),
+            np.full(len(yaw), motion.travel_height),
+            yaw,
+        ]
+    )
+    places = geometry.inverse_many(tips, geometry.branch_of(joints[0]), joints[0]).joints
+    places = places[np.all(np.isfinite(places), axis=1)]
+    if not len(places):
+        return np.zeros(len(joints))
+    times = move_durations(geometry, joints[:, None], places[None], motion.travel_speed)
+    return np.asarray(times.mean(axis=1))
+
+
+def _in_table(base: Pose, places: Array) -> Array:
+    """Places (..., 3) of ``arm_base`` in ``table``."""
+    cos, sin = math.cos(base.theta), math.sin(base.theta)
+    turned = np.empty_like(places)
+    turned[..., 0] = base.x + cos * places[..., 0] - sin * places[..., 1]
+    turned[..., 1] = base.y + sin * places[..., 0] + cos * places[..., 1]
+    turned[..., 2] = places[..., 2]
+    return turned

@@ -1,0 +1,55 @@
+"""What a camera sees of the table past bars that stand in the way: shadows on a plane."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tapping_cell.vision.camera import Array
+
+
+def view_clearance(
+    camera: ArrayLike, start: ArrayLike, end: ArrayLike, radius: ArrayLike, points: ArrayLike
+) -> Array:
+    """Distance (N, M) in m from points to the nearest shadow of N sets of bars, in their plane.
+
+    A shadow is what the bar hides from the camera: its central projection from the lens on the
+    plane of the point. Negative where the point itself is hidden. A disc around the point is free
+    where the distance is greater than its radius.
+
+    Args:
+        camera: place of the lens, (3,).
+        start, end: ends of the bars' middle lines, (N, K, 3).
+        radius: of the bars, (K,).
+        points: (M, 3), below the camera.
+    """
+    lens = np.asarray(camera, dtype=float)
+    wanted = np.asarray(points, dtype=float)
+    first, second = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
+    height = wanted[:, 2]  # (M,)
+    nearest = np.full((first.shape[0], len(wanted)), np.inf)
+    for index, thickness in enumerate(np.asarray(radius, dtype=float)):
+        a, scale_a = _projected(lens, first[:, index], height)
+        b, scale_b = _projected(lens, second[:, index], height)
+        wide = thickness * np.maximum(scale_a, scale_b)
+        distance = _to_segment(wanted[None, :, :2], a, b) - wide
+        nearest = np.minimum(nearest, distance)
+    return nearest
+
+
+def _projected(lens: Array, places: Array, height: Array) -> tuple[Array, Array]:
+    """Places (N, 3) from the lens on planes (M,): (N, M, 2), and how much larger (N, M).
+
+    What is above the lens hides nothing that it sees below; what is level with it hides all.
+    """
+    below = np.maximum(lens[2] - places[:, None, 2], 1e-3)
+    scale = (lens[2] - height[None, :]) / below
+    return lens[:2] + (places[:, None, :2] - lens[:2]) * scale[..., None], scale
+
+
+def _to_segment(points: Array, start: Array, end: Array) -> Array:
+    way = end - start
+    length = np.sum(way * way, axis=-1)
+    share = np.sum((points - start) * way, axis=-1) / np.where(length > 0, length, 1.0)
+    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * way
+    return np.asarray(np.linalg.norm(points - nearest, axis=-1))

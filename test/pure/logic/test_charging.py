@@ -1,0 +1,98 @@
+"""The striker is charged while the arm lowers it, and fired only once the arm stands."""
+
+from __future__ import annotations
+
+import pytest
+from test_permit import CELL, START, TAP, Pair, at, board, jobs
+
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.hardware.tapper_protocol import State as BoardState
+from tapping_cell.logic import tapper as tappers
+from tapping_cell.logic.clock import to_stamp
+from tapping_cell.logic.effects import Call, Effect, JobEnded, RunJob
+from tapping_cell.logic.host import Activated, Configured
+from tapping_cell.logic.poses import to_message
+from tapping_cell.logic.tapper_jobs import ChargeEnd, Status
+from tapping_cell.messages import ArmState, TapCommand
+from tapping_cell.se2 import Pose
+
+STRIKE = Pose(-0.08, 0.02, 0.3)
+
+
+def waiting(cell: Cell = CELL) -> tappers.TapperLogic:
+    """A tapper that has taken a tap."""
+    tapper = tappers.TapperLogic(tappers.TapperOptions())
+    tapper.on_lifecycle(Configured(cell, board(BoardState.SAFE)), at(START))
+    tapper.on_lifecycle(Activated(), at(START))
+    tapper.on_message("tap_command", Pair().command(TapCommand.TAP, at(START)), at(START))
+    assert tapper.state is tappers.State.WAITING
+    return tapper
+
+
+def arm(state: int, tip: Pose, steady: float, tap_id: int = TAP, homed: bool = True) -> ArmState:
+    message = ArmState(state=state, tap_id=tap_id, homed=homed, tip_pose=to_message(tip, 0.06))
+    message.header.stamp = to_stamp(at(steady).ros)
+    return message
+
+
+def charged_while_lowered() -> tuple[tappers.TapperLogic, list[Effect]]:
+    tapper = waiting()
+    made = tapper.on_message("arm_state", arm(ArmState.MOVING, STRIKE, START), at(START))
+    (charge,) = jobs(made)
+    end = ChargeEnd(Status(board(BoardState.CHARGED, TAP), 0), True, None)
+    return tapper, list(tapper.on_job(JobEnded(charge, end), at(START + 0.3)))
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        arm(ArmState.MOVING, Pose(-0.08, 0.03, 0.3), START),
+        arm(ArmState.MOVING, Pose(-0.08, 0.02, 0.5), START),
+        arm(ArmState.MOVING, STRIKE, START, tap_id=TAP - 1),
+        arm(ArmState.MOVING, STRIKE, START, homed=False),
+        arm(ArmState.WITHDRAWING, STRIKE, START),
+        arm(ArmState.IDLE, STRIKE, START),
+    ],
+)
+def test_nothing_is_charged_elsewhere_than_above_its_strike_pose(message: ArmState) -> None:
+    tapper = waiting()
+    assert jobs(tapper.on_message("arm_state", message, at(START))) == []
+    assert tapper.state is tappers.State.WAITING
+
+
+def test_a_tapper_charged_early_asks_when_the_arm_is_in_position() -> None:
+    tapper, made = charged_while_lowered()
+    assert tapper.state is tappers.State.CHARGED
+    assert not [effect for effect in made if isinstance(effect, Call)]
+    assert tapper.doubt_firing(START + 0.4, at(START + 0.31)) is not None
+    stands = arm(ArmState.IN_POSITION, STRIKE, START + 0.5)
+    made = tapper.on_message("arm_state", stands, at(START + 0.5))
+    (call,) = [effect for effect in made if isinstance(effect, Call)]
+    assert call.service == "hold_still"
+    # Another report of the arm asks no second time.
+    again = tapper.on_message("arm_state", stands, at(START + 0.51))
+    assert not [effect for effect in again if isinstance(effect, Call)]
+
+
+def test_a_tapper_charged_early_is_discharged_when_the_arm_falls_silent() -> None:
+    tapper, _ = charged_while_lowered()
+    made = tapper.on_tick(at(START + 0.7))
+    (job,) = [e.job.name for e in made if isinstance(e, RunJob) and e.job.name != "read"]
+    assert job == "discharge"
+
+
+def test_a_tapper_charged_early_is_discharged_when_the_arm_never_arrives() -> None:
+    tapper, _ = charged_while_lowered()
+    steady = START + 0.3
+    while tapper.state is tappers.State.CHARGED:
+        steady += 0.1
+        tapper.on_message("arm_state", arm(ArmState.MOVING, STRIKE, steady), at(steady))
+        assert steady < START + 5.0
+    assert tapper.state is tappers.State.DISCHARGING
+    assert steady > START + tappers.LONGEST_CHARGED_S
+
+
+def test_a_tapper_charged_early_is_discharged_when_the_arm_gives_the_tap_up() -> None:
+    tapper, _ = charged_while_lowered()
+    tapper.on_message("arm_state", arm(ArmState.WITHDRAWING, STRIKE, START + 0.4), at(START + 0.4))
+    assert tapper.state is tappers.State.DISCHARGING
