@@ -241,7 +241,7 @@ class QuietTrial(Trial):
 
 def in_virtual_time(count: int) -> Stopwatch:
     """Times of goals, each pair of them in a cell and with a seed of its own."""
-    watch = Stopwatch(load_cell().file.arm.travel_height)
+    watch = Stopwatch(load_cell().arm.travel_height)
     for seed in range(1, 1 + (count + 1) // len(MOVES)):
         report = QuietTrial(seed, watch.hear).run(len(MOVES))
         for violation in report.violations:
@@ -254,7 +254,7 @@ def in_graph(count: int) -> Stopwatch:
     domain = own_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain.number)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    watch = Stopwatch(load_cell().file.arm.travel_height)
+    watch = Stopwatch(load_cell().arm.travel_height)
     quiet = Console(file=io.StringIO())
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -290,7 +290,7 @@ def _ground(draw: Drawing, x: float, y: float) -> None:
 def striker_figure(spring: bool) -> str:
     """Side view of the striker at the strike pose, with the dimensions of the cell file."""
     cell = shipped_cell()
-    arm, tapper = cell.file.arm, cell.file.tapper
+    arm, tapper = cell.arm, cell.file.tapper
     kind = "spring" if spring else "solenoid"
     draw = Drawing(1120, 640, f"Striker, {kind} build")
     draw.text(
@@ -426,7 +426,7 @@ def _solenoid_drive(draw: Drawing, tip: float, axis: float, back: float, top: fl
 def table_figure() -> str:
     """The table from above: markers to glue, working area, arm and guard."""
     cell = shipped_cell()
-    area, arm = cell.file.table, cell.file.arm
+    area, arm = cell.file.table, cell.arm
     scale, middle, origin = 900.0, 440.0, 560.0
 
     def at(x: float, y: float) -> tuple[float, float]:

@@ -98,7 +98,7 @@ def default(annotation: str, ros_type: str, value: Any) -> str:
             return "field(default_factory=list)"
         return f"field(default_factory=lambda: [{float(value[0])!r}] * {fixed[1]})"
     if nested(ros_type) is not None:
-        return f"field(default_factory=lambda: {annotation}())"
+        return f"field(default_factory={annotation})"
     return repr(value)
 
 

@@ -37,7 +37,7 @@ class Header:
 
     ROS_TYPE: ClassVar[str] = "std_msgs/msg/Header"
 
-    stamp: Time = field(default_factory=lambda: Time())
+    stamp: Time = field(default_factory=Time)
     frame_id: str = ""
 
 
@@ -70,8 +70,8 @@ class Pose:
 
     ROS_TYPE: ClassVar[str] = "geometry_msgs/msg/Pose"
 
-    position: Point = field(default_factory=lambda: Point())
-    orientation: Quaternion = field(default_factory=lambda: Quaternion())
+    position: Point = field(default_factory=Point)
+    orientation: Quaternion = field(default_factory=Quaternion)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -80,8 +80,8 @@ class PoseStamped:
 
     ROS_TYPE: ClassVar[str] = "geometry_msgs/msg/PoseStamped"
 
-    header: Header = field(default_factory=lambda: Header())
-    pose: Pose = field(default_factory=lambda: Pose())
+    header: Header = field(default_factory=Header)
+    pose: Pose = field(default_factory=Pose)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -90,7 +90,7 @@ class PoseWithCovariance:
 
     ROS_TYPE: ClassVar[str] = "geometry_msgs/msg/PoseWithCovariance"
 
-    pose: Pose = field(default_factory=lambda: Pose())
+    pose: Pose = field(default_factory=Pose)
     covariance: list[float] = field(default_factory=lambda: [0.0] * 36)
 
 
@@ -100,8 +100,8 @@ class PoseWithCovarianceStamped:
 
     ROS_TYPE: ClassVar[str] = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
-    header: Header = field(default_factory=lambda: Header())
-    pose: PoseWithCovariance = field(default_factory=lambda: PoseWithCovariance())
+    header: Header = field(default_factory=Header)
+    pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -110,7 +110,7 @@ class JointState:
 
     ROS_TYPE: ClassVar[str] = "sensor_msgs/msg/JointState"
 
-    header: Header = field(default_factory=lambda: Header())
+    header: Header = field(default_factory=Header)
     name: list[str] = field(default_factory=list)
     position: list[float] = field(default_factory=list)
     velocity: list[float] = field(default_factory=list)
@@ -180,7 +180,7 @@ class JointTrajectoryPoint:
     velocities: list[float] = field(default_factory=list)
     accelerations: list[float] = field(default_factory=list)
     effort: list[float] = field(default_factory=list)
-    time_from_start: Duration = field(default_factory=lambda: Duration())
+    time_from_start: Duration = field(default_factory=Duration)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -189,7 +189,7 @@ class JointTrajectory:
 
     ROS_TYPE: ClassVar[str] = "trajectory_msgs/msg/JointTrajectory"
 
-    header: Header = field(default_factory=lambda: Header())
+    header: Header = field(default_factory=Header)
     joint_names: list[str] = field(default_factory=list)
     points: list[JointTrajectoryPoint] = field(default_factory=list)
 
@@ -209,14 +209,14 @@ class ArmState:
     STOPPED: ClassVar[int] = 8
     WITHDRAWING: ClassVar[int] = 6
 
-    header: Header = field(default_factory=lambda: Header())
+    header: Header = field(default_factory=Header)
     state: int = 0
     tap_id: int = 0
     homed: bool = False
     clear_of_camera: bool = False
     set_up: bool = False
     enabled: bool = False
-    tip_pose: Pose = field(default_factory=lambda: Pose())
+    tip_pose: Pose = field(default_factory=Pose)
     error_code: int = 0
     error_msg: str = ""
 
@@ -339,20 +339,20 @@ class TapRecord:
     tapper: str = ""
     number: int = 0
     planner: str = ""
-    object_pose: Pose = field(default_factory=lambda: Pose())
+    object_pose: Pose = field(default_factory=Pose)
     dx: float = 0.0
     dy: float = 0.0
     dtheta: float = 0.0
-    predicted_pose: Pose = field(default_factory=lambda: Pose())
-    measured_pose: PoseWithCovariance = field(default_factory=lambda: PoseWithCovariance())
+    predicted_pose: Pose = field(default_factory=Pose)
+    measured_pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
     striker_speed: float = 0.0
     measured_speed: float = 0.0
     contact_angle: float = 0.0
-    strike_pose: Pose = field(default_factory=lambda: Pose())
-    fired_at: Time = field(default_factory=lambda: Time())
-    at_rest_at: Time = field(default_factory=lambda: Time())
+    strike_pose: Pose = field(default_factory=Pose)
+    fired_at: Time = field(default_factory=Time)
+    at_rest_at: Time = field(default_factory=Time)
     outcome: int = 0
-    learnt: LearntGains = field(default_factory=lambda: LearntGains())
+    learnt: LearntGains = field(default_factory=LearntGains)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -361,10 +361,10 @@ class GoalReport:
 
     ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/GoalReport"
 
-    header: Header = field(default_factory=lambda: Header())
+    header: Header = field(default_factory=Header)
     refused: bool = False
     state: int = 0
-    goal: PoseStamped = field(default_factory=lambda: PoseStamped())
+    goal: PoseStamped = field(default_factory=PoseStamped)
     position_tolerance: float = 0.0
     angle_tolerance: float = 0.0
     planner: str = ""
@@ -393,8 +393,8 @@ class Twist:
 
     ROS_TYPE: ClassVar[str] = "geometry_msgs/msg/Twist"
 
-    linear: Vector3 = field(default_factory=lambda: Vector3())
-    angular: Vector3 = field(default_factory=lambda: Vector3())
+    linear: Vector3 = field(default_factory=Vector3)
+    angular: Vector3 = field(default_factory=Vector3)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -403,14 +403,14 @@ class ObjectState:
 
     ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/ObjectState"
 
-    header: Header = field(default_factory=lambda: Header())
+    header: Header = field(default_factory=Header)
     object_id: str = ""
     visible: bool = False
     at_rest: bool = False
-    pose: PoseWithCovariance = field(default_factory=lambda: PoseWithCovariance())
-    velocity: Twist = field(default_factory=lambda: Twist())
+    pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
+    velocity: Twist = field(default_factory=Twist)
     frames_fused: int = 0
-    at_rest_since: Time = field(default_factory=lambda: Time())
+    at_rest_since: Time = field(default_factory=Time)
     references_used: list[int] = field(default_factory=list)
     error_code: int = 0
     error_msg: str = ""
@@ -432,17 +432,17 @@ class PlanState:
     SETTLING: ClassVar[int] = 6
     WAITING_FOR_CELL: ClassVar[int] = 1
 
-    header: Header = field(default_factory=lambda: Header())
+    header: Header = field(default_factory=Header)
     state: int = 0
     planner: str = ""
-    goal: PoseStamped = field(default_factory=lambda: PoseStamped())
+    goal: PoseStamped = field(default_factory=PoseStamped)
     residual_distance: float = 0.0
     residual_rotation: float = 0.0
     position_tolerance: float = 0.0
     angle_tolerance: float = 0.0
     taps: int = 0
-    last_tap: TapRecord = field(default_factory=lambda: TapRecord())
-    learnt: LearntGains = field(default_factory=lambda: LearntGains())
+    last_tap: TapRecord = field(default_factory=TapRecord)
+    learnt: LearntGains = field(default_factory=LearntGains)
     error_code: int = 0
     error_msg: str = ""
 
@@ -453,7 +453,7 @@ class StopState:
 
     ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/StopState"
 
-    header: Header = field(default_factory=lambda: Header())
+    header: Header = field(default_factory=Header)
     stopped: bool = False
     sources: list[str] = field(default_factory=list)
     error_msg: str = ""
@@ -467,15 +467,15 @@ class TapCommand:
     TAP: ClassVar[int] = 0
     WITHDRAW: ClassVar[int] = 1
 
-    header: Header = field(default_factory=lambda: Header())
+    header: Header = field(default_factory=Header)
     request: int = 0
     tap_id: int = 0
     tapper: str = ""
-    strike_pose: Pose = field(default_factory=lambda: Pose())
+    strike_pose: Pose = field(default_factory=Pose)
     striker_speed: float = 0.0
-    expiry: Time = field(default_factory=lambda: Time())
-    object_pose: Pose = field(default_factory=lambda: Pose())
-    predicted_pose: Pose = field(default_factory=lambda: Pose())
+    expiry: Time = field(default_factory=Time)
+    object_pose: Pose = field(default_factory=Pose)
+    predicted_pose: Pose = field(default_factory=Pose)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -495,7 +495,7 @@ class TapperState:
     STOPPED: ClassVar[int] = 6
     UNKNOWN: ClassVar[int] = 3
 
-    header: Header = field(default_factory=lambda: Header())
+    header: Header = field(default_factory=Header)
     state: int = 0
     tappers: list[str] = field(default_factory=list)
     tapper: str = ""
@@ -550,7 +550,7 @@ class PositionObject:
 
         ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/action/PositionObject.Goal"
 
-        goal_pose: PoseStamped = field(default_factory=lambda: PoseStamped())
+        goal_pose: PoseStamped = field(default_factory=PoseStamped)
         position_tolerance: float = 0.0
         angle_tolerance: float = 0.0
         max_taps: int = 0
@@ -565,9 +565,7 @@ class PositionObject:
 
         error_code: int = 0
         error_msg: str = ""
-        final_pose: PoseWithCovarianceStamped = field(
-            default_factory=lambda: PoseWithCovarianceStamped()
-        )
+        final_pose: PoseWithCovarianceStamped = field(default_factory=PoseWithCovarianceStamped)
         residual_distance: float = 0.0
         residual_rotation: float = 0.0
         taps: int = 0
@@ -579,7 +577,7 @@ class PositionObject:
 
         ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/action/PositionObject.Feedback"
 
-        plan_state: PlanState = field(default_factory=lambda: PlanState())
+        plan_state: PlanState = field(default_factory=PlanState)
 
 
 class SingleTap:
@@ -607,7 +605,7 @@ class SingleTap:
 
         error_code: int = 0
         error_msg: str = ""
-        record: TapRecord = field(default_factory=lambda: TapRecord())
+        record: TapRecord = field(default_factory=TapRecord)
 
     @dataclass(slots=True, kw_only=True)
     class Feedback:
@@ -615,4 +613,4 @@ class SingleTap:
 
         ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/action/SingleTap.Feedback"
 
-        plan_state: PlanState = field(default_factory=lambda: PlanState())
+        plan_state: PlanState = field(default_factory=PlanState)

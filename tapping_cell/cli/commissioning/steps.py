@@ -82,7 +82,7 @@ def ports(session: Session) -> Proof:
     text = session.cell_file.read_text(encoding="utf-8")
     values: dict[str, float | str] = {}
     cell = session.cell()
-    for name, now in (("arm", cell.file.arm.port), ("tapper", cell.file.tapper.port)):
+    for name, now in (("arm", cell.arm.port), ("tapper", cell.file.tapper.port)):
         port = session.ask(f"serial port of the {name}; there are: {known or 'none'}", now)
         if not Path(port).expanduser().exists():
             raise StepFailed(f"the {name}'s port {port} is not there; there are: {known or 'none'}")
@@ -236,7 +236,7 @@ def _homed(session: Session, **options: Any) -> Iterator[tuple[Graph, ArmPoseCli
 def joints(session: Session) -> Proof:
     """Show each joint's direction, then go near each limit, in set-up mode."""
     values: dict[str, float | str] = {}
-    arm = session.cell().file.arm
+    arm = session.cell().arm
     lower, upper = Joints(*arm.lower), Joints(*arm.upper)
     park = Joints(*arm.park)
     session.instruct(
