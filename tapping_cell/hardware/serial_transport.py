@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import serial
+from serial.tools.list_ports import comports
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 
@@ -19,6 +20,11 @@ POLL_SLICE = 0.02
 """Longest wait in s between looks at the stop latch."""
 REOPEN_PERIOD = 0.05
 """Time in s between attempts to open a port that is missing or busy."""
+
+
+def known_ports() -> list[str]:
+    """The serial ports of this computer, each with what the system says of it."""
+    return [f"{port.device} ({port.description})" for port in comports()]
 
 
 class SerialTransport:

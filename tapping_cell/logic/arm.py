@@ -55,6 +55,8 @@ LONGEST_HOLD_S = 0.25
 """Longest promise to stand still; a node that was restarted keeps that of its predecessor."""
 FRESH_READING_S = 0.25
 """Greatest age of the read-back with which a promise is given."""
+SHORT_REST_S = 0.05
+"""With so little left of its promise the arm prepares to move."""
 SET_UP_SPEED = 0.25
 """Fraction of the ordinary speed in set-up mode."""
 
@@ -435,9 +437,8 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _leave_when_free(self, now: Now) -> None:
         if self.state is not S.LEAVING or self._job is not None:
             return
-        # The job waits the rest of the promise out while it reads.
-        told = self._outcome_told == self._tap_id
-        if told or now.steady >= self._promise_end:
+        # The job waits the short rest of a promise out while it reads.
+        if now.steady >= self._promise_end - SHORT_REST_S:
             self._machine.move(Event.FREE, S.WITHDRAWING)
             if self._to_park:
                 self._scene = None

@@ -287,9 +287,7 @@ class ErrorCode:
     TAPPER_FAULT: ClassVar[int] = 611
     TAPPER_FIRMWARE_UNKNOWN: ClassVar[int] = 612
     TAPPER_INTERLOCK_OPEN: ClassVar[int] = 602
-    TAPPER_MOUNT_UNPROVEN: ClassVar[int] = 617
     TAPPER_NOT_CONNECTED: ClassVar[int] = 601
-    TAPPER_OTHER_CHARGED: ClassVar[int] = 618
     TAPPER_OUTCOME_UNKNOWN: ClassVar[int] = 607
     TAPPER_REPLY_GARBLED: ClassVar[int] = 613
     TAPPER_RESET: ClassVar[int] = 609

@@ -36,15 +36,12 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "fires without asking the arm",
         "tapping_cell.logic.tapper",
-        "            self._machine.move(Event.CHARGED, S.CHARGED)\n"
-        "            self._attempts = 0\n"
-        "            self._ask_arm(now)\n",
-        "            assert self._tap is not None\n"
-        "            self._machine.move(Event.CHARGED, S.CHARGED)\n"
-        "            self._permit = Permit(self._tap.tap_id, math.inf)\n"
-        "            self._machine.move(Event.HELD, S.FIRING)\n"
-        "            shot = self._tap.tap_id\n"
-        '            self._run("fire", partial(tapper_jobs.fire, shot=shot, '
+        '        token = ("hold", self._tap.tap_id, self._attempts)\n'
+        '        self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))\n',
+        "        shot = request.tap_id\n"
+        "        self._permit = Permit(shot, math.inf)\n"
+        "        self._machine.move(Event.HELD, S.FIRING)\n"
+        '        self._run("fire", partial(tapper_jobs.fire, shot=shot, '
         "doubt=self.doubt_firing))\n",
     ),
     Mutant(
@@ -162,7 +159,7 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "does not promise to stand still",
         "tapping_cell.logic.arm",
-        "        self._promise_end = max(self._promise_end, now.steady + request.duration)\n",
+        "        self._promise_end = max(self._promise_end, end)\n",
         "",
     ),
     Mutant(
@@ -173,15 +170,21 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     Mutant(
         "moves in the flight of the striker",
-        "tapping_cell.logic.arm",
-        "rest = RELEASE_S if message.outcome == TapperState.FIRED else 0.0",
-        "rest = 0.0",
+        "tapping_cell.logic.tapper",
+        "self._let_arm_go(RELEASED_S if end.outcome is FireOutcome.FIRED else 0.0)",
+        "self._let_arm_go(0.0)",
     ),
     Mutant(
         "leaves before its promise is over",
         "tapping_cell.logic.arm",
-        "partial(arm_jobs.withdraw, motion=self._motion(), not_before=self._promise_end)",
-        "partial(arm_jobs.withdraw, motion=self._motion(), not_before=0.0)",
+        "partial(arm_jobs.withdraw, plan=plan, not_before=self._promise_end)",
+        "partial(arm_jobs.withdraw, plan=plan, not_before=0.0)",
+    ),
+    Mutant(
+        "lets anybody end the arm's promise",
+        "tapping_cell.logic.arm",
+        "if request.key and asker == self._promised_to and now",
+        "if now",
     ),
     Mutant(
         "takes a trajectory while a tap is pending",
@@ -193,8 +196,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "homes by itself when activated",
         "tapping_cell.logic.arm",
-        "        if self._options.home_on_activate and",
-        "        if",
+        "alone = self._options.home_on_activate and not",
+        "alone = not",
     ),
     Mutant(
         "believes an arm that was not homed",

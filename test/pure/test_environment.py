@@ -311,7 +311,7 @@ def test_without_the_environment_a_verb_says_what_to_call():
         text=True,
     )
     assert done.returncode == 2
-    assert "has no module 'rich'" in done.stderr and ". ./env.sh" in done.stderr
+    assert "cannot import 'rich'" in done.stderr and ". ./env.sh" in done.stderr
     assert "Traceback" not in done.stderr
 
 

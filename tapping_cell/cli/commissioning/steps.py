@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import yaml
 from rich.console import Console
-from serial.tools.list_ports import comports
 
 from tapping_cell.calibration.yaml_edit import with_value
 from tapping_cell.cli import doctor
@@ -25,6 +24,7 @@ from tapping_cell.cli.graph import Graph
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.hardware.scara import Joints
+from tapping_cell.hardware.serial_transport import known_ports
 from tapping_cell.nodes.clients.arm_pose_client import ArmPoseClient, ArmRefused
 from tapping_cell.nodes.clients.cell_client import CellClient, NotDone
 from tapping_cell.nodes.clients.goal_client import GoalClient
@@ -78,7 +78,7 @@ def ports(session: Session) -> Proof:
     """Find the serial ports of arm and tapper: who answers there is asked in the next step."""
     if not session.hardware:
         return Proof("the simulated cell brings its own ports")
-    known = ", ".join(f"{port.device} ({port.description})" for port in comports())
+    known = ", ".join(known_ports())
     text = session.cell_file.read_text(encoding="utf-8")
     values: dict[str, float | str] = {}
     cell = session.cell()

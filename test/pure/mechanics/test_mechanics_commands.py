@@ -48,7 +48,7 @@ def test_sensitivity_for_people_and_its_figures(capsys, tmp_path):
 
 
 def test_sensitivity_refuses_a_tap_outside_the_cone(capsys):
-    assert main(["sensitivity", "--rotation", "9"]) == 1
+    assert main(["sensitivity", "--rotation", "9"]) == 2
     assert "at most 3.28" in capsys.readouterr().err
 
 

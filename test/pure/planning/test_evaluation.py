@@ -195,7 +195,6 @@ def test_the_report_has_a_table_and_plots(capsys, tmp_path):
     [
         (["--planner", "exakt"], "known are exact"),
         (["--trials", "0"], "0 trials"),
-        (["--goal", "nan", "0", "0"], "finite"),
         (["--box", "3"], "box is 3.0"),
         (["--round-position", "15"], "--model physics"),
         (["--random-tasks", "40"], "two"),
