@@ -66,7 +66,7 @@ def test_a_tap_is_made_once_and_recorded(experiment: Experiment) -> None:
     # Towards the middle, as nothing else was asked for.
     assert math.hypot(actors.pose.x, actors.pose.y) < math.hypot(before.x, before.y)
     ends = [c.tap_id for c in actors.commands if c.request == TapCommand.WITHDRAW]
-    assert ends == [command.tap_id]
+    assert set(ends) == {command.tap_id}  # the second one parks the arm
     actors.bench.wait(lambda: actors.plans[-1].state == PlanState.IDLE, "it ends in idle")
 
 
