@@ -23,6 +23,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+ROOT = Path(__file__).resolve().parent.parent
 TUN = Path("/dev/net/tun")
 _SET_INTERFACE = 0x400454CA
 _TAP_WITHOUT_HEADER = 0x0002 | 0x1000
@@ -71,7 +72,9 @@ class Computer:
         self, words: Sequence[str], environment: Mapping[str, str], **options: Any
     ) -> subprocess.Popen[str]:
         """Start a program on this computer; its nodes look for others on the network."""
-        own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+        # Entering the namespaces leaves the working directory: the benchmarks are found by path.
+        path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+        own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "PYTHONPATH": path}
         return subprocess.Popen(
             self.command(words), env={**os.environ, **own, **environment}, text=True, **options
         )

@@ -639,9 +639,8 @@ def refuse_own_drivers(cell: Cell) -> None:
 
 
 def _simulated_ports(cell: Cell) -> dict[str, str]:
-    ports = {f"{name}.port": tapper.port for name, tapper in cell.tapper_sections.items()}
-    if cell.file.arm is not None:
-        ports["arm.port"] = cell.file.arm.port
+    ports = {} if cell.file.arm is None else {"arm.port": cell.file.arm.port}
+    ports |= {f"{name}.port": tapper.port for name, tapper in cell.tapper_sections.items()}
     return {
         key: port
         for key, port in ports.items()

@@ -81,7 +81,7 @@ def test_goals_of_a_graph_that_stays_are_recorded(folder: Path) -> None:
     assert status == 0 and "goal reached" in words, words
     a_second_cell_is_refused(folder)
     status, words = goal("900", "0", "0")
-    assert status == 1 and "code 103" in words and "what to do: Send a goal" in words
+    assert status == 1 and "(103)" in words and "what to do: Send a goal" in words
     first, second = recorded(folder, 2)
     assert (first.outcome, second.outcome) == ("reached", "refused")
     assert "_left_to_-25_0_0" in first.name and len(first.taps) >= 1
