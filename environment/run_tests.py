@@ -5,8 +5,8 @@
 The pure ring needs the processor and no clock: it runs beside the others at low priority, and takes
 what they leave. The rings of the drivers and of the nodes mostly wait, and share out their tests
 between several processes. Tests of nodes that are marked ``alone`` serve or judge pictures at the
-camera's rate, and those of graphs run every node in real time: one after the other. Every ring
-runs, also after one that failed; the last line counts all.
+camera's rate, and those of graphs run every node in real time: one after the other, the graphs when
+the pure ring has ended. Every ring runs, also after one that failed; the last line counts all.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ RINGS: dict[str, tuple[str, ...]] = {
     "graph": ("graph",),
 }
 BESIDE = "pure"
+ALONE = "graph"  # whole graphs in real time: nothing runs beside them
 LOW_PRIORITY = 15  # niceness of the ring that runs beside the others
 NO_TESTS_COLLECTED = 5  # pytest's exit status
 # As pytest's closing line has them.
@@ -96,6 +97,8 @@ def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
         for ring in there:
             if ring == BESIDE:
                 continue
+            if ring == ALONE and beside is not None:
+                beside.wait()
             with started(ring, options, subprocess.PIPE) as process:
                 assert process.stdout is not None
                 total += told(ring, process.stdout)
