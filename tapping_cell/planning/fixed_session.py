@@ -26,22 +26,16 @@ from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.session import (
     MISSED,
     MOST_TAPS,
-    WORTH_A_LOOK,
-    Decision,
-    Done,
-    LookAgain,
+    GoalSession,
     Strike,
     noise_of,
 )
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.stopping import (
-    CONFIDENCE,
     StoppingBox,
-    inside_probability,
-    stopping_box,
 )
 from tapping_cell.planning.strike import BoolArray
-from tapping_cell.se2 import Pose, wrap_angle
+from tapping_cell.se2 import wrap_angle
 
 METHOD = "fixed tappers"
 """Name of the planning method, for records."""
@@ -83,8 +77,8 @@ class GoalSolver:
         return self._kept[key]
 
 
-class FixedTapperSession:
-    """Goal, solved policy, learnt gains and lines of one task; as ``PositioningSession``.
+class FixedTapperSession(GoalSession):
+    """Goal, solved policy, learnt gains and lines of one task.
 
     Args:
         goal_pose: x, y (m), theta (rad) of the object in `table`.
@@ -95,8 +89,6 @@ class FixedTapperSession:
         adapt: whether ``observe`` learns.
         most_taps: a limit against endless runs.
     """
-
-    method = METHOD
 
     def __init__(
         self,
@@ -111,7 +103,7 @@ class FixedTapperSession:
         most_taps: int = MOST_TAPS,
     ) -> None:
         self.goal = np.asarray(goal_pose, dtype=float)
-        self.settings = settings
+        self._settings = settings
         self.gains = Gains.start() if gains is None else gains
         self.mounts = MountBelief.start(len(space.tappers)) if mounts is None else mounts
         self.taps = 0
@@ -122,6 +114,16 @@ class FixedTapperSession:
         self._points = scatter_points(settings, POINTS)
         self.use_room(space)
 
+    @property
+    def settings(self) -> PlannerSettings:
+        """Tolerance, scatter and camera."""
+        return self._settings
+
+    @property
+    def method(self) -> str:
+        """Name of the planning method, for records."""
+        return METHOD
+
     def use_room(self, space: FixedStrikeSpace) -> None:
         """Work in this space from now on: what stands on the table may have changed."""
         self._nominal = space
@@ -130,55 +132,6 @@ class FixedTapperSession:
         self._goal_refusal = check_fixed_goal(self.goal, space)
         if self._goal_refusal is None:
             self._solution = self._solver.solution(space, self.settings, self.goal)
-
-    def residual(self, object_pose: ArrayLike) -> Array:
-        """Goal less object: (dx, dy, dtheta) in `table`, the rotation the short way round."""
-        left: Array = self.goal - np.asarray(object_pose, dtype=float)
-        left[2] = wrap_angle(left[2])
-        return left
-
-    def stopping(self, covariance: ArrayLike | None) -> StoppingBox:
-        """The box in which a look with this covariance, (3, 3) in m and rad, may say done."""
-        settings = self.settings
-        noise = settings.camera if covariance is None else noise_of(covariance)
-        return stopping_box(
-            settings.tolerance_position,
-            settings.tolerance_angle,
-            noise.position,
-            noise.angle,
-            settings.box,
-        )
-
-    def decide(
-        self,
-        object_pose: ArrayLike,
-        covariance: ArrayLike | None = None,
-        *,
-        look_again: bool = False,
-    ) -> Decision:
-        """What to do with the object at rest; see ``PositioningSession.decide``."""
-        if self._goal_refusal is not None:
-            return self._goal_refusal
-        pose = np.asarray(object_pose, dtype=float)
-        if pose.shape != (3,) or not np.all(np.isfinite(pose)):
-            return Refusal(
-                RefusalReason.OBJECT_POSE_NOT_FINITE,
-                f"the object's pose {pose.tolist()} is not three finite numbers; look again",
-            )
-        left, box, settings = (
-            self.residual(pose),
-            self.stopping(covariance),
-            self.settings,
-        )
-        spread = settings.camera.covariance if covariance is None else covariance
-        limits = settings.tolerance_position, settings.tolerance_angle
-        probability = float(inside_probability(left, spread, *limits))
-        residual = Pose(*left.tolist())
-        if probability >= CONFIDENCE and box.camera_suffices:
-            return Done(residual, box)
-        if look_again and probability >= WORTH_A_LOOK:
-            return LookAgain(residual, probability)
-        return self._refusal(pose, left, box) or self._strike(pose, left, self._missed)
 
     def observe(
         self,
@@ -231,20 +184,10 @@ class FixedTapperSession:
         names = [tapper.name for tapper in self._nominal.tappers]
         return names.index(strike.plan.tapper)
 
-    def _refusal(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
-        settings = self.settings
-        within = (
-            math.hypot(left[0], left[1]) <= settings.tolerance_position
-            and abs(left[2]) <= settings.tolerance_angle
-        )
-        if within and not box.camera_suffices:
-            return Refusal(
-                RefusalReason.CAMERA_TOO_COARSE,
-                "the object may be at the goal, but the camera is too uncertain to say so within "
-                f"{1e3 * settings.tolerance_position:.2f} mm and "
-                f"{math.degrees(settings.tolerance_angle):.2f} degrees; look longer at the object "
-                "at rest, calibrate the camera or widen the tolerance",
-            )
+    def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
+        coarse = self._camera_refusal(left, box)
+        if coarse is not None:
+            return coarse
         room = float(self._space.area.room(pose[:2]))
         if room < -OUTER:
             return Refusal(
@@ -259,6 +202,9 @@ class FixedTapperSession:
                 f"{self._most_taps}; check the strikers, the camera and the object's file",
             )
         return None
+
+    def _next_tap(self, pose: Array, left: Array) -> Strike | Refusal:
+        return self._strike(pose, left, self._missed)
 
     def _strike(self, pose: Array, left: Array, missed: frozenset[int]) -> Strike | Refusal:
         lines = self._space.lines(pose)
@@ -275,17 +221,7 @@ class FixedTapperSession:
                 "towards the middle",
             )
         index, commanded, length = chosen
-        wanted = self.gains.predict(commanded, pose[2])
-        after = pose + wanted
-        after[2] = wrap_angle(after[2])
-        return Strike(
-            commanded=Pose(*commanded.tolist()),
-            wanted=Pose(*wanted.tolist()),
-            predicted=Pose(*after.tolist()),
-            residual=Pose(*left.tolist()),
-            plan=self._space.plan(index, pose, length),
-            method=METHOD,
-        )
+        return self._made(pose, left, commanded, self._space.plan(index, pose, length))
 
     def _best(
         self, pose: Array, left: Array, lines: Lines, usable: list[int]

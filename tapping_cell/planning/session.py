@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from tapping_cell.planning.gains import Gains, Spread
 from tapping_cell.planning.goal import check_goal, edge_warning, others_text, place_text
 from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.planning.refusal import Refusal, RefusalReason
-from tapping_cell.planning.settings import CameraNoise
+from tapping_cell.planning.settings import CameraNoise, PlannerSettings
 from tapping_cell.planning.stopping import (
     CONFIDENCE,
     StoppingBox,
@@ -98,7 +99,128 @@ class Strike:
 Decision = Done | LookAgain | Strike | Refusal
 
 
-class PositioningSession:
+class GoalSession(ABC):
+    """What every closed loop to a goal does alike: when it is done, looks again, refuses or taps.
+
+    ``goal``: x, y (m), theta (rad) of the object in `table`; ``gains``: what is known of the
+    object; ``taps``: fired so far. A kind of cell adds what it refuses and how it taps.
+    """
+
+    goal: Array
+    gains: Gains
+    taps: int
+    _goal_refusal: Refusal | None
+
+    @property
+    @abstractmethod
+    def settings(self) -> PlannerSettings:
+        """Tolerance, scatter and camera."""
+
+    @property
+    @abstractmethod
+    def method(self) -> str:
+        """Name of the planning method, for records."""
+
+    @abstractmethod
+    def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
+        """Why no tap may be made, or None."""
+
+    @abstractmethod
+    def _next_tap(self, pose: Array, left: Array) -> Strike | Refusal:
+        """The tap to make, or why there is none."""
+
+    def residual(self, object_pose: ArrayLike) -> Array:
+        """Goal less object: (dx, dy, dtheta) in `table`, the rotation the short way round."""
+        left: Array = self.goal - np.asarray(object_pose, dtype=float)
+        left[2] = wrap_angle(left[2])
+        return left
+
+    def stopping(self, covariance: ArrayLike | None) -> StoppingBox:
+        """The box in which a look with this covariance, (3, 3) in m and rad, may say done."""
+        settings = self.settings
+        noise = settings.camera if covariance is None else noise_of(covariance)
+        return stopping_box(
+            settings.tolerance_position,
+            settings.tolerance_angle,
+            noise.position,
+            noise.angle,
+            settings.box,
+        )
+
+    def decide(
+        self,
+        object_pose: ArrayLike,
+        covariance: ArrayLike | None = None,
+        *,
+        look_again: bool = False,
+    ) -> Decision:
+        """What to do with the object at rest at this pose, seen with this covariance.
+
+        Args:
+            object_pose: x, y, theta in `table`, m and rad.
+            covariance: (3, 3) of that pose; None takes the nominal noise of the camera.
+            look_again: whether a longer look can be had; ``LookAgain`` is answered only then.
+        """
+        if self._goal_refusal is not None:
+            return self._goal_refusal
+        pose = np.asarray(object_pose, dtype=float)
+        if pose.shape != (3,) or not np.all(np.isfinite(pose)):
+            return Refusal(
+                RefusalReason.OBJECT_POSE_NOT_FINITE,
+                f"the object's pose {pose.tolist()} is not three finite numbers; look again",
+            )
+        left = self.residual(pose)
+        box = self.stopping(covariance)
+        residual = Pose(*left.tolist())
+        probability = self._inside(left, covariance, box)
+        if probability >= CONFIDENCE and box.camera_suffices:
+            return Done(residual, box)
+        if look_again and probability >= WORTH_A_LOOK:
+            return LookAgain(residual, probability)
+        return self._refusal_before_tap(pose, left, box) or self._next_tap(pose, left)
+
+    def _inside(self, left: Array, covariance: ArrayLike | None, box: StoppingBox) -> float:
+        """Probability of being within the tolerance."""
+        settings = self.settings
+        spread = settings.camera.covariance if covariance is None else covariance
+        return float(
+            inside_probability(left, spread, settings.tolerance_position, settings.tolerance_angle)
+        )
+
+    def _camera_refusal(self, left: Array, box: StoppingBox) -> Refusal | None:
+        settings = self.settings
+        within = (
+            math.hypot(left[0], left[1]) <= settings.tolerance_position
+            and abs(left[2]) <= settings.tolerance_angle
+        )
+        if within and not box.camera_suffices:
+            return Refusal(
+                RefusalReason.CAMERA_TOO_COARSE,
+                "the object may be at the goal, but the camera is too uncertain to say so within "
+                f"{1e3 * settings.tolerance_position:.2f} mm and "
+                f"{math.degrees(settings.tolerance_angle):.2f} degrees; look longer at the object "
+                "at rest, calibrate the camera or widen the tolerance",
+            )
+        return None
+
+    def _made(
+        self, pose: Array, left: Array, commanded: Array, plan: StrikePlan, detour: str = ""
+    ) -> Strike:
+        wanted = self.gains.predict(commanded, pose[2])
+        after = pose + wanted
+        after[2] = wrap_angle(after[2])
+        return Strike(
+            commanded=Pose(*commanded.tolist()),
+            wanted=Pose(*wanted.tolist()),
+            predicted=Pose(*after.tolist()),
+            residual=Pose(*left.tolist()),
+            plan=plan,
+            method=self.method,
+            detour=detour,
+        )
+
+
+class PositioningSession(GoalSession):
     """Goal, method, learnt gains and the room for strikes of one task.
 
     Args:
@@ -145,70 +267,24 @@ class PositioningSession:
             self._paths = free.to_goal(self.goal)
 
     @property
+    def settings(self) -> PlannerSettings:
+        """Of the planning method."""
+        return self.planner.settings
+
+    @property
     def method(self) -> str:
         """Name of the planning method, for records."""
         return self.planner.name
 
-    def residual(self, object_pose: ArrayLike) -> Array:
-        """Goal less object: (dx, dy, dtheta) in `table`, the rotation the short way round."""
-        left: Array = self.goal - np.asarray(object_pose, dtype=float)
-        left[2] = wrap_angle(left[2])
-        return left
-
-    def stopping(self, covariance: ArrayLike | None) -> StoppingBox:
-        """The box in which a look with this covariance, (3, 3) in m and rad, may say done."""
-        settings = self.planner.settings
-        noise = settings.camera if covariance is None else noise_of(covariance)
-        return stopping_box(
-            settings.tolerance_position,
-            settings.tolerance_angle,
-            noise.position,
-            noise.angle,
-            settings.box,
-        )
-
-    def decide(
-        self,
-        object_pose: ArrayLike,
-        covariance: ArrayLike | None = None,
-        *,
-        look_again: bool = False,
-    ) -> Decision:
-        """What to do with the object at rest at this pose, seen with this covariance.
-
-        Args:
-            object_pose: x, y, theta in `table`, m and rad.
-            covariance: (3, 3) of that pose; None takes the nominal noise of the camera.
-            look_again: whether a longer look can be had; ``LookAgain`` is answered only then.
-        """
-        if self._goal_refusal is not None:
-            return self._goal_refusal
-        pose = np.asarray(object_pose, dtype=float)
-        if pose.shape != (3,) or not np.all(np.isfinite(pose)):
-            return Refusal(
-                RefusalReason.OBJECT_POSE_NOT_FINITE,
-                f"the object's pose {pose.tolist()} is not three finite numbers; look again",
-            )
-        left = self.residual(pose)
-        box = self.stopping(covariance)
-        residual = Pose(*left.tolist())
-        probability = self._inside(left, covariance, box)
-        if probability >= CONFIDENCE and box.camera_suffices:
-            return Done(residual, box)
-        if look_again and probability >= WORTH_A_LOOK:
-            return LookAgain(residual, probability)
-        return self._refusal_before_tap(pose, left, box) or self._strike(pose, left, self._missed)
-
     def _inside(self, left: Array, covariance: ArrayLike | None, box: StoppingBox) -> float:
-        """Probability of being within the tolerance; by the box where the user chose its size."""
-        settings = self.planner.settings
-        if settings.box is not None:
+        """As of every session; by the box where the user chose its size."""
+        if self.settings.box is not None:
             inside = math.hypot(left[0], left[1]) <= box.distance and abs(left[2]) <= box.rotation
             return float(inside)
-        spread = settings.camera.covariance if covariance is None else covariance
-        return float(
-            inside_probability(left, spread, settings.tolerance_position, settings.tolerance_angle)
-        )
+        return super()._inside(left, covariance, box)
+
+    def _next_tap(self, pose: Array, left: Array) -> Strike | Refusal:
+        return self._strike(pose, left, self._missed)
 
     def observe(
         self,
@@ -243,19 +319,9 @@ class PositioningSession:
         return edge_warning(pose, self._space)
 
     def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
-        settings = self.planner.settings
-        within = (
-            math.hypot(left[0], left[1]) <= settings.tolerance_position
-            and abs(left[2]) <= settings.tolerance_angle
-        )
-        if within and not box.camera_suffices:
-            return Refusal(
-                RefusalReason.CAMERA_TOO_COARSE,
-                "the object may be at the goal, but the camera is too uncertain to say so within "
-                f"{1e3 * settings.tolerance_position:.2f} mm and "
-                f"{math.degrees(settings.tolerance_angle):.2f} degrees; look longer at the object "
-                "at rest, calibrate the camera or widen the tolerance",
-            )
+        coarse = self._camera_refusal(left, box)
+        if coarse is not None:
+            return coarse
         edge = float(self._space.workspace.edge_distance(pose[:2]))
         if edge < 0.0:
             return Refusal(
@@ -420,22 +486,6 @@ class PositioningSession:
         if bool(self._ends_well(pose, commanded[None, :])[0]):
             return ""
         return "the tap along the line might leave the table, enter a keep-out or end out of reach"
-
-    def _made(
-        self, pose: Array, left: Array, commanded: Array, plan: StrikePlan, detour: str
-    ) -> Strike:
-        wanted = self.gains.predict(commanded, pose[2])
-        after = pose + wanted
-        after[2] = wrap_angle(after[2])
-        return Strike(
-            commanded=Pose(*commanded.tolist()),
-            wanted=Pose(*wanted.tolist()),
-            predicted=Pose(*after.tolist()),
-            residual=Pose(*left.tolist()),
-            plan=plan,
-            method=self.planner.name,
-            detour=detour,
-        )
 
 
 def _elsewhere(commanded: Array, missed: tuple[float, ...]) -> BoolArray:
