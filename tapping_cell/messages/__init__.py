@@ -327,7 +327,9 @@ class ErrorCode:
     TAPPER_FAULT: ClassVar[int] = 611
     TAPPER_FIRMWARE_UNKNOWN: ClassVar[int] = 612
     TAPPER_INTERLOCK_OPEN: ClassVar[int] = 602
+    TAPPER_MOUNT_NOT_PROVEN: ClassVar[int] = 618
     TAPPER_NOT_CONNECTED: ClassVar[int] = 601
+    TAPPER_OTHER_ACTIVE: ClassVar[int] = 619
     TAPPER_OUTCOME_UNKNOWN: ClassVar[int] = 607
     TAPPER_REPLY_GARBLED: ClassVar[int] = 613
     TAPPER_RESET: ClassVar[int] = 609
@@ -335,6 +337,7 @@ class ErrorCode:
     TAPPER_SPEED_OUT_OF_RANGE: ClassVar[int] = 606
     TAPPER_SPENT: ClassVar[int] = 605
     TAPPER_STOPPED: ClassVar[int] = 603
+    TAPPER_STRIKER_AWAY: ClassVar[int] = 617
     TAPPER_TIMEOUT: ClassVar[int] = 604
     TAPPER_UNKNOWN: ClassVar[int] = 616
     TAP_LEAVES_TABLE: ClassVar[int] = 410
@@ -581,6 +584,8 @@ class TapperState:
     measured_speed: float = 0.0
     shots_fired: int = 0
     boot_number: int = 0
+    fixed_mounts: bool = False
+    away: list[str] = field(default_factory=list)
     mounts_proven: bool = False
     interlock_closed: bool = False
     set_up: bool = False
