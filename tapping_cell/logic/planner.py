@@ -126,6 +126,7 @@ FINAL = (S.REACHED, S.FAILED, S.CANCELED)
 FINAL_STATES = tuple(WIRE[state] for state in FINAL)
 """Of ``plan_state``: the goal has ended."""
 REMEMBERED = (
+    "object_id",
     "planner",
     "goal",
     "position_tolerance",
@@ -251,6 +252,7 @@ class PlannerLogic:
                 request.time_limit,
                 token,
                 request.probe,
+                request.object_id,
             )
             self._on_goal(asked, now)
         return self._drain()
@@ -328,6 +330,7 @@ class PlannerLogic:
         report = GoalReport(
             refused=True,
             state=PlanState.FAILED,
+            object_id=request.object_id,
             goal=request.message,
             position_tolerance=request.position_tolerance,
             angle_tolerance=request.angle_tolerance,
@@ -510,7 +513,7 @@ class PlannerLogic:
         self._last_tap_id = max(
             self._last_tap_id + 1, now.ros // NANOSECONDS, self._monitor.last_tap_id() + 1
         )
-        shot = self._shot = Shot(self._last_tap_id, strike, before)
+        shot = self._shot = Shot(self._last_tap_id, task.object_id, strike, before)
         allowance = self._settings.place_deadline + self._settings.fire_deadline
         expiry = now.ros + round(allowance * NANOSECONDS)
         height = self.goals.cell.strike_height
@@ -756,6 +759,7 @@ def _final_report(state: PlanState, task: Task) -> GoalReport:
     """The report of a goal that has ended."""
     report = GoalReport(header=state.header, state=state.state, records=task.records)
     for name in (
+        "object_id",
         "goal",
         "position_tolerance",
         "angle_tolerance",
