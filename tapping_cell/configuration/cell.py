@@ -478,6 +478,14 @@ class CellFile:
 
 
 @dataclass(frozen=True, slots=True)
+class Board:
+    """A tapper's controller: its port, and the channel of each tapper on it, by name."""
+
+    port: str
+    channels: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True)
 class Cell:
     """A cell file with the files that it names, read and checked."""
 
@@ -548,6 +556,19 @@ class Cell:
         if fixed is None:
             return {ARM_TAPPER: self.file.tapper}
         return {entry.name: self.tapper_of(entry) for entry in fixed.tappers}
+
+    @property
+    def boards(self) -> tuple[Board, ...]:
+        """The tappers' controllers, in the order of the cell file; channels rise on each."""
+        fixed = self.file.fixed_tappers
+        channels = {} if fixed is None else {entry.name: entry.channel for entry in fixed.tappers}
+        ports: dict[str, dict[str, int]] = {}
+        for name, tapper in self.tapper_sections.items():
+            ports.setdefault(tapper.port, {})[name] = channels.get(name, 0)
+        return tuple(
+            Board(port, dict(sorted(names.items(), key=lambda pair: pair[1])))
+            for port, names in ports.items()
+        )
 
     @property
     def strike_height(self) -> float:
@@ -630,7 +651,7 @@ def refuse_own_drivers(cell: Cell) -> None:
         ConfigurationError: the arm has a ROS driver of its own, which no simulated world stands in
             for.
     """
-    if cell.arm.ros2_control is not None:
+    if cell.file.arm is not None and cell.arm.ros2_control is not None:
         raise ConfigurationError(
             f"{cell.path}: key 'arm.dialect' is ros2_control: a simulated cell started from this "
             f"file would move the arm behind {cell.arm.ros2_control.controller}; ask for "

@@ -71,14 +71,21 @@ def discharge(context: JobContext) -> Status:
     return _told(driver, driver.discharge())
 
 
+def prove(context: JobContext) -> Status:
+    """Have the board prove that its strikers are at their mounts."""
+    driver: TapperDriver = context.driver
+    return _told(driver, driver.home(lambda: not context.abandoned()))
+
+
 def charge(
     context: JobContext,
     shot: int,
     energy: float,
+    channel: int,
     doubt: Callable[[Now], Trouble | None],
     tell: bool,
 ) -> ChargeEnd:
-    """Charge ``energy`` in J for a shot, and discharge at once when ``doubt`` is met.
+    """Charge ``energy`` in J for a shot of a channel, and discharge at once when ``doubt`` is met.
 
     ``tell``: post the board's last reply before each check.
     """
@@ -94,7 +101,7 @@ def charge(
 
     if not go_on():
         return ChargeEnd(_told(driver, driver.status()), False, refusal)
-    reply = driver.charge(shot, energy, go_on)
+    reply = driver.charge(shot, energy, go_on, channel=channel)
     charged = reply.state is State.CHARGED
     return ChargeEnd(_told(driver, reply), charged, refusal)
 
@@ -131,6 +138,12 @@ def fire(
     except HardwareFault as met:
         fault = met
     return FireEnd(shot, result.outcome, result.sentence, refusal, status, fault)
+
+
+def wait_for_return(context: JobContext) -> Status:
+    """Wait until the striker that was released is back at its mount, or is given up."""
+    driver: TapperDriver = context.driver
+    return _told(driver, driver.wait_for_return(lambda: not context.abandoned()))
 
 
 def _told(driver: TapperDriver, reply: Reply) -> Status:

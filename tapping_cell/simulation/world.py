@@ -99,10 +99,9 @@ class World:
             tangential_stiffness=truth.impact.tangential_stiffness,
             oblique_loss=truth.impact.oblique_loss,
         )
-        self._contact = Contact(
-            Outline(body, offset), body.mass, inertia, striker, law, self._slide.acceleration
-        )
+        self._outline, self._inertia, self._law = Outline(body, offset), inertia, law
         self._body = body
+        self._contact = self._contact_with(striker)
         self._random = np.random.default_rng(random)
         # Of its own: how a tap scatters does not depend on whether it is measured.
         self._gate_random = self._random.spawn(1)[0]
@@ -141,6 +140,16 @@ class World:
         motion = self._motion()
         return motion.vx, motion.vy, motion.omega
 
+    def _contact_with(self, striker: Striker) -> Contact:
+        return Contact(
+            self._outline,
+            self._body.mass,
+            self._inertia,
+            striker,
+            self._law,
+            self._slide.acceleration,
+        )
+
     def reseed(self, seed: int) -> None:
         """Begin the random numbers anew."""
         self._random = np.random.default_rng(seed)
@@ -156,22 +165,49 @@ class World:
         x, y = self._random.uniform(-reach, reach)
         return Pose(float(x), float(y), float(self._random.uniform(-math.pi, math.pi)))
 
-    def strike(self, tip: Pose, tip_height: float, speed: float, now: float) -> bool:
-        """Release the striker at a true tip pose in ``table`` with a speed in m/s.
+    def random_pose_in(self, disc: tuple[float, float, float]) -> Pose:
+        """A pose anywhere in a disc: middle x and y, and radius, m."""
+        x, y, radius = disc
+        reach = radius * math.sqrt(float(self._random.uniform()))
+        angle, theta = self._random.uniform(-math.pi, math.pi, 2)
+        return Pose(x + reach * math.cos(angle), y + reach * math.sin(angle), float(theta))
 
+    def travel(self, tip: Pose, stroke: float) -> float:
+        """How far a tip goes out from a true pose in ``table`` at most, m: to the object where it
+        lies now, or its whole stroke."""
+        axis = (math.cos(tip.theta), math.sin(tip.theta))
+        way = Flight(tip.x, tip.y, *axis, axis, stroke)
+        if not self._meets(way):
+            return stroke
+        return min(math.hypot(way.x - tip.x, way.y - tip.y), stroke)
+
+    def strike(
+        self,
+        tip: Pose,
+        tip_height: float,
+        speed: float,
+        now: float,
+        *,
+        striker: Striker | None = None,
+        stroke: float | None = None,
+    ) -> bool:
+        """Release a striker at a true tip pose in ``table`` with a speed in m/s.
+
+        ``striker`` and ``stroke`` (m): another one than the world's own.
         Returns whether it will hit the object where it lies: a striker above the object's top,
         below the table, beside the object or farther from it than the stroke hits nothing.
         """
         self.advance(now)
         self._cut(self._motion())
         self._tap = None
+        if striker is not None and striker != self._striker:
+            self._striker, self._contact = striker, self._contact_with(striker)
         if not 0 < tip_height < self._height or speed <= 0:
             return False
         axis = (math.cos(tip.theta), math.sin(tip.theta))
         true_speed = speed * self._truth.impact.striker_speed_factor
-        flight = Flight(
-            tip.x, tip.y, true_speed * axis[0], true_speed * axis[1], axis, self._stroke
-        )
+        reach = self._stroke if stroke is None else stroke
+        flight = Flight(tip.x, tip.y, true_speed * axis[0], true_speed * axis[1], axis, reach)
         self._bring_out(flight)
         meets = self._meets(replace(flight))
         if not meets and self._after.at_rest:

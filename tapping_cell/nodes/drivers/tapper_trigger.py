@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from tapping_cell import messages
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.hardware.tapper import TapperDriver, TapperSettings
 from tapping_cell.hardware.tapper_protocol import Mode
@@ -29,6 +29,14 @@ class Parameters:
     autostart: bool = text("configure and activate without being asked", default=True)
     cell_file: str = text("path of the cell file; empty for the package's own", default="")
     port: str = text("path of the tapper's serial port; empty for the cell file's", default="")
+    board: int = quantity(
+        "which of the cell's boards this node drives: 0 for the first port in the cell file, 1 for "
+        "the next",
+        "",
+        0,
+        15,
+        default=0,
+    )
     state_rate: float = quantity("rate of tapper_state", "Hz", 1.0, 200.0, default=20.0)
     set_up: bool = text(
         "set-up mode: charge and fire only while an enabling device is held, and only the board's "
@@ -79,6 +87,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver]):
         self.host.publishes(messages.TapperState, "tapper_state", LATCHED)
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
         self.host.subscribes(messages.ArmState, "arm_state", LATCHED)
+        self.host.subscribes(messages.TapperState, "tapper_state", LATCHED)
         self.host.subscribes(messages.PlanState, "plan_state", LATCHED)
         self.host.subscribes(messages.ObjectState, "object_state", LATCHED)
         self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
@@ -87,8 +96,13 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver]):
     def configure(self) -> None:
         """Read the cell file, open the port, open a session, which discharges the tapper."""
         cell = load_cell(self.settings.cell_file or None)
+        if self.settings.board >= len(cell.boards):
+            raise ConfigurationError(
+                f"parameter board is {self.settings.board}, but {cell.path} has"
+                f" {len(cell.boards)} (0 to {len(cell.boards) - 1})"
+            )
         tapper = cell.file.tapper
-        port = str(self.port_path(self.settings.port or tapper.port))
+        port = str(self.port_path(self.settings.port or cell.boards[self.settings.board].port))
         mode = Mode.SETUP if self.settings.set_up else Mode.RUN
         driver = TapperDriver(SerialTransport(port, tapper.baud), TapperSettings(mode=mode))
         self.connect(driver, port, cell, lambda reply: reply)
@@ -126,7 +140,9 @@ def make_logic(parameters: Parameters) -> TapperLogic:
         parameters.moved_limit,
         parameters.turned_limit,
     )
-    return TapperLogic(TapperOptions(parameters.state_rate, limits, parameters.set_up))
+    return TapperLogic(
+        TapperOptions(parameters.state_rate, limits, parameters.set_up, board=parameters.board)
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

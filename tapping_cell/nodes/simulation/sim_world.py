@@ -18,7 +18,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.srv import ResetWorld
 
-from tapping_cell.configuration.cell import Cell, load_cell, refuse_own_drivers
+from tapping_cell.configuration.cell import Cell, TapperSection, load_cell, refuse_own_drivers
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import load, quantity, text
 from tapping_cell.nodes.camera import images
@@ -28,6 +28,7 @@ from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.conversions import from_message, is_finite, to_message
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import SimulatedDevices
+from tapping_cell.simulation.fixed_devices import FixedDevices, numbered
 from tapping_cell.simulation.pacing import Pace
 from tapping_cell.simulation.pseudo_terminal import PortTakenError
 from tapping_cell.simulation.rendered_camera import SceneRenderer
@@ -72,7 +73,7 @@ class SimWorld(CellNode[Parameters]):
         self._truth: TruthFile | None = None
         self._world: World | None = None
         self._renderer: SceneRenderer | None = None
-        self._devices: SimulatedDevices | None = None
+        self._devices: SimulatedDevices | FixedDevices | None = None
         self._claim: socket.socket | None = None
         self._info = CameraInfo()
         self._lock = threading.Lock()
@@ -111,20 +112,34 @@ class SimWorld(CellNode[Parameters]):
                 "give this one a ROS_DOMAIN_ID or a namespace of its own"
             )
         try:
-            devices = SimulatedDevices(
-                cell,
-                truth.arm,
-                arm_port=self.port_path(settings.arm_port or cell.arm.port),
-                tapper_port=self.port_path(settings.tapper_port or cell.file.tapper.port),
-                on_strike=self._on_strike,
-                seed=settings.seed,
-            )
+            devices = self._make_devices(cell, truth)
         except PortTakenError as error:
             raise NotReady(str(error)) from error
         self._cell, self._truth, self._world, self._devices = cell, truth, world, devices
         self._renderer = renderer
         self._info = images.to_camera_info(cell.camera)
         self._info.header.frame_id = "camera_optical"
+
+    def _make_devices(self, cell: Cell, truth: TruthFile) -> SimulatedDevices | FixedDevices:
+        settings = self.settings
+        if cell.file.arm is None:
+            return FixedDevices(
+                cell,
+                truth.mounts,
+                ports=lambda index, port: self.port_path(
+                    numbered(settings.tapper_port, index) or port
+                ),
+                on_strike=self._on_fixed_strike,
+                seed=settings.seed,
+            )
+        return SimulatedDevices(
+            cell,
+            truth.arm,
+            arm_port=self.port_path(settings.arm_port or cell.arm.port),
+            tapper_port=self.port_path(settings.tapper_port or cell.file.tapper.port),
+            on_strike=self._on_strike,
+            seed=settings.seed,
+        )
 
     def cleanup(self) -> None:
         """Close the ports; the devices are gone."""
@@ -147,6 +162,20 @@ class SimWorld(CellNode[Parameters]):
                 return speed
             self._world.strike(tip, height, speed, now)
             return self._world.gate_speed(speed)
+
+    def _on_fixed_strike(
+        self, tip: Pose, height: float, speed: float, tapper: TapperSection, now: float
+    ) -> tuple[float, float]:
+        """A tapper at a fixed mount was released; called from its emulator's thread."""
+        with self._lock:
+            if self._world is None:
+                return speed, tapper.stroke
+            self._world.advance(now)
+            travel = self._world.travel(tip, tapper.stroke)
+            self._world.strike(
+                tip, height, speed, now, striker=tapper.striker(), stroke=tapper.stroke
+            )
+            return self._world.gate_speed(speed), travel
 
     def _expose(self) -> None:
         """Take a picture where one is due; send the one whose latency is over."""
@@ -180,7 +209,9 @@ class SimWorld(CellNode[Parameters]):
         assert self._world is not None and self._truth is not None and self._devices is not None
         self._world.advance(time)
         held = self._truth.arm.holds
-        return self._world.pose if held is None else self._devices.tip(time)[0] @ Pose(*held)
+        if held is None or isinstance(self._devices, FixedDevices):
+            return self._world.pose
+        return self._devices.tip(time)[0] @ Pose(*held)
 
     def _send_late(self) -> None:
         while self._late and self._late[0][0] <= time.monotonic():
@@ -215,7 +246,9 @@ class SimWorld(CellNode[Parameters]):
         with self._lock:
             if request.seed:
                 self._world.reseed(request.seed)
-            if request.random:
+            if request.random and self._cell.file.fixed_tappers is not None:
+                pose = self._world.random_pose_in(self._cell.file.fixed_tappers.working_area)
+            elif request.random:
                 margin = self._cell.object.body().bounding_radius + 0.06
                 pose = self._world.random_pose(table.length, table.width, margin)
             elif is_finite(request.object_pose):
