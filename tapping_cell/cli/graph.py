@@ -45,7 +45,7 @@ _PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux' prctl(2)
 
 
 def nodes_of(cell: Cell, *, hardware: bool) -> tuple[str, ...]:
-    """The nodes of a cell: an arm's driver where there is an arm, one ``tapper_trigger`` a board."""
+    """The nodes of a cell: an arm's driver where there is one, a ``tapper_trigger`` a board."""
     nodes: tuple[str, ...] = HARDWARE if hardware else SIMULATED
     if cell.file.arm is None:
         nodes = tuple(name for name in nodes if name != "scara_arm")

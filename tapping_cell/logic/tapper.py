@@ -633,8 +633,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._say(
                 ErrorCode.TAPPER_STRIKER_AWAY,
                 f"the striker of {', '.join(self._mounts.away) or struck} did not leave its mount"
-                " or is not back at it, as its switch says; free it, check its return spring and its"
-                " switch, then clear the fault",
+                " or is not back at it, as its switch says; free it, check its return spring and"
+                " its switch, then clear the fault",
             )
 
     def _see_mounts(self) -> None:

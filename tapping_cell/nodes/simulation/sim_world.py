@@ -126,8 +126,8 @@ class SimWorld(CellNode[Parameters]):
             return FixedDevices(
                 cell,
                 truth.mounts,
-                ports=lambda index, port: self.port_path(
-                    numbered(settings.tapper_port, index) or port
+                ports=lambda board, port: self.port_path(
+                    numbered(settings.tapper_port, board) or port
                 ),
                 on_strike=self._on_fixed_strike,
                 seed=settings.seed,
