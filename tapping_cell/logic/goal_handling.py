@@ -45,6 +45,8 @@ class Request:
     token: Token | None = None
     probe: bool = False
     """Begin with a few of the smallest taps."""
+    ask: bool = False
+    """A person confirms every tap."""
 
 
 class GoalHandling:
@@ -202,7 +204,16 @@ class GoalHandling:
             message = PoseStamped(
                 header=Header(stamp=message.header.stamp, frame_id=TABLE), pose=to_message(goal)
             )
-        return Task(message, goal, tolerance, max_taps, session, request.token, expires)
+        return Task(
+            message,
+            goal,
+            tolerance,
+            max_taps,
+            session,
+            request.token,
+            expires,
+            ask=request.ask,
+        )
 
     def accept_tap(
         self, asked: SingleTap.Goal, token: Token, pose: Pose | None, now: Now
