@@ -47,6 +47,8 @@ class Request:
     """Begin with a few of the smallest taps."""
     ask: bool = False
     """A person confirms every tap."""
+    object_id: str = ""
+    """Name of the object; empty for the cell's own."""
 
 
 class GoalHandling:
@@ -162,6 +164,13 @@ class GoalHandling:
 
     def accept(self, request: Request, now: Now) -> Task | Refused:
         """A task for a request, or why there is none."""
+        name = self.cell.object.name
+        if request.object_id not in ("", name):
+            return Refused(
+                ErrorCode.GOAL_UNKNOWN_OBJECT,
+                f"the goal is for the object '{request.object_id}', but this cell positions "
+                f"'{name}'; name that one, or none",
+            )
         goal = read_goal(request.message, 1e-9 * now.ros, self._frames)
         if isinstance(goal, Refused):
             return goal
@@ -205,6 +214,7 @@ class GoalHandling:
                 header=Header(stamp=message.header.stamp, frame_id=TABLE), pose=to_message(goal)
             )
         return Task(
+            name,
             message,
             goal,
             tolerance,
@@ -243,6 +253,7 @@ class GoalHandling:
         message = PoseStamped(pose=to_message(goal))
         message.header.frame_id = "table"
         return SingleTapTask(
+            object_id=self.cell.object.name,
             message=message,
             goal=goal,
             tolerance=self.cell.tolerance,

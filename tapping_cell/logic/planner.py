@@ -144,6 +144,7 @@ FINAL = (S.REACHED, S.FAILED, S.CANCELED)
 FINAL_STATES = tuple(WIRE[state] for state in FINAL)
 """Of ``plan_state``: the goal has ended."""
 REMEMBERED = (
+    "object_id",
     "planner",
     "goal",
     "position_tolerance",
@@ -279,6 +280,7 @@ class PlannerLogic:
                 token,
                 request.probe,
                 request.ask,
+                request.object_id,
             )
             self._on_goal(asked, now)
         return self._drain()
@@ -356,6 +358,7 @@ class PlannerLogic:
         report = GoalReport(
             refused=True,
             state=PlanState.FAILED,
+            object_id=request.object_id,
             goal=request.message,
             position_tolerance=request.position_tolerance,
             angle_tolerance=request.angle_tolerance,
@@ -553,7 +556,9 @@ class PlannerLogic:
             self._last_tap_id + 1, now.ros // NANOSECONDS, self._monitor.last_tap_id() + 1
         )
         covariance = task.session.predicted_covariance(strike, before)
-        shot = Shot(self._last_tap_id, len(task.records) + 1, strike, before, covariance)
+        shot = Shot(
+            self._last_tap_id, task.object_id, len(task.records) + 1, strike, before, covariance
+        )
         if strike.detour:
             self._log(LogLevel.INFO, f"tap {shot.number}: {strike.detour}")
         if not self._asks(task):
@@ -876,6 +881,7 @@ def _final_report(state: PlanState, task: Task) -> GoalReport:
     """The report of a goal that has ended."""
     report = GoalReport(header=state.header, state=state.state, records=task.records)
     for name in (
+        "object_id",
         "goal",
         "position_tolerance",
         "angle_tolerance",

@@ -52,6 +52,7 @@ class Shot:
     """One tap from its command to its measured result."""
 
     tap_id: int
+    object_id: str
     number: int
     """Its place in its goal, from 1."""
     strike: Strike
@@ -70,6 +71,7 @@ class Shot:
             request=TapCommand.TAP,
             tap_id=self.tap_id,
             tapper=plan.tapper,
+            object_id=self.object_id,
             striker_speed=plan.striker_speed,
             expiry=to_stamp(expiry),
             strike_pose=to_message(plan.strike_pose, height),
@@ -85,6 +87,7 @@ class Shot:
         plan = self.strike.plan
         tap = PlannedTap(
             tap_id=self.tap_id,
+            object_id=self.object_id,
             number=self.number,
             object_pose=to_message(self.before),
             strike_pose=to_message(plan.strike_pose, height),
@@ -106,6 +109,7 @@ class Shot:
         record = TapRecord(
             tap_id=self.tap_id,
             tapper=strike.plan.tapper,
+            object_id=self.object_id,
             number=self.number,
             planner=strike.method,
             object_pose=to_message(self.before),
@@ -136,6 +140,8 @@ class Task:
     resumable: ClassVar[bool] = True
     """Whether a planner that crashed goes on with it."""
 
+    object_id: str
+    """Name of the object."""
     message: PoseStamped
     goal: Pose
     tolerance: tuple[float, float]
@@ -207,6 +213,7 @@ class Task:
 
     def fill(self, state: PlanState, pose: Pose | None) -> None:
         """Write this goal and its residual into a report; ``pose`` is None while not seen."""
+        state.object_id = self.object_id
         state.planner = self.session.method
         state.goal = self.message
         state.position_tolerance, state.angle_tolerance = self.tolerance
