@@ -315,10 +315,14 @@ class TapperLogic(DeviceLogic[State, Event]):
         """Why a tap command is not taken; None when it is."""
         if not self._active or self._curve is None:
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
-        if self.state in SERVING:
-            return ErrorCode.TAPPER_BUSY, f"it serves tap {self._told.tap_id}"
         if self.state is not S.SAFE:
-            return ErrorCode.TAPPER_BUSY, f"the tapper is not at rest: {self._trouble[1]}"
+            serving = self.state in SERVING
+            why = (
+                f"serves tap {self._told.tap_id}"
+                if serving
+                else f"is not at rest: {self._trouble[1]}"
+            )
+            return ErrorCode.TAPPER_BUSY, f"the tapper {why}"
         if tap_commands.named_tapper(command.tapper, self._names) is None:
             return tap_commands.unknown_tapper(command.tapper, self._names)
         if self._set_up and not self._enabling.held(now):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +22,7 @@ from tapping_cell.messages import (
     TapperState,
 )
 from tapping_cell.se2 import Pose
-from tapping_cell.simulation.fault_layer import Direction, FaultKind, random_fault
+from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault, random_fault
 
 if TYPE_CHECKING:
     from tapping_cell.verification.trial import Trial
@@ -30,34 +31,50 @@ SPAN_S = 16.0
 """Faults are spread over so long from the moment at which a goal is sent."""
 MEAN_FAULTS = 2.0
 """Faults of a goal, on average."""
-SHARE_AT_A_MOMENT = 0.6
-"""Of the goals' faults, those that strike around one moment of a tap, together: what goes wrong at
-the same time is what guards are for."""
+SHARE_AT_A_MOMENT = 0.25
+"""Of the goals' faults, those that strike around one state that a node publishes, together: what
+goes wrong at the same time is what guards are for."""
+SHARE_AT_THE_SHOT = 0.5
+"""Of the goals' faults, those that strike together around one step of a shot."""
 CLOSE_S = 0.3
 """How far faults of one moment lie apart at most."""
+CLOSEST_S = 2e-4
+"""Faults around a shot lie from so far to ``CLOSE_S`` apart, all orders of magnitude alike."""
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """The n-th time that a node publishes a state: ``topic``, ``state``, ``times``."""
+    """The n-th time in a goal that something happens; ``name`` as the trial tells it."""
 
-    topic: str
-    state: int
+    name: str
     times: int
 
 
+def told(topic: str, state: int) -> str:
+    """The name of the moment at which a node publishes that it is in another state."""
+    return f"{topic} {state}"
+
+
 MOMENTS = (
-    ("arm_state", ArmState.MOVING),
-    ("arm_state", ArmState.IN_POSITION),
-    ("arm_state", ArmState.IN_POSITION),
-    ("arm_state", ArmState.WITHDRAWING),
-    ("tapper_state", TapperState.CHARGING),
-    ("tapper_state", TapperState.CHARGED),
-    ("tapper_state", TapperState.CHARGED),
-    ("tapper_state", TapperState.FIRING),
-    ("tapper_state", TapperState.FIRING),
-    ("plan_state", PlanState.LOOKING),
-    ("plan_state", PlanState.SETTLING),
+    told("arm_state", ArmState.IDLE),
+    told("arm_state", ArmState.MOVING),
+    told("arm_state", ArmState.IN_POSITION),
+    told("arm_state", ArmState.WITHDRAWING),
+    told("tapper_state", TapperState.SAFE),
+    told("tapper_state", TapperState.CHARGING),
+    told("plan_state", PlanState.LOOKING),
+    told("plan_state", PlanState.SETTLING),
+)
+ARM_ASKED, ARM_PROMISED = "hold_still asked", "hold_still answered"
+CHECKED, RELEASED = "last check", "released"
+OF_A_SHOT = (
+    told("tapper_state", TapperState.CHARGED),
+    told("arm_state", ArmState.IN_POSITION),
+    ARM_ASKED,
+    ARM_PROMISED,
+    told("tapper_state", TapperState.FIRING),
+    CHECKED,
+    RELEASED,
 )
 
 
@@ -72,19 +89,25 @@ class Fault:
     moment: Moment | None = None
 
 
-def draw_faults(rng: np.random.Generator, trial: Trial) -> list[Fault]:
-    """The faults of one goal, in the order of their times."""
+def draw_faults(rng: np.random.Generator, trial: Trial, only: Sequence[str] = ()) -> list[Fault]:
+    """The faults of one goal, in the order of their times; ``only``: of these kinds."""
     number = int(rng.poisson(MEAN_FAULTS))
-    moment = None
-    if rng.random() < SHARE_AT_A_MOMENT:
-        topic, state = MOMENTS[int(rng.integers(len(MOMENTS)))]
-        moment = Moment(topic, int(state), int(rng.integers(1, 3)))
+    place = rng.random()
+    moment, kinds, closest = None, KINDS, 0.0
+    if place < SHARE_AT_THE_SHOT:
+        name = _pick(rng, OF_A_SHOT)
+        moment, kinds, closest = Moment(name, int(rng.integers(1, 3))), AT_A_SHOT, CLOSEST_S
+    elif place < SHARE_AT_THE_SHOT + SHARE_AT_A_MOMENT:
+        moment = Moment(_pick(rng, MOMENTS), int(rng.integers(1, 3)))
+    kinds = tuple(kind for kind in kinds if kind in only) or tuple(only) if only else kinds
     faults = []
     for _ in range(number):
-        kinds = KINDS if moment is None else AT_A_MOMENT
-        kind = kinds[int(rng.integers(len(kinds)))]
+        kind = _pick(rng, kinds)
         strike, words = MAKERS[kind](rng, trial)
-        time = float(rng.uniform(0.0, SPAN_S if moment is None else CLOSE_S))
+        if closest:
+            time = _duration(rng, closest, CLOSE_S)
+        else:
+            time = float(rng.uniform(0.0, SPAN_S if moment is None else CLOSE_S))
         faults.append(Fault(kind, time, strike, words, moment))
     return sorted(faults, key=lambda fault: fault.time)
 
@@ -248,6 +271,82 @@ def _foreign_outcome(rng: np.random.Generator, trial: Trial) -> Made:
 
     return strike, "somebody else lets the arm go" if by_service else (
         f"a foreign tapper_state: {'FIRED' if fired else 'NOT_FIRED'}"
+    )
+
+
+def _repeated_command(rng: np.random.Generator, trial: Trial) -> Made:
+    """The last TAP arrives once more, as it was: from a recording, or by a network's doing."""
+
+    def strike(t: Trial) -> None:
+        last = max(t.witness.commands, default=0)
+        if last:
+            t.network.publish("somebody_else", "tap_command", t.witness.commands[last])
+
+    return strike, "the last TAP once more"
+
+
+def _slow_answer(rng: np.random.Generator, trial: Trial) -> Made:
+    """The arm is asked and answers at the edge of what the tapper waits for."""
+    delays = {("hold_still", way): float(rng.uniform(0.0, 0.2)) for way in ("request", "answer")}
+    if rng.random() < 0.5:
+        delays.pop(("hold_still", _pick(rng, ("request", "answer"))))
+    lasting = _duration(rng, 0.2, 6.0)
+
+    def strike(t: Trial) -> None:
+        t.network.faults.slow.update(delays)
+        for link in delays:
+            t.scheduler.after(lasting, partial(t.network.hasten, *link))
+
+    words = " and ".join(f"{way} by {delay:.3f} s" for (_, way), delay in delays.items())
+    return strike, f"hold_still late: {words}, for {lasting:.1f} s"
+
+
+def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
+    """Something is told that one node hears at once and the others late."""
+    what, words = MAKERS[_pick(rng, ONE_SIDED)](rng, trial)
+    first = _pick(rng, NODES)
+    late = float(rng.uniform(0.03, 0.6))
+    silent = bool(rng.random() < 0.5)
+    links = [
+        (topic, node)
+        for topic in ("tap_command", "tapper_state", "emergency_stop")
+        for node in LINKS[topic]
+        if node != first
+    ]
+    if silent:
+        # What the first node says of it is late as well.
+        links += [("arm_state", "tapper_trigger"), ("plan_state", "tapper_trigger")]
+
+    def strike(t: Trial) -> None:
+        for link in links:
+            t.network.faults.slow[link] = late
+            t.scheduler.after(late, partial(t.network.hasten, *link))
+        what(t)
+
+    echo = ", its own words late too" if silent else ""
+    return strike, f"{words}; heard by all but {first} {late:.3f} s late{echo}"
+
+
+def _shot_power(rng: np.random.Generator, trial: Trial) -> Made:
+    def strike(t: Trial) -> None:
+        t.physical.tapper_board.power_cycle(t.scheduler.now)
+        t.physical.tapper_line.schedule()
+
+    return strike, "the tapper's board loses power for a moment"
+
+
+def _shot_cable(rng: np.random.Generator, trial: Trial) -> Made:
+    """The tapper's cable fails: no byte of some length of time arrives, or the port goes."""
+    kind = (FaultKind.DROP, FaultKind.STALL, FaultKind.HANG_UP)[int(rng.integers(3))]
+    direction = list(Direction)[int(rng.integers(2))]
+    length, lasting = int(rng.integers(30, 2000)), _duration(rng, 0.05, 2.0)
+
+    def strike(t: Trial) -> None:
+        layer = t.physical.tapper_line.layer
+        layer.add(LineFault(kind, direction, layer.count(direction), length, lasting))
+
+    return strike, (
+        f"tapper line: {kind.value} of {length} bytes or {lasting:.2f} s, {direction.value}"
     )
 
 
@@ -430,12 +529,17 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "replay": _replay,
     "foreign command": _foreign_command,
     "foreign outcome": _foreign_outcome,
+    "repeated command": _repeated_command,
+    "heard by one": _heard_by_one,
+    "slow answer": _slow_answer,
     "foreign state": _foreign_state,
     "second node": _second_node,
     "foreign trajectory": _trajectory,
     "clock step": _clock_step,
     "serial line": _line,
     "line at a shot": _shot_line,
+    "cable at a shot": _shot_cable,
+    "power at a shot": _shot_power,
     "loss of power": _power,
     "camera": _camera,
     "object moved": _bump,
@@ -447,22 +551,24 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "disk full": _disk_full,
 }
 KINDS = tuple(MAKERS)
-AT_A_MOMENT = (
-    *KINDS,
-    "freeze",
-    "freeze",
-    "freeze at a write",
-    "freeze at a write",
-    "freeze after the last check",
+ONE_SIDED = ("foreign command", "foreign outcome", "cancel", "emergency stop", "replay")
+"""What one node may hear well before the others."""
+AT_A_SHOT = (
+    *("freeze", "freeze at a write", "freeze after the last check") * 2,
+    *("slow answer", "heard by one") * 3,
+    *("foreign outcome", "foreign command", "repeated command", "foreign state") * 2,
+    *("line at a shot", "cable at a shot", "power at a shot") * 2,
     "slow topic",
-    "slow topic",
-    "line at a shot",
-    "line at a shot",
     "kill",
-    "foreign command",
-    "foreign outcome",
+    "deactivate",
     "cancel",
     "object moved",
+    "camera",
     "emergency stop",
+    "stop service",
+    "guard",
+    "clock step",
+    "duplicates",
+    "second client",
 )
-"""Around a moment, what makes two nodes see different things is drawn more often."""
+"""Around a shot, what makes two nodes see different things is drawn more often."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any
@@ -44,7 +44,16 @@ from tapping_cell.messages import (
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.camera import Camera
-from tapping_cell.verification.faults import Fault, draw_faults
+from tapping_cell.verification.faults import (
+    ARM_ASKED,
+    ARM_PROMISED,
+    CHECKED,
+    RELEASED,
+    Fault,
+    Moment,
+    draw_faults,
+    told,
+)
 from tapping_cell.verification.host import HostClock, Process, Program
 from tapping_cell.verification.invariants import Violation, Witness
 from tapping_cell.verification.network import Network, Quality
@@ -146,8 +155,16 @@ class Report:
 class Trial:
     """The whole cell of one seed. Times in s of the run."""
 
-    def __init__(self, seed: int, trace: bool = False, *, faults: bool = True) -> None:
-        """``faults`` False: nothing happens to the cell."""
+    def __init__(
+        self,
+        seed: int,
+        trace: bool = False,
+        *,
+        faults: bool = True,
+        only: Sequence[str] = (),
+    ) -> None:
+        """``faults`` False: nothing happens to the cell; ``only``: faults of these kinds."""
+        self._only = only
         self.seed = seed
         self._faulty = faults
         self.rng = np.random.default_rng([seed, 0])
@@ -171,8 +188,10 @@ class Trial:
         self.witness = Witness(self.scheduler, self.physical, self.clocks["tapper_trigger"])
         self.witness.unseen_limit = NOTICED_S + (COVERED_S if self.arm_covers else CLEAR_VIEW_S)
         self.network.on_publish = self._on_publish
-        self.network.on_answer = self.witness.on_answer
+        self.network.on_call = self._on_call
+        self.network.on_answer = self._on_answer
         self.scheduler.after_event = self.witness.after_event
+        self.physical.on_release = lambda: self._reached(RELEASED)
         self.processes = {
             name: Process(
                 name,
@@ -188,7 +207,7 @@ class Trial:
         }
         for process in self.processes.values():
             process.on_handled = self._on_handled
-            process.on_asked = self.witness.on_asked
+            process.on_asked = self._on_asked
             process.on_log = self._on_log
         self._seconds: list[Process] = []
         self.camera = Camera(
@@ -207,7 +226,8 @@ class Trial:
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
         self._waiting_faults: list[Fault] = []
-        self._states_seen: Counter[tuple[str, int]] = Counter()
+        self._moments: Counter[str] = Counter()
+        self._states: dict[str, int] = {}
         self._last_words: dict[tuple[str, str], str] = {}
         self.network.publish("panel", "emergency_stop", Bool(data=False))
         lens = PoseStamped()
@@ -326,24 +346,24 @@ class Trial:
         return goal
 
     def _work_on_a_goal(self, number: int) -> None:
-        faults = draw_faults(self._fault_rng, self) if self._faulty else []
+        faults = draw_faults(self._fault_rng, self, self._only) if self._faulty else []
         self.report.faults.update(fault.kind for fault in faults)
         goal = self.next_goal(number)
+        planner = self.processes["tap_planner"]
+        lives = planner.lives
         began = self.scheduler.now
         self._result = None
         self._note(f"goal {number}: {goal}")
         self.send_goal(goal)
         self._waiting_faults = [fault for fault in faults if fault.moment is not None]
-        self._states_seen.clear()
+        self._moments.clear()
         for fault in faults:
             if fault.moment is None:
                 self.scheduler.at(began + fault.time, partial(self._strike, fault))
         limit = began + GOAL_TIME_LIMIT_S + GOAL_SLACK_S
         self.scheduler.run(limit, lambda: self._result is not None)
-        planner = self.processes["tap_planner"]
         if self._result is None:
-            lost = any("tap_planner" in fault.words for fault in faults)
-            if planner.alive and not lost:
+            if planner.lives == lives:
                 self.witness.violate(
                     "goal without an end", f"goal {number} has not ended; {planner.logic.state}"
                 )
@@ -593,23 +613,32 @@ class Trial:
                 self._last_words[node, topic] = words
                 self._note(words)
         self.witness.on_publish(node, topic, message)
-        if self._waiting_faults and topic in ("arm_state", "tapper_state", "plan_state"):
-            self._look_for_moment(topic, message)
+        states = ("arm_state", "tapper_state", "plan_state")
+        if topic in states and self._states.get(topic) != message.state:
+            self._states[topic] = message.state
+            self._reached(told(topic, message.state))
 
-    def _look_for_moment(self, topic: str, message: Any) -> None:
-        """Let the faults strike that wait for this state."""
-        if self._states_seen.get((topic, -1)) == message.state + 1:
-            return
-        self._states_seen[topic, -1] = message.state + 1
-        self._states_seen[topic, message.state] += 1
+    def _reached(self, name: str) -> None:
+        """Let the faults strike that wait for this moment."""
+        self._moments[name] += 1
         for fault in list(self._waiting_faults):
-            moment = fault.moment
-            assert moment is not None
-            if (moment.topic, moment.state) == (topic, message.state) and (
-                self._states_seen[topic, message.state] == moment.times
-            ):
+            if fault.moment == Moment(name, self._moments[name]):
                 self._waiting_faults.remove(fault)
                 self.scheduler.after(fault.time, partial(self._strike, fault))
+
+    def _on_call(self, service: str, request: Any) -> None:
+        if service == "hold_still" and request.duration > 0:
+            self._reached(ARM_ASKED)
+
+    def _on_answer(self, service: str, request: Any, response: Any) -> None:
+        self.witness.on_answer(service, request, response)
+        if service == "hold_still" and request.duration > 0:
+            self._reached(ARM_PROMISED)
+
+    def _on_asked(self, process: str, job: str, answer: Any) -> None:
+        self.witness.on_asked(process, job, answer)
+        if job == "fire":
+            self._reached(CHECKED)
 
     def _on_handled(self, process: str, topic: str, message: Any) -> None:
         now = self.scheduler.now
@@ -666,6 +695,6 @@ def _short(message: Any) -> str:
     return repr(message)[:200]
 
 
-def run_trial(seed: int, goals: int, trace: bool = False) -> Report:
-    """One run."""
-    return Trial(seed, trace).run(goals)
+def run_trial(seed: int, goals: int, trace: bool = False, only: Sequence[str] = ()) -> Report:
+    """One run; ``only``: with faults of these kinds."""
+    return Trial(seed, trace, only=only).run(goals)
