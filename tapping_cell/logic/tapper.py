@@ -236,7 +236,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             return doubt
         permit, tap = self._permit, self._tap
         assert tap is not None
-        doubt = self._peers.doubt(tap.tap_id, tap.planned, now)
+        doubt = self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now)
         if doubt is not None:
             return doubt
         if permit is None or permit.tap_id != tap.tap_id:
@@ -390,7 +390,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         tap = self._tap
         if self.state is not S.CHARGED or tap is None or self._attempts > 0:
             return
-        if self._peers.doubt(tap.tap_id, tap.planned, now) is None:
+        if self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now) is None:
             self._ask_arm(now)
             return
         why = self.doubt_charging(now)
@@ -660,7 +660,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._ask_when_in_position(now)
         tap = self._tap
         if self.state is S.WAITING and tap is not None and now.ros > tap.expiry:
-            doubt = self._peers.doubt(tap.tap_id, tap.planned, now)
+            doubt = self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now)
             why = f": {doubt[1]}" if doubt is not None else ""
             self._give_up(
                 (

@@ -89,14 +89,23 @@ class Fault:
     moment: Moment | None = None
 
 
-def draw_faults(rng: np.random.Generator, trial: Trial, only: Sequence[str] = ()) -> list[Fault]:
-    """The faults of one goal, in the order of their times; ``only``: of these kinds."""
+def draw_faults(
+    rng: np.random.Generator,
+    trial: Trial,
+    only: Sequence[str] = (),
+    at_the_shot: bool = False,
+) -> list[Fault]:
+    """The faults of one goal, in the order of their times.
+
+    ``only``: of these kinds; ``at_the_shot``: around the shot alone.
+    """
     number = int(rng.poisson(MEAN_FAULTS))
-    place = rng.random()
+    place = 0.0 if at_the_shot else rng.random()
     moment, kinds, closest = None, KINDS, 0.0
     if place < SHARE_AT_THE_SHOT:
         name = _pick(rng, OF_A_SHOT)
-        moment, kinds, closest = Moment(name, int(rng.integers(1, 3))), AT_A_SHOT, CLOSEST_S
+        times = 1 if at_the_shot or rng.random() < 0.7 else 2
+        moment, kinds, closest = Moment(name, times), AT_A_SHOT, CLOSEST_S
     elif place < SHARE_AT_THE_SHOT + SHARE_AT_A_MOMENT:
         moment = Moment(_pick(rng, MOMENTS), int(rng.integers(1, 3)))
     kinds = tuple(kind for kind in kinds if kind in only) or tuple(only) if only else kinds
@@ -129,6 +138,13 @@ NODES = ("tap_planner", "scara_arm", "tapper_trigger")
 
 def _freeze(rng: np.random.Generator, trial: Trial) -> Made:
     node, duration = _pick(rng, (*NODES, "camera_pose")), _duration(rng, 0.001, 5.0)
+    return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
+
+
+def _freeze_at_shot(rng: np.random.Generator, trial: Trial) -> Made:
+    """For about as long as the arm promises to stand still."""
+    node = _pick(rng, ("tapper_trigger", "tapper_trigger", "scara_arm", "tap_planner"))
+    duration = float(rng.uniform(0.02, 0.6))
     return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
 
 
@@ -245,8 +261,6 @@ def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
         command.header.frame_id = "table"
         command.header.stamp = to_stamp(now)
         command.expiry = to_stamp(now + int(rng_expiry * 1e9))
-        if not withdraw:
-            t.witness.commands.setdefault(number, command)
         t.network.publish("somebody_else", "tap_command", command)
 
     rng_expiry = float(rng.uniform(1.0, 30.0))
@@ -328,18 +342,15 @@ def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _shot_power(rng: np.random.Generator, trial: Trial) -> Made:
-    def strike(t: Trial) -> None:
-        t.physical.tapper_board.power_cycle(t.scheduler.now)
-        t.physical.tapper_line.schedule()
-
-    return strike, "the tapper's board loses power for a moment"
+    return lambda t: t.interrupt_tapper_power(), "the tapper's board loses power for a moment"
 
 
 def _shot_cable(rng: np.random.Generator, trial: Trial) -> Made:
     """The tapper's cable fails: no byte of some length of time arrives, or the port goes."""
-    kind = (FaultKind.DROP, FaultKind.STALL, FaultKind.HANG_UP)[int(rng.integers(3))]
+    kinds = (FaultKind.DROP, FaultKind.STALL, FaultKind.HANG_UP, FaultKind.DELAY, FaultKind.DELAY)
+    kind = kinds[int(rng.integers(len(kinds)))]
     direction = list(Direction)[int(rng.integers(2))]
-    length, lasting = int(rng.integers(30, 2000)), _duration(rng, 0.05, 2.0)
+    length, lasting = int(rng.integers(30, 2000)), _duration(rng, 0.02, 1.0)
 
     def strike(t: Trial) -> None:
         layer = t.physical.tapper_line.layer
@@ -436,12 +447,12 @@ def _power(rng: np.random.Generator, trial: Trial) -> Made:
     name = _pick(rng, ("arm", "tapper"))
 
     def strike(t: Trial) -> None:
-        board = t.physical.arm_board if name == "arm" else t.physical.tapper_board
-        board.power_cycle(t.scheduler.now)
-        line = t.physical.arm_line if name == "arm" else t.physical.tapper_line
-        line.schedule()
-        if name == "arm":
-            t.witness.word_given = False
+        if name == "tapper":
+            t.interrupt_tapper_power()
+            return
+        t.physical.arm_board.power_cycle(t.scheduler.now)
+        t.physical.arm_line.schedule()
+        t.witness.word_given = False
 
     return strike, f"the {name}'s board loses power for a moment"
 
@@ -518,6 +529,7 @@ def _disk_full(rng: np.random.Generator, trial: Trial) -> Made:
 
 MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "freeze": _freeze,
+    "freeze at a shot": _freeze_at_shot,
     "freeze before a write": _freeze_before_write,
     "freeze at a write": _freeze_at_write,
     "freeze after the last check": _freeze_after_check,
@@ -554,7 +566,9 @@ KINDS = tuple(MAKERS)
 ONE_SIDED = ("foreign command", "foreign outcome", "cancel", "emergency stop", "replay")
 """What one node may hear well before the others."""
 AT_A_SHOT = (
-    *("freeze", "freeze at a write", "freeze after the last check") * 2,
+    *("freeze at a shot", "freeze at a write", "freeze after the last check") * 2,
+    "freeze at a shot",
+    "freeze",
     *("slow answer", "heard by one") * 3,
     *("foreign outcome", "foreign command", "repeated command", "foreign state") * 2,
     *("line at a shot", "cable at a shot", "power at a shot") * 2,

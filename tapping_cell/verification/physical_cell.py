@@ -80,6 +80,10 @@ class PhysicalCell:
         pose = self.object_pose(time)
         return None if self._hidden(pose, time) else pose
 
+    def energy_for(self, speed: float) -> float:
+        """What the tapper's curve asks for a striker speed in m/s, J."""
+        return self._curve.energy_for(speed)
+
     def press_clear_button(self) -> None:
         """A person presses the button at the tapper's board."""
         self.tapper_board.press_clear_button(self._scheduler.now)
