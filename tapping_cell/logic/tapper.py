@@ -207,6 +207,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._draw_key = options.draw_key
         self._last_tap_id = 0
         self._names: tuple[str, ...] = ()
+        self._fixed = False
         self._told = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
         self._set_up = options.set_up
@@ -584,6 +585,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         assert isinstance(event.cell, Cell)
         self._curve = event.cell.file.tapper.curve()
         self._names = event.cell.tapper_names
+        self._fixed = event.cell.file.fixed_tappers is not None
 
     def _connected(self, answer: Any, now: Now) -> None:
         assert isinstance(answer, Reply)
@@ -678,6 +680,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             state=WIRE[self.state],
             tappers=list(self._names),
             tapper=told.tapper,
+            fixed_mounts=self._fixed,
             mounts_proven=True,
             tap_id=told.tap_id,
             outcome=told.outcome,

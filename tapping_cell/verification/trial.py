@@ -94,7 +94,7 @@ HEARS = {
     ),
 }
 SERVES = {
-    "tap_planner": (),
+    "tap_planner": ("confirm_tap",),
     "scara_arm": ("~/home", "~/stop", "~/clear_fault", "hold_still"),
     "tapper_trigger": ("~/stop", "~/clear_fault"),
 }
