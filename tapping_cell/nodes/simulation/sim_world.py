@@ -242,6 +242,12 @@ class SimWorld(CellNode[Parameters]):
         if self._world is None or self._cell is None or not self.active:
             response.message = "the world is not active yet; call again when it is"
             return response
+        name = self._cell.object.name
+        if request.object_id not in ("", name):
+            response.message = (
+                f"there is no object '{request.object_id}', only '{name}'; nothing was moved"
+            )
+            return response
         table = self._cell.file.table
         with self._lock:
             if request.seed:
