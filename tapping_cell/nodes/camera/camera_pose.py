@@ -21,7 +21,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from tapping_cell_msgs.msg import ErrorCode, ObjectState, PlanState
 
-from tapping_cell.configuration.cell import Cell, load_cell, load_other_objects
+from tapping_cell.configuration.cell import Cell, load_cell, load_further_objects
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.schema import choice, quantity, text
 from tapping_cell.logic.frames import TABLE
@@ -168,7 +168,7 @@ class CameraPose(CellNode[Parameters]):
     def configure(self) -> None:
         """Read the cell, table and object files."""
         self._cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
-        self._other_files = load_other_objects(self.settings.other_object_files, self._cell)
+        self._other_files = load_further_objects(self._cell, self.settings.other_object_files)
         self._camera, self._calibration = None, ()
 
     def cleanup(self) -> None:
