@@ -670,8 +670,7 @@ def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ConfigurationError(
-            f"{source}: two objects have the name '{twice[0]}'; give each a "
-            "name of its own"
+            f"{source}: two objects have the name '{twice[0]}'; give each a name of its own"
         )
     try:
         marker_ids([file.seen() for file in (cell.object, *files)])

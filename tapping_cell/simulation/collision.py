@@ -34,9 +34,7 @@ class Solid:
     inertia: float
 
     @classmethod
-    def of(
-        cls, body: Disk | Ring | Polygon, centre: tuple[float, float], inertia: float
-    ) -> Solid:
+    def of(cls, body: Disk | Ring | Polygon, centre: tuple[float, float], inertia: float) -> Solid:
         """A body whose centre of mass lies at ``centre`` of its frame, m."""
         if isinstance(body, Polygon):
             return cls(np.asarray(body.points) - np.array(centre), 0.0, body.mass, inertia)
@@ -85,7 +83,9 @@ def gap_between(first: Solid, second: Solid, here: Motion, there: Motion) -> Gap
     distance = float(np.hypot(*way))
     if distance == 0.0:
         way = np.array([there.x - here.x, there.y - here.y])
-    normal = way / (float(np.hypot(*way)) or 1.0)
+    length = float(np.hypot(*way))
+    # Two disks about one point: any direction leads out.
+    normal = way / length if length > 0.0 else np.array([1.0, 0.0])
     place = one + normal * first.radius
     return Gap(
         distance - first.radius - second.radius,

@@ -233,9 +233,7 @@ class SceneRenderer:
     def _draw_objects(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
         """Draw the objects at rest, if one of them has moved, and over them those that move."""
         still = np.all(start == end, axis=-1)
-        key = tuple(
-            (number, *start[number].tolist()) for number in np.flatnonzero(still).tolist()
-        )
+        key = tuple((number, *start[number].tolist()) for number in np.flatnonzero(still).tolist())
         if key != self._still_key:
             for window in (*self._still_windows, *self._moving_windows):
                 self._still[window] = self._background_image[window]

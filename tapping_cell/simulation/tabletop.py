@@ -32,7 +32,7 @@ START_GAP_M = 0.04
 """Between an object that is put somewhere at random and the others."""
 EDGE_M = 0.06
 """Between its outline and the table's edge."""
-TRIES = 2000
+TRIES, RESTARTS = 300, 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,13 +76,7 @@ class Tabletop:
         self._met: dict[frozenset[str], float] = {}
         self._contacts: list[TrueContact] = []
         self._tapped = next(iter(self.worlds))
-        starts = dict(zip(list(self.worlds)[1:], truth.further_starts, strict=False))
-        placed = [self._tapped]
-        for name in list(self.worlds)[1:]:
-            self.worlds[name].place(
-                Pose(*starts[name]) if name in starts else self.free_pose(name, placed)
-            )
-            placed.append(name)
+        self._spread(truth)
 
     @property
     def poses(self) -> Mapping[str, Pose]:
@@ -162,6 +156,25 @@ class Tabletop:
         """The contacts between objects since the last call."""
         contacts, self._contacts = self._contacts, []
         return contacts
+
+    def _spread(self, truth: TruthFile) -> None:
+        """Put the further objects where the truth file says, or at random free places."""
+        own, *further = self.worlds
+        for name, start in zip(further, truth.further_starts, strict=False):
+            self.worlds[name].place(Pose(*start))
+        given = [own, *further[: len(truth.further_starts)]]
+        for attempt in range(RESTARTS):
+            placed = list(given)
+            try:
+                for name in further[len(truth.further_starts) :]:
+                    self.worlds[name].place(self.free_pose(name, placed))
+                    placed.append(name)
+            except ValueError:
+                # Those before may stand badly: all begin anew.
+                if attempt == RESTARTS - 1:
+                    raise
+            else:
+                return
 
     def _advance_all(self, now: float) -> None:
         self._now = max(self._now, now)

@@ -162,12 +162,6 @@ class World:
         self._tap = None
         self._cut(self._centred(pose))
 
-    def random_pose(self, length: float, width: float, margin: float) -> Pose:
-        """A pose anywhere on a table of that size, at least ``margin`` m off its edges."""
-        reach = np.maximum(np.array([length, width]) / 2 - margin, 0.0)
-        x, y = self._random.uniform(-reach, reach)
-        return Pose(float(x), float(y), float(self._random.uniform(-math.pi, math.pi)))
-
     def strike(self, tip: Pose, tip_height: float, speed: float, now: float) -> bool:
         """Release the striker at a true tip pose in ``table`` with a speed in m/s.
 
