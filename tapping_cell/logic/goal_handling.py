@@ -45,6 +45,8 @@ class Request:
     token: Token | None = None
     probe: bool = False
     """Begin with a few of the smallest taps."""
+    ask: bool = False
+    """A person confirms every tap."""
     object_id: str = ""
     """Name of the object; empty for the cell's own."""
 
@@ -211,7 +213,17 @@ class GoalHandling:
             message = PoseStamped(
                 header=Header(stamp=message.header.stamp, frame_id=TABLE), pose=to_message(goal)
             )
-        return Task(name, message, goal, tolerance, max_taps, session, request.token, expires)
+        return Task(
+            name,
+            message,
+            goal,
+            tolerance,
+            max_taps,
+            session,
+            request.token,
+            expires,
+            ask=request.ask,
+        )
 
     def accept_tap(
         self, asked: SingleTap.Goal, token: Token, pose: Pose | None, now: Now

@@ -237,7 +237,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             return doubt
         permit, tap = self._permit, self._tap
         assert tap is not None
-        doubt = self._peers.doubt(tap.tap_id, tap.planned, now)
+        doubt = self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now)
         if doubt is not None:
             return doubt
         if permit is None or permit.tap_id != tap.tap_id:
@@ -316,10 +316,14 @@ class TapperLogic(DeviceLogic[State, Event]):
         """Why a tap command is not taken; None when it is."""
         if not self._active or self._curve is None:
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
-        if self.state in SERVING:
-            return ErrorCode.TAPPER_BUSY, f"it serves tap {self._told.tap_id}"
         if self.state is not S.SAFE:
-            return ErrorCode.TAPPER_BUSY, f"the tapper is not at rest: {self._trouble[1]}"
+            serving = self.state in SERVING
+            why = (
+                f"serves tap {self._told.tap_id}"
+                if serving
+                else f"is not at rest: {self._trouble[1]}"
+            )
+            return ErrorCode.TAPPER_BUSY, f"the tapper {why}"
         if tap_commands.named_tapper(command.tapper, self._names) is None:
             return tap_commands.unknown_tapper(command.tapper, self._names)
         if self._set_up and not self._enabling.held(now):
@@ -387,7 +391,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         tap = self._tap
         if self.state is not S.CHARGED or tap is None or self._attempts > 0:
             return
-        if self._peers.doubt(tap.tap_id, tap.planned, now) is None:
+        if self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now) is None:
             self._ask_arm(now)
             return
         why = self.doubt_charging(now)
@@ -658,7 +662,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._ask_when_in_position(now)
         tap = self._tap
         if self.state is S.WAITING and tap is not None and now.ros > tap.expiry:
-            doubt = self._peers.doubt(tap.tap_id, tap.planned, now)
+            doubt = self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now)
             why = f": {doubt[1]}" if doubt is not None else ""
             self._give_up(
                 (

@@ -26,12 +26,12 @@ from tapping_cell.configuration.cell import Cell, load_cell, load_further_object
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.schema import choice, quantity, text
 from tapping_cell.logic.frames import TABLE
+from tapping_cell.logic.poses import covariance_to_message
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.dropped_frames import Backlog
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import (
     camera_to_message,
-    covariance_to_message,
     from_message,
     seconds,
     to_message,

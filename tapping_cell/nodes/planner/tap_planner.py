@@ -76,7 +76,7 @@ class TapPlanner(CellNode[Parameters]):
     """See the module's docstring."""
 
     carries_pictures = False
-    changeable = ("planner",)
+    changeable = ("planner", "ask")
 
     def __init__(self) -> None:
         super().__init__("tap_planner", Parameters)
@@ -101,6 +101,7 @@ class TapPlanner(CellNode[Parameters]):
         host.subscribes(messages.ObjectState, "other_objects", 10)
         host.subscribes(messages.ArmState, "arm_state", LATCHED)
         host.subscribes(messages.TapperState, "tapper_state", LATCHED)
+        host.serves(messages.ConfirmTap, "confirm_tap")
         self._frames = open_frames(self)
         self._actions = DeferredActionServer(
             self,
@@ -149,8 +150,11 @@ class TapPlanner(CellNode[Parameters]):
         self.host.lifecycle(ShutDown())
 
     def change(self, name: str, value: object) -> None:
-        """Take another planning method at run time."""
-        if self.configured:
+        """Take another planning method, or begin or cease to ask before every tap."""
+        if name == "ask":
+            request = messages.SetBool.Request(data=bool(value))
+            self.host.request("ask", request, lambda _: None)
+        elif self.configured:
             self.logic.goals.use(str(value))
 
     def hear_stop(self, message: Bool) -> None:
