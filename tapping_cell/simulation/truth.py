@@ -230,3 +230,11 @@ class TruthFile:
     arm: ArmTruth = section("arm", default=ArmTruth())
     mounts: MountsTruth = section("mounts of fixed tappers", default=MountsTruth())
     camera: CameraTruth = section("camera", default=CameraTruth())
+    further_starts: tuple[tuple[float, float, float], ...] = quantity(
+        "the same of the cell's further objects, in their order; those without one begin at random "
+        "free places",
+        "",
+        -7.0,
+        7.0,
+        default=(),
+    )

@@ -18,7 +18,7 @@ from tapping_cell_msgs.action import PositionObject, SingleTap
 from visualization_msgs.msg import MarkerArray
 
 from tapping_cell import messages
-from tapping_cell.configuration.cell import load_cell, load_other_objects
+from tapping_cell.configuration.cell import load_cell, load_further_objects
 from tapping_cell.configuration.schema import ConfigurationError, text
 from tapping_cell.logic import effects, stops
 from tapping_cell.logic.fixed_goal_handling import goal_handling_class
@@ -118,7 +118,7 @@ class TapPlanner(CellNode[Parameters]):
         """Read the files, make the planning method and the map of the table."""
         settings = self.settings
         cell = load_cell(settings.cell_file or None, settings.object_file or None)
-        others = load_other_objects(settings.other_object_files, cell)
+        others = load_further_objects(cell, settings.other_object_files)
         try:
             goals = goal_handling_class(cell)(
                 cell,
