@@ -120,9 +120,7 @@ class Tabletop:
 
     def travel_to_meet(self, tip: Pose, tip_height: float, speed: float) -> float:
         """See ``World.travel_to_meet``: of the first object on the way."""
-        return min(
-            world.travel_to_meet(tip, tip_height, speed) for world in self.worlds.values()
-        )
+        return min(world.travel_to_meet(tip, tip_height, speed) for world in self.worlds.values())
 
     def gate_speed(self, speed: float) -> float:
         """What the tapper's gate measures, see ``World.gate_speed``."""
