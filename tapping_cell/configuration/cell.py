@@ -627,6 +627,11 @@ class CellFile:
         "tappers at fixed mounts, in the place of an arm", default=None
     )
     keep_outs: KeepOutSection = section("keep-out zones", default=KeepOutSection())
+    objects: tuple[str, ...] = text(
+        "object files of the further objects on the table, relative to this file; each has a name "
+        "and a marker of its own",
+        default=(),
+    )
 
     def __post_init__(self) -> None:
         """Refuse a cell with neither arm nor fixed tappers, or with both (ValueError)."""
@@ -635,6 +640,14 @@ class CellFile:
                 "give either the key 'arm' (an arm that carries the tapper) or the key "
                 "'fixed_tappers' (tappers at fixed mounts)"
             )
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """A tapper's controller: its port, and the channel of each tapper on it, by name."""
+
+    port: str
+    channels: dict[str, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -708,6 +721,19 @@ class Cell:
         if fixed is None:
             return {ARM_TAPPER: self.file.tapper}
         return {entry.name: self.tapper_of(entry) for entry in fixed.tappers}
+
+    @property
+    def boards(self) -> tuple[Board, ...]:
+        """The tappers' controllers, in the order of the cell file; channels rise on each."""
+        fixed = self.file.fixed_tappers
+        channels = {} if fixed is None else {entry.name: entry.channel for entry in fixed.tappers}
+        ports: dict[str, dict[str, int]] = {}
+        for name, tapper in self.tapper_sections.items():
+            ports.setdefault(tapper.port, {})[name] = channels.get(name, 0)
+        return tuple(
+            Board(port, dict(sorted(names.items(), key=lambda pair: pair[1])))
+            for port, names in ports.items()
+        )
 
     @property
     def strike_height(self) -> float:
@@ -828,33 +854,36 @@ def _simulated_ports(cell: Cell) -> dict[str, str]:
     }
 
 
-def load_other_objects(paths: str, cell: Cell) -> tuple[ObjectFile, ...]:
-    """The files of further objects on a cell's table, ``paths`` separated by commas.
+def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
+    """The objects on a cell's table besides its own: those of its key ``objects``, then those of
+    the parameter ``other_object_files``, ``paths`` separated by commas.
 
     Raises:
         ConfigurationError: a file cannot be used, two objects have one name or one marker, or the
             arm cannot travel over one.
     """
-    named = [path.strip() for path in paths.split(",")]
-    files = tuple(load_object(Path(path).expanduser()) for path in named if path)
+    named = [path.strip() for path in paths.split(",") if path.strip()]
+    places = [cell.path.parent / Path(path).expanduser() for path in cell.file.objects]
+    places += [Path(path).expanduser() for path in named]
+    files = tuple(load_object(place.resolve()) for place in places)
+    source = "parameter other_object_files" if named else f"{cell.path}: key 'objects'"
     names = [file.name for file in (cell.object, *files)]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ConfigurationError(
-            f"parameter other_object_files: two objects have the name '{twice[0]}'; give each a "
-            "name of its own"
+            f"{source}: two objects have the name '{twice[0]}'; give each a name of its own"
         )
     try:
         marker_ids([file.seen() for file in (cell.object, *files)])
     except ValueError as error:
-        raise ConfigurationError(f"parameter other_object_files: {error}") from error
+        raise ConfigurationError(f"{source}: {error}") from error
     if cell.file.arm is None:
         return files
     travel = cell.file.arm.travel_height
     for file in files:
         if file.height >= travel:
             raise ConfigurationError(
-                f"parameter other_object_files: '{file.name}' is {1e3 * file.height:.1f} mm high, "
+                f"{source}: '{file.name}' is {1e3 * file.height:.1f} mm high, "
                 f"but the tip travels at {1e3 * travel:.1f} mm (key 'arm.travel_height' of "
                 f"{cell.path}) and would hit it; raise that or keep the object off the table"
             )
