@@ -261,7 +261,12 @@ def require_devices(cell: Cell, arguments: argparse.Namespace) -> None:
     missing = []
     for name, port in (("arm", cell.arm.port), ("tapper", cell.file.tapper.port)):
         # A file of parameters may name another port for the node.
-        if "port:" not in given and "{" not in port and not Path(port).expanduser().exists():
+        if (
+            port
+            and "port:" not in given
+            and "{" not in port
+            and not Path(port).expanduser().exists()
+        ):
             missing.append(f"the {name}'s port {port} (key {name}.port)")
     camera = arguments.camera or CAMERA
     device = Path(f"/dev/video{camera}" if camera.isdigit() else camera)

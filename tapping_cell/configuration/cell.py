@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -27,6 +28,7 @@ from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.controller_needs import ControllerNeeds, needs_of
 from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.motion import MotionSettings
+from tapping_cell.hardware.output_tapper import OutputTapperSettings
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.mechanics import Striker
 from tapping_cell.se2 import Pose
@@ -338,12 +340,77 @@ class ArmSection:
         )
 
 
+LONGEST_SHOT = 0.1
+"""From the last check before a pulse until the output is off, s: with the striker's flight it must
+fit into the arm's promise to stand still."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutputSection:
+    """A digital output that fires the tapper, for the dialect io."""
+
+    interface: str = choice(
+        "how it is switched: service (std_srvs/SetBool), topic (std_msgs/Bool), commands "
+        "(std_msgs/Float64MultiArray, as a forward_command_controller takes it) or pulse "
+        "(std_msgs/Float64: seconds to be on, timed by the other side)",
+        "service",
+        "topic",
+        "commands",
+        "pulse",
+    )
+    name: str = text("full name of that service or topic, such as /robot/set_output")
+    guard: str = text(
+        "full name of the topic (std_msgs/Bool) that tells whether the guard is closed"
+    )
+    pulses: tuple[float, ...] = quantity(
+        "length of the pulse at each of tapper.energies, increasing", "s", 0.0005, 0.08
+    )
+    read_back: str = text(
+        "full name of the topic (std_msgs/Bool) that tells whether the output is on; left out: "
+        "whether a shot was fired is known from the camera alone",
+        default="",
+    )
+    latency: float = quantity(
+        "longest time from sending a level until the output has it, as measured",
+        "s",
+        0.001,
+        0.045,
+        default=0.02,
+    )
+
+    def __post_init__(self) -> None:
+        for key in ("name", "guard", "read_back"):
+            name = getattr(self, key)
+            if name == "" and key == "read_back":
+                continue
+            if not name.startswith("/") or name.endswith("/") or len(name) < 2:
+                raise ValueError(f"{key} is '{name}', but must be a full name, such as /name")
+        if any(b <= a for a, b in pairwise(self.pulses)):
+            raise ValueError(f"pulses {list(self.pulses)} must increase")
+        longest = max(self.pulses, default=0.0) + 2 * self.latency
+        if longest > LONGEST_SHOT:
+            raise ValueError(
+                f"the longest pulse and twice the latency take {longest:.3f} s, at most "
+                f"{LONGEST_SHOT:g} s: the arm promises to stand still for no longer"
+            )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TapperSection:
     """The striker and the device that charges and fires it."""
 
-    port: str = text("path of the tapper's serial port; placeholders as in arm.port")
-    baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000)
+    dialect: str = choice(
+        "what fires the striker: board is the tapper's own board, io a digital output of a robot "
+        "or another controller",
+        "board",
+        "io",
+        default="board",
+    )
+    output: OutputSection | None = section("the digital output, for the dialect io", default=None)
+    port: str = text(
+        "path of the serial port of the tapper's board; placeholders as in arm.port", default=""
+    )
+    baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000, default=115_200)
     mass: float = quantity("mass of the striker", "kg", 0.001, 10.0)
     tip_radius: float = quantity("radius of the ball at the tip", "m", 0.0005, 0.1)
     constraint: Constraint = choice("how the striker is held", "linear_bearings", "free")
@@ -367,6 +434,32 @@ class TapperSection:
             ValueError: the two lists differ in length or do not rise.
         """
         return EnergyCurve(tuple(zip(self.energies, self.speeds, strict=True)))
+
+    def output_settings(self) -> OutputTapperSettings:
+        """Pulses and latency of the digital output.
+
+        Raises:
+            ValueError: the dialect is not io, or a key of it is missing.
+        """
+        if self.output is None:
+            raise ValueError("key 'tapper.output' is missing: the dialect io needs it")
+        return OutputTapperSettings(self.energies, self.output.pulses, self.output.latency)
+
+    def check_dialect(self) -> None:
+        """Refuse keys that contradict each other (ValueError)."""
+        if self.dialect == "board":
+            if self.output is not None:
+                raise ValueError("tapper.output has no meaning for the dialect board")
+            if not self.port:
+                raise ValueError("key 'tapper.port' is missing: the dialect board needs it")
+            return
+        if self.port:
+            raise ValueError("tapper.port has no meaning for the dialect io: leave it out")
+        if len(self.output_settings().pulses) != len(self.energies):
+            raise ValueError(
+                f"tapper.output.pulses has {len(self.output_settings().pulses)} values, "
+                f"tapper.energies has {len(self.energies)}: give a pulse for each"
+            )
 
     def striker(self) -> Striker:
         """The striker of the impact model."""
@@ -467,6 +560,11 @@ class CellFile:
         "tappers at fixed mounts, in the place of an arm", default=None
     )
     keep_outs: KeepOutSection = section("keep-out zones", default=KeepOutSection())
+    objects: tuple[str, ...] = text(
+        "object files of the further objects on the table, relative to this file; each has a name "
+        "and a marker of its own",
+        default=(),
+    )
 
     def __post_init__(self) -> None:
         """Refuse a cell with neither arm nor fixed tappers, or with both (ValueError)."""
@@ -585,6 +683,9 @@ def load_cell(path: Path | str | None = None, object_path: Path | str | None = N
             content.arm.motion()
         content.tapper.striker()
         content.tapper.curve()
+        content.tapper.check_dialect()
+        if content.fixed_tappers is not None and content.tapper.dialect == "io":
+            raise ValueError("tapper.dialect is io, but fixed tappers need boards of their own")
     except ValueError as error:
         raise ConfigurationError(f"{cell_path}: {error}") from error
     cell = Cell(
@@ -627,10 +728,17 @@ def refuse_own_drivers(cell: Cell) -> None:
     """See that a cell file commands no real device, before a simulated cell is started from it.
 
     Raises:
-        ConfigurationError: the arm has a ROS driver of its own, which no simulated world stands in
-            for.
+        ConfigurationError: the arm has a ROS driver of its own, or an output fires the tapper:
+            no simulated world stands in for either.
     """
-    if cell.arm.ros2_control is not None:
+    output = cell.file.tapper.output
+    if output is not None:
+        raise ConfigurationError(
+            f"{cell.path}: key 'tapper.dialect' is io: a simulated cell started from this file "
+            f"would switch the output behind {output.name}; ask for hardware, or give a cell "
+            "file with the tapper's board"
+        )
+    if cell.file.arm is not None and cell.arm.ros2_control is not None:
         raise ConfigurationError(
             f"{cell.path}: key 'arm.dialect' is ros2_control: a simulated cell started from this "
             f"file would move the arm behind {cell.arm.ros2_control.controller}; ask for "
@@ -648,33 +756,36 @@ def _simulated_ports(cell: Cell) -> dict[str, str]:
     }
 
 
-def load_other_objects(paths: str, cell: Cell) -> tuple[ObjectFile, ...]:
-    """The files of further objects on a cell's table, ``paths`` separated by commas.
+def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
+    """The objects on a cell's table besides its own: those of its key ``objects``, then those of
+    the parameter ``other_object_files``, ``paths`` separated by commas.
 
     Raises:
         ConfigurationError: a file cannot be used, two objects have one name or one marker, or the
             arm cannot travel over one.
     """
-    named = [path.strip() for path in paths.split(",")]
-    files = tuple(load_object(Path(path).expanduser()) for path in named if path)
+    named = [path.strip() for path in paths.split(",") if path.strip()]
+    places = [cell.path.parent / Path(path).expanduser() for path in cell.file.objects]
+    places += [Path(path).expanduser() for path in named]
+    files = tuple(load_object(place.resolve()) for place in places)
+    source = "parameter other_object_files" if named else f"{cell.path}: key 'objects'"
     names = [file.name for file in (cell.object, *files)]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ConfigurationError(
-            f"parameter other_object_files: two objects have the name '{twice[0]}'; give each a "
-            "name of its own"
+            f"{source}: two objects have the name '{twice[0]}'; give each a name of its own"
         )
     try:
         marker_ids([file.seen() for file in (cell.object, *files)])
     except ValueError as error:
-        raise ConfigurationError(f"parameter other_object_files: {error}") from error
+        raise ConfigurationError(f"{source}: {error}") from error
     if cell.file.arm is None:
         return files
     travel = cell.file.arm.travel_height
     for file in files:
         if file.height >= travel:
             raise ConfigurationError(
-                f"parameter other_object_files: '{file.name}' is {1e3 * file.height:.1f} mm high, "
+                f"{source}: '{file.name}' is {1e3 * file.height:.1f} mm high, "
                 f"but the tip travels at {1e3 * travel:.1f} mm (key 'arm.travel_height' of "
                 f"{cell.path}) and would hit it; raise that or keep the object off the table"
             )

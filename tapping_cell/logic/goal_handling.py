@@ -45,6 +45,10 @@ class Request:
     token: Token | None = None
     probe: bool = False
     """Begin with a few of the smallest taps."""
+    ask: bool = False
+    """A person confirms every tap."""
+    object_id: str = ""
+    """Name of the object; empty for the cell's own."""
 
 
 class GoalHandling:
@@ -160,6 +164,13 @@ class GoalHandling:
 
     def accept(self, request: Request, now: Now) -> Task | Refused:
         """A task for a request, or why there is none."""
+        name = self.cell.object.name
+        if request.object_id not in ("", name):
+            return Refused(
+                ErrorCode.GOAL_UNKNOWN_OBJECT,
+                f"the goal is for the object '{request.object_id}', but this cell positions "
+                f"'{name}'; name that one, or none",
+            )
         goal = read_goal(request.message, 1e-9 * now.ros, self._frames)
         if isinstance(goal, Refused):
             return goal
@@ -202,7 +213,17 @@ class GoalHandling:
             message = PoseStamped(
                 header=Header(stamp=message.header.stamp, frame_id=TABLE), pose=to_message(goal)
             )
-        return Task(message, goal, tolerance, max_taps, session, request.token, expires)
+        return Task(
+            name,
+            message,
+            goal,
+            tolerance,
+            max_taps,
+            session,
+            request.token,
+            expires,
+            ask=request.ask,
+        )
 
     def accept_tap(
         self, asked: SingleTap.Goal, token: Token, pose: Pose | None, now: Now
@@ -232,6 +253,7 @@ class GoalHandling:
         message = PoseStamped(pose=to_message(goal))
         message.header.frame_id = "table"
         return SingleTapTask(
+            object_id=self.cell.object.name,
             message=message,
             goal=goal,
             tolerance=self.cell.tolerance,

@@ -34,8 +34,8 @@ REFUSALS = {
     RefusalReason.TOO_MANY_TAPS: ErrorCode.TAP_LIMIT_REACHED,
     RefusalReason.TAP_LEAVES_TABLE: ErrorCode.TAP_LEAVES_TABLE,
     RefusalReason.TAP_LEAVES_VIEW: ErrorCode.TAP_LEAVES_VIEW,
-    RefusalReason.GOALS_OVERLAP: ErrorCode.GOAL_IN_KEEP_OUT,
-    RefusalReason.NO_ARRANGEMENT: ErrorCode.NO_TAP_FOUND,
+    RefusalReason.GOALS_OVERLAP: ErrorCode.GOALS_OVERLAP,
+    RefusalReason.NO_ARRANGEMENT: ErrorCode.NO_ARRANGEMENT,
 }
 """The code of each of planning's reasons."""
 

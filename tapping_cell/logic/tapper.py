@@ -207,6 +207,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._draw_key = options.draw_key
         self._last_tap_id = 0
         self._names: tuple[str, ...] = ()
+        self._fixed = False
         self._told = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
         self._set_up = options.set_up
@@ -236,7 +237,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             return doubt
         permit, tap = self._permit, self._tap
         assert tap is not None
-        doubt = self._peers.doubt(tap.tap_id, tap.planned, now)
+        doubt = self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now)
         if doubt is not None:
             return doubt
         if permit is None or permit.tap_id != tap.tap_id:
@@ -315,10 +316,14 @@ class TapperLogic(DeviceLogic[State, Event]):
         """Why a tap command is not taken; None when it is."""
         if not self._active or self._curve is None:
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
-        if self.state in SERVING:
-            return ErrorCode.TAPPER_BUSY, f"it serves tap {self._told.tap_id}"
         if self.state is not S.SAFE:
-            return ErrorCode.TAPPER_BUSY, f"the tapper is not at rest: {self._trouble[1]}"
+            serving = self.state in SERVING
+            why = (
+                f"serves tap {self._told.tap_id}"
+                if serving
+                else f"is not at rest: {self._trouble[1]}"
+            )
+            return ErrorCode.TAPPER_BUSY, f"the tapper {why}"
         if tap_commands.named_tapper(command.tapper, self._names) is None:
             return tap_commands.unknown_tapper(command.tapper, self._names)
         if self._set_up and not self._enabling.held(now):
@@ -386,7 +391,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         tap = self._tap
         if self.state is not S.CHARGED or tap is None or self._attempts > 0:
             return
-        if self._peers.doubt(tap.tap_id, tap.planned, now) is None:
+        if self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now) is None:
             self._ask_arm(now)
             return
         why = self.doubt_charging(now)
@@ -580,6 +585,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         assert isinstance(event.cell, Cell)
         self._curve = event.cell.file.tapper.curve()
         self._names = event.cell.tapper_names
+        self._fixed = event.cell.file.fixed_tappers is not None
 
     def _connected(self, answer: Any, now: Now) -> None:
         assert isinstance(answer, Reply)
@@ -656,7 +662,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._ask_when_in_position(now)
         tap = self._tap
         if self.state is S.WAITING and tap is not None and now.ros > tap.expiry:
-            doubt = self._peers.doubt(tap.tap_id, tap.planned, now)
+            doubt = self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now)
             why = f": {doubt[1]}" if doubt is not None else ""
             self._give_up(
                 (
@@ -674,6 +680,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             state=WIRE[self.state],
             tappers=list(self._names),
             tapper=told.tapper,
+            fixed_mounts=self._fixed,
             mounts_proven=True,
             tap_id=told.tap_id,
             outcome=told.outcome,

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tapping_cell.hardware.faults import HardwareFault
-from tapping_cell.hardware.tapper import FireOutcome, FireResult, TapperDriver
+from tapping_cell.hardware.tapper import FireOutcome, FireResult
+from tapping_cell.hardware.tapper_device import TapperDevice
 from tapping_cell.hardware.tapper_protocol import Reply, State
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import JobContext
@@ -49,25 +50,25 @@ class FireEnd:
 
 def connect(context: JobContext, patience: float) -> Status:
     """Open the line again with a new session, which discharges the tapper."""
-    driver: TapperDriver = context.driver
+    driver: TapperDevice = context.driver
     return _told(driver, driver.connect(timeout=patience))
 
 
 def read(context: JobContext) -> Status:
     """Ask for the state; also what keeps a charged tapper alive."""
-    driver: TapperDriver = context.driver
+    driver: TapperDevice = context.driver
     return _told(driver, driver.status())
 
 
 def clear(context: JobContext) -> Status:
     """End a stop or a fault; after a stop the board demands a person at the cell."""
-    driver: TapperDriver = context.driver
+    driver: TapperDevice = context.driver
     return _told(driver, driver.clear())
 
 
 def discharge(context: JobContext) -> Status:
     """Relax the spring without a release."""
-    driver: TapperDriver = context.driver
+    driver: TapperDevice = context.driver
     return _told(driver, driver.discharge())
 
 
@@ -82,7 +83,7 @@ def charge(
 
     ``tell``: post the board's last reply before each check.
     """
-    driver: TapperDriver = context.driver
+    driver: TapperDevice = context.driver
     refusal: Trouble | None = None
 
     def go_on() -> bool:
@@ -110,7 +111,7 @@ def fire(
     ``doubt`` gets the latest time of the steady clock at which the release can still be on, in s.
     ``tell``: post the board's last reply before each check.
     """
-    driver: TapperDriver = context.driver
+    driver: TapperDevice = context.driver
     refusal: Trouble | None = None
 
     def still_allowed(release_by: float) -> bool:
@@ -133,5 +134,5 @@ def fire(
     return FireEnd(shot, result.outcome, result.sentence, refusal, status, fault)
 
 
-def _told(driver: TapperDriver, reply: Reply) -> Status:
+def _told(driver: TapperDevice, reply: Reply) -> Status:
     return Status(reply, driver.counters.fired)

@@ -102,12 +102,13 @@ class TapperPeers:
             )
         return None
 
-    def doubt(self, tap_id: int, planned: Pose, now: Now) -> Trouble | None:
+    def doubt(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
         """What arm, planner or camera say, or fail to say, against this tap; None for nothing.
 
-        ``planned``: where the object lay when the tap was planned.
+        ``planned``: where the object lay when the tap was planned; ``strike``: where the tap wants
+        the tip, in ``table``.
         """
-        return self._arm_doubt(tap_id, now) or self._other_doubt(planned, now)
+        return self._arm_doubt(tap_id, strike, now) or self._other_doubt(planned, now)
 
     def charging_doubt(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
         """The same against charging, which may begin while the arm lowers the striker.
@@ -116,7 +117,7 @@ class TapperPeers:
         it, so that the only motion left is straight down, and must still be heard.
         """
         if not self._lowers(tap_id, strike, now):
-            doubt = self._arm_doubt(tap_id, now)
+            doubt = self._arm_doubt(tap_id, strike, now)
             if doubt is not None:
                 return doubt
         return self._other_doubt(planned, now)
@@ -136,10 +137,9 @@ class TapperPeers:
             return False
         if now.steady - self._arm_heard > self._limits.arm_freshness:
             return False
-        tip = from_message(arm.tip_pose)
-        return tip.distance_to(strike) <= ABOVE_M and abs(tip.rotation_to(strike)) <= ABOVE_RAD
+        return _above(arm, strike)
 
-    def _arm_doubt(self, tap_id: int, now: Now) -> Trouble | None:
+    def _arm_doubt(self, tap_id: int, strike: Pose, now: Now) -> Trouble | None:
         arm, limit = self._arm, self._limits.arm_freshness
         code = ErrorCode.TAPPER_ARM_NOT_IN_POSITION
         if arm is None:
@@ -153,6 +153,9 @@ class TapperPeers:
         age = max(self._clocks["arm"].age(arm.header.stamp, now), now.steady - self._arm_heard)
         if age > limit:
             return code, f"the arm's read-back is {age:.2f} s old, more than {limit:.2f} s"
+        if not _above(arm, strike):
+            # Two planners by mistake may give one id to two taps.
+            return code, f"the arm is in position for another tap with the id {tap_id}"
         return None
 
     def _skew(self, now: Now) -> Trouble | None:
@@ -210,3 +213,9 @@ class TapperPeers:
             f" the tap was planned (limits {1000 * limits.moved:.1f} mm and"
             f" {math.degrees(limits.turned):.1f} deg); it was moved",
         )
+
+
+def _above(arm: ArmState, strike: Pose) -> bool:
+    """Whether the tip was read back at or above a strike pose."""
+    tip = from_message(arm.tip_pose)
+    return tip.distance_to(strike) <= ABOVE_M and abs(tip.rotation_to(strike)) <= ABOVE_RAD

@@ -222,6 +222,43 @@ class ArmState:
 
 
 @dataclass(slots=True, kw_only=True)
+class ObjectProgress:
+    """Mirror of ``tapping_cell_msgs/msg/ObjectProgress``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/ObjectProgress"
+    ACTIVE: ClassVar[int] = 1
+    FAILED: ClassVar[int] = 4
+    MAKING_WAY: ClassVar[int] = 2
+    REACHED: ClassVar[int] = 3
+    WAITING: ClassVar[int] = 0
+
+    object_id: str = ""
+    state: int = 0
+    has_goal: bool = False
+    goal_pose: Pose = field(default_factory=Pose)
+    residual_distance: float = 0.0
+    residual_rotation: float = 0.0
+    taps: int = 0
+    pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
+    error_code: int = 0
+    error_msg: str = ""
+
+
+@dataclass(slots=True, kw_only=True)
+class ArrangementState:
+    """Mirror of ``tapping_cell_msgs/msg/ArrangementState``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/ArrangementState"
+
+    header: Header = field(default_factory=Header)
+    active: bool = False
+    objects: list[ObjectProgress] = field(default_factory=list)
+    taps: int = 0
+    error_code: int = 0
+    error_msg: str = ""
+
+
+@dataclass(slots=True, kw_only=True)
 class ErrorCode:
     """Mirror of ``tapping_cell_msgs/msg/ErrorCode``."""
 
@@ -249,6 +286,7 @@ class ErrorCode:
     DEADLINE_EXCEEDED: ClassVar[int] = 408
     EMERGENCY_STOP: ClassVar[int] = 901
     ENABLING_RELEASED: ClassVar[int] = 910
+    GOALS_OVERLAP: ClassVar[int] = 115
     GOAL_BAD_ORIENTATION: ClassVar[int] = 109
     GOAL_BAD_TAP_LIMIT: ClassVar[int] = 112
     GOAL_BAD_TOLERANCE: ClassVar[int] = 107
@@ -261,6 +299,7 @@ class ErrorCode:
     GOAL_OUT_OF_REACH: ClassVar[int] = 104
     GOAL_REPLACED: ClassVar[int] = 110
     GOAL_STALE: ClassVar[int] = 106
+    GOAL_UNKNOWN_OBJECT: ClassVar[int] = 114
     GOAL_WRONG_FRAME: ClassVar[int] = 102
     IMAGE_INVALID: ClassVar[int] = 307
     INTERNAL: ClassVar[int] = 904
@@ -268,6 +307,7 @@ class ErrorCode:
     NONE: ClassVar[int] = 0
     NOT_ACTIVE: ClassVar[int] = 903
     NOT_READY: ClassVar[int] = 902
+    NO_ARRANGEMENT: ClassVar[int] = 412
     NO_CONTACT_FOUND: ClassVar[int] = 406
     NO_TAP_FOUND: ClassVar[int] = 401
     OBJECT_MOVED: ClassVar[int] = 311
@@ -287,7 +327,9 @@ class ErrorCode:
     TAPPER_FAULT: ClassVar[int] = 611
     TAPPER_FIRMWARE_UNKNOWN: ClassVar[int] = 612
     TAPPER_INTERLOCK_OPEN: ClassVar[int] = 602
+    TAPPER_MOUNT_NOT_PROVEN: ClassVar[int] = 618
     TAPPER_NOT_CONNECTED: ClassVar[int] = 601
+    TAPPER_OTHER_ACTIVE: ClassVar[int] = 619
     TAPPER_OUTCOME_UNKNOWN: ClassVar[int] = 607
     TAPPER_REPLY_GARBLED: ClassVar[int] = 613
     TAPPER_RESET: ClassVar[int] = 609
@@ -295,11 +337,14 @@ class ErrorCode:
     TAPPER_SPEED_OUT_OF_RANGE: ClassVar[int] = 606
     TAPPER_SPENT: ClassVar[int] = 605
     TAPPER_STOPPED: ClassVar[int] = 603
+    TAPPER_STRIKER_AWAY: ClassVar[int] = 617
     TAPPER_TIMEOUT: ClassVar[int] = 604
     TAPPER_UNKNOWN: ClassVar[int] = 616
     TAP_LEAVES_TABLE: ClassVar[int] = 410
     TAP_LEAVES_VIEW: ClassVar[int] = 411
     TAP_LIMIT_REACHED: ClassVar[int] = 402
+    TAP_NOT_AWAITED: ClassVar[int] = 414
+    TAP_NOT_CONFIRMED: ClassVar[int] = 413
     TAP_WITHOUT_EFFECT: ClassVar[int] = 403
     TOO_FEW_FRAMES: ClassVar[int] = 314
     TRAJECTORY_INVALID: ClassVar[int] = 121
@@ -335,6 +380,7 @@ class TapRecord:
 
     tap_id: int = 0
     tapper: str = ""
+    object_id: str = ""
     number: int = 0
     planner: str = ""
     object_pose: Pose = field(default_factory=Pose)
@@ -342,6 +388,8 @@ class TapRecord:
     dy: float = 0.0
     dtheta: float = 0.0
     predicted_pose: Pose = field(default_factory=Pose)
+    predicted_covariance: list[float] = field(default_factory=lambda: [0.0] * 9)
+    reason: str = ""
     measured_pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
     striker_speed: float = 0.0
     measured_speed: float = 0.0
@@ -362,6 +410,7 @@ class GoalReport:
     header: Header = field(default_factory=Header)
     refused: bool = False
     state: int = 0
+    object_id: str = ""
     goal: PoseStamped = field(default_factory=PoseStamped)
     position_tolerance: float = 0.0
     angle_tolerance: float = 0.0
@@ -372,6 +421,31 @@ class GoalReport:
     residual_rotation: float = 0.0
     error_code: int = 0
     error_msg: str = ""
+
+
+@dataclass(slots=True, kw_only=True)
+class ObjectContact:
+    """Mirror of ``tapping_cell_msgs/msg/ObjectContact``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/ObjectContact"
+
+    header: Header = field(default_factory=Header)
+    object_id: str = ""
+    other_id: str = ""
+    position: Point = field(default_factory=Point)
+    closing_speed: float = 0.0
+
+
+@dataclass(slots=True, kw_only=True)
+class ObjectGoal:
+    """Mirror of ``tapping_cell_msgs/msg/ObjectGoal``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/ObjectGoal"
+
+    object_id: str = ""
+    goal_pose: PoseStamped = field(default_factory=PoseStamped)
+    position_tolerance: float = 0.0
+    angle_tolerance: float = 0.0
 
 
 @dataclass(slots=True, kw_only=True)
@@ -415,11 +489,39 @@ class ObjectState:
 
 
 @dataclass(slots=True, kw_only=True)
+class ObjectStates:
+    """Mirror of ``tapping_cell_msgs/msg/ObjectStates``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/ObjectStates"
+
+    header: Header = field(default_factory=Header)
+    objects: list[ObjectState] = field(default_factory=list)
+
+
+@dataclass(slots=True, kw_only=True)
+class PlannedTap:
+    """Mirror of ``tapping_cell_msgs/msg/PlannedTap``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/PlannedTap"
+
+    tap_id: int = 0
+    object_id: str = ""
+    number: int = 0
+    object_pose: Pose = field(default_factory=Pose)
+    strike_pose: Pose = field(default_factory=Pose)
+    striker_speed: float = 0.0
+    predicted_pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
+    reason: str = ""
+    answer_by: Time = field(default_factory=Time)
+
+
+@dataclass(slots=True, kw_only=True)
 class PlanState:
     """Mirror of ``tapping_cell_msgs/msg/PlanState``."""
 
     ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/PlanState"
     CANCELED: ClassVar[int] = 9
+    CONFIRMING: ClassVar[int] = 10
     FAILED: ClassVar[int] = 8
     FIRING: ClassVar[int] = 5
     IDLE: ClassVar[int] = 0
@@ -432,6 +534,7 @@ class PlanState:
 
     header: Header = field(default_factory=Header)
     state: int = 0
+    object_id: str = ""
     planner: str = ""
     goal: PoseStamped = field(default_factory=PoseStamped)
     residual_distance: float = 0.0
@@ -440,6 +543,8 @@ class PlanState:
     angle_tolerance: float = 0.0
     taps: int = 0
     last_tap: TapRecord = field(default_factory=TapRecord)
+    planned_tap: PlannedTap = field(default_factory=PlannedTap)
+    ask: bool = False
     learnt: LearntGains = field(default_factory=LearntGains)
     error_code: int = 0
     error_msg: str = ""
@@ -471,6 +576,7 @@ class TapCommand:
     tapper: str = ""
     strike_pose: Pose = field(default_factory=Pose)
     striker_speed: float = 0.0
+    object_id: str = ""
     expiry: Time = field(default_factory=Time)
     object_pose: Pose = field(default_factory=Pose)
     predicted_pose: Pose = field(default_factory=Pose)
@@ -502,12 +608,39 @@ class TapperState:
     measured_speed: float = 0.0
     shots_fired: int = 0
     boot_number: int = 0
+    fixed_mounts: bool = False
+    away: list[str] = field(default_factory=list)
     mounts_proven: bool = False
     interlock_closed: bool = False
     set_up: bool = False
     enabling_switch: bool = False
     error_code: int = 0
     error_msg: str = ""
+
+
+class ConfirmTap:
+    """Mirror of ``tapping_cell_msgs/srv/ConfirmTap``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/srv/ConfirmTap"
+
+    @dataclass(slots=True, kw_only=True)
+    class Request:
+        """Mirror of ``tapping_cell_msgs/srv/ConfirmTap.Request``."""
+
+        ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/srv/ConfirmTap.Request"
+
+        tap_id: int = 0
+        confirm: bool = False
+
+    @dataclass(slots=True, kw_only=True)
+    class Response:
+        """Mirror of ``tapping_cell_msgs/srv/ConfirmTap.Response``."""
+
+        ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/srv/ConfirmTap.Response"
+
+        accepted: bool = False
+        error_code: int = 0
+        error_msg: str = ""
 
 
 class HoldStill:
@@ -537,6 +670,45 @@ class HoldStill:
         error_msg: str = ""
 
 
+class ArrangeObjects:
+    """Mirror of ``tapping_cell_msgs/action/ArrangeObjects``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/action/ArrangeObjects"
+
+    @dataclass(slots=True, kw_only=True)
+    class Goal:
+        """Mirror of ``tapping_cell_msgs/action/ArrangeObjects.Goal``."""
+
+        ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/action/ArrangeObjects.Goal"
+
+        goals: list[ObjectGoal] = field(default_factory=list)
+        in_order: bool = False
+        may_move: list[str] = field(default_factory=list)
+        max_taps: int = 0
+        time_limit: float = 0.0
+
+    @dataclass(slots=True, kw_only=True)
+    class Result:
+        """Mirror of ``tapping_cell_msgs/action/ArrangeObjects.Result``."""
+
+        ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/action/ArrangeObjects.Result"
+
+        error_code: int = 0
+        error_msg: str = ""
+        objects: list[ObjectProgress] = field(default_factory=list)
+        taps: int = 0
+        records: list[TapRecord] = field(default_factory=list)
+
+    @dataclass(slots=True, kw_only=True)
+    class Feedback:
+        """Mirror of ``tapping_cell_msgs/action/ArrangeObjects.Feedback``."""
+
+        ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/action/ArrangeObjects.Feedback"
+
+        plan_state: PlanState = field(default_factory=PlanState)
+        objects: list[ObjectProgress] = field(default_factory=list)
+
+
 class PositionObject:
     """Mirror of ``tapping_cell_msgs/action/PositionObject``."""
 
@@ -548,11 +720,13 @@ class PositionObject:
 
         ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/action/PositionObject.Goal"
 
+        object_id: str = ""
         goal_pose: PoseStamped = field(default_factory=PoseStamped)
         position_tolerance: float = 0.0
         angle_tolerance: float = 0.0
         max_taps: int = 0
         probe: bool = False
+        ask: bool = False
         time_limit: float = 0.0
 
     @dataclass(slots=True, kw_only=True)

@@ -110,6 +110,7 @@ class FixedTapperSession(GoalSession):
         self._adapt = adapt
         self._most_taps = most_taps
         self._missed: frozenset[int] = frozenset()
+        self._skipped: frozenset[int] = frozenset()
         self._solver = GoalSolver() if solver is None else solver
         self._points = scatter_points(settings, POINTS)
         self.use_room(space)
@@ -149,6 +150,7 @@ class FixedTapperSession(GoalSession):
         index = self._index(strike)
         missed = math.hypot(moved[0], moved[1]) < MISSED * asked
         self._missed = self._missed | {index} if missed else frozenset()
+        self._skipped = frozenset()
         if not self._adapt or not np.all(np.isfinite(moved)):
             return
         noise = self.settings.camera if covariance is None else noise_of(covariance)
@@ -204,7 +206,11 @@ class FixedTapperSession(GoalSession):
         return None
 
     def _next_tap(self, pose: Array, left: Array) -> Strike | Refusal:
-        return self._strike(pose, left, self._missed)
+        return self._strike(pose, left, self._missed | self._skipped)
+
+    def skip(self, strike: Strike) -> None:
+        """See ``GoalSession.skip``."""
+        self._skipped |= {self._index(strike)}
 
     def _strike(self, pose: Array, left: Array, missed: frozenset[int]) -> Strike | Refusal:
         lines = self._space.lines(pose)

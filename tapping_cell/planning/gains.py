@@ -80,6 +80,9 @@ UNEXPLAINED = 0.5
 """A tap that was taken for a measurement with a lower probability than this is an outlier."""
 
 
+_ONE_DEVIATION = (float(ndtr(-1.0)), float(ndtr(1.0)))
+
+
 class Spread(NamedTuple):
     """Bounds of where taps end, about the predicted displacements.
 
@@ -274,6 +277,37 @@ class Gains:
         expected = self.value[..., 2] + self.value[..., 3] * slope
         factor = np.exp(longest) / self.value[..., 0]
         return Spread(np.broadcast_to(factor, slope.shape), aside - expected[..., None])
+
+    def predicted_covariance(
+        self, commanded: ArrayLike, orientation: float, scatter: Scatter
+    ) -> Array:
+        """Covariance (3, 3) in m and rad of where one commanded displacement (3,) ends.
+
+        Half of the interval that holds 68 % of the belief and the scatter stands for a standard
+        deviation: the belief's tails are wider than a normal distribution's.
+        """
+        command = np.asarray(commanded, dtype=float)
+        x, y, turn = self.predict(command, orientation).tolist()
+        length = math.hypot(x, y)
+        slope = command[2] / max(math.hypot(command[0], command[1]), 1e-12)
+
+        def half(belief: Belief, numbers: list[float], noise: float) -> float:
+            low, high = (belief.quantile(numbers, share, noise) for share in _ONE_DEVIATION)
+            return float(high - low) / 2
+
+        travel = math.atan2(y, x) - orientation
+        stretch = half(self.distance, [1.0], scatter.distance)
+        aside = half(self.direction, [1.0, slope], scatter.direction)
+        drift = [slope, *(float(part) for part in _directions(np.asarray(travel)))]
+        twist = half(self.rotation, drift, scatter.rotation * abs(slope))
+        effects = np.array(
+            [
+                [stretch * x, stretch * y, stretch * turn],
+                [-aside * y, aside * x, 0.0],
+                [0.0, 0.0, twist * length],
+            ]
+        )
+        return np.asarray(effects.T @ effects)
 
     def as_numbers(self) -> dict[str, float]:
         """Plain numbers for a file (one object): value and deviation of each gain, SI."""

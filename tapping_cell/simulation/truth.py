@@ -217,3 +217,11 @@ class TruthFile:
     scatter: ScatterTruth = section("scatter of a tap", default=ScatterTruth())
     arm: ArmTruth = section("arm", default=ArmTruth())
     camera: CameraTruth = section("camera", default=CameraTruth())
+    further_starts: tuple[tuple[float, float, float], ...] = quantity(
+        "the same of the cell's further objects, in their order; those without one begin at random "
+        "free places",
+        "",
+        -7.0,
+        7.0,
+        default=(),
+    )

@@ -128,14 +128,17 @@ def test_ctrl_c_in_a_goal_leaves_its_record(folder: Path) -> None:
 
 
 def test_a_killed_recorder_does_not_disturb_the_goal(folder: Path) -> None:
-    """It is started again, and records the rest beside what it had."""
-    process = start(folder, "--seed", "5", "--move", "-25", "15", "-12")
+    """It is started again, and records the rest beside what it had.
+
+    The goal takes four taps and more: it is still under way when the recorder is back.
+    """
+    process = start(folder, "--seed", "5", "--move", "100", "0", "90")
     nodes = wait_for_nodes(folder, process)
     deadline = time.monotonic() + 60
     while not (folder / "bag").exists():
         assert time.monotonic() < deadline and process.poll() is None
         time.sleep(0.05)
-    time.sleep(2.0)
+    time.sleep(1.0)  # the bag is written to twice a second
     os.kill(nodes["run_recorder"], signal.SIGKILL)
     output, _ = process.communicate(timeout=180)
     assert process.returncode == 0, output

@@ -26,9 +26,11 @@ from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
+    GoalReport,
     ObjectState,
     PlanState,
     PoseStamped,
+    PositionObject,
     TapCommand,
     TapperState,
 )
@@ -191,6 +193,31 @@ def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
     assert ids == sorted(set(ids))
     ended = [c.tap_id for c in actors.commands if c.request == TapCommand.WITHDRAW]
     assert ended == [*ids, ids[-1]]
+
+
+def test_commands_plans_and_records_name_the_object(actors: Actors) -> None:
+    name = shipped()[0].object.name
+    reports: list[GoalReport] = []
+    actors.network.subscribe("test", "goal_report", lambda _, report: reports.append(report))
+    actors.send()
+    end = actors.end()
+    assert {command.object_id for command in actors.taps()} == {name}
+    assert end.object_id == end.last_tap.object_id == name
+    assert [report.object_id for report in reports] == [name]
+    assert {record.object_id for record in reports[0].records} == {name}
+
+
+def test_a_goal_for_an_object_that_the_cell_does_not_have_is_refused(actors: Actors) -> None:
+    actors.wait(lambda: actors.states, "the planner is up")
+    message = PoseStamped(pose=to_message(GOAL))
+    message.header.frame_id = "table"
+    results: list[PositionObject.Result] = []
+    asked = PositionObject.Goal(object_id="teapot", goal_pose=message)
+    actors.process.request("position_object", asked, 1, results.append)
+    actors.wait(lambda: results, "the result")
+    assert results[0].error_code == ErrorCode.GOAL_UNKNOWN_OBJECT
+    assert "'teapot'" in results[0].error_msg and shipped()[0].object.name in results[0].error_msg
+    assert not actors.taps()
 
 
 def test_an_arm_that_does_not_arrive_is_given_up_in_words(actors: Actors) -> None:

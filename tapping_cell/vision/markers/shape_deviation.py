@@ -2,7 +2,7 @@
 
 A marker that is lifted, tilted or of another size than its file says is seen as a square of another
 size, or as none. Which of these it is cannot be told from one picture, but how wrong the pose may
-be follows from how wrong the form is. A point at the horizontal distance r from the camera that
+be follows from how wrong the shape is. A point at the horizontal distance r from the camera that
 lies higher than believed by the share s of the camera's height seems larger by s and further away
 by s r. A plane tilted by a seems turned by up to the share a r / 2 of the camera's height by which
 it also seems sheared or longer than wide.
@@ -31,7 +31,7 @@ with sides of 28 to 149 pixels, gamma, Bayer patterns and blur among them, none 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Form:
+class ShapeDeviation:
     """How a marker's square differs from the file's: by what share it seems larger (``stretch``),
     and longer than wide or sheared (``strain``); up to ``allowance`` that says nothing.
     ``covariance`` (3, 3) is what the rest may mean for the object's pose (m, m, rad).
@@ -43,15 +43,15 @@ class Form:
     covariance: Array
 
     @property
-    def right(self) -> bool:
-        """Is it the square of the file?"""
+    def negligible(self) -> bool:
+        """Whether it is the square of the file, as far as can be seen."""
         return max(abs(self.stretch), self.strain) <= self.allowance
 
 
-def judge_form(
+def shape_deviation(
     view: View, edges: MarkerEdges, row: int, marker: ObjectMarker, fit: PoseFit, bloom: float
-) -> Form:
-    """The form of marker ``row`` of ``edges``, whose pose is ``fit``.
+) -> ShapeDeviation:
+    """How marker ``row`` of ``edges``, whose pose is ``fit``, differs from its file.
 
     ``bloom`` is how far the sides of the reference markers lie outside of where they should
     (pixels): what camera and ink do to all markers is not taken for a size.
@@ -79,7 +79,7 @@ def judge_form(
         / marker.size
     )
     allowance = _SHARE + doubt
-    return Form(
+    return ShapeDeviation(
         stretch,
         strain,
         allowance,
@@ -89,34 +89,34 @@ def judge_form(
     )
 
 
-class Suspicion:
-    """Puts into words, and in the same words as long as it stays so, that the form is not right."""
+class ShapeWarnings:
+    """Says that the shape is not right, in the same words as long as it stays so."""
 
     def __init__(self, marker: ObjectMarker) -> None:
         self._marker = marker
         self._said: tuple[float, float] | None = None
 
-    def sentence(self, form: Form, camera_height: float) -> str:
-        """What is wrong with the form as seen from ``camera_height`` (m) over the table; empty for
+    def sentence(self, shape: ShapeDeviation, camera_height: float) -> str:
+        """What is wrong with the shape as seen from ``camera_height`` (m) over the table; empty for
         nothing."""
-        worst = max(abs(form.stretch), form.strain) / form.allowance
+        worst = max(abs(shape.stretch), shape.strain) / shape.allowance
         if worst <= (1.0 if self._said is None else 0.8):
             self._said = None
             return ""
         said = self._said
-        if said is None or max(abs(form.stretch - said[0]), abs(form.strain - said[1])) > 0.002:
-            self._said = said = (form.stretch, form.strain)
+        if said is None or max(abs(shape.stretch - said[0]), abs(shape.strain - said[1])) > 0.002:
+            self._said = said = (shape.stretch, shape.strain)
         lifted = (camera_height - self._marker.height) * said[0] * 1e3
         return (
             f"{self._looks(*said)}: lifted (by {lifted:.0f} mm?), tilted, or not of the object "
             "file's size and height; the pose is uncertain accordingly"
         )
 
-    def refusal(self, form: Form, limit: float) -> str:
-        """The same for a form that is beyond ``limit``."""
+    def refusal(self, shape: ShapeDeviation, limit: float) -> str:
+        """The same for a shape that is beyond ``limit``."""
         self._said = None
         return (
-            f"{self._looks(form.stretch, form.strain)} (limit {limit * 100:.0f} %): "
+            f"{self._looks(shape.stretch, shape.strain)} (limit {limit * 100:.0f} %): "
             "lifted, tilted or not of the object file's size and height"
         )
 
@@ -136,7 +136,7 @@ def _beyond(share: float, allowance: float) -> float:
 def _covariance(
     view: View, marker: ObjectMarker, pose: Array, stretch: float, strain: float
 ) -> Array:
-    """Covariance (3, 3) of the object's pose where the marker's form is wrong by these shares."""
+    """Covariance (3, 3) of the object's pose where the marker's shape is wrong by these shares."""
     away = stretch * (pose[:2] - view.pose.position[:2])
     # A tilted object stands on its rim, about a marker's side away from the middle.
     lifted = 2.0 * strain * marker.size

@@ -12,7 +12,7 @@ from tapping_cell.vision import CameraModel, CameraPose, ObjectMarker, Reference
 from tapping_cell.vision.markers.detection import UNIT_CORNERS, ReferenceMarker
 from tapping_cell.vision.markers.edges import BINS, MarkerEdges
 from tapping_cell.vision.markers.object_pose import fit_marker, object_pose
-from tapping_cell.vision.markers.shape_consistency import Suspicion, judge_form
+from tapping_cell.vision.markers.shape_deviation import ShapeWarnings, shape_deviation
 from tapping_cell.vision.table.tracker import TableState, TableTracker
 
 CAMERA = CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5, (-0.12, 0.08, 0.0004, -0.0003))
@@ -54,16 +54,16 @@ def object_corners(pose: np.ndarray, lift: float, tilt: float) -> np.ndarray:
 
 
 def judged(pose: np.ndarray, lift: float, tilt: float, seed: int) -> tuple:
-    """Form (None: no square at all), and error of the measured pose (3,)."""
+    """Deviation of the shape (None: no square at all), and error of the measured pose (3,)."""
     edges = edges_of(object_corners(pose, lift, tilt)[None], np.random.default_rng(seed))
     fit = fit_marker(VIEW, edges, 0, MARKER)
     if fit is None:
         return None, np.zeros(3)
-    form = judge_form(VIEW, edges, 0, MARKER, fit, 0.0)
+    shape = shape_deviation(VIEW, edges, 0, MARKER, fit, 0.0)
     measured, _ = object_pose(fit.pose, fit.covariance, MARKER)
     error = measured - pose
     error[2] = math.remainder(error[2], 2.0 * math.pi)
-    return form, error
+    return shape, error
 
 
 @pytest.mark.parametrize("lift", [0.002, 0.005, 0.012, -0.004])
@@ -72,11 +72,11 @@ def test_a_lifted_or_tilted_object_is_suspected_and_its_covariance_holds_the_err
     for trial in range(10):
         random = np.random.default_rng(trial)
         pose = random.uniform([-0.25, -0.15, -3.0], [0.25, 0.15, 3.0])
-        form, error = judged(pose, lift, tilt, trial)
-        if form is None:
+        shape, error = judged(pose, lift, tilt, trial)
+        if shape is None:
             continue
-        assert not form.right
-        sigma = np.sqrt(np.diag(form.covariance))
+        assert not shape.negligible
+        sigma = np.sqrt(np.diag(shape.covariance))
         assert np.hypot(error[0], error[1]) < 3.0 * np.hypot(sigma[0], sigma[1]) + 3e-4
         assert abs(error[2]) < 3.0 * sigma[2] + 2e-3
 
@@ -85,25 +85,25 @@ def test_an_object_that_lies_flat_is_not_suspected():
     for trial in range(40):
         random = np.random.default_rng(trial)
         pose = random.uniform([-0.25, -0.15, -3.0], [0.25, 0.15, 3.0])
-        form, _ = judged(pose, 0.0, 0.0, trial)
-        assert form.right
-        assert not form.covariance.any()
+        shape, _ = judged(pose, 0.0, 0.0, trial)
+        assert shape.negligible
+        assert not shape.covariance.any()
 
 
 def test_what_all_markers_show_is_no_size():
     edges = edges_of(object_corners(np.zeros(3), 0.0, 0.0)[None], np.random.default_rng(1), 0.4)
     fit = fit_marker(VIEW, edges, 0, MARKER)
     assert fit is not None
-    assert not judge_form(VIEW, edges, 0, MARKER, fit, 0.0).right
-    assert judge_form(VIEW, edges, 0, MARKER, fit, 0.4).right
+    assert not shape_deviation(VIEW, edges, 0, MARKER, fit, 0.0).negligible
+    assert shape_deviation(VIEW, edges, 0, MARKER, fit, 0.4).negligible
 
 
-def test_the_suspicion_keeps_its_words_while_the_form_stays():
-    pose, suspicion = np.array([0.2, 0.1, 0.3]), Suspicion(MARKER)
-    said = {suspicion.sentence(judged(pose, 0.005, 0.0, seed)[0], 0.7) for seed in range(10)}
+def test_the_warnings_keeps_its_words_while_the_form_stays():
+    pose, warnings = np.array([0.2, 0.1, 0.3]), ShapeWarnings(MARKER)
+    said = {warnings.sentence(judged(pose, 0.005, 0.0, seed)[0], 0.7) for seed in range(10)}
     (sentence,) = said
     assert "+0.7 % larger than its 50.0 mm" in sentence and "lifted (by 5 mm?)" in sentence
-    assert suspicion.sentence(judged(pose, 0.0, 0.0, 1)[0], 0.7) == ""
+    assert warnings.sentence(judged(pose, 0.0, 0.0, 1)[0], 0.7) == ""
 
 
 # -- the table

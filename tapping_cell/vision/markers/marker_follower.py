@@ -1,0 +1,167 @@
+"""An object that carries a marker, from frame to frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tapping_cell.se2 import transform_points
+from tapping_cell.vision.camera import Array, Image, View
+from tapping_cell.vision.markers.detection import UNIT_CORNERS, ObjectMarker, marker_pattern
+from tapping_cell.vision.markers.edges import MarkerEdges
+from tapping_cell.vision.markers.measurement import measure
+from tapping_cell.vision.markers.object_pose import PoseFit, fit_marker, marker_pose, object_pose
+from tapping_cell.vision.markers.search import Detections, detect, near
+from tapping_cell.vision.markers.shape_deviation import (
+    ShapeDeviation,
+    ShapeWarnings,
+    shape_deviation,
+)
+from tapping_cell.vision.markers.stationary_marker import RestingMarker
+from tapping_cell.vision.object_follower import Aim, Frame, ObjectFollower, Search, Trouble
+from tapping_cell.vision.observation import Problem
+from tapping_cell.vision.rest_detection import RestSettings
+
+_SLOW = 0.0001
+_SLOW_TURN = 0.002
+"""Motion between frames (m, rad) below which the photometric alignment is worth its time."""
+
+
+class MarkerFollower(ObjectFollower):
+    """Follows the marker of one object.
+
+    ``size_tolerance`` is the share that the marker's side may differ from its file's, ``other_ids``
+    are markers of the same dictionary that may be there as well.
+    """
+
+    def __init__(
+        self,
+        marker: ObjectMarker,
+        rest: RestSettings,
+        size_tolerance: float,
+        other_ids: frozenset[int],
+    ) -> None:
+        super().__init__(marker.height, rest)
+        self.marker = marker
+        self.dictionary = marker.dictionary
+        self._size_tolerance = size_tolerance
+        self._other_ids = other_ids
+        self._pattern = marker_pattern(marker.dictionary, marker.id)
+        self._resting = RestingMarker(marker)
+        self.fixed = self._resting.fixed
+        self._warnings = ShapeWarnings(marker)
+        self._shape: ShapeDeviation | None = None
+        self._searched = False
+        self._detected: Array | None = None
+
+    def outline(self, pose: Array) -> Array:
+        """Corners (4, 2) of the marker's square."""
+        square = UNIT_CORNERS * self.marker.size
+        return np.asarray(transform_points(marker_pose(pose, self.marker), square))
+
+    def aim(self, stamp: float, view: View | None) -> Aim | None:
+        """The marker where the search of this frame found it, or where it should be."""
+        quad = self._detected if self._searched else self._where(stamp, view)
+        return None if quad is None else (quad, self._pattern)
+
+    def complete(self, detections: Mapping[str, Detections]) -> bool:
+        """Whether the marker was found, once or more than once."""
+        found = detections[self.marker.dictionary]
+        return self.marker.id in found.single or self.marker.id in found.repeated
+
+    def searched(self, image: Image, search: Search) -> None:
+        """Take the marker's place, or find out why there is none."""
+        found = search.detections[self.marker.dictionary]
+        self._searched, self.wants_search = True, False
+        self._detected = found.single.get(self.marker.id)
+        if self.marker.id in found.repeated:
+            self.forget()
+            self.trouble = (
+                Problem.DUPLICATE_MARKER,
+                f"marker {self.marker.id} of the object is seen more than once; cover others",
+            )
+        elif self._detected is not None:
+            self.trouble = None
+        elif search.slow:
+            expected = search.expected_ids.get(self.marker.dictionary, frozenset())
+            self.trouble = self._explain(
+                image if search.first else image[::2, ::2], found, expected
+            )
+
+    def look(self, frame: Frame) -> tuple[Array, Array] | Trouble:
+        """The marker where it was found or should be, or near there."""
+        searched, self._searched = self._searched, False
+        if searched and self._detected is None and self.trouble is not None:
+            return self.trouble
+        edges = frame.aimed if frame.aimed is not None else self._nearby(frame)
+        self.wants_search |= edges is None
+        fit = None if edges is None else fit_marker(frame.working, edges, 0, self.marker)
+        if edges is None or fit is None:
+            self.stop(frame.stamp)
+            # What the last search found in its place holds until the next.
+            return self.trouble or (
+                Problem.OBJECT_HIDDEN,
+                f"the object's marker {self.marker.id} is not seen, or not the whole of it, or "
+                "from too far aside (tilted?)",
+            )
+        shape = shape_deviation(frame.working, edges, 0, self.marker, fit, frame.table.bloom)
+        limit = self._size_tolerance
+        if max(abs(shape.stretch), shape.strain) > limit:
+            self.stop(frame.stamp, object_pose(fit.pose, fit.covariance, self.marker)[0])
+            self.track.clear()
+            return Problem.MISSHAPEN_MARKER, self._warnings.refusal(shape, limit)
+        self._shape, self.trouble = shape, None
+        return self._pose(frame.image, frame.working, fit)
+
+    def doubt(self, frame: Frame) -> tuple[Array, str]:
+        """What the marker's shape says of the pose."""
+        assert self._shape is not None
+        sentence = self._warnings.sentence(self._shape, frame.table.camera_height)
+        return self._shape.covariance, sentence
+
+    def _nearby(self, frame: Frame) -> MarkerEdges | None:
+        """The marker's edges a little beside where it should be."""
+        where = self._where(frame.stamp, frame.working)
+        if where is None:
+            return None
+        quad = near(frame.image, self.marker.dictionary, self.marker.id, where)
+        if quad is None:
+            return None
+        edges, right = measure(frame.image, quad[None], [self._pattern], True)
+        return edges if right[0] else None
+
+    def _where(self, stamp: float, view: View | None) -> Array | None:
+        """Corners (4, 2) in the image where the marker should be."""
+        expected = self.expected(stamp)
+        if expected is None or view is None:
+            return None
+        return view.project(self.outline(expected), self.height)
+
+    def _pose(self, image: Image, view: View, fit: PoseFit) -> tuple[Array, Array]:
+        """Pose and covariance of the object: by edges, and by all pixels when it hardly moves."""
+        pose, covariance = object_pose(fit.pose, fit.covariance, self.marker)
+        step = self.step_from_last(pose)
+        if step is not None and (step[0] > _SLOW or step[1] > _SLOW_TURN):
+            return pose, covariance
+        measured = self._resting.measure(image, view, fit)
+        self.fixed = self._resting.fixed
+        return measured
+
+    def _explain(self, image: Image, found: Detections, expected: frozenset[int]) -> Trouble | None:
+        """Why the object's marker may not be there."""
+        mirrored = detect(np.ascontiguousarray(image[:, ::-1]), self.marker.dictionary)
+        if self.marker.id in mirrored.single:
+            return (
+                Problem.MIRRORED_MARKER,
+                f"marker {self.marker.id} is seen mirrored; turn off mirroring or print "
+                "the marker again",
+            )
+        others = sorted(set(found.single) - expected - self._other_ids - {self.marker.id})
+        if others:
+            return (
+                Problem.WRONG_MARKER,
+                f"the object's marker {self.marker.id} is not seen but marker "
+                f"{', '.join(map(str, others))} is; check the object file",
+            )
+        return None

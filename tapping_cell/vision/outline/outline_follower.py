@@ -1,0 +1,67 @@
+"""An object without a marker, from frame to frame, by its outline."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from tapping_cell.se2 import transform_points, wrap_angle
+from tapping_cell.vision.camera import Array, Image, View
+from tapping_cell.vision.markers.detection import ReferenceMap
+from tapping_cell.vision.markers.search import Detections
+from tapping_cell.vision.object_follower import Aim, Frame, ObjectFollower, Search, Trouble
+from tapping_cell.vision.observation import Problem
+from tapping_cell.vision.outline.finder import OutlineFinder
+from tapping_cell.vision.outline.fit import OutlineFit
+from tapping_cell.vision.outline.shape import ObjectOutline
+from tapping_cell.vision.rest_detection import RestSettings
+
+_LONGEST_WINDOW = 18
+"""Frames that rest may take to prove: a plain outline is not as sharp as a marker."""
+
+
+class OutlineFollower(ObjectFollower):
+    """Follows the outline of one object among the markers of ``table``."""
+
+    def __init__(self, outline: ObjectOutline, table: ReferenceMap, rest: RestSettings) -> None:
+        super().__init__(outline.height, replace(rest, longest=max(rest.longest, _LONGEST_WINDOW)))
+        self._shape = outline
+        self._finder = OutlineFinder(outline, table)
+        self._shared = self._finder.shared()
+
+    def outline(self, pose: Array) -> Array:
+        """Points (N, 2) on the rim."""
+        return np.asarray(transform_points(pose, self._shape.points()))
+
+    def aim(self, stamp: float, view: View | None) -> Aim | None:
+        """No marker."""
+        return None
+
+    def complete(self, detections: Mapping[str, Detections]) -> bool:
+        """Whether a search of markers found all it needs: it needs none."""
+        return True
+
+    def searched(self, image: Image, search: Search) -> None:
+        """Look everywhere in the frame that comes next."""
+        self.wants_search = False
+        self._finder.search()
+
+    def look(self, frame: Frame) -> tuple[Array, Array] | Trouble:
+        """The outline where it should be, or everywhere."""
+        expected, step = self.expected(frame.stamp), self.step(frame.stamp)
+        answer = self._finder.look(frame.image, frame.working, expected, step)
+        if isinstance(answer, OutlineFit):
+            pose = answer.pose.copy()
+            pose[2] = wrap_angle(pose[2])
+            return pose, answer.covariance
+        self.stop(frame.stamp)
+        self.wants_search = True
+        if answer[0] is Problem.DUPLICATE_OBJECT:
+            self.forget()
+        return answer
+
+    def doubt(self, frame: Frame) -> tuple[Array, str]:
+        """What edges between pixels and light across the rim share in all frames."""
+        return self._shared, ""

@@ -1,0 +1,101 @@
+"""The reference markers in the image: where to look for which, and which are not seen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.vision.camera import Array, Image
+from tapping_cell.vision.markers.detection import ReferenceMap, marker_pattern
+from tapping_cell.vision.markers.edges import MarkerEdges, no_edges, take
+from tapping_cell.vision.markers.measurement import measure
+from tapping_cell.vision.markers.search import Detections
+from tapping_cell.vision.object_follower import Aim
+
+_MISSED = 3
+"""Consecutive misses before a reference marker is reported as occluded."""
+
+Rows = NDArray[np.intp]
+
+
+class ReferenceMarkers:
+    """Knows where in the image each marker of a map was last; ``each`` are measured in a frame."""
+
+    def __init__(self, table: ReferenceMap, each: int) -> None:
+        self.dictionary = table.dictionary
+        self.ids = frozenset(marker.id for marker in table.markers)
+        self.repeated: list[int] = []
+        """Ids that the last search saw more than once."""
+        self._rows = {marker.id: row for row, marker in enumerate(table.markers)}
+        self._patterns = [marker_pattern(table.dictionary, m.id) for m in table.markers]
+        self._each = each
+        self._group = 0
+        self._quads: Array | None = None
+        self._misses: dict[int, int] = {}
+
+    @property
+    def missed(self) -> list[int]:
+        """Rows of the map that are not seen any more."""
+        return [row for row, looks in self._misses.items() if looks >= _MISSED]
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether it is being found out if a marker is covered."""
+        return any(0 < looks < _MISSED for looks in self._misses.values())
+
+    def place(self, quads: Array) -> None:
+        """Where all markers are in the image: (M, 4, 2), in the order of the map."""
+        self._quads = quads
+
+    def found(self, detections: Detections) -> dict[int, Array]:
+        """Markers that a search of the whole image found: corners (4, 2) by row of the map."""
+        quads = {self._rows[i]: q for i, q in detections.single.items() if i in self._rows}
+        self.repeated = [i for i in detections.repeated if i in self._rows]
+        if self._quads is not None:
+            # Whatever the table's pose was: the next frames look where the markers are now.
+            for row, quad in quads.items():
+                self._quads[row] = quad
+        return quads
+
+    def next_group(self) -> dict[int, Array]:
+        """Where to look in this frame: some of the markers in turn, by row of the map."""
+        if self._quads is None:
+            return {}
+        count = len(self._quads)
+        groups = max(1, math.ceil(count / self._each))
+        self._group = (self._group + 1) % groups
+        return {row: self._quads[row] for row in range(self._group, count, groups)}
+
+    def measure(
+        self, image: Image, quads: Mapping[int, Array], searched: bool, other: Aim | None = None
+    ) -> tuple[MarkerEdges, Rows, MarkerEdges | None]:
+        """Edges of the markers that are where ``quads`` say, their rows of the map, and the edges
+        of the ``other`` marker, None where it is not there.
+
+        ``searched`` quads come from a search, whose corners may lie some pixels off.
+        """
+        rows = np.array(list(quads), dtype=np.intp)
+        corners = list(quads.values())
+        patterns = [self._patterns[row] for row in rows]
+        if other is not None:
+            corners.append(other[0])
+            patterns.append(other[1])
+        if not corners:
+            return no_edges(), rows, None
+        edges, right = measure(image, np.stack(corners), patterns, searched)
+        kept = np.flatnonzero(right[: len(rows)])
+        theirs = None
+        if other is not None and right[-1]:
+            theirs = take(edges, np.array([len(rows)], dtype=np.intp))
+        return take(edges, kept), rows[kept], theirs
+
+    def count_missed(self, looked_for: Mapping[int, Array], met: Rows) -> None:
+        """How often in a row each marker that was once seen is not."""
+        seen = set(met.tolist())
+        self._misses |= dict.fromkeys(seen, 0)
+        for row in looked_for.keys() - seen:
+            if row in self._misses:
+                self._misses[row] += 1
