@@ -313,7 +313,7 @@ def _bracketed_root(
     ``function`` takes places and the rows that they are of; rows that are done are left out.
     """
     found = low.copy()
-    rows: Rows = np.arange(low.size)
+    rows: NDArray[np.intp] = np.arange(low.size)
     a, b, c = high.copy(), low.copy(), high.copy()
     fa, fb, fc = f_high.copy(), f_low.copy(), f_high.copy()
     t = np.full(a.shape, 0.5)

@@ -103,13 +103,13 @@ def inside_probability(
     near = np.broadcast_to(near, shape)
     probability = np.zeros(shape)
     if np.any(near):
-        rows = [
-            np.broadcast_to(part, (*shape, *part.shape[part.ndim - ends :]))[near]
-            for part, ends in ((left, 1), (axes, 2), (deviation, 1), (turn, 0))
-        ]
-        inside = _inside_circle(*rows[:3], tolerance_position)
-        outside = ndtr((rows[0][:, 2] - tolerance_angle) / rows[3])
-        outside += ndtr((-rows[0][:, 2] - tolerance_angle) / rows[3])
+        left = np.broadcast_to(left, (*shape, 3))[near]
+        axes = np.broadcast_to(axes, (*shape, 2, 2))[near]
+        deviation = np.broadcast_to(deviation, (*shape, 2))[near]
+        turn = np.broadcast_to(turn, shape)[near]
+        inside = _inside_circle(left, axes, deviation, tolerance_position)
+        outside = ndtr((left[:, 2] - tolerance_angle) / turn)
+        outside += ndtr((-left[:, 2] - tolerance_angle) / turn)
         probability[near] = np.clip(inside - outside, 0.0, 1.0)
     return probability
 

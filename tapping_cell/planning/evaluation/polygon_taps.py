@@ -40,7 +40,7 @@ def contact_taps(
     for begin in range(0, rows.size, BLOCK):
         at = rows[begin : begin + BLOCK]
         ranking = _Ranking(pose[at], goal[at], first[at], number[at], planner, rough)
-        open_rows = np.arange(at.size)
+        open_rows: NDArray[np.intp] = np.arange(at.size)
         for _ in range(ATTEMPTS):
             best = ranking.best(open_rows)
             chosen[at[open_rows]] = best
@@ -80,7 +80,7 @@ class _Ranking:
             order = np.argpartition(made.cost[at], min(tried, count - 1), axis=1)
             some = np.sort(order[:, :tried], axis=1)
             # The least cost of all that are not looked at.
-            bound = np.full(left.size, np.inf)
+            bound: Array = np.full(left.size, np.inf)
             if tried < count:
                 bound = made.cost[at, order[:, tried]]
             total = self._total(at, some)
