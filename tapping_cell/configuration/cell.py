@@ -576,6 +576,14 @@ class CellFile:
 
 
 @dataclass(frozen=True, slots=True)
+class Board:
+    """A tapper's controller: its port, and the channel of each tapper on it, by name."""
+
+    port: str
+    channels: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True)
 class Cell:
     """A cell file with the files that it names, read and checked."""
 
@@ -646,6 +654,19 @@ class Cell:
         if fixed is None:
             return {ARM_TAPPER: self.file.tapper}
         return {entry.name: self.tapper_of(entry) for entry in fixed.tappers}
+
+    @property
+    def boards(self) -> tuple[Board, ...]:
+        """The tappers' controllers, in the order of the cell file; channels rise on each."""
+        fixed = self.file.fixed_tappers
+        channels = {} if fixed is None else {entry.name: entry.channel for entry in fixed.tappers}
+        ports: dict[str, dict[str, int]] = {}
+        for name, tapper in self.tapper_sections.items():
+            ports.setdefault(tapper.port, {})[name] = channels.get(name, 0)
+        return tuple(
+            Board(port, dict(sorted(names.items(), key=lambda pair: pair[1])))
+            for port, names in ports.items()
+        )
 
     @property
     def strike_height(self) -> float:
