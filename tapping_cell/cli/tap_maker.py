@@ -13,10 +13,11 @@ from tapping_cell_msgs.msg import ErrorCode, TapperState, TapRecord
 
 from tapping_cell.calibration.design import contact_of, travel_direction
 from tapping_cell.calibration.trials import Trial
+from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.mechanics import Tap
 from tapping_cell.nodes.clients.goal_client import Finished
 from tapping_cell.nodes.clients.single_tap_client import SingleTapClient
-from tapping_cell.nodes.conversions import covariance_from_message, from_message
+from tapping_cell.nodes.conversions import from_message
 from tapping_cell.report import error_codes
 from tapping_cell.se2 import Pose
 

@@ -387,6 +387,9 @@ class ArmDriver:
         try:
             self._dialect.start_moves(moves, deadline)
         except HardwareFault as fault:
+            if fault.reason is FaultReason.UNREACHABLE:
+                # Found before anything was sent.
+                self._confirmed = path.places[0]
             if fault.reason is not FaultReason.REJECTED:
                 raise
             return fault

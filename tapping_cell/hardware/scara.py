@@ -15,6 +15,7 @@ of the planar two-link arm (Craig, *Introduction to Robotics*, section 4.4, alge
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import NamedTuple
@@ -165,9 +166,23 @@ class ScaraGeometry:
                 f"singularity_margin {self.singularity_margin:g} rad must be in [0, pi/2)"
             )
 
-    def forward(self, joints: ArrayLike) -> TipPose:
+    def forward(self, joints: Sequence[float] | Array) -> TipPose:
         """Tip pose in ``arm_base`` of one set of joints; the yaw is wrapped into [-pi, pi)."""
-        return TipPose(*self.forward_many(joints).tolist())
+        offset = self.joint_offset
+        shoulder, elbow, quill, tool = (
+            float(joint) + off for joint, off in zip(joints, offset, strict=True)
+        )
+        reach = shoulder + elbow
+        heading = reach + tool
+        cos, sin = math.cos(heading), math.sin(heading)
+        x = self.upper_arm * math.cos(shoulder) + self.forearm * math.cos(reach)
+        y = self.upper_arm * math.sin(shoulder) + self.forearm * math.sin(reach)
+        return TipPose(
+            x + cos * self.tip_forward - sin * self.tip_side,
+            y + sin * self.tip_forward + cos * self.tip_side,
+            quill + self.tip_height,
+            (heading + self.tip_yaw + math.pi) % (2.0 * math.pi) - math.pi,
+        )
 
     def forward_many(self, joints: ArrayLike) -> Array:
         """Tip poses (..., 4) = x, y, z in m, yaw in rad of joints (..., 4); limits unchecked."""

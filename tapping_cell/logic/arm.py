@@ -47,6 +47,7 @@ from tapping_cell.messages import (
     TapperState,
     Time,
 )
+from tapping_cell.messages import Pose as PoseMessage
 from tapping_cell.se2 import Pose
 
 READ_PERIOD_S = 0.05
@@ -183,6 +184,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._options = options
         self._trouble = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected yet")
         self._reading_kept: Reading | None = None
+        self._tip: tuple[Reading | None, PoseMessage] = (None, PoseMessage())
         self._read_stamp = Time()
         self._joints_told = Time()
         self._placed: Joints | None = None
@@ -666,9 +668,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         message.header.frame_id = "table"
         message.header.stamp = self._read_stamp if reading is not None else to_stamp(now.ros)
         if reading is not None:
-            tip = self._geometry.forward(reading.joints)
-            planar = self._cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
-            message.tip_pose = to_message(planar, tip.z)
+            message.tip_pose = self._tip_pose(reading)
             # An arm with a driver of its own tells them itself.
             own_driver = self._cell.arm.ros2_control is not None
             if self._read_stamp != self._joints_told and not own_driver:
@@ -677,6 +677,16 @@ class ArmLogic(DeviceLogic[State, Event]):
                 joints.header.stamp = self._read_stamp
                 self._effects.append(Publish("joint_states", joints))
         return Publish("arm_state", message)
+
+    def _tip_pose(self, reading: Reading) -> PoseMessage:
+        """Where a reading says that the tip is, in ``table``; made once for each reading."""
+        told, pose = self._tip
+        if told is not reading:
+            tip = self._geometry.forward(reading.joints)
+            planar = self._cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
+            pose = to_message(planar, tip.z)
+            self._tip = reading, pose
+        return pose
 
     def _comparable(self, message: Message) -> Message:
         # While it moves, the end of each move is told at once.

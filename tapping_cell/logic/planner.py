@@ -1,8 +1,9 @@
 """The planner's machine: a goal in, tap after tap out, until the object is seen to be there.
 
 One tap: observe the object at rest, decide, command the tap, wait until the tapper tells how it
-ended, have the arm withdraw, wait for rest, observe again. Every wait has a deadline and every goal
-a time limit. What is not known is observed; nothing is fired twice.
+ended, have the arm withdraw, wait for rest, observe again. Where taps are asked for, a person
+confirms each one before it is commanded. Every wait has a deadline and every goal a time limit.
+What is not known is observed; nothing is fired twice.
 """
 
 from __future__ import annotations
@@ -37,12 +38,14 @@ from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.task import LEAST_EFFECT, Shot, SingleTapTask, Task
 from tapping_cell.logic.transitions import StateMachine, table
 from tapping_cell.messages import (
+    ConfirmTap,
     ErrorCode,
     GoalReport,
     LearntGains,
     PlanState,
     PoseStamped,
     PositionObject,
+    SetBool,
     SingleTap,
     TapCommand,
     TapperState,
@@ -68,6 +71,7 @@ class State(Enum):
     WAITING_FOR_CELL = "WaitingForCell"
     LOOKING = "Looking"
     PLANNING = "Planning"
+    CONFIRMING = "Confirming"
     PLACING = "Placing"
     FIRING = "Firing"
     SETTLING = "Settling"
@@ -83,6 +87,8 @@ class Event(Enum):
     CELL_READY = "cell ready"
     CELL_NOT_READY = "cell not ready"
     OBSERVED = "object observed at rest"
+    TAP_PROPOSED = "tap proposed"
+    TAP_DROPPED = "proposed tap dropped"
     TAP_COMMANDED = "tap commanded"
     IN_POSITION = "arm in position"
     OUTCOME_TOLD = "tapper told the outcome"
@@ -96,7 +102,15 @@ class Event(Enum):
 
 S = State
 ENDED = (S.IDLE, S.REACHED, S.FAILED, S.CANCELED)
-WORKING = (S.WAITING_FOR_CELL, S.LOOKING, S.PLANNING, S.PLACING, S.FIRING, S.SETTLING)
+WORKING = (
+    S.WAITING_FOR_CELL,
+    S.LOOKING,
+    S.PLANNING,
+    S.CONFIRMING,
+    S.PLACING,
+    S.FIRING,
+    S.SETTLING,
+)
 TAPPING = (S.PLACING, S.FIRING)
 """States in which a tap is under way that may yet be fired."""
 
@@ -105,12 +119,15 @@ TABLE = table(
         (ENDED, Event.GOAL_ACCEPTED, (S.WAITING_FOR_CELL,)),
         ((S.WAITING_FOR_CELL,), Event.CELL_READY, (S.LOOKING,)),
         (
-            (S.LOOKING, S.PLANNING, S.PLACING, S.SETTLING),
+            (S.LOOKING, S.PLANNING, S.CONFIRMING, S.PLACING, S.SETTLING),
             Event.CELL_NOT_READY,
             (S.WAITING_FOR_CELL,),
         ),
         ((S.LOOKING,), Event.OBSERVED, (S.PLANNING,)),
-        ((S.PLANNING,), Event.TAP_COMMANDED, (S.PLACING,)),
+        ((S.PLANNING,), Event.TAP_PROPOSED, (S.CONFIRMING,)),
+        ((S.CONFIRMING,), Event.TAP_DROPPED, (S.LOOKING,)),
+        # Nothing must be placed before a tapper at a fixed mount fires.
+        ((S.PLANNING, S.CONFIRMING), Event.TAP_COMMANDED, (S.PLACING, S.FIRING)),
         ((S.PLACING,), Event.IN_POSITION, (S.FIRING,)),
         (TAPPING, Event.OUTCOME_TOLD, (S.SETTLING,)),
         (TAPPING, Event.GIVEN_UP, (S.SETTLING,)),
@@ -122,6 +139,8 @@ TABLE = table(
     ]
 )
 WIRE = {state: getattr(PlanState, state.name) for state in State}
+WORKING_STATES = tuple(WIRE[state] for state in WORKING)
+"""Of ``plan_state``: a goal is under way."""
 FINAL = (S.REACHED, S.FAILED, S.CANCELED)
 FINAL_STATES = tuple(WIRE[state] for state in FINAL)
 """Of ``plan_state``: the goal has ended."""
@@ -165,8 +184,12 @@ class PlannerLogic:
         self._machine = StateMachine(TABLE, S.IDLE)
         self._monitor = CellMonitor(settings.silence_limit)
         self._active = self._configured = False
+        self._has_arm = True
         self._task: Task | None = None
         self._shot: Shot | None = None
+        self._proposed: Shot | None = None
+        self._answer_by = 0
+        self._ask = settings.ask
         self._deadline = math.inf
         self._look_after = -math.inf
         self._last_tap_id = 0
@@ -193,6 +216,9 @@ class PlannerLogic:
             assert isinstance(event.connected, GoalHandling)
             self.goals = event.connected
             self._configured = True
+            cell = self.goals.cell
+            self._has_arm = cell.file.arm is not None
+            self._monitor.expect(self._has_arm, [list(board.channels) for board in cell.boards])
             if event.kept_goal is not None:
                 self._recall(event, now)
         elif isinstance(event, Activated):
@@ -236,11 +262,17 @@ class PlannerLogic:
     def on_request(
         self, service: str, request: Message, token: Token, now: Now
     ) -> Sequence[Effect]:
-        """An action goal, or the cancellation of one."""
+        """An action goal, or the cancellation of one; the answer to a proposed tap; whether every
+        tap is to be asked for (``ask``, the parameter of that name)."""
         if service == "cancel":
             if self._task is not None and self._task.token == token:
                 self._end_tap(now)
                 self._finish(S.CANCELED, ErrorCode.GOAL_CANCELED, "the goal was canceled", now)
+        elif service == "confirm_tap":
+            self._effects.append(Answer(token, self._on_confirmation(request, now)))
+        elif service == "ask":
+            self._change_ask(request.data, now)
+            self._effects.append(Answer(token, SetBool.Response(success=True)))
         elif isinstance(request, SingleTap.Goal):
             self._on_single_tap(request, token, now)
         elif isinstance(request, PositionObject.Goal):
@@ -252,6 +284,7 @@ class PlannerLogic:
                 request.time_limit,
                 token,
                 request.probe,
+                request.ask,
                 request.object_id,
             )
             self._on_goal(asked, now)
@@ -361,19 +394,34 @@ class PlannerLogic:
                 S.CANCELED, ErrorCode.GOAL_REPLACED, "a newer goal took this one's place", now
             )
         self._task = task
-        if task.resumable and self._settings.resume_within > 0:
-            self._effects.append(
-                KeepGoal(
-                    {
-                        "goal": list(task.goal),
-                        "tolerance": list(task.tolerance),
-                        "max_taps": task.max_taps,
-                        "time_left": task.expires - now.steady,
-                    }
-                )
-            )
+        self._keep_goal(task, now)
         self._log(LogLevel.INFO, task.description())
         self._enter(Event.GOAL_ACCEPTED, S.WAITING_FOR_CELL, now, self._settings.ready_deadline)
+
+    def _keep_goal(self, task: Task, now: Now) -> None:
+        """Keep the goal over a crash."""
+        if task.resumable and self._settings.resume_within > 0:
+            content = {
+                "goal": list(task.goal),
+                "tolerance": list(task.tolerance),
+                "max_taps": task.max_taps,
+                "time_left": task.expires - now.steady,
+                "ask": self._asks(task),
+            }
+            self._effects.append(KeepGoal(content))
+
+    def _asks(self, task: Task | None) -> bool:
+        """Whether a person confirms the taps: of a goal, or of the next one."""
+        return self._ask or (task is not None and task.ask)
+
+    def _change_ask(self, ask: bool, now: Now) -> None:
+        """Ask before the taps that are planned from now on, or do not. A tap that was proposed
+        still waits for its answer."""
+        self._ask = ask
+        if self._task is not None:
+            self._keep_goal(self._task, now)
+        if self._active:
+            self._report(now, self.last.error_code, self.last.error_msg)
 
     def _recall(self, event: Configured, now: Now) -> None:
         """Resume the goal of a planner that crashed a moment ago."""
@@ -386,12 +434,12 @@ class PlannerLogic:
             message = PoseStamped(pose=to_message(Pose(*map(float, kept["goal"]))))
             position, angle = (float(value) for value in kept["tolerance"])
             limit = max(float(kept["time_left"]) - event.kept_goal_age, 1.0)
-            taps = int(kept["max_taps"])
+            taps, ask = int(kept["max_taps"]), bool(kept["ask"])
         except (KeyError, TypeError, ValueError, OverflowError):
             self._log(LogLevel.WARNING, "the goal kept over the crash cannot be read")
             return
         message.header.frame_id = "table"
-        self._resumed = Request(message, position, angle, taps, limit)
+        self._resumed = Request(message, position, angle, taps, limit, ask=ask)
 
     # The cycle
 
@@ -417,6 +465,7 @@ class PlannerLogic:
         {
             S.WAITING_FOR_CELL: self._wait_for_cell,
             S.LOOKING: self._look,
+            S.CONFIRMING: self._wait_for_person,
             S.PLACING: self._wait_for_arm,
             S.FIRING: self._wait_for_tapper,
             S.SETTLING: self._wait_for_withdrawal,
@@ -452,6 +501,10 @@ class PlannerLogic:
             elif self._late(now):
                 self._fail(*self._monitor.blind(self._settings.look_deadline, needed, now), now)
             return
+        if not task.ready:
+            # The goal's own time limit ends this, if nothing does.
+            self._deadline = now.steady + self._settings.look_deadline
+            return
         unknown = self.goals.update_free_space(task, self._look_after, now)
         if unknown is not None:
             if self._late(now):
@@ -483,7 +536,7 @@ class PlannerLogic:
         elif self._monitor.missing(now) is not None:
             self._wait_again(now)
         else:
-            self._command(decision, from_message(seen.pose.pose), now)
+            self._plan(task, decision, from_message(seen.pose.pose), now)
 
     def _exhausted(self, task: Task) -> Trouble | None:
         """Why no further tap is tried; None when one is."""
@@ -503,24 +556,98 @@ class PlannerLogic:
             )
         return None
 
-    def _command(self, strike: Strike, before: Pose, now: Now) -> None:
-        """Publish one tap, under an id that was never used before."""
-        task = self._task
-        assert task is not None
+    def _plan(self, task: Task, strike: Strike, before: Pose, now: Now) -> None:
+        """Make or propose one tap, under an id that was never used before."""
         # Whole seconds of the clock: ids rise over restarts of every node, and fit the tapper's
         # 32 bits until 2106. What arm and tapper have served already counts where a clock was set
         # back.
         self._last_tap_id = max(
             self._last_tap_id + 1, now.ros // NANOSECONDS, self._monitor.last_tap_id() + 1
         )
-        shot = self._shot = Shot(self._last_tap_id, task.object_id, strike, before)
+        covariance = task.session.predicted_covariance(strike, before)
+        shot = Shot(
+            self._last_tap_id, task.object_id, len(task.records) + 1, strike, before, covariance
+        )
+        if strike.detour:
+            self._log(LogLevel.INFO, f"tap {shot.number}: {strike.detour}")
+        if not self._asks(task):
+            self._command(shot, now)
+            return
+        patience = self._settings.confirm_deadline
+        self._proposed, self._answer_by = shot, now.ros + round(patience * NANOSECONDS)
+        self._log(LogLevel.INFO, f"tap {shot.number} waits for confirmation (id {shot.tap_id})")
+        self._enter(Event.TAP_PROPOSED, S.CONFIRMING, now, patience)
+
+    def _command(self, shot: Shot, now: Now) -> None:
+        """Publish one tap."""
+        self._shot, self._proposed = shot, None
         allowance = self._settings.place_deadline + self._settings.fire_deadline
         expiry = now.ros + round(allowance * NANOSECONDS)
         height = self.goals.cell.strike_height
         self._effects.append(Publish("tap_command", shot.command(now.ros, expiry, height)))
-        if strike.detour:
-            self._log(LogLevel.INFO, f"tap {len(task.records) + 1}: {strike.detour}")
-        self._enter(Event.TAP_COMMANDED, S.PLACING, now, self._settings.place_deadline)
+        if self._has_arm:
+            self._enter(Event.TAP_COMMANDED, S.PLACING, now, self._settings.place_deadline)
+        else:
+            self._enter(Event.TAP_COMMANDED, S.FIRING, now, self._settings.fire_deadline)
+
+    def _wait_for_person(self, task: Task, now: Now) -> None:
+        """A person looks at the proposed tap; the plan holds as long as the object stays."""
+        shot = self._proposed
+        assert shot is not None
+        fault = self._monitor.fault()
+        if fault is not None:
+            self._fail(*fault, now)
+        elif self._monitor.lost(now):
+            self._wait_again(now)
+        elif self._disturbed(shot, now):
+            self._drop_proposal("an object was moved", now)
+        elif self._late(now):
+            self._fail(
+                ErrorCode.TAP_NOT_CONFIRMED,
+                f"tap {shot.number} was not confirmed within"
+                f" {self._settings.confirm_deadline:.0f} s; send the goal again and answer on the"
+                " page or in the terminal",
+                now,
+            )
+
+    def _on_confirmation(self, asked: ConfirmTap.Request, now: Now) -> ConfirmTap.Response:
+        """A person's answer: only for the tap that is proposed now, as it was proposed."""
+        if self._task is not None:
+            self._advance(now)  # what was heard, or is overdue, comes first
+        shot, task = self._proposed, self._task
+        if shot is None or task is None or shot.tap_id != asked.tap_id:
+            waiting = f"tap {shot.tap_id} does" if shot is not None else "none does"
+            return ConfirmTap.Response(
+                error_code=ErrorCode.TAP_NOT_AWAITED,
+                error_msg=f"tap {asked.tap_id} does not wait for confirmation, {waiting}; look at "
+                "what is shown now and answer for that",
+            )
+        if not asked.confirm:
+            task.session.skip(shot.strike)
+            self._drop_proposal("it was skipped", now)
+            return ConfirmTap.Response(accepted=True)
+        missing = self._monitor.missing(now)
+        needed = self._settings.frames_needed
+        if missing is not None:
+            self._wait_again(now)
+        elif not self._monitor.usable(self._look_after, needed, now):
+            missing = self._monitor.blind(0.0, needed, now)
+            self._drop_proposal("the object is not seen at rest", now)
+        else:
+            self._command(shot, now)
+            return ConfirmTap.Response(accepted=True)
+        code, sentence = missing
+        return ConfirmTap.Response(
+            error_code=code, error_msg=f"tap {shot.number} is planned anew: {sentence}"
+        )
+
+    def _drop_proposal(self, why: str, now: Now) -> None:
+        """Observe the object again and plan another tap in place of the proposed one."""
+        shot, self._proposed = self._proposed, None
+        assert shot is not None
+        self._log(LogLevel.INFO, f"tap {shot.number} (id {shot.tap_id}) is planned anew: {why}")
+        self._look_after = now.steady
+        self._enter(Event.TAP_DROPPED, S.LOOKING, now, self._settings.look_deadline)
 
     def _wait_for_arm(self, task: Task, now: Now) -> None:
         """The arm brings the striker to its strike pose; the tapper waits for it."""
@@ -557,7 +684,7 @@ class PlannerLogic:
 
     def _take_outcome(self, task: Task, shot: Shot, now: Now) -> None:
         """Take in the outcome that the tapper told."""
-        tapper = self._monitor.tapper
+        tapper = self._monitor.tapper_of(shot.tap_id)
         assert tapper is not None
         shot.outcome = self._monitor.outcome(shot.tap_id)
         shot.measured_speed = tapper.measured_speed
@@ -584,7 +711,8 @@ class PlannerLogic:
             return
         self._check_cell(
             ErrorCode.ARM_TIMEOUT,
-            f"the arm did not withdraw within {self._settings.withdraw_deadline:.0f} s",
+            f"the {'arm did not withdraw' if self._has_arm else 'striker was not back'} within"
+            f" {self._settings.withdraw_deadline:.0f} s",
             now,
         )
 
@@ -601,6 +729,7 @@ class PlannerLogic:
     def _wait_again(self, now: Now) -> None:
         """A part of the cell is not there: end the tap, wait for the cell."""
         self._end_tap(now)
+        self._proposed = None
         deadline = self._settings.ready_deadline
         self._enter(Event.CELL_NOT_READY, S.WAITING_FOR_CELL, now, deadline)
 
@@ -643,7 +772,7 @@ class PlannerLogic:
 
     def _hidden_by_arm(self, now: Now) -> bool:
         """True when the object should be seen and is not, and the arm may have to park."""
-        if self._withdrawn_tap_id in (0, self._parked_tap_id):
+        if not self._has_arm or self._withdrawn_tap_id in (0, self._parked_tap_id):
             return False
         looked = now.steady - self._look_after
         return min(looked, self._monitor.unseen_for(now)) > HIDDEN_S
@@ -651,7 +780,7 @@ class PlannerLogic:
     def _park(self, now: Now) -> None:
         """Send the arm on to its park pose: a second withdrawal says so."""
         tap_id = self._withdrawn_tap_id
-        if tap_id in (0, self._parked_tap_id):
+        if not self._has_arm or tap_id in (0, self._parked_tap_id):
             return
         self._parked_tap_id = tap_id
         self._publish_withdrawal(tap_id, now)
@@ -678,6 +807,7 @@ class PlannerLogic:
             state, Event.GOAL_MET
         )
         self._machine.move(event, state)
+        self._proposed = None
         if self._shot is not None:
             task.lose(self._shot)
         self._report(now, code, sentence)
@@ -709,6 +839,11 @@ class PlannerLogic:
         state.header.frame_id = "table"
         state.residual_distance = state.residual_rotation = math.nan
         state.learnt = self._known_of_the_object()
+        state.ask = self._asks(task)
+        planned = self._proposed or self._shot
+        if planned is not None and self.state in (S.CONFIRMING, *TAPPING):
+            by = self._answer_by if self._proposed is not None else 0
+            state.planned_tap = planned.planned(by, self.goals.cell.strike_height)
         if task is not None:
             task.fill(state, pose)
             if task.token is not None:
@@ -728,7 +863,7 @@ class PlannerLogic:
                         state,
                         pose,
                         task.goal if task is not None else None,
-                        self._shot.strike if self._shot is not None else None,
+                        planned.strike if planned is not None else None,
                         tuple(
                             from_message(record.object_pose)
                             for record in (task.records if task is not None else ())

@@ -19,6 +19,10 @@ class PlannerSettings:
         "begin with up to three of the smallest taps where the object's friction is not known",
         default=False,
     )
+    ask: bool = text("ask a person to confirm every tap before it is made", default=False)
+    confirm_deadline: float = quantity(
+        "longest wait for a person's confirmation of a tap", "s", 1.0, 3600.0, default=120.0
+    )
     others_memory: float = quantity(
         "time after which another object that is no longer seen counts as taken away",
         "s",

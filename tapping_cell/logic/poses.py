@@ -70,3 +70,10 @@ def covariance_from_message(values: Sequence[float]) -> NDArray[np.float64]:
     """The 3 x 3 covariance of (x, y, theta) out of the 36 numbers of a pose covariance."""
     full = np.asarray(values, dtype=float).reshape(6, 6)
     return full[np.ix_(_PLANAR, _PLANAR)]
+
+
+def covariance_to_message(covariance: NDArray[np.float64]) -> list[float]:
+    """A 3 x 3 covariance of (x, y, theta) as the 36 numbers of a pose covariance."""
+    full = np.zeros((6, 6))
+    full[np.ix_(_PLANAR, _PLANAR)] = covariance
+    return [float(value) for value in full.reshape(-1)]

@@ -7,13 +7,20 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.effects import Token
 from tapping_cell.logic.learnt import to_message as learnt_message
-from tapping_cell.logic.poses import covariance_from_message, from_message, to_message
+from tapping_cell.logic.poses import (
+    covariance_from_message,
+    covariance_to_message,
+    from_message,
+    to_message,
+)
 from tapping_cell.messages import (
     ObjectState,
+    PlannedTap,
     PlanState,
     PoseStamped,
     PositionObject,
@@ -24,15 +31,16 @@ from tapping_cell.messages import (
 )
 from tapping_cell.planning import (
     Decision,
-    FreeSpace,
     Gains,
-    PositioningSession,
     PrescribedSession,
     Strike,
 )
+from tapping_cell.planning.session import GoalSession
 from tapping_cell.planning.stopping import LONG_LOOK
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import ReferenceMap
+
+Array = NDArray[np.float64]
 
 LEAST_EFFECT = 0.2
 """Share of the wanted distance below which a tap counts as without effect."""
@@ -44,8 +52,12 @@ class Shot:
 
     tap_id: int
     object_id: str
+    number: int
+    """Its place in its goal, from 1."""
     strike: Strike
     before: Pose
+    covariance: Array
+    """(3, 3), m and rad: of where the object is expected to come to rest."""
     fired_at: int | None = None
     """When the tapper's report arrived, ROS time in ns."""
     outcome: int = TapperState.NONE
@@ -69,7 +81,24 @@ class Shot:
         command.header.frame_id = "table"
         return command
 
-    def record(self, number: int, seen: ObjectState | None, gains: Gains) -> TapRecord:
+    def planned(self, answer_by: int, height: float) -> PlannedTap:
+        """This tap before it is made; ``answer_by`` in ns, 0 where nobody is asked."""
+        plan = self.strike.plan
+        tap = PlannedTap(
+            tap_id=self.tap_id,
+            object_id=self.object_id,
+            number=self.number,
+            object_pose=to_message(self.before),
+            strike_pose=to_message(plan.strike_pose, height),
+            striker_speed=plan.striker_speed,
+            reason=self.strike.detour,
+            answer_by=to_stamp(answer_by),
+        )
+        tap.predicted_pose.pose = to_message(self.strike.predicted)
+        tap.predicted_pose.covariance = covariance_to_message(self.covariance)
+        return tap
+
+    def record(self, seen: ObjectState | None, gains: Gains) -> TapRecord:
         """What is kept of this tap once its result is seen; ``seen`` None: it never was. ``gains``:
         what is known of the object after it."""
         strike = self.strike
@@ -80,13 +109,15 @@ class Shot:
             tap_id=self.tap_id,
             tapper=strike.plan.tapper,
             object_id=self.object_id,
-            number=number,
+            number=self.number,
             planner=strike.method,
             object_pose=to_message(self.before),
             dx=strike.commanded.x,
             dy=strike.commanded.y,
             dtheta=strike.commanded.theta,
             predicted_pose=to_message(strike.predicted),
+            predicted_covariance=self.covariance.reshape(-1).tolist(),
+            reason=strike.detour,
             measured_pose=seen.pose,
             striker_speed=strike.plan.striker_speed,
             measured_speed=self.measured_speed,
@@ -114,15 +145,17 @@ class Task:
     goal: Pose
     tolerance: tuple[float, float]
     max_taps: int
-    session: PositioningSession | PrescribedSession
+    session: GoalSession | PrescribedSession
     token: Token | None
     """Of the action goal that waits for the result; None for a goal of the topic."""
     expires: float
     """Steady time in s after which the goal is given up."""
+    ask: bool = False
+    """A person confirms every tap."""
     records: list[TapRecord] = field(default_factory=list)
     not_fired: int = 0
     without_effect: int = 0
-    free_space: FreeSpace | None = None
+    free_space: object | None = None
     """The map that the session was last told to work in."""
 
     def description(self) -> str:
@@ -132,10 +165,15 @@ class Task:
             f"{math.degrees(self.goal.theta):.1f} deg"
         )
 
+    @property
+    def ready(self) -> bool:
+        """Whether a decision can be made: a goal may have to be solved first."""
+        return not isinstance(self.session, GoalSession) or self.session.ready
+
     def decide(self, seen: ObjectState, frames: int) -> Decision:
         """What to do with the object at rest as it is seen; a look is ``frames`` long, a long one
         ``LONG_LOOK`` times that; 0 where there is no time left for a long one."""
-        assert isinstance(self.session, PositioningSession)
+        assert isinstance(self.session, GoalSession)
         pose = from_message(seen.pose.pose)
         return self.session.decide(
             pose,
@@ -148,8 +186,7 @@ class Task:
         pose = from_message(seen.pose.pose)
         covariance = covariance_from_message(seen.pose.covariance)
         self.session.observe(shot.strike, shot.before, pose, covariance)
-        number = len(self.records) + 1
-        self.records.append(shot.record(number, seen, self.session.gains))
+        self.records.append(shot.record(seen, self.session.gains))
         wanted = math.hypot(shot.strike.wanted.x, shot.strike.wanted.y)
         moved = shot.before.distance_to(pose) > LEAST_EFFECT * wanted
         self.without_effect = 0 if moved else self.without_effect + 1
@@ -241,5 +278,4 @@ class SingleTapTask(Task):
     def lose(self, shot: Shot) -> None:
         """Keep a record of the tap, if it was or may have been fired."""
         if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):
-            number = len(self.records) + 1
-            self.records.append(shot.record(number, None, self.session.gains))
+            self.records.append(shot.record(None, self.session.gains))

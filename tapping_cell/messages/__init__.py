@@ -343,6 +343,8 @@ class ErrorCode:
     TAP_LEAVES_TABLE: ClassVar[int] = 410
     TAP_LEAVES_VIEW: ClassVar[int] = 411
     TAP_LIMIT_REACHED: ClassVar[int] = 402
+    TAP_NOT_AWAITED: ClassVar[int] = 414
+    TAP_NOT_CONFIRMED: ClassVar[int] = 413
     TAP_WITHOUT_EFFECT: ClassVar[int] = 403
     TOO_FEW_FRAMES: ClassVar[int] = 314
     TRAJECTORY_INVALID: ClassVar[int] = 121
@@ -386,6 +388,8 @@ class TapRecord:
     dy: float = 0.0
     dtheta: float = 0.0
     predicted_pose: Pose = field(default_factory=Pose)
+    predicted_covariance: list[float] = field(default_factory=lambda: [0.0] * 9)
+    reason: str = ""
     measured_pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
     striker_speed: float = 0.0
     measured_speed: float = 0.0
@@ -495,11 +499,29 @@ class ObjectStates:
 
 
 @dataclass(slots=True, kw_only=True)
+class PlannedTap:
+    """Mirror of ``tapping_cell_msgs/msg/PlannedTap``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/PlannedTap"
+
+    tap_id: int = 0
+    object_id: str = ""
+    number: int = 0
+    object_pose: Pose = field(default_factory=Pose)
+    strike_pose: Pose = field(default_factory=Pose)
+    striker_speed: float = 0.0
+    predicted_pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
+    reason: str = ""
+    answer_by: Time = field(default_factory=Time)
+
+
+@dataclass(slots=True, kw_only=True)
 class PlanState:
     """Mirror of ``tapping_cell_msgs/msg/PlanState``."""
 
     ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/PlanState"
     CANCELED: ClassVar[int] = 9
+    CONFIRMING: ClassVar[int] = 10
     FAILED: ClassVar[int] = 8
     FIRING: ClassVar[int] = 5
     IDLE: ClassVar[int] = 0
@@ -521,6 +543,8 @@ class PlanState:
     angle_tolerance: float = 0.0
     taps: int = 0
     last_tap: TapRecord = field(default_factory=TapRecord)
+    planned_tap: PlannedTap = field(default_factory=PlannedTap)
+    ask: bool = False
     learnt: LearntGains = field(default_factory=LearntGains)
     error_code: int = 0
     error_msg: str = ""
@@ -592,6 +616,31 @@ class TapperState:
     enabling_switch: bool = False
     error_code: int = 0
     error_msg: str = ""
+
+
+class ConfirmTap:
+    """Mirror of ``tapping_cell_msgs/srv/ConfirmTap``."""
+
+    ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/srv/ConfirmTap"
+
+    @dataclass(slots=True, kw_only=True)
+    class Request:
+        """Mirror of ``tapping_cell_msgs/srv/ConfirmTap.Request``."""
+
+        ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/srv/ConfirmTap.Request"
+
+        tap_id: int = 0
+        confirm: bool = False
+
+    @dataclass(slots=True, kw_only=True)
+    class Response:
+        """Mirror of ``tapping_cell_msgs/srv/ConfirmTap.Response``."""
+
+        ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/srv/ConfirmTap.Response"
+
+        accepted: bool = False
+        error_code: int = 0
+        error_msg: str = ""
 
 
 class HoldStill:
@@ -677,6 +726,7 @@ class PositionObject:
         angle_tolerance: float = 0.0
         max_taps: int = 0
         probe: bool = False
+        ask: bool = False
         time_limit: float = 0.0
 
     @dataclass(slots=True, kw_only=True)

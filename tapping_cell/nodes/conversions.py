@@ -7,14 +7,10 @@ import math
 import numpy as np
 from builtin_interfaces.msg import Time as TimeMessage
 from geometry_msgs.msg import Pose as PoseMessage
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraPose
-
-# Rows and columns of x, y and the rotation about z in a ROS 6 x 6 covariance.
-_PLANAR = (0, 1, 5)
 
 
 def to_message(pose: Pose, height: float = 0.0) -> PoseMessage:
@@ -37,20 +33,6 @@ def is_finite(message: PoseMessage) -> bool:
     """True where every number of a ROS pose is finite."""
     p, q = message.position, message.orientation
     return all(math.isfinite(value) for value in (p.x, p.y, p.z, q.x, q.y, q.z, q.w))
-
-
-def covariance_to_message(covariance: NDArray[np.float64]) -> list[float]:
-    """A 3 x 3 covariance of (x, y, theta) as the 36 numbers of a ROS pose covariance."""
-    full = np.zeros((6, 6))
-    full[np.ix_(_PLANAR, _PLANAR)] = covariance
-    values: list[float] = full.reshape(-1).tolist()
-    return values
-
-
-def covariance_from_message(values: object) -> NDArray[np.float64]:
-    """The 3 x 3 covariance of (x, y, theta) out of a ROS pose covariance."""
-    full = np.asarray(values, dtype=float).reshape(6, 6)
-    return full[np.ix_(_PLANAR, _PLANAR)]
 
 
 def camera_to_message(camera: CameraPose) -> PoseMessage:

@@ -105,6 +105,13 @@ class PrescribedSession:
         """Name of what chooses the tap, for records."""
         return METHOD
 
+    def skip(self, strike: Strike) -> None:
+        """The tap is prescribed: there is no other one."""
+
+    def predicted_covariance(self, strike: Strike, pose: Pose) -> Array:
+        """Covariance (3, 3) in m and rad of where the tap sends an object that lies at ``pose``."""
+        return self.gains.predicted_covariance(strike.commanded, pose.theta, MODEL_DEVIATION)
+
     def decide(
         self,
         object_pose: ArrayLike,

@@ -117,6 +117,25 @@ class GoalSession(ABC):
         """Tolerance, scatter and camera."""
 
     @property
+    def ready(self) -> bool:
+        """Whether a decision can be made: where a goal must be solved first, when it is."""
+        return True
+
+    @abstractmethod
+    def observe(
+        self,
+        strike: Strike,
+        pose_before: ArrayLike,
+        pose_after: ArrayLike,
+        covariance: ArrayLike | None = None,
+    ) -> None:
+        """Learn from a tap that was fired."""
+
+    @abstractmethod
+    def edge_warning(self, pose: ArrayLike) -> str:
+        """A sentence where the object lies where few taps are left; an empty text else."""
+
+    @property
     @abstractmethod
     def method(self) -> str:
         """Name of the planning method, for records."""
@@ -128,6 +147,15 @@ class GoalSession(ABC):
     @abstractmethod
     def _next_tap(self, pose: Array, left: Array) -> Strike | Refusal:
         """The tap to make, or why there is none."""
+
+    @abstractmethod
+    def skip(self, strike: Strike) -> None:
+        """Choose another tap than this one, which a person did not want, as long as there is one;
+        until the object was tapped."""
+
+    def predicted_covariance(self, strike: Strike, pose: Pose) -> Array:
+        """Covariance (3, 3) in m and rad of where a tap sends an object that lies at ``pose``."""
+        return self.gains.predicted_covariance(strike.commanded, pose.theta, self.settings.scatter)
 
     def residual(self, object_pose: ArrayLike) -> Array:
         """Goal less object: (dx, dy, dtheta) in `table`, the rotation the short way round."""
@@ -253,6 +281,7 @@ class PositioningSession(GoalSession):
         self.gains = Gains.start() if gains is None else gains
         self.taps = 0
         self._missed: tuple[float, ...] = ()  # headings of taps since the object last moved
+        self._skipped: tuple[float, ...] = ()  # headings that a person did not want
         self._adapt = adapt
         self._probes_left = MOST_PROBES if probe else 0
         self._most_taps = most_taps
@@ -284,7 +313,12 @@ class PositioningSession(GoalSession):
         return super()._inside(left, covariance, box)
 
     def _next_tap(self, pose: Array, left: Array) -> Strike | Refusal:
-        return self._strike(pose, left, self._missed)
+        return self._strike(pose, left, self._missed + self._skipped)
+
+    def skip(self, strike: Strike) -> None:
+        """See ``GoalSession.skip``."""
+        heading = math.atan2(strike.commanded.y, strike.commanded.x)
+        self._skipped = (*self._skipped, heading)
 
     def observe(
         self,
@@ -306,6 +340,7 @@ class PositioningSession(GoalSession):
         missed = math.hypot(moved[0], moved[1]) < MISSED * asked
         heading = math.atan2(strike.commanded.y, strike.commanded.x)
         self._missed = (*self._missed, heading) if missed else ()
+        self._skipped = ()
         if not self._adapt:
             return
         noise = settings.camera if covariance is None else noise_of(covariance)
@@ -478,6 +513,8 @@ class PositioningSession(GoalSession):
 
     def _obstacle(self, pose: Array, commanded: Array, missed: tuple[float, ...]) -> str:
         """Why the slide of a displacement (3,) is not acceptable, or an empty text."""
+        if missed and not bool(_elsewhere(commanded, self._skipped)):
+            return "a tap in this direction was skipped"
         if not bool(_elsewhere(commanded, missed)):
             return "the last tap in this direction did not move the object"
         straight = math.hypot(self.goal[0] - pose[0], self.goal[1] - pose[1])

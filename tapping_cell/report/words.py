@@ -13,6 +13,7 @@ PHASES = (
     "reached",
     "failed",
     "canceled",
+    "waiting for confirmation",
 )
 """States of ``tapping_cell_msgs/PlanState``, by number."""
 

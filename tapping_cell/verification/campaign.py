@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 
@@ -21,6 +21,8 @@ class Summary:
 
     goals: int = 0
     taps: int = 0
+    program_taps: int = 0
+    """Commanded by a program, beside the goals."""
     cell_seconds: float = 0.0
     by_fault: Counter[str] = field(default_factory=Counter)
     by_code: Counter[int] = field(default_factory=Counter)
@@ -31,6 +33,7 @@ class Summary:
         """Count one run."""
         self.goals += len(report.outcomes)
         self.taps += sum(outcome.taps for outcome in report.outcomes)
+        self.program_taps += report.program_taps
         self.cell_seconds += report.cell_seconds
         self.by_fault.update(report.faults)
         self.by_code.update(outcome.code for outcome in report.outcomes)
@@ -45,14 +48,16 @@ def seeds_of(seed: int, goals: int) -> list[tuple[int, int]]:
     ]
 
 
-def reports_of(runs: list[tuple[int, int]], jobs: int) -> Iterator[Report]:
-    """Work through runs on so many processes."""
+def reports_of(
+    runs: list[tuple[int, int]], jobs: int, only: Sequence[str] = ()
+) -> Iterator[Report]:
+    """Work through runs on so many processes; ``only``: with faults of these kinds."""
     if jobs == 1 or len(runs) == 1:
         for seed, goals in runs:
-            yield run_trial(seed, goals)
+            yield run_trial(seed, goals, only=only)
         return
     with ProcessPoolExecutor(min(jobs, len(runs))) as pool:
-        for future in as_completed([pool.submit(run_trial, *run) for run in runs]):
+        for future in as_completed([pool.submit(run_trial, *run, False, only) for run in runs]):
             yield future.result()
 
 
@@ -62,10 +67,11 @@ def run_campaign(
     jobs: int = os.cpu_count() or 1,
     progress: Callable[[Summary], None] = lambda summary: None,
     stop_at_violation: bool = False,
+    only: Sequence[str] = (),
 ) -> Summary:
-    """Run so many goals; ``progress`` is told after every run."""
+    """Run so many goals; ``progress`` is told after every run, ``only``: faults of these kinds."""
     summary = Summary()
-    for report in reports_of(seeds_of(seed, goals), jobs):
+    for report in reports_of(seeds_of(seed, goals), jobs, only):
         summary.add(report)
         progress(summary)
         if stop_at_violation and summary.violations:

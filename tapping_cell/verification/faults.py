@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +22,7 @@ from tapping_cell.messages import (
     TapperState,
 )
 from tapping_cell.se2 import Pose
-from tapping_cell.simulation.fault_layer import Direction, FaultKind, random_fault
+from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault, random_fault
 
 if TYPE_CHECKING:
     from tapping_cell.verification.trial import Trial
@@ -30,34 +31,50 @@ SPAN_S = 16.0
 """Faults are spread over so long from the moment at which a goal is sent."""
 MEAN_FAULTS = 2.0
 """Faults of a goal, on average."""
-SHARE_AT_A_MOMENT = 0.6
-"""Of the goals' faults, those that strike around one moment of a tap, together: what goes wrong at
-the same time is what guards are for."""
+SHARE_AT_A_MOMENT = 0.25
+"""Of the goals' faults, those that strike around one state that a node publishes, together: what
+goes wrong at the same time is what guards are for."""
+SHARE_AT_THE_SHOT = 0.5
+"""Of the goals' faults, those that strike together around one step of a shot."""
 CLOSE_S = 0.3
 """How far faults of one moment lie apart at most."""
+CLOSEST_S = 2e-4
+"""Faults around a shot lie from so far to ``CLOSE_S`` apart, all orders of magnitude alike."""
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """The n-th time that a node publishes a state: ``topic``, ``state``, ``times``."""
+    """The n-th time in a goal that something happens; ``name`` as the trial tells it."""
 
-    topic: str
-    state: int
+    name: str
     times: int
 
 
+def told(topic: str, state: int) -> str:
+    """The name of the moment at which a node publishes that it is in another state."""
+    return f"{topic} {state}"
+
+
 MOMENTS = (
-    ("arm_state", ArmState.MOVING),
-    ("arm_state", ArmState.IN_POSITION),
-    ("arm_state", ArmState.IN_POSITION),
-    ("arm_state", ArmState.WITHDRAWING),
-    ("tapper_state", TapperState.CHARGING),
-    ("tapper_state", TapperState.CHARGED),
-    ("tapper_state", TapperState.CHARGED),
-    ("tapper_state", TapperState.FIRING),
-    ("tapper_state", TapperState.FIRING),
-    ("plan_state", PlanState.LOOKING),
-    ("plan_state", PlanState.SETTLING),
+    told("arm_state", ArmState.IDLE),
+    told("arm_state", ArmState.MOVING),
+    told("arm_state", ArmState.IN_POSITION),
+    told("arm_state", ArmState.WITHDRAWING),
+    told("tapper_state", TapperState.SAFE),
+    told("tapper_state", TapperState.CHARGING),
+    told("plan_state", PlanState.LOOKING),
+    told("plan_state", PlanState.SETTLING),
+)
+ARM_ASKED, ARM_PROMISED = "hold_still asked", "hold_still answered"
+CHECKED, RELEASED = "last check", "released"
+OF_A_SHOT = (
+    told("tapper_state", TapperState.CHARGED),
+    told("arm_state", ArmState.IN_POSITION),
+    ARM_ASKED,
+    ARM_PROMISED,
+    told("tapper_state", TapperState.FIRING),
+    CHECKED,
+    RELEASED,
 )
 
 
@@ -72,19 +89,34 @@ class Fault:
     moment: Moment | None = None
 
 
-def draw_faults(rng: np.random.Generator, trial: Trial) -> list[Fault]:
-    """The faults of one goal, in the order of their times."""
+def draw_faults(
+    rng: np.random.Generator,
+    trial: Trial,
+    only: Sequence[str] = (),
+    at_the_shot: bool = False,
+) -> list[Fault]:
+    """The faults of one goal, in the order of their times.
+
+    ``only``: of these kinds; ``at_the_shot``: around the shot alone.
+    """
     number = int(rng.poisson(MEAN_FAULTS))
-    moment = None
-    if rng.random() < SHARE_AT_A_MOMENT:
-        topic, state = MOMENTS[int(rng.integers(len(MOMENTS)))]
-        moment = Moment(topic, int(state), int(rng.integers(1, 3)))
+    place = 0.0 if at_the_shot else rng.random()
+    moment, kinds, closest = None, KINDS, 0.0
+    if place < SHARE_AT_THE_SHOT:
+        name = _pick(rng, OF_A_SHOT)
+        times = 1 if at_the_shot or rng.random() < 0.7 else 2
+        moment, kinds, closest = Moment(name, times), AT_A_SHOT, CLOSEST_S
+    elif place < SHARE_AT_THE_SHOT + SHARE_AT_A_MOMENT:
+        moment = Moment(_pick(rng, MOMENTS), int(rng.integers(1, 3)))
+    kinds = tuple(kind for kind in kinds if kind in only) or tuple(only) if only else kinds
     faults = []
     for _ in range(number):
-        kinds = KINDS if moment is None else AT_A_MOMENT
-        kind = kinds[int(rng.integers(len(kinds)))]
+        kind = _pick(rng, kinds)
         strike, words = MAKERS[kind](rng, trial)
-        time = float(rng.uniform(0.0, SPAN_S if moment is None else CLOSE_S))
+        if closest:
+            time = _duration(rng, closest, CLOSE_S)
+        else:
+            time = float(rng.uniform(0.0, SPAN_S if moment is None else CLOSE_S))
         faults.append(Fault(kind, time, strike, words, moment))
     return sorted(faults, key=lambda fault: fault.time)
 
@@ -106,6 +138,13 @@ NODES = ("tap_planner", "scara_arm", "tapper_trigger")
 
 def _freeze(rng: np.random.Generator, trial: Trial) -> Made:
     node, duration = _pick(rng, (*NODES, "camera_pose")), _duration(rng, 0.001, 5.0)
+    return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
+
+
+def _freeze_at_shot(rng: np.random.Generator, trial: Trial) -> Made:
+    """For about as long as the arm promises to stand still."""
+    node = _pick(rng, ("tapper_trigger", "tapper_trigger", "scara_arm", "tap_planner"))
+    duration = float(rng.uniform(0.02, 0.6))
     return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
 
 
@@ -222,8 +261,6 @@ def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
         command.header.frame_id = "table"
         command.header.stamp = to_stamp(now)
         command.expiry = to_stamp(now + int(rng_expiry * 1e9))
-        if not withdraw:
-            t.witness.commands.setdefault(number, command)
         t.network.publish("somebody_else", "tap_command", command)
 
     rng_expiry = float(rng.uniform(1.0, 30.0))
@@ -248,6 +285,79 @@ def _foreign_outcome(rng: np.random.Generator, trial: Trial) -> Made:
 
     return strike, "somebody else lets the arm go" if by_service else (
         f"a foreign tapper_state: {'FIRED' if fired else 'NOT_FIRED'}"
+    )
+
+
+def _repeated_command(rng: np.random.Generator, trial: Trial) -> Made:
+    """The last TAP arrives once more, as it was: from a recording, or by a network's doing."""
+
+    def strike(t: Trial) -> None:
+        last = max(t.witness.commands, default=0)
+        if last:
+            t.network.publish("somebody_else", "tap_command", t.witness.commands[last])
+
+    return strike, "the last TAP once more"
+
+
+def _slow_answer(rng: np.random.Generator, trial: Trial) -> Made:
+    """The arm is asked and answers at the edge of what the tapper waits for."""
+    delays = {("hold_still", way): float(rng.uniform(0.0, 0.2)) for way in ("request", "answer")}
+    if rng.random() < 0.5:
+        delays.pop(("hold_still", _pick(rng, ("request", "answer"))))
+    lasting = _duration(rng, 0.2, 6.0)
+
+    def strike(t: Trial) -> None:
+        t.network.faults.slow.update(delays)
+        for link in delays:
+            t.scheduler.after(lasting, partial(t.network.hasten, *link))
+
+    words = " and ".join(f"{way} by {delay:.3f} s" for (_, way), delay in delays.items())
+    return strike, f"hold_still late: {words}, for {lasting:.1f} s"
+
+
+def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
+    """Something is told that one node hears at once and the others late."""
+    what, words = MAKERS[_pick(rng, ONE_SIDED)](rng, trial)
+    first = _pick(rng, NODES)
+    late = float(rng.uniform(0.03, 0.6))
+    silent = bool(rng.random() < 0.5)
+    links = [
+        (topic, node)
+        for topic in ("tap_command", "tapper_state", "emergency_stop")
+        for node in LINKS[topic]
+        if node != first
+    ]
+    if silent:
+        # What the first node says of it is late as well.
+        links += [("arm_state", "tapper_trigger"), ("plan_state", "tapper_trigger")]
+
+    def strike(t: Trial) -> None:
+        for link in links:
+            t.network.faults.slow[link] = late
+            t.scheduler.after(late, partial(t.network.hasten, *link))
+        what(t)
+
+    echo = ", its own words late too" if silent else ""
+    return strike, f"{words}; heard by all but {first} {late:.3f} s late{echo}"
+
+
+def _shot_power(rng: np.random.Generator, trial: Trial) -> Made:
+    return lambda t: t.interrupt_tapper_power(), "the tapper's board loses power for a moment"
+
+
+def _shot_cable(rng: np.random.Generator, trial: Trial) -> Made:
+    """The tapper's cable fails: no byte of some length of time arrives, or the port goes."""
+    kinds = (FaultKind.DROP, FaultKind.STALL, FaultKind.HANG_UP, FaultKind.DELAY, FaultKind.DELAY)
+    kind = kinds[int(rng.integers(len(kinds)))]
+    direction = list(Direction)[int(rng.integers(2))]
+    length, lasting = int(rng.integers(30, 2000)), _duration(rng, 0.02, 1.0)
+
+    def strike(t: Trial) -> None:
+        layer = t.physical.tapper_line.layer
+        layer.add(LineFault(kind, direction, layer.count(direction), length, lasting))
+
+    return strike, (
+        f"tapper line: {kind.value} of {length} bytes or {lasting:.2f} s, {direction.value}"
     )
 
 
@@ -337,12 +447,12 @@ def _power(rng: np.random.Generator, trial: Trial) -> Made:
     name = _pick(rng, ("arm", "tapper"))
 
     def strike(t: Trial) -> None:
-        board = t.physical.arm_board if name == "arm" else t.physical.tapper_board
-        board.power_cycle(t.scheduler.now)
-        line = t.physical.arm_line if name == "arm" else t.physical.tapper_line
-        line.schedule()
-        if name == "arm":
-            t.witness.word_given = False
+        if name == "tapper":
+            t.interrupt_tapper_power()
+            return
+        t.physical.arm_board.power_cycle(t.scheduler.now)
+        t.physical.arm_line.schedule()
+        t.witness.word_given = False
 
     return strike, f"the {name}'s board loses power for a moment"
 
@@ -419,6 +529,7 @@ def _disk_full(rng: np.random.Generator, trial: Trial) -> Made:
 
 MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "freeze": _freeze,
+    "freeze at a shot": _freeze_at_shot,
     "freeze before a write": _freeze_before_write,
     "freeze at a write": _freeze_at_write,
     "freeze after the last check": _freeze_after_check,
@@ -430,12 +541,17 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "replay": _replay,
     "foreign command": _foreign_command,
     "foreign outcome": _foreign_outcome,
+    "repeated command": _repeated_command,
+    "heard by one": _heard_by_one,
+    "slow answer": _slow_answer,
     "foreign state": _foreign_state,
     "second node": _second_node,
     "foreign trajectory": _trajectory,
     "clock step": _clock_step,
     "serial line": _line,
     "line at a shot": _shot_line,
+    "cable at a shot": _shot_cable,
+    "power at a shot": _shot_power,
     "loss of power": _power,
     "camera": _camera,
     "object moved": _bump,
@@ -447,22 +563,26 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "disk full": _disk_full,
 }
 KINDS = tuple(MAKERS)
-AT_A_MOMENT = (
-    *KINDS,
+ONE_SIDED = ("foreign command", "foreign outcome", "cancel", "emergency stop", "replay")
+"""What one node may hear well before the others."""
+AT_A_SHOT = (
+    *("freeze at a shot", "freeze at a write", "freeze after the last check") * 2,
+    "freeze at a shot",
     "freeze",
-    "freeze",
-    "freeze at a write",
-    "freeze at a write",
-    "freeze after the last check",
+    *("slow answer", "heard by one") * 3,
+    *("foreign outcome", "foreign command", "repeated command", "foreign state") * 2,
+    *("line at a shot", "cable at a shot", "power at a shot") * 2,
     "slow topic",
-    "slow topic",
-    "line at a shot",
-    "line at a shot",
     "kill",
-    "foreign command",
-    "foreign outcome",
+    "deactivate",
     "cancel",
     "object moved",
+    "camera",
     "emergency stop",
+    "stop service",
+    "guard",
+    "clock step",
+    "duplicates",
+    "second client",
 )
-"""Around a moment, what makes two nodes see different things is drawn more often."""
+"""Around a shot, what makes two nodes see different things is drawn more often."""

@@ -178,6 +178,11 @@ class Process:
 
     # Life of the process
 
+    @property
+    def lives(self) -> int:
+        """Starts and ends of the process so far."""
+        return self._life
+
     def start(self) -> None:
         """Begin to run."""
         self._life += 1

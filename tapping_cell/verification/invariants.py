@@ -18,6 +18,8 @@ WINDOW_S = 0.1
 STRIKE_POSITION_M = 0.0025
 STRIKE_ANGLE_RAD = 0.01
 """How far the true tip may be from the commanded one at a release: errors of the arm included."""
+ENERGY_SHARE = 0.03
+"""How far the energy of a release may be from what was asked for."""
 STRIKE_HEIGHT_M = 0.0005
 BUMP_M = 0.004
 BUMP_RAD = math.radians(6.0)
@@ -26,8 +28,8 @@ CHARGED_LIMIT_S = 12.0
 """Longest time that a striker may stay charged, whatever happened to the computers."""
 CHECK_S = 0.045
 """A release follows the last check before FIRE by so much at most: the board's deadline for it."""
-STRIKE_S = 0.08
-"""The arm's promise lasts for so long after a release."""
+STRIKE_S = 0.1
+"""The arm's promise lasts for so long after a release: its pulse (20 ms) and the flight (80 ms)."""
 FLIGHT_S = 0.045
 """The arm stands still for so long after a release: the pulse and the striker's flight."""
 ORPHAN_S = 1.5
@@ -77,6 +79,8 @@ class Witness:
     unseen_limit: float = 0.0
     """A release may follow a change of the scene by so much: the limit of the object's being
     unseen, of the camera's silence, and what is on its way."""
+    _variants: dict[int, list[TapCommand]] = field(default_factory=dict)
+    """Every TAP that was published, by its id."""
     _released: int = 0
     _charged_since: float | None = None
     _moving_since: float | None = None
@@ -88,9 +92,10 @@ class Witness:
 
     def on_publish(self, node: str, topic: str, message: object) -> None:
         """Hear what a node publishes."""
-        if topic == "tap_command" and isinstance(message, TapCommand) and node == "tap_planner":
+        if isinstance(message, TapCommand):
             if message.request == TapCommand.TAP:
                 self.commands[message.tap_id] = message
+                self._variants.setdefault(message.tap_id, []).append(message)
         elif isinstance(message, TapperState) and node == "tapper_trigger":
             self._on_tapper_state(message)
         elif isinstance(message, PlanState) and node == "tap_planner":
@@ -113,17 +118,36 @@ class Witness:
             self.violate("fired twice", f"shot {shot} was released twice")
         if release.moving:
             self.violate("arm moving", f"shot {shot} was released while the arm moved")
-        command = self.commands.get(shot)
+        command = self._command_of(release)
         if command is None:
             self.violate("no such tap", f"shot {shot} was released, but never commanded")
             return
         self._check_place(release, command)
+        self._check_energy(release, command)
         self._check_permit(release)
         self._check_time(release, command)
         gone = release.time - self.planner_gone_since
         if gone > ORPHAN_S:
             self.violate("no planner", f"shot {shot} was released {gone:.2f} s after its planner")
         self._check_scene(release, command)
+
+    def _command_of(self, release: Release) -> TapCommand | None:
+        """The command that a release belongs to: where several had its id (two planners by
+        mistake), the one whose strike pose is nearest."""
+        return min(
+            self._variants.get(release.shot, ()),
+            key=lambda command: from_message(command.strike_pose).distance_to(release.tip),
+            default=None,
+        )
+
+    def _check_energy(self, release: Release, command: TapCommand) -> None:
+        asked = self.physical.energy_for(command.striker_speed)
+        if abs(release.energy - asked) > ENERGY_SHARE * asked:
+            self.violate(
+                "other energy",
+                f"shot {release.shot} was released with {1e3 * release.energy:.2f} mJ, asked were"
+                f" {1e3 * asked:.2f} mJ",
+            )
 
     def _check_place(self, release: Release, command: TapCommand) -> None:
         wanted = from_message(command.strike_pose)

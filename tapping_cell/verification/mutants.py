@@ -77,8 +77,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "takes a second tap while one is served",
         "tapping_cell.logic.tapper",
-        "        if self.state in SERVING:\n            return ErrorCode.TAPPER_BUSY",
-        "        if False:\n            return ErrorCode.TAPPER_BUSY",
+        "        if self.state is not S.SAFE:\n            serving =",
+        "        if False:\n            serving =",
     ),
     Mutant(
         "fires at an object that was moved",

@@ -58,6 +58,8 @@ class Network:
         """The last messages of each topic, for replays."""
         self.on_publish: Callable[[str, str, Any], None] = lambda node, topic, message: None
         """Told of every message that a node publishes."""
+        self.on_call: Callable[[str, Any], None] = lambda service, request: None
+        """Told of every call of a service when it is made."""
         self.on_answer: Callable[[str, Any, Any], None] = lambda service, request, response: None
         """Told of every answer of a service when it is given."""
         self._scheduler = scheduler
@@ -105,6 +107,7 @@ class Network:
     ) -> None:
         """Call a service; None where nobody answers within ``timeout`` s."""
         answered = False
+        self.on_call(service, request)
 
         def finish(response: Any | None) -> None:
             nonlocal answered

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -41,7 +42,10 @@ class PhysicalCell:
         self.cell = cell
         self.truth = truth
         self.releases: list[Release] = []
+        self.on_release: Callable[[], None] = lambda: None
         self._scheduler = scheduler
+        self._looked_at: tuple[Pose, Joints] | None = None
+        self._is_hidden = False
         self.geometry = cell.arm.geometry()
         self._base = cell.arm_base @ Pose(*truth.arm.base_offset)
         self._curve = cell.file.tapper.curve()
@@ -76,6 +80,10 @@ class PhysicalCell:
         pose = self.object_pose(time)
         return None if self._hidden(pose, time) else pose
 
+    def energy_for(self, speed: float) -> float:
+        """What the tapper's curve asks for a striker speed in m/s, J."""
+        return self._curve.energy_for(speed)
+
     def press_clear_button(self) -> None:
         """A person presses the button at the tapper's board."""
         self.tapper_board.press_clear_button(self._scheduler.now)
@@ -88,10 +96,17 @@ class PhysicalCell:
 
     def _hidden(self, pose: Pose, time: float) -> bool:
         """Whether the arm's silhouette, as the camera sees it, meets the object's top."""
+        joints = self.joints(time)
+        if (pose, joints) != self._looked_at:
+            self._looked_at = pose, joints
+            self._is_hidden = self._silhouette_meets(pose, joints)
+        return self._is_hidden
+
+    def _silhouette_meets(self, pose: Pose, joints: Joints) -> bool:
         file = self.cell.file
         lens = np.array(self.truth.camera.position)
         radius = self.cell.object.body().bounding_radius
-        for solid in arm_solids(self.cell.arm, file.tapper, self._base, self.joints(time)):
+        for solid in arm_solids(self.cell.arm, file.tapper, self._base, joints):
             scale = (lens[2] - self.cell.object.height) / (lens[2] - solid.points[:, 2])
             shadow = lens[:2] + (solid.points[:, :2] - lens[:2]) * scale[:, None]
             hull = cv2.convexHull(shadow.astype(np.float32))
@@ -114,6 +129,7 @@ class PhysicalCell:
                 self.object_pose(now),
             )
         )
+        self.on_release()
         speed = self._curve.speed_for(energy)
         self.world.strike(tip, height, speed, now)
         return self.world.gate_speed(speed)

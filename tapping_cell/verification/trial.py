@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any
@@ -20,13 +20,13 @@ from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.tapper import TapperDriver
 from tapping_cell.logic import arm_jobs
 from tapping_cell.logic.arm import ArmLogic, ArmOptions
-from tapping_cell.logic.clock import Now
+from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.host import Logic
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic
 from tapping_cell.logic.planner_settings import PlannerSettings
-from tapping_cell.logic.poses import to_message
+from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.logic.tapper_peers import PeerLimits
@@ -44,7 +44,16 @@ from tapping_cell.messages import (
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.camera import Camera
-from tapping_cell.verification.faults import Fault, draw_faults
+from tapping_cell.verification.faults import (
+    ARM_ASKED,
+    ARM_PROMISED,
+    CHECKED,
+    RELEASED,
+    Fault,
+    Moment,
+    draw_faults,
+    told,
+)
 from tapping_cell.verification.host import HostClock, Process, Program
 from tapping_cell.verification.invariants import Violation, Witness
 from tapping_cell.verification.network import Network, Quality
@@ -79,13 +88,14 @@ HEARS = {
     "tapper_trigger": (
         "tap_command",
         "arm_state",
+        "tapper_state",
         "plan_state",
         "object_state",
         "emergency_stop",
     ),
 }
 SERVES = {
-    "tap_planner": (),
+    "tap_planner": ("confirm_tap",),
     "scara_arm": ("~/home", "~/stop", "~/clear_fault", "hold_still"),
     "tapper_trigger": ("~/stop", "~/clear_fault"),
 }
@@ -98,6 +108,10 @@ NOTICED_S = 0.7
 """From when the limit has passed to when no release comes any more: delayed messages and the
 board's window."""
 GOAL_TIME_LIMIT_S = 120.0
+SHARE_OF_PROGRAMS = 0.5
+"""After so many of the goals a program commands a tap of its own."""
+PROGRAM_PATIENCE_S, PROGRAM_EXPIRY_S = 12.0, 10.0
+"""How long such a program waits for its tap's outcome, and how long the tap is valid."""
 GOAL_SLACK_S = 5.0
 """A goal must end so long after its time limit at the latest, its planner being there."""
 STOP_WORD_S = 0.1
@@ -139,6 +153,7 @@ class Report:
     outcomes: list[GoalOutcome] = field(default_factory=list)
     violations: list[Violation] = field(default_factory=list)
     faults: Counter[str] = field(default_factory=Counter)
+    program_taps: int = 0
     cell_seconds: float = 0.0
     trace: list[str] = field(default_factory=list)
 
@@ -146,8 +161,16 @@ class Report:
 class Trial:
     """The whole cell of one seed. Times in s of the run."""
 
-    def __init__(self, seed: int, trace: bool = False, *, faults: bool = True) -> None:
-        """``faults`` False: nothing happens to the cell."""
+    def __init__(
+        self,
+        seed: int,
+        trace: bool = False,
+        *,
+        faults: bool = True,
+        only: Sequence[str] = (),
+    ) -> None:
+        """``faults`` False: nothing happens to the cell; ``only``: faults of these kinds."""
+        self._only = only
         self.seed = seed
         self._faulty = faults
         self.rng = np.random.default_rng([seed, 0])
@@ -171,8 +194,10 @@ class Trial:
         self.witness = Witness(self.scheduler, self.physical, self.clocks["tapper_trigger"])
         self.witness.unseen_limit = NOTICED_S + (COVERED_S if self.arm_covers else CLEAR_VIEW_S)
         self.network.on_publish = self._on_publish
-        self.network.on_answer = self.witness.on_answer
+        self.network.on_call = self._on_call
+        self.network.on_answer = self._on_answer
         self.scheduler.after_event = self.witness.after_event
+        self.physical.on_release = lambda: self._reached(RELEASED)
         self.processes = {
             name: Process(
                 name,
@@ -188,7 +213,7 @@ class Trial:
         }
         for process in self.processes.values():
             process.on_handled = self._on_handled
-            process.on_asked = self.witness.on_asked
+            process.on_asked = self._on_asked
             process.on_log = self._on_log
         self._seconds: list[Process] = []
         self.camera = Camera(
@@ -203,11 +228,15 @@ class Trial:
         self._hidden_until = -math.inf
         self.disturbed_until = -math.inf
         """Until when a fault of an earlier goal may last."""
+        self.tapper_power_lost_at = -math.inf
         self._token = 0
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
         self._waiting_faults: list[Fault] = []
-        self._states_seen: Counter[tuple[str, int]] = Counter()
+        self._struck_before = False
+        """Whether faults struck the goal or tap before: they may last into the next."""
+        self._moments: Counter[str] = Counter()
+        self._states: dict[str, int] = {}
         self._last_words: dict[tuple[str, str], str] = {}
         self.network.publish("panel", "emergency_stop", Bool(data=False))
         lens = PoseStamped()
@@ -283,6 +312,8 @@ class Trial:
             self.bring_up()
             for number in range(goals):
                 self._work_on_a_goal(number)
+                if self.rng.random() < SHARE_OF_PROGRAMS and not self.report.violations:
+                    self._work_on_a_tap()
                 if self.report.violations:
                     break
         except HangError as hang:
@@ -326,24 +357,24 @@ class Trial:
         return goal
 
     def _work_on_a_goal(self, number: int) -> None:
-        faults = draw_faults(self._fault_rng, self) if self._faulty else []
+        faults = draw_faults(self._fault_rng, self, self._only) if self._faulty else []
         self.report.faults.update(fault.kind for fault in faults)
         goal = self.next_goal(number)
+        planner = self.processes["tap_planner"]
+        lives = planner.lives
         began = self.scheduler.now
         self._result = None
         self._note(f"goal {number}: {goal}")
         self.send_goal(goal)
         self._waiting_faults = [fault for fault in faults if fault.moment is not None]
-        self._states_seen.clear()
+        self._moments.clear()
         for fault in faults:
             if fault.moment is None:
                 self.scheduler.at(began + fault.time, partial(self._strike, fault))
         limit = began + GOAL_TIME_LIMIT_S + GOAL_SLACK_S
         self.scheduler.run(limit, lambda: self._result is not None)
-        planner = self.processes["tap_planner"]
         if self._result is None:
-            lost = any("tap_planner" in fault.words for fault in faults)
-            if planner.alive and not lost:
+            if planner.lives == lives:
                 self.witness.violate(
                     "goal without an end", f"goal {number} has not ended; {planner.logic.state}"
                 )
@@ -353,7 +384,8 @@ class Trial:
         self.scheduler.run(max(self.scheduler.now, began + last) + 0.5)
         result = self._result
         # What went wrong in the goal before may last into this one.
-        quiet = not faults and (number == 0 or not self.report.outcomes[-1].faults)
+        quiet = not (faults or self._struck_before)
+        self._struck_before = bool(faults)
         quiet = quiet and began > self.disturbed_until
         if quiet and result.error_code:
             self.witness.violate(
@@ -370,6 +402,61 @@ class Trial:
             )
         )
         self._recover()
+
+    def _work_on_a_tap(self) -> None:
+        """A program commands one tap by itself, with no planner that watches over it."""
+        command = self._program_tap()
+        if command is None:
+            return
+        faults = draw_faults(self._fault_rng, self, self._only, at_the_shot=True)
+        if not self._faulty:
+            faults = []
+        self.report.faults.update(fault.kind for fault in faults)
+        self.report.program_taps += 1
+        self._note(f"a program's tap {command.tap_id}")
+        self._waiting_faults, self._result = list(faults), None
+        self._moments.clear()
+        self.witness.commands[command.tap_id] = command
+        self.network.publish("program", "tap_command", command)
+
+        def over() -> bool:
+            told = self._last("tapper_state")
+            return told is not None and told.tap_id == command.tap_id and told.outcome != 0
+
+        self.scheduler.run(self.scheduler.now + PROGRAM_PATIENCE_S, over)
+        self.scheduler.run(self.scheduler.now + 0.5 * float(self.rng.random()))
+        withdrawal = TapCommand(request=TapCommand.WITHDRAW, tap_id=command.tap_id)
+        withdrawal.header = command.header
+        self.network.publish("program", "tap_command", withdrawal)
+        self.scheduler.run(self.scheduler.now + 0.5)
+        self._waiting_faults = []
+        self._struck_before = bool(faults)
+        self._recover()
+
+    def _program_tap(self) -> TapCommand | None:
+        """The last tap's like, at the object as the camera sees it now; None where it does not."""
+        last = max(self.witness.commands, default=0)
+        seen = self._last("object_state")
+        if not last or seen is None or not (seen.visible and seen.at_rest):
+            return None
+        model = self.witness.commands[last]
+        there = from_message(seen.pose.pose) @ from_message(model.object_pose).inverse()
+        now = self.clocks["tap_planner"].now().ros
+        command = TapCommand(
+            request=TapCommand.TAP,
+            tap_id=max(last + 1, now // NANOSECONDS),
+            tapper=model.tapper,
+            striker_speed=model.striker_speed,
+            expiry=to_stamp(now + round(PROGRAM_EXPIRY_S * NANOSECONDS)),
+            object_pose=seen.pose.pose,
+        )
+        command.strike_pose = to_message(
+            there @ from_message(model.strike_pose), model.strike_pose.position.z
+        )
+        command.predicted_pose = to_message(there @ from_message(model.predicted_pose))
+        command.header.frame_id = "table"
+        command.header.stamp = to_stamp(now)
+        return command
 
     def _strike(self, fault: Fault) -> None:
         self._note(f"FAULT {fault.words}")
@@ -525,6 +612,12 @@ class Trial:
             self.witness.word_given = True
         self._call("scara_arm", "~/home")
 
+    def interrupt_tapper_power(self) -> None:
+        """The tapper's board loses its power for a moment, and with it its latched stop."""
+        self.tapper_power_lost_at = self.scheduler.now
+        self.physical.tapper_board.power_cycle(self.scheduler.now)
+        self.physical.tapper_line.schedule()
+
     def call_stop(self, node: str) -> None:
         """Call a node's service ``stop``."""
         process = self.processes[node]
@@ -593,23 +686,32 @@ class Trial:
                 self._last_words[node, topic] = words
                 self._note(words)
         self.witness.on_publish(node, topic, message)
-        if self._waiting_faults and topic in ("arm_state", "tapper_state", "plan_state"):
-            self._look_for_moment(topic, message)
+        states = ("arm_state", "tapper_state", "plan_state")
+        if topic in states and self._states.get(topic) != message.state:
+            self._states[topic] = message.state
+            self._reached(told(topic, message.state))
 
-    def _look_for_moment(self, topic: str, message: Any) -> None:
-        """Let the faults strike that wait for this state."""
-        if self._states_seen.get((topic, -1)) == message.state + 1:
-            return
-        self._states_seen[topic, -1] = message.state + 1
-        self._states_seen[topic, message.state] += 1
+    def _reached(self, name: str) -> None:
+        """Let the faults strike that wait for this moment."""
+        self._moments[name] += 1
         for fault in list(self._waiting_faults):
-            moment = fault.moment
-            assert moment is not None
-            if (moment.topic, moment.state) == (topic, message.state) and (
-                self._states_seen[topic, message.state] == moment.times
-            ):
+            if fault.moment == Moment(name, self._moments[name]):
                 self._waiting_faults.remove(fault)
                 self.scheduler.after(fault.time, partial(self._strike, fault))
+
+    def _on_call(self, service: str, request: Any) -> None:
+        if service == "hold_still" and request.duration > 0:
+            self._reached(ARM_ASKED)
+
+    def _on_answer(self, service: str, request: Any, response: Any) -> None:
+        self.witness.on_answer(service, request, response)
+        if service == "hold_still" and request.duration > 0:
+            self._reached(ARM_PROMISED)
+
+    def _on_asked(self, process: str, job: str, answer: Any) -> None:
+        self.witness.on_asked(process, job, answer)
+        if job == "fire":
+            self._reached(CHECKED)
 
     def _on_handled(self, process: str, topic: str, message: Any) -> None:
         now = self.scheduler.now
@@ -632,6 +734,7 @@ class Trial:
 
         def check() -> None:
             failed = struck and struck[-1][0] > told - BAD_LINE_S
+            failed = failed or self.tapper_power_lost_at > told
             cleared = "tapper_trigger" not in self.witness.stopped_at
             if not failed and not cleared and self.physical.tapper_board.state != "STOPPED":
                 self.witness.violate("stop not passed on", "the board was not told of a stop")
@@ -666,6 +769,6 @@ def _short(message: Any) -> str:
     return repr(message)[:200]
 
 
-def run_trial(seed: int, goals: int, trace: bool = False) -> Report:
-    """One run."""
-    return Trial(seed, trace).run(goals)
+def run_trial(seed: int, goals: int, trace: bool = False, only: Sequence[str] = ()) -> Report:
+    """One run; ``only``: with faults of these kinds."""
+    return Trial(seed, trace, only=only).run(goals)

@@ -18,8 +18,12 @@ def fuse(poses: ArrayLike, covariances: ArrayLike) -> tuple[Array, Array]:
     Huber's weights on the Mahalanobis distance, starting from the median; errors of the poses are
     taken as independent.
     """
-    p = np.asarray(poses, dtype=float)
     information = np.linalg.inv(np.asarray(covariances, dtype=float))
+    return fuse_information(np.asarray(poses, dtype=float), information)
+
+
+def fuse_information(p: Array, information: Array) -> tuple[Array, Array]:
+    """The same of poses (N, 3) with the inverses (N, 3, 3) of their covariances."""
     relative = p - p[0]
     relative[:, 2] = wrap_angle(relative[:, 2])
     mean = np.median(relative, axis=0)

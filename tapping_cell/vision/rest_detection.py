@@ -14,7 +14,7 @@ import numpy as np
 
 from tapping_cell.se2 import wrap_angle
 from tapping_cell.vision.camera import Array
-from tapping_cell.vision.fusion import fuse
+from tapping_cell.vision.fusion import fuse_information
 
 _BEGINNING, _LARGEST_BEGINNING = 0.25, 0.002
 """Standard deviation of the first pose after a rest, as a share of the way from there, and the way
@@ -61,6 +61,39 @@ class Motion:
     rest_since: float | None
 
 
+class _Resting:
+    """The last poses (3,) of an object at rest, with the inverses of their covariances (3, 3).
+
+    Kept in arrays of twice the size, so that what is fused is always one view.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._begin = self._end = 0
+        self._poses = np.empty((2 * size, 3))
+        self._information = np.empty((2 * size, 3, 3))
+
+    def __len__(self) -> int:
+        return self._end - self._begin
+
+    def append(self, pose: Array, covariance: Array) -> None:
+        """Take in a pose; the oldest is forgotten where there are too many."""
+        if self._end == 2 * self._size:
+            kept = slice(self._end - self._size + 1, self._end)
+            self._poses[: self._size - 1] = self._poses[kept]
+            self._information[: self._size - 1] = self._information[kept]
+            self._begin, self._end = 0, self._size - 1
+        self._poses[self._end] = pose
+        self._information[self._end] = np.linalg.inv(covariance)
+        self._end += 1
+        self._begin = max(self._begin, self._end - self._size)
+
+    def last(self, count: int) -> tuple[Array, Array]:
+        """The newest so many, the oldest of them first."""
+        chosen = slice(max(self._begin, self._end - count), self._end)
+        return self._poses[chosen], self._information[chosen]
+
+
 class Track:
     """The object's poses since it last moved, and whether it rests."""
 
@@ -75,7 +108,7 @@ class Track:
 
     def _begin(self) -> None:
         self._recent: deque[tuple[float, Array, Array]] = deque(maxlen=self.settings.longest)
-        self._resting: deque[tuple[Array, Array]] = deque(maxlen=self.settings.memory)
+        self._resting = _Resting(self.settings.memory)
         self._rest_since: float | None = None
         self._strayed = 0
         self._fused: tuple[Array, Array] = (np.zeros(3), np.zeros((3, 3)))
@@ -88,7 +121,7 @@ class Track:
         if self.stays(pose, covariance):
             self._strayed = 0
             self._recent.append((stamp, pose, covariance))
-            self._resting.append((pose, covariance))
+            self._resting.append(pose, covariance)
             fused, spread = self._fuse()
             return Motion(fused, spread, len(self._resting), np.zeros(3), self._rest_since)
         if self._rest_since is not None:
@@ -103,7 +136,8 @@ class Track:
         if window:
             chosen = list(self._recent)[-window:]
             self._rest_since = chosen[0][0]
-            self._resting.extend((p, c) for _, p, c in chosen)
+            for _, chosen_pose, its_covariance in chosen:
+                self._resting.append(chosen_pose, its_covariance)
             fused, spread = self._fuse()
             return Motion(fused, spread, window, np.zeros(3), self._rest_since)
         velocity, _ = self._velocity(min(3, len(self._recent)))
@@ -127,8 +161,7 @@ class Track:
         return pace + change if steady else pace
 
     def _fuse(self) -> tuple[Array, Array]:
-        poses, covariances = zip(*self._resting, strict=True)
-        self._fused = fuse(np.stack(poses), np.stack(covariances))
+        self._fused = fuse_information(*self._resting.last(len(self._resting)))
         return self._fused
 
     def stays(self, pose: Array, covariance: Array) -> bool:
@@ -139,10 +172,13 @@ class Track:
         if _distance(pose, covariance, fused, spread) > self.settings.leave:
             return False
         # A creep slower than one frame shows: the mean of the last few against that of all.
-        last = list(self._resting)[-4:] + [(pose, covariance)]
         if len(self._resting) < 12:
             return True
-        mean, error = fuse(np.stack([p for p, _ in last]), np.stack([c for _, c in last]))
+        poses, information = self._resting.last(4)
+        mean, error = fuse_information(
+            np.concatenate([poses, pose[None]]),
+            np.concatenate([information, np.linalg.inv(covariance)[None]]),
+        )
         return _distance(mean, error, fused, spread) <= self.settings.leave
 
     def _resting_window(self) -> int:

@@ -23,6 +23,7 @@ from tapping_cell_msgs.msg import ErrorCode, ObjectState
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import load_object
+from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.camera_pose import CameraPose
 from tapping_cell.nodes.camera.dropped_frames import LONGEST_WAIT_S
@@ -30,7 +31,6 @@ from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import (
     camera_from_message,
-    covariance_from_message,
     from_message,
 )
 from tapping_cell.se2 import Pose

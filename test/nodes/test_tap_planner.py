@@ -31,8 +31,9 @@ from tapping_cell_msgs.msg import (
     TapperState,
 )
 
+from tapping_cell.logic.poses import covariance_to_message
 from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED
-from tapping_cell.nodes.conversions import covariance_to_message, from_message, to_message
+from tapping_cell.nodes.conversions import from_message, to_message
 from tapping_cell.nodes.planner.tap_planner import TapPlanner
 from tapping_cell.se2 import Pose
 

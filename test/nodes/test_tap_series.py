@@ -18,10 +18,11 @@ from tapping_cell.calibration.experiment import ExperimentFile
 from tapping_cell.calibration.trials import Track, read_trials
 from tapping_cell.cli.tap_maker import SeriesStopped
 from tapping_cell.cli.tap_series import TapSeries
+from tapping_cell.logic.poses import covariance_to_message
 from tapping_cell.mechanics import Disk, Impact, Sliding, Striker, Tap
 from tapping_cell.nodes.clients.goal_client import Finished
 from tapping_cell.nodes.clients.single_tap_client import SingleTapClient
-from tapping_cell.nodes.conversions import covariance_to_message, to_message
+from tapping_cell.nodes.conversions import to_message
 from tapping_cell.report.bag import BagWriter
 from tapping_cell.se2 import Pose
 

@@ -28,9 +28,10 @@ from tapping_cell_msgs.msg import (
 )
 
 from tapping_cell.calibration.trials import Track
+from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.clients.goal_client import GoalClient
-from tapping_cell.nodes.conversions import covariance_from_message, from_message, seconds
+from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.recorder.recording import Heard
 from tapping_cell.report.bag import BagWriter, Quality
 from tapping_cell.se2 import Pose

@@ -15,6 +15,7 @@ from typing import Any
 from tapping_cell_msgs.msg import GoalReport, PlanState
 
 from tapping_cell.configuration.cell import Cell
+from tapping_cell.logic.planner import WORKING_STATES
 from tapping_cell.report.bag import BagError, BagWriter, Quality
 from tapping_cell.report.message_types import MessageTypes, UnknownMessageType
 from tapping_cell.report.run_folder import write_folder
@@ -176,7 +177,7 @@ class Recording:
 
 def is_own_goal(plan: PlanState, method_of_experiments: str) -> bool:
     """Whether a plan_state speaks of a goal that is to be recorded; single taps keep records."""
-    busy = plan.state in range(PlanState.WAITING_FOR_CELL, PlanState.REACHED)
+    busy = plan.state in WORKING_STATES
     return bool(busy and plan.goal.header.frame_id and plan.planner != method_of_experiments)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from test_permit import CELL, START, TAP, Pair, at, board, jobs
+from test_permit import CELL, START, STRIKE, TAP, Pair, at, board, jobs
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.tapper_protocol import State as BoardState
@@ -15,8 +15,6 @@ from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper_jobs import ChargeEnd, Status
 from tapping_cell.messages import ArmState, TapCommand
 from tapping_cell.se2 import Pose
-
-STRIKE = Pose(-0.08, 0.02, 0.3)
 
 
 def waiting(cell: Cell = CELL) -> tappers.TapperLogic:
@@ -46,8 +44,8 @@ def charged_while_lowered() -> tuple[tappers.TapperLogic, list[Effect]]:
 @pytest.mark.parametrize(
     "message",
     [
-        arm(ArmState.MOVING, Pose(-0.08, 0.03, 0.3), START),
-        arm(ArmState.MOVING, Pose(-0.08, 0.02, 0.5), START),
+        arm(ArmState.MOVING, STRIKE @ Pose(0.0, 0.01, 0.0), START),
+        arm(ArmState.MOVING, STRIKE @ Pose(0.0, 0.0, 0.2), START),
         arm(ArmState.MOVING, STRIKE, START, tap_id=TAP - 1),
         arm(ArmState.MOVING, STRIKE, START, homed=False),
         arm(ArmState.WITHDRAWING, STRIKE, START),
@@ -72,6 +70,15 @@ def test_a_tapper_charged_early_asks_when_the_arm_is_in_position() -> None:
     # Another report of the arm asks no second time.
     again = tapper.on_message("arm_state", stands, at(START + 0.51))
     assert not [effect for effect in again if isinstance(effect, Call)]
+
+
+@pytest.mark.parametrize("off", [Pose(0.0, 0.006, 0.0), Pose(0.0, 0.0, 0.06)])
+def test_an_arm_in_position_for_another_tap_with_the_same_id_is_not_fired_at(off: Pose) -> None:
+    tapper, _ = charged_while_lowered()
+    stands = arm(ArmState.IN_POSITION, STRIKE @ off, START + 0.5)
+    made = tapper.on_message("arm_state", stands, at(START + 0.5))
+    assert not [effect for effect in made if isinstance(effect, Call)]
+    assert tapper.state is tappers.State.DISCHARGING
 
 
 def test_a_tapper_charged_early_is_discharged_when_the_arm_falls_silent() -> None:

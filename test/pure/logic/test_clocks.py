@@ -112,7 +112,7 @@ def test_a_tapper_fires_whichever_clock_is_ahead(
         stamp_of(plan, taken, 0.0)
         peers.hear_plan(plan, at(heard))
         peers.hear_object(seen(taken, camera_ahead), at(heard))
-    assert peers.doubt(7, Pose(0.0, 0.0, 0.0), at(heard)) is None
+    assert peers.doubt(7, Pose(0.0, 0.0, 0.0), Pose(0.0, 0.0, 0.0), at(heard)) is None
 
 
 @given(st.sampled_from(["arm", "camera"]), st.floats(0.65, 3600.0))
@@ -125,6 +125,6 @@ def test_a_tapper_names_the_computer_whose_clock_is_off(who: str, ahead: float) 
         stamp_of(arm, taken, ahead if who == "arm" else 0.0)
         peers.hear_arm(arm, at(taken))
         peers.hear_object(seen(taken, ahead if who == "camera" else 0.0), at(taken))
-    doubt = peers.doubt(7, Pose(0.0, 0.0, 0.0), at(29 / 20))
+    doubt = peers.doubt(7, Pose(0.0, 0.0, 0.0), Pose(0.0, 0.0, 0.0), at(29 / 20))
     assert doubt is not None and doubt[0] == ErrorCode.CLOCKS_DIFFER
     assert who in doubt[1] and f"{-ahead:+.2f} s" in doubt[1]

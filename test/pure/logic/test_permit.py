@@ -28,6 +28,9 @@ from tapping_cell.se2 import Pose
 
 CELL = load_cell()
 TAP = 100
+_TIP = CELL.arm.geometry().forward(CELL.file.arm.park)
+STRIKE = CELL.arm_base @ Pose(_TIP.x, _TIP.y, _TIP.yaw)
+"""The strike pose of every tap here: where the arm stands with the joints of its park pose."""
 START = 1000.0
 
 
@@ -66,7 +69,7 @@ class Pair:
     def command(self, request: int, now: Now) -> TapCommand:
         message = TapCommand(request=request, tap_id=TAP, striker_speed=0.3)
         message.header.frame_id = "table"
-        message.strike_pose = to_message(Pose(-0.08, 0.02, 0.3))
+        message.strike_pose = to_message(STRIKE)
         message.expiry = to_stamp(now.ros + 20 * 10**9)
         return message
 

@@ -16,7 +16,13 @@ from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, State
 from tapping_cell.logic.planner_settings import PlannerSettings
 
-GOAL = {"goal": [0.01, 0.02, 0.3], "tolerance": [0.001, 0.02], "max_taps": 20, "time_left": 60.0}
+GOAL = {
+    "goal": [0.01, 0.02, 0.3],
+    "tolerance": [0.001, 0.02],
+    "max_taps": 20,
+    "time_left": 60.0,
+    "ask": True,
+}
 NOW = Now(100.0, 1_800_000_000_000_000_000)
 
 
@@ -45,6 +51,7 @@ def test_a_goal_is_resumed() -> None:
     logic, made = started(GOAL)
     assert logic.state is State.WAITING_FOR_CELL
     assert logic.last.goal.pose.position.x == 0.01
+    assert logic.last.ask, "its taps are asked for as before"
     kept = [effect.content for effect in made if isinstance(effect, KeepGoal)]
     assert kept[0] is None and kept[-1] is not None, "kept again for the next crash"
 
