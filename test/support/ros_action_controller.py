@@ -1,4 +1,4 @@
-"""The emulated trajectory controller behind the action follow_joint_trajectory, beside its topic."""
+"""The emulated trajectory controller behind its action and its topic."""
 
 from __future__ import annotations
 
