@@ -192,7 +192,7 @@ class CellMonitor:
         if not seen.visible:
             covers = self.arm is not None and not self.arm.clear_of_camera
             way = (
-                "the arm was not withdrawn and may stand over it: home the arm, or uncover the marker"
+                "the arm was not withdrawn and may cover it: home the arm, or uncover its marker"
                 if covers
                 else "uncover its marker"
             )

@@ -140,11 +140,13 @@ class Witness:
     def _command_of(self, release: Release) -> TapCommand | None:
         """The command that a release belongs to: where several had its id (two planners by
         mistake), the one whose strike pose is nearest."""
-        return min(
-            self._variants.get(release.shot, ()),
-            key=lambda command: from_message(command.strike_pose).distance_to(release.tip),
-            default=None,
-        )
+
+        def distance(command: TapCommand) -> float:
+            pose = from_message(command.strike_pose)
+            turn = abs(pose.rotation_to(release.tip))
+            return pose.distance_to(release.tip) / STRIKE_POSITION_M + turn / STRIKE_ANGLE_RAD
+
+        return min(self._variants.get(release.shot, ()), key=distance, default=None)
 
     def _check_energy(self, release: Release, command: TapCommand) -> None:
         asked = self.physical.energy_for(command.striker_speed)
