@@ -24,15 +24,23 @@ from rich.markup import escape
 from rich.table import Table
 
 from tapping_cell.cli.errors import tell_error
-from tapping_cell.configuration.arm_assembly import make_dialect
-from tapping_cell.configuration.cell import ArmSection, Cell, load_cell
+from tapping_cell.configuration.arm_assembly import joint_accelerations, make_dialect
+from tapping_cell.configuration.cell import (
+    ArmSection,
+    Cell,
+    OutputSection,
+    TapperSection,
+    load_cell,
+)
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.hardware.dialect import ArmDialect
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.finding import Finding
+from tapping_cell.hardware.output_tapper import OutputTapperDriver
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.hardware.tapper import TapperDriver
 from tapping_cell.hardware.transport import Connection
+from tapping_cell.nodes.drivers.output_link import RosOutputLink
 from tapping_cell.nodes.drivers.trajectory_link import RosTrajectoryLink
 
 PATIENCE = 8.0
@@ -111,7 +119,7 @@ def _connection(arm: ArmSection) -> Iterator[SerialTransport | RosTrajectoryLink
     rclpy.init()
     try:
         node = Node("doctor")
-        link = RosTrajectoryLink(node, arm.ros2_control, arm.max_acceleration)
+        link = RosTrajectoryLink(node, arm.ros2_control, joint_accelerations(arm))
         try:
             yield link
         finally:
@@ -121,9 +129,72 @@ def _connection(arm: ArmSection) -> Iterator[SerialTransport | RosTrajectoryLink
         rclpy.try_shutdown()
 
 
+class _NoMemory:
+    """Nothing is fired, so that no shot is kept."""
+
+    def recall(self) -> int:
+        """No shot."""
+        return 0
+
+    def keep(self, shot: int) -> None:
+        """Never asked for."""
+        raise AssertionError("doctor fires nothing")
+
+
+def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
+    """The digital output that fires the tapper: it is switched off, never on."""
+    rclpy.init()
+    try:
+        node = Node("doctor")
+        link = RosOutputLink(node, section)
+        driver = OutputTapperDriver(link, tapper.output_settings(), _NoMemory())
+        try:
+            reply = driver.connect(PATIENCE)
+            version, rivals = driver.version, link.rivals
+            driver.close()
+        except (HardwareFault, ValueError) as fault:
+            return [Row("tapper", "connection", "failed", False, str(fault))]
+        finally:
+            link.destroy()
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+    rows = [
+        Row("tapper", "output", f"{version} on {section.name}", True),
+        Row(
+            "tapper",
+            "guard",
+            "closed" if reply.interlock_closed else "open",
+            reply.interlock_closed,
+            "" if reply.interlock_closed else "close the guard, or look at its input",
+        ),
+        Row(
+            "tapper",
+            "remark",
+            "the output reads back as off"
+            if section.read_back
+            else "nothing reads the output back: every outcome is unknown until it is seen",
+            True,
+        ),
+    ]
+    rows += [
+        Row(
+            "tapper",
+            "other programs",
+            f"{name} can switch {section.name}",
+            False,
+            "end it, or take the output away from it: nothing else may fire the tapper",
+        )
+        for name in rivals
+    ]
+    return rows
+
+
 def check_tapper(cell: Cell) -> list[Row]:
     """The tapper's board; the connection itself lets a charged striker down."""
     section = cell.file.tapper
+    if section.output is not None:
+        return check_output(section, section.output)
     try:
         port = _port(section.port)
         driver = TapperDriver(SerialTransport(port, section.baud))

@@ -2,6 +2,7 @@
 
 python -m tapping_cell goal 50 -20 90
 python -m tapping_cell goal 50 -20 90 --tolerance 0.5 1 --json
+python -m tapping_cell goal 50 -20 90 --ask
 """
 
 from __future__ import annotations
@@ -9,9 +10,11 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 import time
 
 from tapping_cell.cli import argument_types, session
+from tapping_cell.cli.confirmation import Person
 from tapping_cell.cli.errors import tell_error
 from tapping_cell.messages import ErrorCode
 from tapping_cell.nodes.clients.goal_client import Finished, GoalClient
@@ -53,6 +56,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="begin with a few of the smallest taps, to measure an unknown object's friction",
     )
     parser.add_argument(
+        "--ask",
+        action="store_true",
+        help="show every planned tap and make it only when it is confirmed, here or on the page",
+    )
+    parser.add_argument(
         "--wait",
         type=argument_types.within(0, 3600),
         default=20.0,
@@ -88,8 +96,11 @@ def run(arguments: argparse.Namespace) -> int:
             session.wait_for_planner(client, arguments.wait, console)
             tolerance = (distance / 1000, math.radians(angle))
             while True:
-                session.send(client, goal, tolerance, console, probe=arguments.probe)
-                finished = session.follow(client, lambda: None, console)
+                session.send(
+                    client, goal, tolerance, console, probe=arguments.probe, ask=arguments.ask
+                )
+                person = Person(client, console, sys.stdin) if arguments.ask else None
+                finished = session.follow(client, lambda: None, console, person)
                 if finished.error_code not in STARTING or time.monotonic() > deadline:
                     break
                 time.sleep(AGAIN_S)

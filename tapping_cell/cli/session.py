@@ -7,11 +7,19 @@ import math
 import signal
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 from rich.console import Console
 
-from tapping_cell.nodes.clients.goal_client import Finished, GoalClient, PhaseChanged, TapDone
+from tapping_cell.cli.confirmation import Person
+from tapping_cell.nodes.clients.goal_client import (
+    Finished,
+    GoalClient,
+    PhaseChanged,
+    PlannerLost,
+    TapDone,
+)
 from tapping_cell.nodes.conversions import from_message
 from tapping_cell.se2 import Pose
 
@@ -65,6 +73,7 @@ def send(
     tolerance: tuple[float, float],
     console: Console,
     probe: bool = False,
+    ask: bool = False,
 ) -> None:
     """Send a goal, and again where nobody answers: an answer can be lost while nodes start.
 
@@ -72,7 +81,7 @@ def send(
         NotReadyInTime: the planner answers none.
     """
     for _ in range(SENDINGS):
-        client.send(goal, tolerance, probe=probe)
+        client.send(goal, tolerance, probe=probe, ask=ask)
         deadline = time.monotonic() + ANSWER_S
         with console.status("goal sent"):
             while time.monotonic() < deadline:
@@ -127,13 +136,27 @@ def wait_until_ready(
             time.sleep(0.05)
 
 
-def follow(client: GoalClient, check: Callable[[], None], console: Console) -> Finished:
-    """Show a goal's progress tap by tap until it ends. ``check`` may raise to give up."""
-    with console.status("goal sent") as status:
+LOST = "the planner is not heard any more; waiting for it to come back"
+
+
+def follow(
+    client: GoalClient,
+    check: Callable[[], None],
+    console: Console,
+    person: Person | None = None,
+) -> Finished:
+    """Show a goal's progress tap by tap until it ends. ``check`` may raise to give up; ``person``
+    answers for taps that wait for confirmation."""
+    # A moving line would tear apart what a person types.
+    with console.status("goal sent") if person is None else nullcontext() as status:
         for event in client.events():
             check()
-            if isinstance(event, PhaseChanged):
+            if person is not None:
+                person.hear(event)
+            if isinstance(event, PhaseChanged) and status is not None:
                 status.update(f"tap {event.taps + 1}: {event.phase}")
+            elif isinstance(event, PlannerLost):
+                console.print(LOST)
             elif isinstance(event, TapDone):
                 console.print(tap_text(event))
             elif isinstance(event, Finished):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.tapper import FireOutcome, FireResult, TapperDriver
+from tapping_cell.hardware.tapper_device import TapperDevice
 from tapping_cell.hardware.tapper_protocol import Reply, State
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import JobContext
@@ -51,36 +52,43 @@ class FireEnd:
 
 def connect(context: JobContext, patience: float) -> Status:
     """Open the line again with a new session, which discharges the tapper."""
-    driver: TapperDriver = context.driver
+    driver: TapperDevice = context.driver
     return _told(driver, driver.connect(timeout=patience))
 
 
 def read(context: JobContext) -> Status:
     """Ask for the state; also what keeps a charged tapper alive."""
-    driver: TapperDriver = context.driver
+    driver: TapperDevice = context.driver
     return _told(driver, driver.status())
 
 
 def clear(context: JobContext) -> Status:
     """End a stop or a fault; after a stop the board demands a person at the cell."""
-    driver: TapperDriver = context.driver
+    driver: TapperDevice = context.driver
     return _told(driver, driver.clear())
 
 
 def discharge(context: JobContext) -> Status:
     """Relax the spring without a release."""
-    driver: TapperDriver = context.driver
+    driver: TapperDevice = context.driver
     return _told(driver, driver.discharge())
+
+
+def prove(context: JobContext) -> Status:
+    """Have the board prove that its strikers are at their mounts."""
+    driver: TapperDriver = context.driver
+    return _told(driver, driver.home(lambda: not context.abandoned()))
 
 
 def charge(
     context: JobContext,
     shot: int,
     energy: float,
+    channel: int,
     doubt: Callable[[Now], Trouble | None],
     tell: bool,
 ) -> ChargeEnd:
-    """Charge ``energy`` in J for a shot, and discharge at once when ``doubt`` is met.
+    """Charge ``energy`` in J for a shot of a channel, and discharge at once when ``doubt`` is met.
 
     ``tell``: post the board's last reply before each check.
     """
@@ -96,7 +104,7 @@ def charge(
 
     if not go_on():
         return ChargeEnd(_told(driver, driver.status()), False, refusal)
-    reply = driver.charge(shot, energy, go_on)
+    reply = driver.charge(shot, energy, go_on, channel=channel)
     charged = reply.state is State.CHARGED
     return ChargeEnd(_told(driver, reply), charged, refusal)
 
@@ -112,7 +120,7 @@ def fire(
     ``doubt`` gets the latest time of the steady clock at which the release can still be on, in s.
     ``tell``: post the board's last reply before each check.
     """
-    driver: TapperDriver = context.driver
+    driver: TapperDevice = context.driver
     refusal: Trouble | None = None
 
     def still_allowed(release_by: float) -> bool:
@@ -135,5 +143,11 @@ def fire(
     return FireEnd(shot, result.outcome, result.sentence, refusal, result.fault, status, fault)
 
 
-def _told(driver: TapperDriver, reply: Reply) -> Status:
+def wait_for_return(context: JobContext) -> Status:
+    """Wait until the striker that was released is back at its mount, or is given up."""
+    driver: TapperDriver = context.driver
+    return _told(driver, driver.wait_for_return(lambda: not context.abandoned()))
+
+
+def _told(driver: TapperDevice, reply: Reply) -> Status:
     return Status(reply, driver.counters.fired)

@@ -82,6 +82,11 @@ def ports(session: Session) -> Proof:
     text = session.cell_file.read_text(encoding="utf-8")
     values: dict[str, float | str] = {}
     cell = session.cell()
+    if cell.file.tapper.dialect == "io":
+        raise StepFailed(
+            "tapper.dialect is io: commissioning works in set-up mode, which needs the tapper's"
+            " board; see docs/how-to/fire_by_a_digital_output.md for the way without it"
+        )
     for name, now in (("arm", cell.arm.port), ("tapper", cell.file.tapper.port)):
         port = session.ask(f"serial port of the {name}; there are: {known or 'none'}", now)
         if not Path(port).expanduser().exists():

@@ -5,6 +5,7 @@ Not an executable of its own: the command line's verbs `demo` and `goal` use it.
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
@@ -16,11 +17,22 @@ from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from std_msgs.msg import String
 from tapping_cell_msgs.action import PositionObject
-from tapping_cell_msgs.msg import ArmState, ObjectState, PlanState, TapperState, TapRecord
+from tapping_cell_msgs.msg import (
+    ArmState,
+    ObjectState,
+    PlannedTap,
+    PlanState,
+    TapperState,
+    TapRecord,
+)
+from tapping_cell_msgs.srv import ConfirmTap
 
+from tapping_cell import messages
+from tapping_cell.logic.goal_watch import GoalWatch
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.client_node import ClientNode
 from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.nodes.message_conversion import from_ros
 from tapping_cell.report.words import PHASES
 from tapping_cell.se2 import Pose
 
@@ -55,7 +67,19 @@ class Finished:
     taps: int
 
 
-Event = PhaseChanged | TapDone | Finished
+@dataclass(frozen=True, slots=True)
+class TapProposed:
+    """A tap waits for a person's confirmation."""
+
+    tap: PlannedTap
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerLost:
+    """The planner that took the goal is gone or silent; it may come back and resume the goal."""
+
+
+Event = PhaseChanged | TapDone | TapProposed | PlannerLost | Finished
 
 
 class GoalClient(ClientNode):
@@ -75,6 +99,10 @@ class GoalClient(ClientNode):
         self._events: queue.Queue[Event] = queue.Queue()
         self._taps_heard = 0
         self._phase = ""
+        self._proposed = 0
+        self._watch: GoalWatch | None = None
+        self._plan: tuple[PlanState, float] | None = None
+        self._confirm = self.node.create_client(ConfirmTap, "confirm_tap")
         self._handle: ClientGoalHandle | None = None
         self._action = ActionClient(self.node, PositionObject, "position_object")
         subscribe = self.node.create_subscription
@@ -94,7 +122,10 @@ class GoalClient(ClientNode):
         reasons = []
         if not self._action.server_is_ready():
             reasons.append("the planner is not up")
-        if self.arm_state is None:
+        if self.tapper_state is not None and self.tapper_state.fixed_mounts:
+            if not self.tapper_state.mounts_proven:
+                reasons.append(self.tapper_state.error_msg or "the mounts are not proven yet")
+        elif self.arm_state is None:
             reasons.append("the arm's driver is not up")
         elif self.arm_state.state == ArmState.DISCONNECTED:
             reasons.append(self.arm_state.error_msg or "the arm is not connected yet")
@@ -124,9 +155,10 @@ class GoalClient(ClientNode):
         look: ObjectState | None = None,
         *,
         probe: bool = False,
+        ask: bool = False,
     ) -> None:
         """Send a goal in ``table``; a tolerance (m, rad) of 0 is the cell's own. ``probe``: begin
-        with a few of the smallest taps.
+        with a few of the smallest taps. ``ask``: every tap waits for confirmation.
 
         The goal's stamp is that of the ``look`` that it is relative to, where there is one.
         """
@@ -136,8 +168,9 @@ class GoalClient(ClientNode):
         message.goal_pose.header.stamp = look.header.stamp if look is not None else now
         message.goal_pose.pose = to_message(goal)
         message.position_tolerance, message.angle_tolerance = tolerance
-        message.probe = probe
-        self._taps_heard, self._phase, self._handle = 0, "", None
+        message.probe, message.ask = probe, ask
+        self._taps_heard, self._phase, self._handle, self._proposed = 0, "", None, 0
+        self._watch = GoalWatch(goal, self._planners(), time.monotonic())
         # Sent from the executor's thread: from another one the response can overtake rclpy's own
         # note of the request, and is then dropped.
         self._executor.create_task(self._send, message)
@@ -167,14 +200,65 @@ class GoalClient(ClientNode):
     def events(self, poll: float = 0.2) -> Iterator[Event | None]:
         """Events as they come, and None in between so that the caller can look at other things."""
         while True:
+            event: Event
             try:
                 event = self._events.get(timeout=poll)
             except queue.Empty:
-                yield None
-                continue
+                found = self._look_after_planner()
+                if found is None:
+                    yield None
+                    continue
+                event = found
             yield event
             if isinstance(event, Finished):
                 return
+
+    def confirm(self, tap_id: int, confirm: bool, patience: float = 5.0) -> ConfirmTap.Response:
+        """Answer for a tap that waits for confirmation: make it, or skip it.
+
+        Raises:
+            TimeoutError: the planner did not answer.
+        """
+        answers: queue.Queue[ConfirmTap.Response] = queue.Queue()
+
+        def ask() -> None:
+            future = self._confirm.call_async(ConfirmTap.Request(tap_id=tap_id, confirm=confirm))
+            future.add_done_callback(lambda done: answers.put(done.result()))
+
+        self._executor.create_task(ask)
+        try:
+            return answers.get(timeout=patience)
+        except queue.Empty:
+            raise TimeoutError(
+                f"the planner did not answer within {patience:.0f} s; is tap_planner running?"
+            ) from None
+
+    def _planners(self) -> frozenset[bytes]:
+        """Who publishes ``plan_state`` now."""
+        found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name("plan_state"))
+        return frozenset(bytes(publisher.endpoint_gid) for publisher in found)
+
+    def _look_after_planner(self) -> PlannerLost | Finished | None:
+        """That the planner is gone, told once; or the end of a goal that nobody will answer."""
+        watch, heard = self._watch, self._plan
+        if watch is None:
+            return None
+        plan, at = heard if heard is not None else (None, -math.inf)
+        pose = from_message(plan.goal.pose) if plan is not None else None
+        mirror = from_ros(plan, messages.PlanState) if plan is not None else None
+        was_gone = watch.gone
+        ended = watch.look(mirror, pose, at, self._planners(), time.monotonic())
+        if ended is None:
+            return PlannerLost() if watch.gone and not was_gone else None
+        seen = self.object_state
+        return Finished(
+            ended.code,
+            ended.sentence,
+            self.object_pose() if seen is not None and seen.visible else None,
+            plan.residual_distance if plan is not None else math.nan,
+            plan.residual_rotation if plan is not None else math.nan,
+            plan.taps if plan is not None else self._taps_heard,
+        )
 
     def settled_truth(self, patience: float = 1.0) -> Pose | None:
         """The object's true pose from a message newer than this call; None where there is none."""
@@ -194,8 +278,11 @@ class GoalClient(ClientNode):
     def _on_tapper_state(self, message: TapperState) -> None:
         self.tapper_state = message
 
-    def _on_plan_state(self, _: PlanState) -> None:
+    def _on_plan_state(self, message: PlanState) -> None:
         self.planner_active = True
+        self._plan = message, time.monotonic()
+        if self._watch is not None and self._watch.gone:
+            self._follow(message)  # a planner that resumed the goal has no feedback for it
 
     def _on_last_run(self, message: String) -> None:
         self.last_run = message.data
@@ -210,12 +297,18 @@ class GoalClient(ClientNode):
         handle.get_result_async().add_done_callback(self._on_result)
 
     def _on_feedback(self, message: object) -> None:
-        state: PlanState = message.feedback.plan_state  # type: ignore[attr-defined]
+        self._follow(message.feedback.plan_state)  # type: ignore[attr-defined]
+
+    def _follow(self, state: PlanState) -> None:
         self._hear(state.last_tap, state.taps, state.residual_distance, state.residual_rotation)
         phase = PHASES[state.state]
         if phase != self._phase:
             self._phase = phase
             self._events.put(PhaseChanged(phase, state.taps))
+        proposed = state.planned_tap.tap_id if state.state == PlanState.CONFIRMING else 0
+        if proposed not in (0, self._proposed):
+            self._events.put(TapProposed(state.planned_tap))
+        self._proposed = proposed
 
     def _hear(self, record: TapRecord, taps: int, distance: float, rotation: float) -> None:
         if record.number > self._taps_heard:

@@ -10,16 +10,19 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from tapping_cell import messages
-from tapping_cell.configuration.cell import load_cell
-from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.configuration.cell import OutputSection, TapperSection, load_cell
+from tapping_cell.configuration.schema import ConfigurationError, quantity, text
+from tapping_cell.hardware.output_tapper import OutputTapperDriver
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.hardware.tapper import TapperDriver, TapperSettings
 from tapping_cell.hardware.tapper_protocol import Mode
 from tapping_cell.logic import enabling
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.logic.tapper_peers import PeerLimits
+from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.drivers.driver_node import DriverNode, run_driver
+from tapping_cell.nodes.drivers.output_link import KeptShot, RosOutputLink
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +32,14 @@ class Parameters:
     autostart: bool = text("configure and activate without being asked", default=True)
     cell_file: str = text("path of the cell file; empty for the package's own", default="")
     port: str = text("path of the tapper's serial port; empty for the cell file's", default="")
+    board: int = quantity(
+        "which of the cell's boards this node drives: 0 for the first port in the cell file, 1 for "
+        "the next",
+        "",
+        0,
+        15,
+        default=0,
+    )
     state_rate: float = quantity("rate of tapper_state", "Hz", 1.0, 200.0, default=20.0)
     set_up: bool = text(
         "set-up mode: charge and fire only while an enabling device is held, and only the board's "
@@ -69,16 +80,19 @@ class Parameters:
     )
 
 
-class TapperTrigger(DriverNode[Parameters, TapperDriver]):
+class TapperTrigger(DriverNode[Parameters, TapperDriver | OutputTapperDriver]):
     """See the module's docstring."""
 
     logic: TapperLogic
 
     def __init__(self) -> None:
         super().__init__("tapper_trigger", Parameters, make_logic)
+        self._link: RosOutputLink | None = None
+        self._linked_to: OutputSection | None = None
         self.host.publishes(messages.TapperState, "tapper_state", LATCHED)
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
         self.host.subscribes(messages.ArmState, "arm_state", LATCHED)
+        self.host.subscribes(messages.TapperState, "tapper_state", LATCHED)
         self.host.subscribes(messages.PlanState, "plan_state", LATCHED)
         self.host.subscribes(messages.ObjectState, "object_state", LATCHED)
         self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
@@ -87,11 +101,42 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver]):
     def configure(self) -> None:
         """Read the cell file, open the port, open a session, which discharges the tapper."""
         cell = load_cell(self.settings.cell_file or None)
+        if self.settings.board >= len(cell.boards):
+            raise ConfigurationError(
+                f"parameter board is {self.settings.board}, but {cell.path} has"
+                f" {len(cell.boards)} (0 to {len(cell.boards) - 1})"
+            )
         tapper = cell.file.tapper
-        port = str(self.port_path(self.settings.port or tapper.port))
+        if tapper.output is not None:
+            output = self._output_driver(tapper, tapper.output)
+            self.connect(output, tapper.output.name, cell, lambda reply: reply)
+            return
+        port = str(self.port_path(self.settings.port or cell.boards[self.settings.board].port))
         mode = Mode.SETUP if self.settings.set_up else Mode.RUN
         driver = TapperDriver(SerialTransport(port, tapper.baud), TapperSettings(mode=mode))
         self.connect(driver, port, cell, lambda reply: reply)
+
+    def destroy_node(self) -> None:
+        """End the link with the node."""
+        if self._link is not None:
+            self._link.destroy()
+        super().destroy_node()  # type: ignore[no-untyped-call]
+
+    def _output_driver(self, tapper: TapperSection, section: OutputSection) -> OutputTapperDriver:
+        """The driver of a digital output; its link is kept while the cell file is not changed."""
+        if self.settings.set_up:
+            raise ConfigurationError(
+                "parameter set_up is true, but tapper.dialect is io: set-up mode needs the tapper's"
+                " board, which limits the energy and reads the enabling switch by itself"
+            )
+        if self._link is not None and self._linked_to != section:
+            self._link.destroy()
+            self._link = None
+        if self._link is None:
+            self._link = RosOutputLink(self, section)
+            self._linked_to = section
+        memory = KeptShot(state_folder(key_of(self)))
+        return OutputTapperDriver(self._link, tapper.output_settings(), memory)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Port, firmware and counters."""
@@ -126,7 +171,9 @@ def make_logic(parameters: Parameters) -> TapperLogic:
         parameters.moved_limit,
         parameters.turned_limit,
     )
-    return TapperLogic(TapperOptions(parameters.state_rate, limits, parameters.set_up))
+    return TapperLogic(
+        TapperOptions(parameters.state_rate, limits, parameters.set_up, board=parameters.board)
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

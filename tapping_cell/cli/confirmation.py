@@ -1,0 +1,94 @@
+"""A person in a terminal who confirms, skips or cancels each planned tap."""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import termios
+from typing import TextIO
+
+import numpy as np
+from rich.console import Console
+from tapping_cell_msgs.msg import PlannedTap
+
+from tapping_cell.logic.poses import covariance_from_message
+from tapping_cell.nodes.clients.goal_client import Event, GoalClient, PhaseChanged, TapProposed
+from tapping_cell.nodes.conversions import from_message
+
+QUESTION = "make this tap? y: yes, s: skip it, c: cancel the goal"
+
+
+class Person:
+    """Asks about each proposed tap and reads the answers, without holding up what is heard."""
+
+    def __init__(self, client: GoalClient, console: Console, answers: TextIO) -> None:
+        self._client = client
+        self._console = console
+        self._answers = answers.fileno()
+        self._typed = b""
+        self._asked = 0
+
+    def hear(self, event: Event | None) -> None:
+        """Take in an event, or that none came; read what was typed meanwhile.
+
+        Raises:
+            KeyboardInterrupt: the goal is to be canceled; also where nobody can answer any more.
+        """
+        if isinstance(event, PhaseChanged):
+            self._asked = 0  # answered elsewhere, or planned anew
+        elif isinstance(event, TapProposed):
+            self._asked = event.tap.tap_id
+            if os.isatty(self._answers):
+                # What was typed before the tap was shown is no answer for it.
+                termios.tcflush(self._answers, termios.TCIFLUSH)
+                self._typed = b""
+            self._say(proposal_text(event.tap))
+            self._say(QUESTION)
+        if self._asked and (line := self._line()) is not None:
+            self._take(line)
+
+    def _line(self) -> str | None:
+        """The next line that was typed; ``c`` at the end of the input; None while there is none."""
+        if b"\n" not in self._typed and select.select([self._answers], [], [], 0)[0]:
+            read = os.read(self._answers, 1024)
+            self._typed += read or b"c\n"
+        line, end, rest = self._typed.partition(b"\n")
+        if not end:
+            return None
+        self._typed = rest
+        return line.decode(errors="replace")
+
+    def _take(self, line: str) -> None:
+        word = line.strip().lower()
+        if word in ("c", "cancel"):
+            raise KeyboardInterrupt
+        if word not in ("y", "yes", "s", "skip"):
+            self._say(QUESTION)
+            return
+        tap_id, self._asked = self._asked, 0
+        try:
+            response = self._client.confirm(tap_id, word.startswith("y"))
+        except TimeoutError as error:
+            self._say(str(error))
+            return
+        if not response.accepted:
+            self._say(f"{response.error_msg} ({response.error_code})")
+
+    def _say(self, text: str) -> None:
+        self._console.print(text, highlight=False, markup=False)
+
+
+def proposal_text(tap: PlannedTap) -> str:
+    """A planned tap for people: what it is expected to do, and how sure that is."""
+    before, after = from_message(tap.object_pose), from_message(tap.predicted_pose.pose)
+    covariance = covariance_from_message(tap.predicted_pose.covariance)
+    along = math.sqrt(max(float(np.max(np.linalg.eigvalsh(covariance[:2, :2]))), 0.0))
+    turn = math.sqrt(max(float(covariance[2, 2]), 0.0))
+    why = f"; {tap.reason}" if tap.reason else ""
+    return (
+        f"tap {tap.number} planned: striker {1000 * tap.striker_speed:.0f} mm/s, expected to move "
+        f"the object {1000 * before.distance_to(after):.1f} mm (+- {1000 * along:.1f} mm) and turn "
+        f"it {math.degrees(before.rotation_to(after)):+.1f} deg (+- {math.degrees(turn):.1f} deg), "
+        f"to x {1000 * after.x:.1f} mm, y {1000 * after.y:.1f} mm{why}"
+    )

@@ -1,0 +1,447 @@
+"""A tapper that a digital output fires: the output is on for a time that sets the striker's speed.
+
+Behind the interface of :class:`~tapping_cell.hardware.tapper.TapperDriver`, but it can promise
+less. Nobody on the other side refuses a late request, bounds the pulse, counts shots or drops the
+charge when this computer falls silent. What is done instead:
+
+- the last check is asked at most ``latency`` before the output is switched, else nothing is sent;
+- a shot's number is kept on disk before it is sent, so that no restart sends it again;
+- the guard must have been heard closed within ``guard_timeout``, and a read-back must say off;
+- without a read-back that showed the output on, the outcome is UNKNOWN: the camera decides;
+- an output that was not proven to be off again ends the session, and no shot is taken until it is.
+
+That a request which was sent takes effect within ``latency`` is assumed, not enforced.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from tapping_cell.hardware import tapper_protocol as protocol
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.output_link import Answer, OutputLink
+from tapping_cell.hardware.tapper import FireOutcome, FireResult, TapperCounters
+from tapping_cell.hardware.tapper_protocol import Mode, Reply, Result, State
+
+VERSION = "digital output"
+OFF_TIMEOUT = 1.0
+"""Longest wait for the answer that the output is off, s."""
+WAIT = 0.002
+"""Between looks for an answer, s."""
+LONG_PULSE = 1.2
+"""A pulse this many times longer than asked is told: the striker was faster than planned."""
+
+
+class ShotMemory(Protocol):
+    """Where the greatest shot number outlives the process."""
+
+    def recall(self) -> int:
+        """The greatest shot that may have been sent, 0 for none.
+
+        Raises ValueError where what was kept cannot be read.
+        """
+
+    def keep(self, shot: int) -> None:
+        """Keep it, surviving a loss of power. Raises OSError."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutputTapperSettings:
+    """The pulse for each energy of the curve, and what is assumed of the way to the output."""
+
+    energies: tuple[float, ...]
+    """J, rising."""
+    pulses: tuple[float, ...]
+    """Length of the pulse at each energy, s, rising."""
+    latency: float = 0.02
+    """Longest time from sending a level until the output has it, s."""
+    guard_timeout: float = 0.5
+    """Longest silence of the guard's input and of the read-back, s."""
+
+    def pulse_for(self, energy: float) -> float:
+        """Length of the pulse in s, linear in the root of the energy as the striker's speed is."""
+        return float(np.interp(math.sqrt(energy), np.sqrt(self.energies), self.pulses))
+
+
+class OutputTapperDriver:
+    """One tapper on one output. All calls block and belong to one thread; ``stop`` to any."""
+
+    def __init__(
+        self, link: OutputLink, settings: OutputTapperSettings, memory: ShotMemory
+    ) -> None:
+        self.settings = settings
+        self.counters = TapperCounters()
+        self.last_reply: Reply | None = None
+        self._link = link
+        self._memory = memory
+        self._connected = False
+        self._ready: tuple[int, float] | None = None
+        self._attempted = 0
+        self._last_fired = 0
+        # A pulse of an earlier process may still be on its way.
+        self._release_by = link.now() + self._longest(max(settings.pulses))
+        self._stopped = threading.Event()
+
+    @property
+    def connected(self) -> bool:
+        """Whether the output is there and was proven off, as far as known."""
+        return self._connected and self._link.is_open
+
+    @property
+    def version(self) -> str:
+        """What fires the striker, in place of a firmware's version."""
+        return f"{VERSION} by {self._link.interface}" if self._connected else ""
+
+    @property
+    def stopped(self) -> bool:
+        """Whether ``stop`` is latched on this side."""
+        return self._stopped.is_set()
+
+    @property
+    def release_impossible_after(self) -> float:
+        """The time after which no shot sent so far can be released, s; infinity where the output
+        was not proven off."""
+        return self._release_by
+
+    def connect(self, timeout: float = 5.0) -> Reply:
+        """Find the output, switch it off, hear guard and read-back.
+
+        Raises HardwareFault: PORT_MISSING, TIMEOUT, REJECTED, SETTINGS_MISMATCH, STOPPED.
+        """
+        again, self._connected, self._ready = self._connected, False, None
+        try:
+            self._attempted = max(self._attempted, self._memory.recall())
+        except ValueError as error:
+            raise self._noted(FaultReason.SETTINGS_MISMATCH, str(error)) from error
+        self._link.open(timeout)
+        self.counters.reconnects += again
+        try:
+            self._switch_off()
+            self._await_inputs(self._link.now() + timeout)
+            self._connected = True
+            return self.status()
+        except HardwareFault as fault:
+            if fault.reason is not FaultReason.STOPPED:
+                self.close()
+            raise
+
+    def close(self) -> None:
+        """Switch off and use the output no more."""
+        if self._link.is_open and not self._stopped.is_set():
+            try:
+                self._send_off()
+            except HardwareFault as fault:
+                self.counters.last_error = fault.sentence
+        self._connected, self._ready = False, None
+        self._link.close()
+
+    def status(self) -> Reply:
+        """What guard and read-back tell now; an output that is on by itself is a fault."""
+        self._require()
+        self._check_inputs()
+        read_back = self._link.read_back
+        if read_back is not None and read_back.level:
+            self._ready = None
+            self._send_off()
+            raise self._noted(
+                FaultReason.REJECTED,
+                f"{self._link.name} reads back as on while no shot is under way: switch the"
+                " tapper's supply off, and look for another program or a stuck relay",
+            )
+        return self._reply()
+
+    def charge(
+        self,
+        shot: int,
+        energy: float,
+        go_on: Callable[[], bool] = lambda: True,
+        timeout: float = 5.0,
+        channel: int = 0,
+    ) -> Reply:
+        """Get ready for ``shot`` with the pulse for ``energy`` in J; nothing is switched. There is
+        channel 0 alone.
+
+        Raises HardwareFault: SHOT_SPENT, INTERLOCK, OUT_OF_RANGE, STOPPED, DISCONNECTED, REJECTED,
+        SETTINGS_MISMATCH.
+        """
+        if channel:
+            raise self._noted(
+                FaultReason.SETTINGS_MISMATCH,
+                f"channel {channel} was asked for, but {self._link.name} fires one tapper, channel"
+                " 0; correct the channels in the cell file",
+            )
+        least, most = self.settings.energies[0], self.settings.energies[-1]
+        if not (0 < shot <= protocol.MAXIMUM_SHOT and least <= energy <= most):
+            raise self._noted(
+                FaultReason.OUT_OF_RANGE,
+                f"shot {shot} with {energy:g} J: the shot must be 1 to {protocol.MAXIMUM_SHOT}, the"
+                f" energy {least:g} to {most:g} J (tapper.energies)",
+            )
+        self._refuse_spent(shot)
+        reply = self.status()
+        if not reply.interlock_closed:
+            raise self._noted(
+                FaultReason.INTERLOCK, f"the guard of {self._link.name} is open: close it"
+            )
+        if go_on():
+            self._ready = shot, self.settings.pulse_for(energy)
+        return self._reply()
+
+    def fire(self, shot: int, window: float, still_allowed: Callable[[float], bool]) -> FireResult:
+        """Switch the output on for the pulse of ``shot``, once.
+
+        ``window`` is that of a board with a clock of its own and has no meaning here.
+        ``still_allowed`` gets the time of the steady clock at which the output is off again, if a
+        level takes at most ``latency`` to take effect. With UNKNOWN the call has waited for that.
+        """
+        self._require()
+        self._refuse_spent(shot)
+        if self._ready is None or self._ready[0] != shot:
+            return self._not_fired(shot, f"the tapper was not made ready for shot {shot}")
+        pulse, self._ready = self._ready[1], None
+        try:
+            self._memory.keep(shot)
+        except OSError as error:
+            return self._not_fired(shot, f"shot {shot} could not be noted on disk ({error})")
+        self._attempted = shot
+        if not self.status().interlock_closed:
+            return self._not_fired(shot, f"the guard of {self._link.name} is open: close it")
+        asked = self._link.now()
+        release_by = asked + self._longest(pulse)
+        if not still_allowed(release_by):
+            return self._not_fired(shot, f"shot {shot} was no longer allowed before the pulse")
+        if self._link.now() > asked + self.settings.latency:
+            self.counters.late += 1
+            return self._not_fired(
+                shot,
+                "the last check took longer than tapper.output.latency"
+                f" ({1e3 * self.settings.latency:.0f} ms), so nothing was switched: this computer"
+                " was too slow",
+            )
+        # From here on the output may be on, until it is proven off.
+        self._release_by = math.inf
+        try:
+            on, off = self._send_pulse(pulse)
+            self._await(on, off, asked, release_by)
+            answers = self._link.answer(on), self._link.answer(off)
+        except HardwareFault as fault:
+            self._connected = False
+            self._sleep_until(release_by)
+            return self._unknown(shot, release_by, fault.sentence)
+        return self._judge(shot, asked, release_by, *answers)
+
+    def discharge(self) -> Reply:
+        """Forget the shot and switch off."""
+        self._require()
+        self._ready = None
+        self._switch_off()
+        return self.status()
+
+    def stop(self) -> bool:
+        """From any thread: latch the stop and switch off; best effort: the emergency stop is a
+        wire."""
+        self._stopped.set()
+        self.counters.stops += 1
+        return self._link.stop(b"")
+
+    def clear(self, timeout: float = 5.0) -> Reply:
+        """End the latched stop. No button at the cell is asked for: there is none to ask."""
+        self._link.release()
+        self._stopped.clear()
+        return self.connect(timeout)
+
+    # A shot
+
+    def _longest(self, pulse: float) -> float:
+        """From the last check until the output is off again, s."""
+        return pulse + 2 * self.settings.latency
+
+    def _send_pulse(self, pulse: float) -> tuple[int, int]:
+        """Numbers of what switches on and off."""
+        if self._link.times_pulse:
+            number = self._link.pulse(pulse)
+            return number, number
+        on = self._link.switch(True)
+        sent = self._link.now()
+        self._sleep_until(sent + pulse)
+        off = self._link.switch(False)
+        held = self._link.now() - sent
+        if held > LONG_PULSE * pulse:
+            self.counters.last_error = (
+                f"the output was on for {1e3 * held:.1f} ms where {1e3 * pulse:.1f} ms were asked:"
+                " this computer was too slow, and the striker faster than planned"
+            )
+        return on, off
+
+    def _await(self, on: int, off: int, asked: float, release_by: float) -> None:
+        """Wait for the answers and the read-back, at most until the release is over."""
+        while self._link.now() < release_by:
+            pending = Answer.PENDING in (self._link.answer(on), self._link.answer(off))
+            if not pending and self._off_since(asked):
+                return
+            self._link.wait(WAIT)
+
+    def _off_since(self, asked: float) -> bool:
+        """Whether a read-back showed the output on after a time, and off after that."""
+        read_back = self._link.read_back
+        seen = self._link.last_on >= asked
+        return seen and read_back is not None and not read_back.level
+
+    def _judge(
+        self, shot: int, asked: float, release_by: float, on: Answer, off: Answer
+    ) -> FireResult:
+        seen = self._link.reads_back and self._link.last_on >= asked
+        over = self._off_since(asked)
+        proven_off = over if seen else off in (Answer.DONE, Answer.UNTOLD)
+        if not proven_off:
+            # Connecting anew switches off, and waits for the proof.
+            self._connected = False
+            self.counters.last_error = (
+                f"{self._link.name} did not confirm that it is off after shot {shot}"
+            )
+        else:
+            self._release_by = self._link.now() if over else release_by
+        if seen:
+            self.counters.fired += 1
+            self._last_fired = shot
+            return FireResult(FireOutcome.FIRED, shot, released_by=self._release_by)
+        if on is Answer.REFUSED and self._link.reads_back:
+            self._release_by = self._link.now()
+            return self._not_fired(shot, f"{self._link.name} refused to switch on")
+        self._sleep_until(release_by)
+        why = (
+            "the read-back did not show the output on"
+            if self._link.reads_back
+            else "nothing reads the output back"
+        )
+        return self._unknown(shot, release_by, why)
+
+    def _not_fired(self, shot: int, sentence: str) -> FireResult:
+        return FireResult(FireOutcome.NOT_FIRED, shot, sentence)
+
+    def _unknown(self, shot: int, release_by: float, why: str) -> FireResult:
+        self.counters.unknown += 1
+        return FireResult(
+            FireOutcome.UNKNOWN,
+            shot,
+            f"whether shot {shot} was fired is not known ({why}): look where the object is, do not"
+            " fire again",
+            release_by,
+        )
+
+    def _refuse_spent(self, shot: int) -> None:
+        if shot <= self._attempted:
+            raise self._noted(
+                FaultReason.SHOT_SPENT,
+                f"shot {shot} may have been fired already (last sent: {self._attempted}): use a"
+                " new number",
+            )
+
+    # The output and its inputs
+
+    def _send_off(self) -> int:
+        return self._link.pulse(0.0) if self._link.times_pulse else self._link.switch(False)
+
+    def _switch_off(self) -> None:
+        """Switch off and see that it is; a read-back that lags is waited for."""
+        number = self._send_off()
+        deadline = self._link.now() + OFF_TIMEOUT
+        while self._link.answer(number) is Answer.PENDING or self._reads_on():
+            if self._link.now() >= deadline:
+                self._connected = False
+                self.counters.timeouts += 1
+                what = "reads back as on" if self._reads_on() else "does not answer"
+                raise self._noted(
+                    FaultReason.TIMEOUT,
+                    f"{self._link.name} {what} {OFF_TIMEOUT:g} s after it was switched off: switch"
+                    " the tapper's supply off and check the robot's driver",
+                )
+            self._link.wait(WAIT)
+        if self._link.answer(number) is Answer.REFUSED:
+            self._connected = False
+            raise self._noted(
+                FaultReason.REJECTED,
+                f"{self._link.name} refused to switch off: check the number of the output and"
+                " whether the robot's driver may switch it",
+            )
+        if math.isinf(self._release_by):
+            self._release_by = self._link.now() + self.settings.latency
+
+    def _reads_on(self) -> bool:
+        return self._link.read_back is not None and self._link.read_back.level
+
+    def _await_inputs(self, deadline: float) -> None:
+        while self._link.guard is None or (self._link.reads_back and self._link.read_back is None):
+            if self._link.now() >= deadline:
+                self.counters.timeouts += 1
+                what = "guard" if self._link.guard is None else "read_back"
+                raise self._noted(
+                    FaultReason.TIMEOUT,
+                    f"nothing is heard on the topic tapper.output.{what}: it must come at least"
+                    f" every {self.settings.guard_timeout:g} s (std_msgs/Bool)",
+                )
+            self._link.wait(WAIT)
+
+    def _check_inputs(self) -> None:
+        """Raise where an input has been silent too long."""
+        inputs = {"guard": self._link.guard}
+        if self._link.reads_back:
+            inputs["read_back"] = self._link.read_back
+        for name, heard in inputs.items():
+            silence = math.inf if heard is None else self._link.now() - heard.received
+            if silence > self.settings.guard_timeout:
+                self._ready, self._connected = None, False
+                raise self._noted(
+                    FaultReason.DISCONNECTED,
+                    f"the topic tapper.output.{name} has been silent for {silence:.2f} s (limit"
+                    f" {self.settings.guard_timeout:g} s): check the robot's driver and the"
+                    " network",
+                )
+
+    def _reply(self) -> Reply:
+        """What is known, in the words of the tapper's board."""
+        guard = self._link.guard
+        ready = self._ready
+        return Reply(
+            session=0,
+            sequence=0,
+            result=Result.OK,
+            state=State.SAFE if ready is None else State.CHARGED,
+            shot=self._attempted if ready is None else ready[0],
+            energy=0.0,
+            interlock_closed=guard is not None and guard.level,
+            stop_latched=False,
+            last_fired=self._last_fired,
+            speed=None,
+            boot=0,
+            time_ms=0,
+            mode=Mode.RUN,
+            enabled=False,
+            version=VERSION,
+        )
+
+    def _sleep_until(self, time: float) -> None:
+        left = time - self._link.now()
+        if left > 0:
+            self._link.sleep(left)
+
+    def _require(self) -> None:
+        if self._stopped.is_set():
+            raise self._noted(
+                FaultReason.STOPPED,
+                "the tapper is stopped: make the cell safe, then clear the fault",
+            )
+        if not self.connected:
+            raise self._noted(
+                FaultReason.DISCONNECTED, f"{self._link.name} is not connected: connect first"
+            )
+
+    def _noted(self, reason: FaultReason, sentence: str) -> HardwareFault:
+        self.counters.last_error = sentence
+        return HardwareFault(reason, sentence)

@@ -1,0 +1,225 @@
+"""A robot's digital output with its driver, and the way to it, in a time that somebody else keeps.
+
+A level takes effect late, requests of one client are served in their order, and nothing on this
+side knows shots, deadlines or the longest pulse: as with the outputs that robots have.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.output_link import Answer, Heard
+
+
+@dataclass(slots=True)
+class OutputFaults:
+    """What the network and the robot do wrong."""
+
+    present: bool = True
+    """Whether the robot's driver is there."""
+    silent_inputs: bool = False
+    """Whether guard and read-back have stopped."""
+    lost_on: int = 0
+    """So many of the next requests to switch on are lost, with their answers."""
+    lost_off: int = 0
+    refuses: bool = False
+    """The robot answers that it did not switch on."""
+    lost_answers: bool = False
+    late: float = 0.0
+    """By which a level takes effect later, s."""
+    broken_wire: bool = False
+    """The read-back never shows the output on."""
+
+
+@dataclass(slots=True)
+class OutputDevice:
+    """The output, the guard and the truth about the coil."""
+
+    latency: float = 0.004
+    """From a request to its effect, and from there to its answer, s."""
+    guard_closed: bool = True
+    faults: OutputFaults = field(default_factory=OutputFaults)
+    edges: list[tuple[float, bool]] = field(default_factory=list)
+    """Times and levels, in order."""
+
+    def set_at(self, time: float, level: bool) -> None:
+        """A level takes effect; never before one that was asked for earlier."""
+        last = self.edges[-1][0] if self.edges else -math.inf
+        self.edges.append((max(time, last), level))
+
+    def level(self, time: float) -> bool:
+        """Whether the coil has current."""
+        return next((level for at, level in reversed(self.edges) if at <= time), False)
+
+    def pulses(self) -> list[tuple[float, float]]:
+        """Times from on to off; infinity where it stays on."""
+        found: list[tuple[float, float]] = []
+        since: float | None = None
+        for at, level in self.edges:
+            if level and since is None:
+                since = at
+            elif not level and since is not None:
+                found.append((since, at))
+                since = None
+        return found if since is None else [*found, (since, math.inf)]
+
+
+class VirtualOutputLink:
+    """An :class:`~tapping_cell.hardware.output_link.OutputLink` in virtual time.
+
+    ``now``: the time, s. ``sleep``: lets time pass for the driver.
+    """
+
+    name = "/robot/set_output"
+    rivals: tuple[str, ...] = ()
+
+    def __init__(
+        self,
+        device: OutputDevice,
+        now: Callable[[], float],
+        sleep: Callable[[float], None],
+        interface: str = "service",
+        reads_back: bool = True,
+        rate: float = 50.0,
+    ) -> None:
+        self.device = device
+        self.interface = interface
+        self.times_pulse = interface == "pulse"
+        self.reads_back = reads_back
+        self._now = now
+        self._sleep = sleep
+        self._period = 1 / rate
+        self._answers: dict[int, tuple[float, Answer]] = {}
+        self._number = 0
+        self._opened = math.inf
+        self._stopped = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the output was there at the last ``open``."""
+        return not math.isinf(self._opened)
+
+    @property
+    def guard(self) -> Heard | None:
+        """The guard's level, told ``rate`` times a second."""
+        told = self._told_at()
+        return None if told is None else Heard(self.device.guard_closed, told)
+
+    @property
+    def read_back(self) -> Heard | None:
+        """The output's level, told ``rate`` times a second and at each change."""
+        told = self._told_at()
+        if not self.reads_back or told is None:
+            return None
+        changes = [at for at, _ in self.device.edges if told < at <= self._now()]
+        told = max([told, *changes])
+        return Heard(self.device.level(told) and not self.device.faults.broken_wire, told)
+
+    @property
+    def last_on(self) -> float:
+        """When the read-back last told that the output is on."""
+        if not self.reads_back or self.device.faults.broken_wire:
+            return -math.inf
+        until = self._now()
+        ons = [at for at, level in self.device.edges if level and at <= until]
+        return until if self.device.level(until) else max(ons, default=-math.inf)
+
+    def now(self) -> float:
+        """The clock, s."""
+        return self._now()
+
+    def sleep(self, duration: float) -> None:
+        """Let time pass."""
+        self._sleep(duration)
+
+    def open(self, timeout: float) -> None:
+        """Wait until the output is there."""
+        self._opened = math.inf
+        deadline = self.now() + timeout
+        while not self.device.faults.present:
+            if self.now() >= deadline:
+                raise HardwareFault(FaultReason.PORT_MISSING, f"{self.name} is not there")
+            self._sleep(0.05)
+        self._opened = self.now()
+
+    def close(self) -> None:
+        """Use it no more."""
+        self._opened = math.inf
+
+    def stop(self, data: bytes) -> bool:
+        """Latch the stop and switch off."""
+        self._stopped = True
+        self._request(False)
+        return self.device.faults.present
+
+    def release(self) -> None:
+        """End the latch of ``stop``."""
+        self._stopped = False
+
+    def wait(self, duration: float) -> None:
+        """Let time pass."""
+        self._require()
+        self._sleep(max(duration, 1e-4))
+        self._require()
+
+    def switch(self, on: bool) -> int:
+        """Send a level."""
+        self._require()
+        return self._request(on)
+
+    def pulse(self, duration: float) -> int:
+        """Send a pulse that the robot times."""
+        self._require()
+        if duration <= 0:
+            return self._request(False)
+        number = self._request(True)
+        if self.device.edges and self.device.edges[-1][1]:
+            self.device.set_at(self.device.edges[-1][0] + duration, False)
+        return number
+
+    def answer(self, number: int) -> Answer:
+        """What became of a request."""
+        if self.interface != "service":
+            return Answer.UNTOLD
+        at, answer = self._answers[number]
+        return answer if self.now() >= at else Answer.PENDING
+
+    def _request(self, on: bool) -> int:
+        faults, device = self.device.faults, self.device
+        self._number += 1
+        self._answers[self._number] = (math.inf, Answer.PENDING)
+        lost = faults.lost_on if on else faults.lost_off
+        if lost > 0:
+            if on:
+                faults.lost_on -= 1
+            else:
+                faults.lost_off -= 1
+            return self._number
+        if not faults.present:
+            return self._number
+        effect = self.now() + device.latency + faults.late
+        refused = on and faults.refuses
+        if not refused:
+            device.set_at(effect, on)
+        if not faults.lost_answers:
+            told = Answer.REFUSED if refused else Answer.DONE
+            self._answers[self._number] = (effect + device.latency, told)
+        return self._number
+
+    def _told_at(self) -> float | None:
+        """When the inputs were told last; None before anything was heard."""
+        faults = self.device.faults
+        if math.isinf(self._opened):
+            return None
+        if faults.silent_inputs or not faults.present:
+            return self._opened
+        return max(self._opened, math.floor(self.now() / self._period) * self._period)
+
+    def _require(self) -> None:
+        if self._stopped:
+            raise HardwareFault(FaultReason.STOPPED, f"{self.name}: a stop is latched")
+        if not self.is_open:
+            raise HardwareFault(FaultReason.DISCONNECTED, f"{self.name} is not open")

@@ -1,0 +1,91 @@
+"""The client of the verb ``goal`` with a real planner: confirmations, and a planner that ends."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+from rich.console import Console
+from test_tap_planner import GOAL, acted
+
+from tapping_cell.cli import session
+from tapping_cell.cli.confirmation import Person
+from tapping_cell.logic.goal_watch import RETURN_S, SILENCE_S
+from tapping_cell.messages import ErrorCode
+from tapping_cell.nodes.clients.goal_client import Finished, GoalClient, TapProposed
+
+
+@contextmanager
+def client_of_a_cell() -> Iterator[GoalClient]:
+    with GoalClient("goal") as client:
+        session.wait_for_planner(client, 20.0, Console(quiet=True))
+        yield client
+
+
+def follow(client: GoalClient, typed: Callable[[], str], words: io.StringIO) -> Finished:
+    """Follow the goal with a person at a pipe, who types where a tap was proposed."""
+    reader, writer = os.pipe()
+    console = Console(file=words, width=200)
+    with os.fdopen(reader) as answers:
+        person = Person(client, console, answers)
+        hear = person.hear
+
+        def listen(event: object) -> None:
+            if isinstance(event, TapProposed):
+                os.write(writer, typed().encode())
+            hear(event)
+
+        person.hear = listen  # type: ignore[method-assign]
+        try:
+            return session.follow(client, lambda: None, console, person)
+        finally:
+            os.close(writer)
+
+
+def test_taps_that_are_confirmed_in_the_terminal_reach_the_goal() -> None:
+    words = io.StringIO()
+    with acted() as actors, client_of_a_cell() as client:
+        session.send(client, GOAL, (0.0, 0.0), Console(quiet=True), ask=True)
+        finished = follow(client, lambda: "what?\ny\n", words)
+        assert finished.error_code == 0, finished.error_msg
+        assert finished.taps == len([c for c in actors.commands if c.request == c.TAP]) >= 1
+    assert words.getvalue().count("tap 1 planned: striker") == 1
+    assert "make this tap?" in words.getvalue()
+
+
+def test_a_goal_that_is_cancelled_in_the_terminal_makes_no_tap() -> None:
+    words = io.StringIO()
+    with acted() as actors, client_of_a_cell() as client:
+        session.send(client, GOAL, (0.0, 0.0), Console(quiet=True), ask=True)
+        with pytest.raises(KeyboardInterrupt):
+            follow(client, lambda: "c\n", words)
+        assert client.cancel()
+        time.sleep(0.3)
+        assert actors.commands == []
+
+
+def test_a_planner_that_is_killed_in_mid_goal_ends_the_wait() -> None:
+    words = io.StringIO()
+    command = [sys.executable, "-m", "tapping_cell.nodes.planner.tap_planner"]
+    options = ["--ros-args", "-p", "ready_deadline:=120.0"]
+    with subprocess.Popen([*command, *options], stderr=subprocess.DEVNULL) as planner:
+        try:
+            with GoalClient("goal") as client:
+                session.wait_for_planner(client, 60.0, Console(quiet=True))
+                session.send(client, GOAL, (0.0, 0.0), Console(quiet=True))
+                planner.kill()  # it waits for arm, tapper and camera, which do not exist here
+                began = time.monotonic()
+                finished = session.follow(client, lambda: None, Console(file=words))
+                took = time.monotonic() - began
+        finally:
+            planner.kill()
+    assert finished.error_code == ErrorCode.NOT_READY, finished.error_msg
+    assert "was not heard" in finished.error_msg
+    assert took < RETURN_S + SILENCE_S
+    assert "waiting for it to come back" in words.getvalue()

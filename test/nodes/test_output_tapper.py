@@ -1,0 +1,201 @@
+"""The tapper's node in front of a robot's digital output, over DDS."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from harness import Bench, bench
+from rclpy.duration import Duration
+from ros_output import RosOutput
+from std_srvs.srv import Trigger
+from tapping_cell_msgs.msg import ArmState, ErrorCode, ObjectState, PlanState, TapCommand
+from tapping_cell_msgs.msg import TapperState as Told
+from tapping_cell_msgs.srv import HoldStill
+
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
+
+pytestmark = pytest.mark.alone
+"""A pulse of some milliseconds must not wait for a processor."""
+
+
+def output_cell(folder: Path, interface: str, reads_back: bool) -> Path:
+    """The package's cell file with a tapper that an output fires."""
+    shutil.copytree(shared_folder(), folder / "config")
+    path = folder / "config" / "cell.yaml"
+    content = yaml.safe_load(path.read_text())
+    tapper = content["tapper"]
+    del tapper["port"], tapper["baud"]
+    tapper |= {
+        "dialect": "io",
+        "energies": [1e-4, 2e-2, 0.35],
+        "speeds": [0.02, 0.6, 2.5],
+        "output": {
+            "interface": interface,
+            "name": "/robot/set_output",
+            "guard": "/robot/guard_closed",
+            "pulses": [0.004, 0.012, 0.030],
+            "latency": 0.03,
+        }
+        | ({"read_back": "/robot/output_is_on"} if reads_back else {}),
+    }
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+@dataclass
+class Cell:
+    """The node, the robot's output, and hands to play planner, camera and arm."""
+
+    bench: Bench
+    robot: RosOutput
+    states: list[Told]
+    file: Path
+
+    def __post_init__(self) -> None:
+        node = self.bench.probe
+        assert node is not None
+        self.node = node
+        self.commands = node.create_publisher(TapCommand, "tap_command", COMMAND)
+        self.arm = node.create_publisher(ArmState, "arm_state", LATCHED)
+        self.plan = node.create_publisher(PlanState, "plan_state", LATCHED)
+        self.camera = node.create_publisher(ObjectState, "object_state", LATCHED)
+        self.stop = node.create_client(Trigger, "tapper_trigger/stop")
+        self.clear = node.create_client(Trigger, "tapper_trigger/clear_fault")
+        node.create_service(HoldStill, "hold_still", self._hold_still)
+
+    def _hold_still(
+        self, request: HoldStill.Request, response: HoldStill.Response
+    ) -> HoldStill.Response:
+        response.granted = True
+        response.duration = request.duration
+        return response
+
+    def ready(self) -> None:
+        self.bench.wait(
+            lambda: (
+                self.states
+                and self.states[-1].state == Told.SAFE
+                and self.commands.get_subscription_count() == 1
+                and self.arm.get_subscription_count() == 1
+                and self.clear.service_is_ready()
+            ),
+            "the tapper is safe",
+        )
+
+    def tap(self, tap_id: int) -> None:
+        """Command a tap and let arm, planner and camera tell that all is well, until it ends."""
+        message = TapCommand(request=TapCommand.TAP, tap_id=tap_id, striker_speed=0.6)
+        message.header.frame_id = "table"
+        message.expiry = (self.node.get_clock().now() + Duration(seconds=20)).to_msg()
+        self.commands.publish(message)
+        self.bench.wait(lambda: self._told_well(tap_id), f"tap {tap_id} ends")
+
+    def _told_well(self, tap_id: int) -> bool:
+        now = self.node.get_clock().now().to_msg()
+        arm = ArmState(state=ArmState.IN_POSITION, tap_id=tap_id, homed=True)
+        plan = PlanState(tap_id=tap_id)
+        seen = ObjectState(visible=True, at_rest=True)
+        for said in (arm, plan, seen):
+            said.header.stamp = now
+        self.plan.publish(plan)
+        self.camera.publish(seen)
+        self.arm.publish(arm)
+        time.sleep(0.03)
+        last = self.states[-1]
+        return bool(last.tap_id == tap_id and last.outcome != Told.NONE)
+
+    def call(self, client: Any) -> Any:
+        future = client.call_async(Trigger.Request())
+        self.bench.wait(future.done, "the service answers")
+        return future.result()
+
+
+@contextmanager
+def output(folder: Path, interface: str, reads_back: bool = True) -> Iterator[Cell]:
+    file = output_cell(folder, interface, reads_back)
+    made: list[RosOutput] = []
+
+    def make() -> list[Any]:
+        made.append(RosOutput(interface, reads_back))
+        return [TapperTrigger()]
+
+    with bench(make, {"tapper_trigger": {"cell_file": file}}) as b:
+        try:
+            yield Cell(b, made[0], b.listen(Told, "tapper_state", LATCHED), file)
+        finally:
+            made[0].close()
+
+
+@pytest.mark.parametrize("interface", ["service", "topic", "commands", "pulse"])
+def test_a_tap_is_one_pulse_and_read_back(tmp_path: Path, interface: str) -> None:
+    with output(tmp_path, interface) as cell:
+        cell.ready()
+        tap_id = int(time.time())
+        cell.tap(tap_id)
+        assert cell.states[-1].outcome == Told.FIRED, cell.states[-1].error_msg
+        (pulse,) = cell.robot.pulses()
+        # The curve gives 20 mJ for 0.6 m/s, and the table 12 ms for 20 mJ.
+        assert 0.009 < pulse < 0.05
+        cell.tap(tap_id)
+        assert len(cell.robot.pulses()) == 1, "a repeated id was fired"
+
+
+def test_without_a_read_back_it_is_unknown_and_a_stop_latches(tmp_path: Path) -> None:
+    with output(tmp_path, "service", reads_back=False) as cell:
+        cell.ready()
+        tap_id = int(time.time())
+        cell.tap(tap_id)
+        assert cell.states[-1].outcome == Told.UNKNOWN
+        assert cell.states[-1].error_code == ErrorCode.TAPPER_OUTCOME_UNKNOWN
+        assert len(cell.robot.pulses()) == 1
+        assert cell.call(cell.stop).success
+        cell.bench.wait(lambda: cell.states[-1].state == Told.STOPPED, "it is stopped")
+        assert cell.call(cell.clear).success
+        cell.ready()
+        cell.tap(tap_id + 1)
+        assert cell.states[-1].outcome == Told.UNKNOWN
+        assert len(cell.robot.pulses()) == 2
+
+
+def test_an_open_guard_and_silence_are_told_and_nothing_is_switched(tmp_path: Path) -> None:
+    with output(tmp_path, "topic") as cell:
+        cell.ready()
+        cell.robot.guard_closed = False
+        cell.bench.wait(lambda: not cell.states[-1].interlock_closed, "the guard is open")
+        cell.tap(int(time.time()))
+        assert cell.states[-1].outcome == Told.NOT_FIRED
+        assert cell.states[-1].error_code == ErrorCode.TAPPER_INTERLOCK_OPEN
+        cell.robot.silent = True
+        cell.bench.wait(lambda: cell.states[-1].state == Told.DISCONNECTED, "it is lost")
+        assert any("has been silent" in state.error_msg for state in cell.states)
+        cell.robot.silent, cell.robot.guard_closed = False, True
+        cell.ready()
+        assert not cell.robot.pulses()
+
+
+def test_the_doctor_finds_it_and_switches_nothing_on(tmp_path: Path) -> None:
+    with output(tmp_path, "service") as cell:
+        cell.ready()
+        ran = subprocess.run(
+            [sys.executable, "-m", "tapping_cell", "doctor", "--cell", str(cell.file), "--json"],
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        rows = [r for r in json.loads(ran.stdout)["findings"] if r["device"] == "tapper"]
+        assert rows and all(row["ok"] for row in rows), rows
+        assert "digital output by service on /robot/set_output" in rows[0]["found"]
+        assert not cell.robot.edges

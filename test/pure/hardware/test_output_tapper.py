@@ -1,0 +1,275 @@
+"""A tapper that a digital output fires: what its driver holds, and what it admits it cannot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.output_tapper import OutputTapperDriver, OutputTapperSettings
+from tapping_cell.hardware.tapper import FireOutcome, FireResult
+from tapping_cell.hardware.tapper_protocol import State
+from tapping_cell.simulation.virtual_output_link import OutputDevice, VirtualOutputLink
+
+SETTINGS = OutputTapperSettings((1e-4, 1e-2, 4e-2), (0.004, 0.02, 0.036), latency=0.02)
+
+
+class Memory:
+    """What a disk keeps over a restart."""
+
+    def __init__(self) -> None:
+        self.shot = 0
+        self.broken = False
+
+    def recall(self) -> int:
+        return self.shot
+
+    def keep(self, shot: int) -> None:
+        if self.broken:
+            raise OSError("no space left on device")
+        self.shot = shot
+
+
+class Cell:
+    """The emulated output and the driver, in a time of their own."""
+
+    def __init__(self, interface: str = "service", reads_back: bool = True) -> None:
+        self.time = 50.0
+        self.events: list[tuple[float, Callable[[], object]]] = []
+        self.device = OutputDevice()
+        self.memory = Memory()
+        self.link = VirtualOutputLink(
+            self.device, lambda: self.time, self.sleep, interface, reads_back
+        )
+        self.driver = OutputTapperDriver(self.link, SETTINGS, self.memory)
+
+    def sleep(self, duration: float) -> None:
+        end = self.time + duration
+        while self.events and self.events[0][0] <= end:
+            self.time, action = self.events.pop(0)
+            action()
+        self.time = max(end, self.time)
+        assert self.time < 1e4, "a call does not end"
+
+    def after(self, duration: float, action: Callable[[], object]) -> None:
+        self.events.append((self.time + duration, action))
+        self.events.sort(key=lambda event: event[0])
+
+    def shoot(self, shot: int, energy: float = 1e-2, allowed: bool = True) -> FireResult:
+        reply = self.driver.charge(shot, energy)
+        assert reply.state is State.CHARGED and reply.shot == shot
+        return self.driver.fire(shot, 0.04, lambda release_by: allowed)
+
+
+@pytest.fixture(params=["service", "topic", "pulse"])
+def cell(request: pytest.FixtureRequest) -> Cell:
+    made = Cell(request.param)
+    made.driver.connect()
+    return made
+
+
+def test_a_shot_is_one_pulse_of_the_energys_length(cell: Cell) -> None:
+    asked = cell.time
+    result = cell.shoot(7)
+    assert result.outcome is FireOutcome.FIRED and result.released_by is not None
+    ((on, off),) = cell.device.pulses()
+    assert off - on == pytest.approx(0.02, abs=1e-6)
+    assert asked < on and off <= result.released_by
+    assert cell.driver.status().last_fired == 7
+    assert cell.driver.counters.fired == 1
+
+
+@given(st.floats(1e-4, 4e-2))
+def test_the_pulse_rises_with_the_energy_and_meets_the_table(energy: float) -> None:
+    pulse = SETTINGS.pulse_for(energy)
+    assert SETTINGS.pulses[0] <= pulse <= SETTINGS.pulses[-1]
+    assert SETTINGS.pulse_for(min(1.1 * energy, 4e-2)) >= pulse
+    for known, length in zip(SETTINGS.energies, SETTINGS.pulses, strict=True):
+        assert SETTINGS.pulse_for(known) == pytest.approx(length)
+
+
+@pytest.mark.parametrize("interface", ["service", "topic", "pulse"])
+def test_without_a_read_back_the_outcome_is_unknown_until_seen(interface: str) -> None:
+    cell = Cell(interface, reads_back=False)
+    cell.driver.connect()
+    result = cell.shoot(7)
+    assert result.outcome is FireOutcome.UNKNOWN
+    assert "nothing reads the output back" in result.sentence
+    ((_, off),) = cell.device.pulses()
+    assert off <= cell.time, "it was told before the pulse was over"
+    assert cell.shoot(8).outcome is FireOutcome.UNKNOWN, "the next shot is taken"
+
+
+def test_what_was_sent_once_is_never_sent_again_over_a_restart(cell: Cell) -> None:
+    cell.shoot(7)
+    again = OutputTapperDriver(cell.link, SETTINGS, cell.memory)
+    again.connect()
+    for shot in (6, 7):
+        with pytest.raises(HardwareFault) as caught:
+            again.charge(shot, 1e-2)
+        assert caught.value.reason is FaultReason.SHOT_SPENT
+    cell.driver = again
+    assert cell.shoot(8).outcome is FireOutcome.FIRED
+    assert len(cell.device.pulses()) == 2
+
+
+def test_a_shot_that_cannot_be_noted_is_not_fired(cell: Cell) -> None:
+    cell.memory.broken = True
+    result = cell.shoot(7)
+    assert result.outcome is FireOutcome.NOT_FIRED and "no space left" in result.sentence
+    assert not cell.device.pulses()
+
+
+def test_nothing_is_switched_against_the_last_check_or_long_after_it(cell: Cell) -> None:
+    assert cell.shoot(7, allowed=False).outcome is FireOutcome.NOT_FIRED
+    cell.driver.charge(8, 1e-2)
+
+    def slow(release_by: float) -> bool:
+        cell.sleep(0.5)
+        return True
+
+    late = cell.driver.fire(8, 0.04, slow)
+    assert late.outcome is FireOutcome.NOT_FIRED and "too slow" in late.sentence
+    assert not cell.device.pulses()
+
+
+def test_the_guard_is_needed_closed_and_heard(cell: Cell) -> None:
+    cell.device.guard_closed = False
+    with pytest.raises(HardwareFault) as caught:
+        cell.driver.charge(7, 1e-2)
+    assert caught.value.reason is FaultReason.INTERLOCK
+    cell.device.guard_closed = True
+    cell.driver.charge(7, 1e-2)
+    cell.device.guard_closed = False
+    assert cell.driver.fire(7, 0.04, lambda by: True).outcome is FireOutcome.NOT_FIRED
+    cell.device.guard_closed = True
+    cell.device.faults.silent_inputs = True
+    cell.sleep(1.0)
+    with pytest.raises(HardwareFault, match="guard has been silent"):
+        cell.driver.charge(8, 1e-2)
+    assert not cell.device.pulses()
+
+
+@pytest.mark.parametrize("interface", ["service", "topic"])
+def test_a_stop_in_mid_pulse_switches_off(interface: str) -> None:
+    cell = Cell(interface)
+    cell.driver.connect()
+    cell.driver.charge(7, 4e-2)
+    cell.after(0.010, cell.driver.stop)
+    result = cell.driver.fire(7, 0.04, lambda by: True)
+    assert result.outcome is FireOutcome.UNKNOWN
+    ((on, off),) = cell.device.pulses()
+    assert off - on < 0.012
+    with pytest.raises(HardwareFault) as caught:
+        cell.driver.charge(8, 1e-2)
+    assert caught.value.reason is FaultReason.STOPPED
+    assert cell.driver.clear().state is State.SAFE
+
+
+def test_an_output_that_is_not_proven_off_ends_the_session() -> None:
+    cell = Cell("service")
+    cell.driver.connect()
+    cell.device.faults.lost_off = 1
+    result = cell.shoot(7)
+    assert result.outcome is FireOutcome.FIRED
+    assert math.isinf(cell.driver.release_impossible_after)
+    with pytest.raises(HardwareFault) as caught:
+        cell.driver.status()
+    assert caught.value.reason is FaultReason.DISCONNECTED
+    assert "did not confirm that it is off" not in caught.value.sentence
+    cell.driver.connect()
+    assert not cell.device.level(cell.time)
+    assert not math.isinf(cell.driver.release_impossible_after)
+    assert cell.shoot(8).outcome is FireOutcome.FIRED
+
+
+def test_an_output_that_stays_on_is_refused_in_words() -> None:
+    cell = Cell("topic")
+    cell.device.set_at(cell.time, True)
+    cell.device.faults.lost_off = 99
+    with pytest.raises(HardwareFault, match="reads back as on"):
+        cell.driver.connect()
+    cell.device.faults.lost_off = 0
+    cell.driver.connect()
+    cell.device.set_at(cell.time, True)
+    cell.sleep(0.05)
+    with pytest.raises(HardwareFault) as caught:
+        cell.driver.status()
+    assert caught.value.reason is FaultReason.REJECTED and "supply off" in caught.value.sentence
+    cell.sleep(0.05)
+    assert not cell.device.level(cell.time), "it was not switched off"
+
+
+def test_a_refused_request_is_not_fired_only_where_the_read_back_agrees() -> None:
+    for reads_back, outcome in ((True, FireOutcome.NOT_FIRED), (False, FireOutcome.UNKNOWN)):
+        cell = Cell("service", reads_back)
+        cell.driver.connect()
+        cell.device.faults.refuses = True
+        assert cell.shoot(7).outcome is outcome
+        assert not cell.device.pulses()
+
+
+def test_silence_of_the_topics_is_told_at_connect() -> None:
+    cell = Cell()
+    cell.device.faults.present = False
+    with pytest.raises(HardwareFault) as caught:
+        cell.driver.connect(1.0)
+    assert caught.value.reason is FaultReason.PORT_MISSING
+
+
+FAULTS = st.sampled_from(
+    ["none", "lost_on", "lost_off", "refuses", "lost_answers", "broken_wire", "stop", "gone"]
+)
+
+
+@settings(deadline=None, max_examples=300)
+@given(
+    st.sampled_from(["service", "topic", "pulse"]),
+    st.booleans(),
+    st.lists(st.tuples(FAULTS, st.floats(1e-4, 4e-2), st.floats(0.0, 0.06)), max_size=6),
+)
+def test_whatever_fails_no_shot_is_sent_twice_and_none_is_told_falsely(
+    interface: str, reads_back: bool, plan: list[tuple[str, float, float]]
+) -> None:
+    cell = Cell(interface, reads_back)
+    for number, (fault, energy, when) in enumerate(plan, start=1):
+        faults = cell.device.faults
+        faults.present, faults.refuses, faults.lost_answers = True, False, False
+        faults.broken_wire, faults.lost_on, faults.lost_off = False, 0, 0
+        cell.events.clear()
+        cell.driver.clear()
+        before = len(cell.device.pulses())
+        cell.driver.charge(number, energy)
+        if fault == "stop":
+            cell.after(when, cell.driver.stop)
+        elif fault == "gone":
+            cell.after(when, lambda: setattr(cell.device.faults, "present", False))
+        elif fault in ("lost_on", "lost_off"):
+            setattr(faults, fault, 1)
+        elif fault != "none":
+            setattr(faults, fault, True)
+        promised: list[float] = []
+
+        def allow(release_by: float, promised: list[float] = promised) -> bool:
+            promised.append(release_by)
+            return True
+
+        result = cell.driver.fire(number, 0.04, allow)
+        cell.sleep(0.2)
+        new = cell.device.pulses()[before:]
+        assert len(new) <= 1, "more than one pulse for a shot"
+        if result.outcome is FireOutcome.FIRED:
+            assert new, "told as fired, but it was not"
+            assert reads_back
+        if result.outcome is FireOutcome.NOT_FIRED:
+            assert not new, "told as not fired, but it was"
+        for _, off in new:
+            if off > promised[0]:
+                # The output outlasted the promise: nothing more may be fired until it is proven
+                # off, unless nothing tells that it is.
+                blind = interface != "service" and not reads_back
+                assert blind or not cell.driver.connected or fault in ("lost_answers", "gone")

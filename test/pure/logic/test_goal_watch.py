@@ -1,0 +1,132 @@
+"""A client's wait for a goal ends in bounded time, whatever becomes of the planner."""
+
+from __future__ import annotations
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tapping_cell.logic.goal_watch import (
+    GRACE_S,
+    RESUMING_S,
+    RETURN_S,
+    SILENCE_S,
+    Ended,
+    GoalWatch,
+)
+from tapping_cell.messages import ErrorCode, PlanState
+from tapping_cell.se2 import Pose
+
+GOAL = Pose(0.1, 0.02, 0.3)
+OLD, NEW = b"old", b"new"
+PERIOD = 0.25
+
+
+class Client:
+    """Looks every PERIOD at what the planner would say, until the wait ends."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+        self.watch = GoalWatch(GOAL, frozenset({OLD}), self.now)
+        self.heard = self.now
+        self.plan: PlanState | None = None
+        self.pose: Pose | None = None
+
+    def wait(
+        self, patience: float, state: int | None, who: bytes = OLD, pose: Pose = GOAL, code: int = 0
+    ) -> Ended | None:
+        """Go on for so long with a planner in this state; None: with none."""
+        end = self.now + patience
+        while self.now < end:
+            self.now += PERIOD
+            planners = {OLD, who}
+            if state is not None:
+                self.heard, self.pose = self.now, pose
+                self.plan = PlanState(state=state, error_code=code, error_msg="why" if code else "")
+            found = self.watch.look(self.plan, self.pose, self.heard, frozenset(planners), self.now)
+            if found is not None:
+                return found
+        return None
+
+
+def test_a_planner_that_works_is_waited_for() -> None:
+    client = Client()
+    assert client.wait(3600.0, PlanState.PLACING) is None and not client.watch.gone
+
+
+def test_a_planner_that_stays_away_ends_the_wait() -> None:
+    client = Client()
+    client.wait(10.0, PlanState.PLACING)
+    died = client.now
+    ended = client.wait(1e3, None)
+    assert ended is not None and ended.code == ErrorCode.NOT_READY
+    assert "30 s" in ended.sentence
+    assert client.now - died <= RETURN_S + 2 * PERIOD
+
+
+def test_a_goal_that_is_resumed_is_followed_to_its_end() -> None:
+    client = Client()
+    client.wait(5.0, PlanState.PLACING)
+    client.wait(8.0, None)
+    assert client.watch.gone
+    assert client.wait(2.0, PlanState.IDLE, NEW, Pose(0, 0, 0)) is None
+    assert client.wait(300.0, PlanState.PLACING, NEW) is None
+    assert client.wait(5.0, PlanState.REACHED, NEW) == Ended(ErrorCode.NONE, "")
+
+
+def test_a_planner_that_is_back_before_its_silence_is_noticed() -> None:
+    client = Client()
+    client.wait(5.0, PlanState.PLACING)
+    client.wait(SILENCE_S / 2, None)
+    client.wait(1.0, PlanState.WAITING_FOR_CELL, NEW)
+    assert client.watch.gone, "its publisher is another one"
+    ended = client.wait(5.0, PlanState.FAILED, NEW, code=ErrorCode.ARM_TIMEOUT)
+    assert ended == Ended(ErrorCode.ARM_TIMEOUT, "why")
+
+
+def test_a_planner_that_forgot_the_goal_ends_the_wait() -> None:
+    client = Client()
+    client.wait(5.0, PlanState.PLACING)
+    back = client.now
+    ended = client.wait(1e3, PlanState.IDLE, NEW, Pose(0, 0, 0))
+    assert ended is not None and ended.code == ErrorCode.NOT_READY
+    assert "did not resume" in ended.sentence
+    assert client.now - back <= RESUMING_S + 2 * PERIOD
+
+
+def test_a_planner_that_was_frozen_answers_itself() -> None:
+    """Thawed, it goes on; its own answer comes within the grace after its last report."""
+    client = Client()
+    client.wait(5.0, PlanState.PLACING)
+    client.wait(SILENCE_S + 1.0, None)
+    assert client.wait(60.0, PlanState.PLACING) is None
+    assert client.wait(GRACE_S - 2 * PERIOD, PlanState.REACHED) is None
+    assert client.wait(5.0, PlanState.REACHED) is not None
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(0.3, 60.0),
+            st.sampled_from([None, PlanState.IDLE, PlanState.REACHED, PlanState.FAILED]),
+            st.sampled_from([OLD, NEW]),
+            st.booleans(),
+        ),
+        min_size=1,
+        max_size=8,
+    )
+)
+@settings(max_examples=200, deadline=None)
+def test_without_a_working_planner_the_wait_is_bounded(
+    story: list[tuple[float, int | None, bytes, bool]],
+) -> None:
+    client = Client()
+    client.wait(1.0, PlanState.PLACING)
+    client.wait(SILENCE_S + 1.0, None)
+    began = client.now
+    for patience, state, who, own in story:
+        if client.wait(patience, state, who, GOAL if own else Pose(9.0, 0.0, 0.0)) is not None:
+            break
+    else:
+        assert client.wait(1e3, None) is not None
+    longest = sum(patience for patience, *_ in story) + RETURN_S + 2 * len(story) * PERIOD + 1.0
+    assert client.now - began <= longest
