@@ -273,7 +273,7 @@ class TrialCell:
         self.goal = goal
         energy = float(self.rng.uniform(0.001, 0.2))
         charged = tapper_jobs.charge(
-            self._tapper_context, self.shot, energy, lambda _: None, tell=False
+            self._tapper_context, self.shot, energy, 0, lambda _: None, tell=False
         )
         reading = arm_jobs.read(self._arm_context)
         self._check_place(reading, goal)

@@ -198,6 +198,7 @@ class TapperEmulator:
     def set_motor_power(self, on: bool, now: float) -> None:
         """The supply of the spring's motor fails, or is back: without it steps move nothing."""
         self.advance(now)
+        assert isinstance(self.drive, SpringDrive), "coils have no motor"
         self.drive.set_power(on, now)
 
     def open_stop_loop(self, now: float) -> None:

@@ -146,7 +146,8 @@ class Witness:
             turn = abs(pose.rotation_to(release.tip))
             return pose.distance_to(release.tip) / STRIKE_POSITION_M + turn / STRIKE_ANGLE_RAD
 
-        return min(self._variants.get(release.shot, ()), key=distance, default=None)
+        variants = self._variants.get(release.shot)
+        return min(variants, key=distance) if variants else None
 
     def _check_energy(self, release: Release, command: TapCommand) -> None:
         asked = self.physical.energy_for(command.striker_speed)
