@@ -101,12 +101,17 @@ class CoilBank:
     def stick(self, channel: int, stuck: bool) -> None:
         """A switch is stuck closed."""
         (self._stuck.add if stuck else self._stuck.discard)(channel)
+        self._lose_open_ones()
+
+    def _lose_open_ones(self) -> None:
+        """At rest an open switch ends what was proven."""
+        if self._released is None:
+            self._proven &= all(self._closed(channel, 0.0) for channel in range(self.count))
 
     def keep_out(self, channel: int, out: bool) -> None:
         """A striker is pulled off its mount, or does not come back to it."""
         (self._stays_out.add if out else self._stays_out.discard)(channel)
-        if out and self._released is None:
-            self._proven = False
+        self._lose_open_ones()
 
     # Time.
 

@@ -226,10 +226,9 @@ class TapperEmulator:
         while True:
             due = self._next_internal()
             if due is None or due > now:
-                if self._state == "SAFE":
-                    self._settle("SAFE", "SAFE")
-                elif self._state in ("CHARGING", "CHARGED") and self.machine.coils:
-                    self._settle("CHARGED", "CHARGING")
+                # Coils make no movement whose end is an event.
+                if self._state == "SAFE" or (self.machine.coils and self._state in SETTLING):
+                    self._settle(SETTLING[self._state], self._state)
                 return
             self.drive.advance(due)
             if self._state == "RELEASING" and due >= self._released_until:
