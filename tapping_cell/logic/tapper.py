@@ -267,6 +267,8 @@ class TapperLogic(DeviceLogic[State, Event]):
                 self._give_up(gone)
         elif topic == "object_state":
             self._peers.hear_object(message, now)
+        elif topic == "object_states":
+            self._peers.hear_objects(message, now)
         elif topic == enabling.TOPIC:
             self._enabling.hear_key(message.data, now)
             self._watch_enabling(now)
@@ -304,7 +306,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         )
         self._given_up = self._permit = None
         self._key = 0
-        self._peers.begin_tap()
+        self._peers.begin_tap(command.object_id)
         self._trouble = (ErrorCode.NONE, "")
         self._tell_tap(command.tap_id, TapperState.NONE)
 
