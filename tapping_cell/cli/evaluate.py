@@ -388,9 +388,10 @@ def _physics(arguments: argparse.Namespace, cell: Any, scatter: Any) -> PhysicsW
         restitution=min(1.0, known.restitution * truth.impact.restitution_factor),
         contact_friction=known.contact_friction * truth.impact.contact_friction_factor,
     )
+    model, answers = make_tap(cell), actual.tap(cell.file.tapper.striker())
     return PhysicsWorld(
-        model=replace(make_tap(cell), smallest_distance=0.0),
-        truth=actual.tap(cell.file.tapper.striker()),
+        model=replace(model, sliding=model.sliding.tabulated(), smallest_distance=0.0),
+        truth=replace(answers, sliding=answers.sliding.tabulated()),
         scatter=scatter,
         standoff=cell.file.tapper.standoff,
         round_position=1e-3 * arguments.round_position,

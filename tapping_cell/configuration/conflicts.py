@@ -11,6 +11,7 @@ import numpy as np
 
 from tapping_cell.configuration.assembly import make_planner_settings, make_strike_space
 from tapping_cell.configuration.cell import Cell, load_further_objects
+from tapping_cell.configuration.chain_reach import chain_reach
 from tapping_cell.configuration.fixed_conflicts import fixed_conflicts
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.mechanics import MechanicsError
@@ -31,7 +32,7 @@ def conflicts(cell: Cell) -> tuple[list[str], list[str]]:
     errors += _further_objects(cell)
     warnings = [*_lens(cell), *_noise(cell), *_ports(cell), *_brake(cell)]
     reach_errors, reach_warnings = _reach(cell)
-    return errors + reach_errors, warnings + reach_warnings
+    return errors + reach_errors, [*warnings, *reach_warnings, *chain_reach(cell)]
 
 
 def _markers(cell: Cell) -> Iterator[str]:

@@ -74,9 +74,9 @@ class Course:
         self._places = np.array([point.positions for point in points])
         self._speeds = np.array([point.velocities for point in points])
         self._samples: Array = np.linspace(0.0, points[-1].time, COURSE_SAMPLES, dtype=np.float64)
-        self._track, _ = self._at(self._samples)
+        self._track, _ = self.at(self._samples)
 
-    def _at(self, times: Array) -> tuple[Array, Array]:
+    def at(self, times: Array) -> tuple[Array, Array]:
         """Positions and velocities at times from the start in s, a row each."""
         times = np.clip(times, 0.0, self._times[-1])
         after = np.clip(np.searchsorted(self._times, times, side="right"), 1, len(self._times) - 1)
@@ -95,7 +95,7 @@ class Course:
         nearest = int(np.argmin(distances))
         if not distances[nearest] <= COURSE_WIDTH:
             return None
-        place, speeds = self._at(np.array([self._samples[nearest] + duration], dtype=np.float64))
+        place, speeds = self.at(np.array([self._samples[nearest] + duration], dtype=np.float64))
         return tuple(place[0].tolist()), tuple(speeds[0].tolist())
 
 

@@ -113,6 +113,15 @@ class Tabletop:
         self._tapped = name
         return self.worlds[name].strike(tip, tip_height, speed, now)
 
+    def take_striker(self, striker: Striker, stroke: float) -> None:
+        """See ``World.take_striker``."""
+        for world in self.worlds.values():
+            world.take_striker(striker, stroke)
+
+    def travel_to_meet(self, tip: Pose, tip_height: float, speed: float) -> float:
+        """See ``World.travel_to_meet``: of the first object on the way."""
+        return min(world.travel_to_meet(tip, tip_height, speed) for world in self.worlds.values())
+
     def gate_speed(self, speed: float) -> float:
         """What the tapper's gate measures, see ``World.gate_speed``."""
         return next(iter(self.worlds.values())).gate_speed(speed)
@@ -127,8 +136,14 @@ class Tabletop:
         """Put an object somewhere, at rest."""
         self.worlds[name].place(pose)
 
-    def free_pose(self, name: str, others: Sequence[str] | None = None) -> Pose:
-        """A random pose on the table, away from its edges and from the other objects.
+    def free_pose(
+        self,
+        name: str,
+        others: Sequence[str] | None = None,
+        disc: tuple[float, float, float] | None = None,
+    ) -> Pose:
+        """A random pose on the table, away from its edges and from the other objects; with its
+        centre in a ``disc`` (middle x and y, and radius, m) where one is given.
 
         Raises:
             ValueError: there is no room.
@@ -139,6 +154,8 @@ class Tabletop:
         for _ in range(TRIES):
             x, y = self._random.uniform(-half, half).tolist()
             pose = Pose(x, y, float(self._random.uniform(-math.pi, math.pi)))
+            if disc is not None and math.hypot(x - disc[0], y - disc[1]) > disc[2]:
+                continue
             if all(
                 pose.distance_to(self.worlds[each].pose)
                 >= START_GAP_M + world.solid.reach + self.worlds[each].solid.reach

@@ -100,10 +100,9 @@ class World:
             tangential_stiffness=truth.impact.tangential_stiffness,
             oblique_loss=truth.impact.oblique_loss,
         )
-        self._contact = Contact(
-            Outline(body, offset), body.mass, inertia, striker, law, self._slide.acceleration
-        )
+        self._outline, self._inertia, self._law = Outline(body, offset), inertia, law
         self._body = body
+        self._contact = self._contact_with(striker)
         self.solid = Solid.of(body, offset, inertia)
         """The object as others meet it."""
         self._random = np.random.default_rng(random)
@@ -153,6 +152,16 @@ class World:
         """Go on from here with another motion of the centre of mass: something else was met."""
         self._cut(motion)
 
+    def _contact_with(self, striker: Striker) -> Contact:
+        return Contact(
+            self._outline,
+            self._body.mass,
+            self._inertia,
+            striker,
+            self._law,
+            self._slide.acceleration,
+        )
+
     def reseed(self, seed: int) -> None:
         """Begin the random numbers anew."""
         self._random = np.random.default_rng(seed)
@@ -161,6 +170,13 @@ class World:
         """Put the object somewhere, at rest."""
         self._tap = None
         self._cut(self._centred(pose))
+
+    def take_striker(self, striker: Striker, stroke: float) -> None:
+        """Strike with another striker from now on, with a stroke in m: each of several tappers has
+        its own."""
+        self._stroke = stroke
+        if striker != self._striker:
+            self._striker, self._contact = striker, self._contact_with(striker)
 
     def strike(self, tip: Pose, tip_height: float, speed: float, now: float) -> bool:
         """Release the striker at a true tip pose in ``table`` with a speed in m/s.

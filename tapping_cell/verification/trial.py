@@ -90,6 +90,7 @@ HEARS = {
     "tapper_trigger": (
         "tap_command",
         "arm_state",
+        "tapper_state",
         "plan_state",
         "object_state",
         "object_states",

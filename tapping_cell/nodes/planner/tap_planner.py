@@ -21,7 +21,7 @@ from tapping_cell import messages
 from tapping_cell.configuration.cell import load_cell, load_further_objects
 from tapping_cell.configuration.schema import ConfigurationError, text
 from tapping_cell.logic import effects, stops
-from tapping_cell.logic.goal_handling import GoalHandling
+from tapping_cell.logic.fixed_goal_handling import goal_handling_class
 from tapping_cell.logic.host import Activated, Configured, Deactivated, ShutDown
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, Scene
@@ -66,7 +66,7 @@ class PlannerHost(LogicHost[PlannerLogic]):
                 scene.goal,
                 scene.strike,
                 scene.path,
-                region_marker(goals.map.free.outline()),
+                region_marker(goals.outline()),
                 scene.others,
             )
         )
@@ -123,7 +123,7 @@ class TapPlanner(CellNode[Parameters]):
         cell = load_cell(settings.cell_file or None, settings.object_file or None)
         others = load_further_objects(cell, settings.other_object_files)
         try:
-            goals = GoalHandling(
+            goals = goal_handling_class(cell)(
                 cell,
                 settings.planner,
                 OtherObjects(others, settings.others_memory, settings.moved_limit),

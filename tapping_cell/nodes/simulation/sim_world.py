@@ -24,6 +24,7 @@ from tapping_cell_msgs.srv import ResetWorld
 
 from tapping_cell.configuration.cell import (
     Cell,
+    TapperSection,
     load_cell,
     load_further_objects,
     refuse_own_drivers,
@@ -37,6 +38,7 @@ from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.conversions import from_message, is_finite, to_message
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import SimulatedDevices
+from tapping_cell.simulation.fixed_devices import FixedDevices, numbered
 from tapping_cell.simulation.pacing import Pace
 from tapping_cell.simulation.pseudo_terminal import PortTakenError
 from tapping_cell.simulation.rendered_camera import SceneObject, SceneRenderer
@@ -86,7 +88,7 @@ class SimWorld(CellNode[Parameters]):
         self._truth: TruthFile | None = None
         self._world: Tabletop | None = None
         self._renderer: SceneRenderer | None = None
-        self._devices: SimulatedDevices | None = None
+        self._devices: SimulatedDevices | FixedDevices | None = None
         self._claim: socket.socket | None = None
         self._info = CameraInfo()
         self._lock = threading.Lock()
@@ -137,20 +139,34 @@ class SimWorld(CellNode[Parameters]):
                 "give this one a ROS_DOMAIN_ID or a namespace of its own"
             )
         try:
-            devices = SimulatedDevices(
-                cell,
-                truth.arm,
-                arm_port=self.port_path(settings.arm_port or cell.arm.port),
-                tapper_port=self.port_path(settings.tapper_port or cell.file.tapper.port),
-                on_strike=self._on_strike,
-                seed=settings.seed,
-            )
+            devices = self._make_devices(cell, truth)
         except PortTakenError as error:
             raise NotReady(str(error)) from error
         self._cell, self._truth, self._world, self._devices = cell, truth, world, devices
         self._renderer = renderer
         self._info = images.to_camera_info(cell.camera)
         self._info.header.frame_id = "camera_optical"
+
+    def _make_devices(self, cell: Cell, truth: TruthFile) -> SimulatedDevices | FixedDevices:
+        settings = self.settings
+        if cell.file.arm is None:
+            return FixedDevices(
+                cell,
+                truth.mounts,
+                ports=lambda board, port: self.port_path(
+                    numbered(settings.tapper_port, board) or port
+                ),
+                on_strike=self._on_fixed_strike,
+                seed=settings.seed,
+            )
+        return SimulatedDevices(
+            cell,
+            truth.arm,
+            arm_port=self.port_path(settings.arm_port or cell.arm.port),
+            tapper_port=self.port_path(settings.tapper_port or cell.file.tapper.port),
+            on_strike=self._on_strike,
+            seed=settings.seed,
+        )
 
     def cleanup(self) -> None:
         """Close the ports; the devices are gone."""
@@ -173,6 +189,19 @@ class SimWorld(CellNode[Parameters]):
                 return speed
             self._world.strike(tip, height, speed, now)
             return self._world.gate_speed(speed)
+
+    def _on_fixed_strike(
+        self, tip: Pose, height: float, speed: float, tapper: TapperSection, now: float
+    ) -> tuple[float, float]:
+        """A tapper at a fixed mount was released; called from its emulator's thread."""
+        with self._lock:
+            if self._world is None:
+                return speed, tapper.stroke
+            self._world.advance(now)
+            self._world.take_striker(tapper.striker(), tapper.stroke)
+            travel = min(self._world.travel_to_meet(tip, height, speed), tapper.stroke)
+            self._world.strike(tip, height, speed, now)
+            return self._world.gate_speed(speed), travel
 
     def _expose(self) -> None:
         """Take a picture where one is due; send the one whose latency is over."""
@@ -211,7 +240,7 @@ class SimWorld(CellNode[Parameters]):
         assert self._world is not None and self._truth is not None and self._devices is not None
         self._world.advance(time)
         poses, held = dict(self._world.poses), self._truth.arm.holds
-        if held is not None:
+        if held is not None and isinstance(self._devices, SimulatedDevices):
             poses[next(iter(poses))] = self._devices.tip(time)[0] @ Pose(*held)
         return poses
 
@@ -280,8 +309,11 @@ class SimWorld(CellNode[Parameters]):
             if request.seed:
                 self._world.reseed(request.seed)
             if request.random:
+                fixed = self._cell.file.fixed_tappers
                 try:
-                    pose = self._world.free_pose(name)
+                    pose = self._world.free_pose(
+                        name, disc=None if fixed is None else fixed.working_area
+                    )
                 except ValueError as error:
                     response.message = f"{error}; nothing was moved"
                     return response
