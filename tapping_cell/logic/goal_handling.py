@@ -104,8 +104,7 @@ class GoalHandling:
         self._planned_among = self.others
         self._use_map()
         # Made now, so that a method that must be solved first begins before the first goal.
-<<<<<<< HEAD
-        self._planner_for(cell, cell.tolerance)
+        self._use_method(cell.tolerance)
         self._cells = {
             file.name: replace(cell, object=file) for file in (cell.object, *other_objects.files)
         }
@@ -113,7 +112,9 @@ class GoalHandling:
             file.name: load_gains(file.name, keep_for) if keep_for else Gains.start()
             for file in other_objects.files
         }
-        self._free = self._maps_of_objects() if other_objects.files else {}
+        self._free = (
+            self._maps_of_objects() if other_objects.files and cell.file.arm is not None else {}
+        )
 
     def _maps_of_objects(self) -> dict[str, FreeSpace]:
         """Where each object can be worked on, on the table without the others; objects that differ
@@ -133,8 +134,6 @@ class GoalHandling:
                 self._planner_for(cell, cell.tolerance)
             maps[name] = made[key]
         return maps
-=======
-        self._use_method(cell.tolerance)
 
     # What another kind of cell does otherwise
 
@@ -149,7 +148,7 @@ class GoalHandling:
 
     def _use_method(self, tolerance: tuple[float, float]) -> None:
         """See that there is the planning method (PlanningError)."""
-        self._planner_for(tolerance)
+        self._planner_for(self.cell, tolerance)
 
     def _update(self, task: Task) -> None:
         """Let a task work with the present map."""
@@ -170,7 +169,7 @@ class GoalHandling:
         """What decides on the taps of a goal."""
         return PositioningSession(
             goal,
-            self._planner_for(tolerance),
+            self._planner_for(self.cell, tolerance),
             self.map.space,
             self.map.free,
             self._gains,
@@ -184,7 +183,6 @@ class GoalHandling:
         return self.map.free.outline()
 
     # What every cell does
->>>>>>> main
 
     def update_free_space(self, task: Task, since: float, now: Now) -> tuple[int, str] | None:
         """Let a task work in the space that the other objects leave; or why that is not known: the
@@ -221,11 +219,7 @@ class GoalHandling:
         """
         before, self._planner = self._planner, planner or self.cell.file.goal.planner
         try:
-<<<<<<< HEAD
-            self._planner_for(self.cell, self.cell.tolerance)
-=======
             self._use_method(self.cell.tolerance)
->>>>>>> main
         except ValueError:
             self._planner = before
             raise
@@ -288,20 +282,7 @@ class GoalHandling:
         if unreachable is not None:
             return Refused(REFUSALS[unreachable.reason], unreachable.sentence)
         max_taps = request.max_taps or limit
-<<<<<<< HEAD
-        session = PositioningSession(
-            goal,
-            self._planner_for(self.cell, tolerance),
-            self.map.space,
-            self.map.free,
-            self._gains,
-            adapt=self._adapt,
-            probe=self._probe or request.probe,
-            most_taps=max_taps,
-        )
-=======
         session = self._session(goal, tolerance, max_taps, request.probe)
->>>>>>> main
         expires = now.steady + (request.time_limit or self._time_limit)
         message = request.message
         if message.header.frame_id != TABLE:
@@ -364,6 +345,12 @@ class GoalHandling:
     ) -> ArrangementTask | Refused:
         """A task for an arrangement, or why there is none. Whether its layout can be reached shows
         when every object is seen."""
+        if self.cell.file.arm is None:
+            return Refused(
+                ErrorCode.NO_ARRANGEMENT,
+                "this cell has fixed tappers, which arrange no several objects; use a cell with an"
+                " arm",
+            )
         wanted = self._wanted(asked, now)
         if isinstance(wanted, Refused):
             return wanted

@@ -294,13 +294,10 @@ class TapperLogic(DeviceLogic[State, Event]):
                 self._give_up(gone)
         elif topic == "object_state":
             self._peers.hear_object(message, now)
-<<<<<<< HEAD
         elif topic == "object_states":
             self._peers.hear_objects(message, now)
-=======
         elif topic == "tapper_state":
             self._peers.hear_tapper(message, now)
->>>>>>> main
         elif topic == enabling.TOPIC:
             self._enabling.hear_key(message.data, now)
             self._watch_enabling(now)

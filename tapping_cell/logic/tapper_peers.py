@@ -13,11 +13,14 @@ from tapping_cell.logic.clock import Now
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock
 from tapping_cell.logic.poses import from_message
 from tapping_cell.logic.tap_commands import Trouble
-<<<<<<< HEAD
-from tapping_cell.messages import ArmState, ErrorCode, ObjectState, ObjectStates, PlanState
-=======
-from tapping_cell.messages import ArmState, ErrorCode, ObjectState, PlanState, TapperState
->>>>>>> main
+from tapping_cell.messages import (
+    ArmState,
+    ErrorCode,
+    ObjectState,
+    ObjectStates,
+    PlanState,
+    TapperState,
+)
 from tapping_cell.se2 import Pose
 
 TAPPING = (PlanState.PLACING, PlanState.FIRING)
@@ -112,12 +115,8 @@ class TapperPeers:
         self._phase = PlanState.IDLE
         self._planners_tap = False
         self._picture_at: float | None = None
-<<<<<<< HEAD
         self._object = ""
         self._seen: dict[str, tuple[ObjectState, float]] = {}
-=======
-        self._seen: ObjectState | None = None
-        self._seen_at = -math.inf
         self._mounts: Mounts | None = None
         self._boards: dict[tuple[str, ...], tuple[TapperState, float]] = {}
         self._other_boards: frozenset[tuple[str, ...]] = frozenset()
@@ -133,7 +132,6 @@ class TapperPeers:
         names = tuple(message.tappers)
         if names in self._other_boards:
             self._boards[names] = message, now.steady
->>>>>>> main
 
     def begin_tap(self, object_id: str) -> None:
         """A tap of an object was commanded (empty: the cell's own): whose it is shows in what the
@@ -309,16 +307,12 @@ class TapperPeers:
                 f"the object has not been seen for {unseen:.2f} s (limit {limits.unseen:.2f} s);"
                 " uncover it, or raise unseen_limit where the arm itself covers it",
             )
-<<<<<<< HEAD
-        pose = from_message(seen.pose.pose)
-=======
-        if self._mounts is not None and not self._seen.at_rest:
+        if self._mounts is not None and not seen.at_rest:
             return (
                 ErrorCode.OBJECT_NOT_AT_REST,
                 "the object moves; a fixed tapper fires at an object at rest alone",
             )
-        pose = from_message(self._seen.pose.pose)
->>>>>>> main
+        pose = from_message(seen.pose.pose)
         moved, turned = planned.distance_to(pose), abs(planned.rotation_to(pose))
         if moved <= limits.moved and turned <= limits.turned:
             return None
