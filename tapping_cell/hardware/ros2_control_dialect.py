@@ -144,7 +144,8 @@ class Ros2ControlDialect:
             raise
 
     def _finished(self, expected_end: float, deadline: float) -> AxisReading:
-        while self._link.now() < max(expected_end, self._ends):
+        # The end of the trajectory is known better than that of moves with a stop at each place.
+        while self._link.now() < self._ends:
             self._hear()
             self._check_goal()
         while True:

@@ -34,6 +34,7 @@ from tapping_cell.planning import (
 )
 from tapping_cell.planning.arrangement import Body
 from tapping_cell.planning.gains import NAMES
+from tapping_cell.planning.precision_limit import precision_limit
 from tapping_cell.planning.session import GoalSession
 from tapping_cell.se2 import Array, Pose
 
@@ -264,6 +265,9 @@ class GoalHandling:
         )
         if isinstance(tolerance, Refused):
             return tolerance
+        too_fine = precision_limit(assembly.make_planner_settings(self.cell, tolerance))
+        if too_fine:
+            return Refused(ErrorCode.GOAL_BAD_TOLERANCE, too_fine)
         limit = self.cell.file.goal.max_taps
         if request.max_taps > limit:
             return Refused(
