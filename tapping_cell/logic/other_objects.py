@@ -72,7 +72,8 @@ class OtherObjects:
         return any(area is not None and area not in areas for area in self.areas(now))
 
     def unobserved(self, since: float) -> str:
-        """Names of those that the camera has not looked for since a steady time; "" for none."""
+        """Names of the objects that the camera has not observed since ``since``, a time on the
+        steady clock in s; empty for none."""
         return ", ".join(
             f"'{file.name}'"
             for file in self._files
