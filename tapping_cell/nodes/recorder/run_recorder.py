@@ -508,14 +508,19 @@ class RunRecorder(CellNode[Parameters]):
         try:
             recording.tell(pictures)
         except (OSError, BagError, ValueError) as error:
-            self._complain(f"the run in {recording.folder} is not told in full: {error}")
+            self._complain(f"the summary of the run in {recording.folder} is incomplete: {error}")
 
     def _announce(self, recording: Recording, pictures: bool) -> None:
         """Say that a run folder is complete, once it is."""
         if pictures:
             self._tell(recording, pictures=True)
         self._runs += 1
-        self._last_run.publish(String(data=str(recording.folder)))
+        try:
+            self._last_run.publish(String(data=str(recording.folder)))
+        except RuntimeError:
+            # Ctrl-C has ended the context: nobody hears it, and the folder is complete.
+            if self.context.ok():
+                raise
         self.get_logger().info(f"recorded {recording.folder}")
 
     def _complain(self, sentence: str, expected: bool = False) -> None:
