@@ -351,6 +351,7 @@ def planned_row(plan: PlanState) -> dict[str, object] | None:
         "number": tap.number,
         "waiting": plan.state == PlanState.CONFIRMING,
         "speed": shown(1e3 * tap.striker_speed, 0),
+        "to": triple(after),
         "distance": shown(1e3 * before.distance_to(after), 1),
         "deviation": shown(1e3 * deviation, 1),
         "turn": shown(math.degrees(before.rotation_to(after)), 1),

@@ -27,6 +27,7 @@ class Planned {
     this.answerBy = performance.now() + 1000 * waiting.seconds_left;
     this.tick();
     if (!other) return;
+    card.dataset.tap = waiting.tap_id;
     setText(document.getElementById("planned-answer"), "");
     setText(document.getElementById("planned-title"), `Make tap ${waiting.number}?`);
     setText(document.getElementById("planned-words"), this.words(waiting));
@@ -41,8 +42,9 @@ class Planned {
   words(tap) {
     const why = tap.reason ? ` Why this one: ${tap.reason}.` : "";
     const [distance, angle] = tap.remaining;
+    const [x, y] = tap.to;
     return `The striker at ${tap.speed.toFixed(0)} mm/s moves the object by ${tap.distance.toFixed(1)} \u00b1 ${tap.deviation.toFixed(1)} mm `
-      + `and turns it by ${signed(tap.turn)} \u00b1 ${tap.turn_deviation.toFixed(1)}\u00b0; then ${distance.toFixed(1)} mm and `
+      + `and turns it by ${signed(tap.turn)} \u00b1 ${tap.turn_deviation.toFixed(1)}\u00b0, to x ${signed(x)} mm, y ${signed(y)} mm; then ${distance.toFixed(1)} mm and `
       + `${signed(angle)}\u00b0 are left to the goal.${why}`;
   }
 
