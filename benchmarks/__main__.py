@@ -35,6 +35,7 @@ LONG_SECTIONS = (
     "node",
     "outline",
     "page-stop",
+    "precision",
     "two-computers",
     "unknown-worlds",
     "vision-calibrated",
@@ -71,7 +72,8 @@ def make_parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help="experiments of calibration and lack-of-fit, demos a truth, goals of cycle, losses of "
-        "disarm, scenes of outline, scenes or frames of vision*, seconds of node and idle",
+        "disarm, trials of precision, scenes of outline, scenes or frames of vision*, seconds of "
+        "node and idle",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(

@@ -8,6 +8,11 @@
  *   PB1  carriage at its front end, switch to ground        (D9; spring build)
  *   PB2  enabling switch to ground, pull-up                 (D10; set-up mode)
  *
+ *
+ * With TAPPER_CHANNELS above 1 (solenoid build) D4 enables a 74HC238 decoder whose address is D5 to D7, so
+ * that no two coils can be on at once, whatever the program does; the switches at the mounts, closed to
+ * ground while the striker is back, are A0 to A5 (channels 0 to 5), D9 (6) and D11 (7), with pull-ups.
+ *
  * TAPPER_DRIVE_SPRING: a stepper draws a spring against a latch, the latch is released by a pulse.
  * TAPPER_DRIVE_SOLENOID: a coil drives the striker; the energy is the width of its pulse.
  */
@@ -17,8 +22,18 @@
 #include <avr/wdt.h>
 #include <util/atomic.h>
 
+#include "strikers.h"
 #include "tapper.h"
 
+#ifndef TAPPER_CHANNELS
+#define TAPPER_CHANNELS 1
+#endif
+#if TAPPER_CHANNELS < 1 || TAPPER_CHANNELS > 8
+#error "TAPPER_CHANNELS must be 1 to 8"
+#endif
+#if TAPPER_CHANNELS > 1 && defined(TAPPER_DRIVE_SPRING)
+#error "several channels need the solenoid build"
+#endif
 #if defined(TAPPER_DRIVE_SPRING) == defined(TAPPER_DRIVE_SOLENOID)
 #error "define TAPPER_DRIVE_SPRING or TAPPER_DRIVE_SOLENOID, one of them"
 #endif
@@ -58,6 +73,7 @@ static inline void let_go(void)
 }
 
 static inline void halt_drive(void);
+static inline void watch_strikers(void);
 
 ISR(USART_RX_vect)
 {
@@ -77,6 +93,7 @@ ISR(USART_RX_vect)
 ISR(TIMER0_COMPA_vect)
 {
     milliseconds++;
+    watch_strikers();
     if (PIND & _BV(STOP_LOOP)) {
         stop_seen = wire_seen = true;
         let_go();
@@ -138,6 +155,10 @@ bool board_interlock_closed(void)
 #define LATCH_PULSE_US 20000u
 
 static struct drive drive; /* shared with the interrupts: touched in atomic blocks only */
+
+static inline void watch_strikers(void)
+{
+}
 
 static inline void halt_drive(void)
 {
@@ -205,8 +226,14 @@ void board_home(void)
     }
 }
 
-void board_charge(uint32_t energy_uj)
+uint8_t board_at_mounts(void)
 {
+    return 0;
+}
+
+void board_charge(uint32_t energy_uj, uint8_t channel)
+{
+    (void)channel;
     int16_t steps = (int16_t)steps_for(energy_uj);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
@@ -267,6 +294,88 @@ static const uint32_t TABLE[][2] = {SOLENOID_TABLE};
 
 static uint32_t charged_uj;
 
+#if TAPPER_CHANNELS > 1
+static struct strikers strikers; /* shared with the interrupt: touched in atomic blocks only */
+static uint8_t charged_channel;
+
+/* From the interrupt, 1 kHz. */
+static inline void watch_strikers(void)
+{
+    uint8_t open = (uint8_t)((PINC & 0x3Fu) | ((PINB & _BV(PB1)) ? 0x40u : 0u) |
+                             ((PINB & _BV(PB3)) ? 0x80u : 0u));
+    strikers_tick(&strikers, (uint8_t)~open);
+}
+
+uint8_t board_at_mounts(void)
+{
+    uint8_t home = 0;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        home = strikers.home & strikers.fitted;
+    }
+    return home;
+}
+
+void board_home(void)
+{
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        strikers_prove(&strikers);
+    }
+}
+
+void board_charge(uint32_t energy_uj, uint8_t channel)
+{
+    charged_uj = energy_uj;
+    charged_channel = channel;
+}
+
+enum drive_status board_drive(void)
+{
+    enum drive_status status = DRIVE_UNKNOWN;
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        status = strikers_status(&strikers);
+    }
+    return status;
+}
+
+static void start_drive(void)
+{
+    PORTC = 0x3F;
+    PORTB |= _BV(PB3);
+    strikers_start(&strikers, TAPPER_CHANNELS);
+}
+#else
+static inline void watch_strikers(void)
+{
+}
+
+uint8_t board_at_mounts(void)
+{
+    return 0;
+}
+
+void board_home(void)
+{
+}
+
+void board_charge(uint32_t energy_uj, uint8_t channel)
+{
+    (void)channel;
+    charged_uj = energy_uj;
+}
+
+enum drive_status board_drive(void)
+{
+    return DRIVE_THERE;
+}
+
+static void start_drive(void)
+{
+}
+#endif
+
 static uint16_t width_for(uint32_t energy_uj)
 {
     for (uint8_t row = 1; row < ROWS; row++)
@@ -283,15 +392,6 @@ bool board_can_store(uint32_t energy_uj)
     return energy_uj >= TABLE[0][0] && energy_uj <= TABLE[ROWS - 1][0];
 }
 
-void board_home(void)
-{
-}
-
-void board_charge(uint32_t energy_uj)
-{
-    charged_uj = energy_uj;
-}
-
 void board_discharge(void)
 {
     let_go();
@@ -302,25 +402,33 @@ void board_halt(void)
     let_go();
 }
 
-enum drive_status board_drive(void)
-{
-    return DRIVE_THERE;
-}
-
 enum tapper_release board_release(uint32_t deadline)
 {
+#if TAPPER_CHANNELS > 1
+    /* The release is off: the decoder may be addressed. */
+    PORTD = (uint8_t)((PORTD & ~(7u << STEP)) | (uint8_t)(charged_channel << STEP));
+    enum tapper_release outcome = pulse(width_for(charged_uj), deadline);
+    if (outcome == RELEASE_BEGUN)
+        ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+        {
+            strikers_released(&strikers, charged_channel);
+        }
+    return outcome;
+#else
     return pulse(width_for(charged_uj), deadline);
+#endif
 }
 
 static inline void halt_drive(void)
 {
 }
 
-static void start_drive(void)
-{
-}
-
 #endif
+
+uint8_t board_channels(void)
+{
+    return TAPPER_CHANNELS;
+}
 
 bool board_releasing(void)
 {

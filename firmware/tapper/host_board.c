@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "carriage.h"
+#include "strikers.h"
 #include "tapper.h"
 
 #define PULSE_MS 20u
@@ -17,6 +18,12 @@ static uint32_t clock_ms, pulse_until, boot_number;
 static uint32_t releases;
 static double released_from;
 static bool pulsing;
+/* Coils at fixed mounts in the place of the spring: 0 for none. */
+static uint8_t coils, charged_channel;
+static struct strikers strikers;
+static uint32_t flight_ms = 300;
+static uint32_t leaves_at[8], returns_at[8];
+static uint8_t blocked, stuck_closed, pulled;
 static uint64_t kept;
 static char output[1 << 14];
 static size_t written;
@@ -27,25 +34,54 @@ static long steps_for(uint32_t energy_uj)
 {
     return lround(STEPS_PER_ROOT_MJ * sqrt(energy_uj * 1e-3));
 }
+uint8_t board_channels(void) { return coils ? coils : 1; }
+uint8_t board_at_mounts(void) { return coils ? strikers.home & strikers.fitted : 0; }
+static uint8_t switches(void)
+{
+    uint8_t closed = 0;
+    for (uint8_t i = 0; i < coils; i++) {
+        bool out = (int32_t)(clock_ms - leaves_at[i]) >= 0 && (int32_t)(returns_at[i] - clock_ms) > 0;
+        closed |= (uint8_t)((out ? 0u : 1u) << i);
+    }
+    return (uint8_t)((closed & ~pulled) | stuck_closed);
+}
 bool board_can_store(uint32_t energy_uj)
 {
+    if (coils)
+        return energy_uj >= 20;
     long steps = steps_for(energy_uj);
     double stored = 1e3 * (steps / STEPS_PER_ROOT_MJ) * (steps / STEPS_PER_ROOT_MJ);
     return steps > 0 && steps <= LONGEST_DRAW_STEPS && fabs(stored - energy_uj) <= 0.03 * energy_uj;
 }
-void board_home(void) { drive_home(&drive); }
-void board_charge(uint32_t energy_uj) { drive_out(&drive, (int16_t)steps_for(energy_uj)); }
+void board_home(void)
+{
+    if (coils)
+        strikers_prove(&strikers);
+    else
+        drive_home(&drive);
+}
+void board_charge(uint32_t energy_uj, uint8_t channel)
+{
+    charged_channel = channel;
+    if (!coils)
+        drive_out(&drive, (int16_t)steps_for(energy_uj));
+}
 void board_discharge(void)
 {
     pulsing = false;
-    drive_back(&drive);
+    if (!coils)
+        drive_back(&drive);
 }
 void board_halt(void)
 {
     pulsing = false;
-    drive_halt(&drive);
+    if (!coils)
+        drive_halt(&drive);
 }
-enum drive_status board_drive(void) { return drive_status(&drive); }
+enum drive_status board_drive(void)
+{
+    return coils ? strikers_status(&strikers) : drive_status(&drive);
+}
 enum tapper_release board_release(uint32_t deadline)
 {
     if (!tapper_in_window(deadline, clock_ms))
@@ -56,6 +92,13 @@ enum tapper_release board_release(uint32_t deadline)
     released_from = carriage.place;
     pulsing = true;
     pulse_until = clock_ms + PULSE_MS;
+    if (coils) {
+        strikers_released(&strikers, charged_channel);
+        if (!(blocked & (1u << charged_channel))) {
+            leaves_at[charged_channel] = clock_ms + 2;
+            returns_at[charged_channel] = clock_ms + flight_ms;
+        }
+    }
     return RELEASE_BEGUN;
 }
 bool board_releasing(void) { return pulsing; }
@@ -84,6 +127,8 @@ static void millisecond(void)
             carriage_step(&carriage, outputs & DRIVE_OUTWARD);
         carriage_wait(&carriage, 125);
     }
+    if (coils)
+        strikers_tick(&strikers, switches());
     if (pulsing && clock_ms == pulse_until)
         pulsing = false;
     if (wire_open)
@@ -107,8 +152,22 @@ void host_reset(uint32_t boot, uint64_t used, uint32_t now)
     kept = used;
     pulsing = false;
     drive_start(&drive);
+    if (coils)
+        strikers_start(&strikers, coils);
     tapper_start(&tapper, boot, used, now);
 }
+/* From the next start on: a board with so many coils; 0 for one spring. */
+void host_coils(int count) { coils = (uint8_t)count; }
+/* From a release to the striker's return; masks of strikers that do not move when released, that were
+ * pulled off their mounts, and of switches that are stuck closed. */
+void host_strikers(int flight, int do_not_move, int are_pulled, int switches_stuck)
+{
+    flight_ms = (uint32_t)flight;
+    blocked = (uint8_t)do_not_move;
+    pulled = (uint8_t)are_pulled;
+    stuck_closed = (uint8_t)switches_stuck;
+}
+int host_channel(void) { return charged_channel; }
 /* Another board with another carriage, `place` steps out. */
 void host_start(uint32_t boot, uint64_t used, uint32_t now, double place, uint32_t seed)
 {
@@ -117,6 +176,11 @@ void host_start(uint32_t boot, uint64_t used, uint32_t now, double place, uint32
     written = 0;
     output[0] = 0;
     carriage_start(&carriage, place, seed);
+    memset(leaves_at, 0, sizeof leaves_at);
+    memset(returns_at, 0, sizeof returns_at);
+    for (uint8_t i = 0; i < 8; i++)
+        leaves_at[i] = returns_at[i] = now;
+    host_strikers(300, 0, 0, 0);
     host_reset(boot, used, now);
 }
 void host_receive(const uint8_t *data, uint32_t length, uint32_t now)

@@ -185,6 +185,9 @@ void tapper_poll(struct tapper *t, uint32_t now)
     case TAPPER_DISCHARGING:
         settle(t, TAPPER_SAFE, TAPPER_DISCHARGING);
         break;
+    case TAPPER_SAFE: /* a striker may be pulled off its mount by hand */
+        settle(t, TAPPER_SAFE, TAPPER_SAFE);
+        break;
     default:
         break;
     }
@@ -217,6 +220,12 @@ static void reply(struct tapper *t, char *to, uint16_t session, uint16_t sequenc
     at = put_number(at, now);
     at = put_text(at, t->setup ? ",SETUP," : ",RUN,");
     *at++ = board_enabled() ? '1' : '0';
+    *at++ = ',';
+    at = put_number(at, t->channel);
+    *at++ = ',';
+    at = put_number(at, board_channels());
+    *at++ = ',';
+    at = put_number(at, board_at_mounts());
     if (strcmp(result, "WELCOME") == 0) {
         *at++ = ',';
         at = put_text(at, TAPPER_VERSION);
@@ -243,7 +252,7 @@ static const char *home(struct tapper *t)
 }
 
 static const char *charge(struct tapper *t, uint64_t shot, uint64_t energy, uint64_t timeout,
-                          uint32_t now)
+                          uint64_t channel, uint32_t now)
 {
     if (t->state == TAPPER_STOPPED)
         return "STOPPED";
@@ -260,9 +269,12 @@ static const char *charge(struct tapper *t, uint64_t shot, uint64_t energy, uint
     if (energy == 0 || energy > TAPPER_MAX_ENERGY_UJ || timeout == 0 ||
         timeout > TAPPER_MAX_TIMEOUT_MS || !board_can_store((uint32_t)energy))
         return "RANGE";
+    if (channel >= board_channels())
+        return "CHANNEL";
     if (too_much_for_setup(t, energy))
         return "NOT_ENABLED";
     t->shot = shot;
+    t->channel = (uint8_t)channel;
     t->energy_uj = (uint32_t)energy;
     t->timeout_ms = (uint32_t)timeout;
     t->charged_at = now;
@@ -270,7 +282,7 @@ static const char *charge(struct tapper *t, uint64_t shot, uint64_t energy, uint
     /* Kept before it is charged: after a reset this shot may have been fired. */
     board_keep_used(shot);
     t->state = TAPPER_CHARGING;
-    board_charge(t->energy_uj);
+    board_charge(t->energy_uj, t->channel);
     return "OK";
 }
 
@@ -280,7 +292,7 @@ bool tapper_in_window(uint32_t deadline, uint32_t now)
     return ahead != 0 && ahead <= TAPPER_LONGEST_WINDOW_MS;
 }
 
-static const char *fire(struct tapper *t, uint64_t shot, uint64_t deadline)
+static const char *fire(struct tapper *t, uint64_t shot, uint64_t deadline, uint64_t channel)
 {
     if (shot != 0 && shot == t->fired)
         return "FIRED";
@@ -290,6 +302,8 @@ static const char *fire(struct tapper *t, uint64_t shot, uint64_t deadline)
         return "INTERLOCK";
     if (shot != t->shot || t->state != TAPPER_CHARGED)
         return shot < t->shot ? "SPENT" : "NOT_CHARGED";
+    if (channel != t->channel)
+        return "CHANNEL";
     if (deadline > UINT32_MAX)
         return "UNKNOWN";
     switch (board_release((uint32_t)deadline)) {
@@ -332,7 +346,7 @@ static bool is_word(const char **from, const char *word)
 
 static const char *act(struct tapper *t, const char *at, uint32_t now)
 {
-    uint64_t numbers[3];
+    uint64_t numbers[4] = {0};
     uint8_t count = 0;
     uint8_t command;
     static const char *const WORDS[] = {"HELLO", "STATUS",    "HOME", "DISCHARGE", "CLEAR",
@@ -353,10 +367,12 @@ static const char *act(struct tapper *t, const char *at, uint32_t now)
     }
     while (*at == ',') {
         at++;
-        if (count == 3 || !take_number(&at, 20, &numbers[count++]))
+        if (count == 4 || !take_number(&at, 20, &numbers[count++]))
             return "UNKNOWN";
     }
-    if (*at || count != ARGUMENTS[command])
+    /* A channel may follow the arguments of FIRE and CHARGE; channel 0 where none does. */
+    bool names_channel = command >= 5 && count == ARGUMENTS[command] + 1;
+    if (*at || (count != ARGUMENTS[command] && !names_channel))
         return "UNKNOWN";
     switch (command) {
     case 0:
@@ -369,9 +385,9 @@ static const char *act(struct tapper *t, const char *at, uint32_t now)
     case 4:
         return clear(t);
     case 5:
-        return fire(t, numbers[0], numbers[1]);
+        return fire(t, numbers[0], numbers[1], names_channel ? numbers[2] : 0);
     case 6:
-        return charge(t, numbers[0], numbers[1], numbers[2], now);
+        return charge(t, numbers[0], numbers[1], numbers[2], names_channel ? numbers[3] : 0, now);
     default:
         return "OK";
     }

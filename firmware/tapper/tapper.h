@@ -12,7 +12,7 @@
 
 #include "drive.h"
 
-#define TAPPER_VERSION "2.0.0"
+#define TAPPER_VERSION "2.1.0"
 #define TAPPER_SILENCE_MS 500u        /* without a valid frame a charged tapper discharges */
 #define TAPPER_LONGEST_WINDOW_MS 100u /* a FIRE with a deadline further ahead is refused */
 #define TAPPER_PRESS_MS 500u          /* shortest press of the clear button that counts */
@@ -21,7 +21,7 @@
 #define TAPPER_MAX_TIMEOUT_MS 10000u
 #define TAPPER_MAX_JUMP 4294967296ull /* greatest distance of a shot number from the last one */
 #define TAPPER_LINE 64
-#define TAPPER_REPLY 176
+#define TAPPER_REPLY 192
 
 #ifndef TAPPER_MAX_ENERGY_UJ
 #define TAPPER_MAX_ENERGY_UJ 1000000ul
@@ -52,6 +52,7 @@ struct tapper {
     bool setup;             /* set-up mode: little energy unless the enabling switch is held */
     uint64_t shot;          /* charged or charged last, in earlier boots too: the greatest used */
     uint64_t fired;         /* last fired in this boot; 0: none */
+    uint8_t channel;        /* of that shot */
     uint32_t energy_uj;
     uint32_t speed_um_s;    /* of the last shot; 0: not measured */
     uint32_t boot;
@@ -97,7 +98,10 @@ bool board_interlock_closed(void);
 bool board_enabled(void);              /* the enabling switch is held */
 bool board_can_store(uint32_t energy_uj);
 void board_home(void);                 /* begin to look for the front switch */
-void board_charge(uint32_t energy_uj); /* begin to charge */
+uint8_t board_channels(void);          /* tappers on this board */
+uint8_t board_at_mounts(void);         /* mask of the channels whose striker closes the switch at its
+                                          mount; 0 where no switches are fitted */
+void board_charge(uint32_t energy_uj, uint8_t channel); /* begin to charge */
 void board_discharge(void);            /* begin to let the energy go without a release; the release
                                           output is off; nothing moves while the place is unknown */
 void board_halt(void);                 /* motor and release off at once; the place is unknown then */

@@ -6,8 +6,12 @@
 #include <string.h>
 
 #include "carriage.h"
+#include "strikers.h"
 #include "tapper.h"
 
+void host_coils(int count);
+void host_strikers(int flight, int do_not_move, int are_pulled, int switches_stuck);
+int host_channel(void);
 void host_start(uint32_t boot, uint64_t used, uint32_t now, double place, uint32_t seed);
 void host_reset(uint32_t boot, uint64_t used, uint32_t now);
 void host_run(uint32_t now);
@@ -120,7 +124,7 @@ static void test_one_shot(void)
     char first[200], again[80];
     homed();
     CHECK(strstr(ask("HELLO"), ",WELCOME,SAFE,0,0,1,0,0,0,3,"));
-    CHECK(strstr(ask("STATUS"), ",SETUP,0*"));
+    CHECK(strstr(ask("STATUS"), ",SETUP,0,0,1,0*"));
     charged(9);
     uint32_t before = host_releases();
     snprintf(again, sizeof again, "7,%u,FIRE,9,%lu", sequence + 1u, (unsigned long)(now + 40));
@@ -438,7 +442,7 @@ static void test_setup_mode(void)
 {
     homed();
     CHECK(strstr(ask("MODE,SETUP"), ",OK,"));
-    CHECK(strstr(ask("STATUS"), ",SETUP,0*"));
+    CHECK(strstr(ask("STATUS"), ",SETUP,0,0,1,0*"));
     CHECK(strstr(ask("CHARGE,1,5001,3000"), ",NOT_ENABLED,SAFE,0,"));
     CHECK(strstr(ask("CHARGE,1,5000,3000"), ",OK,CHARGING,"));
     CHECK(strstr(ask("DISCHARGE"), ",OK,"));
@@ -446,7 +450,7 @@ static void test_setup_mode(void)
     host_enabling(1);
     CHECK(strstr(ask("CHARGE,2,12500,3000"), ",OK,CHARGING,"));
     keep(400);
-    CHECK(strstr(ask("STATUS"), ",CHARGED,2,12500,1,0,0,0,3,") && strstr(host_output(), ",SETUP,1*"));
+    CHECK(strstr(ask("STATUS"), ",CHARGED,2,12500,1,0,0,0,3,") && strstr(host_output(), ",SETUP,1,0,1,0*"));
     host_enabling(0);
     pass(2);
     CHECK(host_state() == TAPPER_DISCHARGING);
@@ -543,7 +547,7 @@ static void test_frames(void)
     host_start(5, 0, now, 0.0, 1);
     greet();
     static const char *const BODIES[] = {
-        "CHARGE,9,12500", "CHARGE,9,12500,3000,1", "CHARGE,9,,3000", "CHARGE,x,1,1", "FIRE",
+        "CHARGE,9,12500", "CHARGE,9,12500,3000,1,1", "CHARGE,9,,3000", "CHARGE,x,1,1", "FIRE",
         "FIRE,9", "FIRE,99999999999999999999,1", "FIREX,1,1", "", "STATUS,", "ARM,9,12500,3000",
     };
     for (unsigned i = 0; i < sizeof BODIES / sizeof BODIES[0]; i++) {
@@ -572,6 +576,103 @@ static void test_frames(void)
     CHECK(strstr(send("12,1,HELLO"), ",WELCOME,"));
 }
 
+/* Eight coils at fixed mounts. */
+static void coils_homed(void)
+{
+    host_coils(8);
+    host_start(3, 0, now, 0.0, 1);
+    greet();
+    CHECK(host_state() == TAPPER_UNHOMED);
+    CHECK(strstr(ask("CHARGE,1,12500,3000,2"), ",NOT_HOMED,"));
+    pass(10);
+    CHECK(strstr(ask("HOME"), ",OK,SAFE,"));
+    CHECK(strstr(ask("STATUS"), ",RUN,0,0,8,255*"));
+}
+
+static void coil_charged(unsigned shot, unsigned channel)
+{
+    char words[60];
+    snprintf(words, sizeof words, "CHARGE,%u,12500,3000,%u", shot, channel);
+    CHECK(strstr(ask(words), ",OK,CHARGING,"));
+    pass(2);
+    CHECK(host_state() == TAPPER_CHARGED);
+}
+
+static const char *coil_fire(unsigned shot, unsigned channel)
+{
+    char words[60];
+    snprintf(words, sizeof words, "FIRE,%u,%lu,%u", shot, (unsigned long)(uint32_t)(now + 40), channel);
+    return ask(words);
+}
+
+static void test_channels(void)
+{
+    coils_homed();
+    CHECK(strstr(ask("CHARGE,1,12500,3000,8"), ",CHANNEL,SAFE,0,"));
+    for (unsigned channel = 0; channel < 8; channel++) {
+        coil_charged(channel + 1, channel);
+        CHECK(strstr(coil_fire(channel + 1, (channel + 1) % 8), ",CHANNEL,CHARGED,"));
+        CHECK(strstr(coil_fire(channel + 1, channel), ",FIRED,RELEASING,"));
+        CHECK(host_channel() == (int)channel);
+        pass(100);
+        CHECK(host_state() == TAPPER_DISCHARGING);
+        char away[40], words[60];
+        snprintf(away, sizeof away, ",%u,8,%u*", channel, 255u & ~(1u << channel));
+        CHECK(strstr(ask("STATUS"), away));
+        /* Nobody else is charged while a striker is out. */
+        snprintf(words, sizeof words, "CHARGE,%u,12500,3000,%u", channel + 2, (channel + 3) % 8);
+        CHECK(strstr(ask(words), ",BUSY,"));
+        keep(300);
+        CHECK(host_state() == TAPPER_SAFE);
+    }
+    /* A board without the words for channels: the first one. */
+    CHECK(strstr(ask("CHARGE,20,12500,3000"), ",OK,"));
+    pass(2);
+    CHECK(strstr(fire(20, 40), ",FIRED,"));
+    CHECK(host_channel() == 0);
+    keep(500);
+    CHECK(host_state() == TAPPER_SAFE);
+}
+
+static void test_strikers_that_fail(void)
+{
+    coils_homed();
+    host_strikers(300, 1 << 3, 0, 0); /* blocked: it does not leave its switch */
+    coil_charged(1, 3);
+    CHECK(strstr(coil_fire(1, 3), ",FIRED,"));
+    keep(STRIKER_LEAVE_MS + 50);
+    CHECK(host_state() == TAPPER_UNHOMED);
+    host_strikers(300, 0, 0, 0);
+    CHECK(strstr(ask("HOME"), ",OK,SAFE,"));
+
+    host_strikers(100000, 0, 0, 0); /* stays out */
+    coil_charged(2, 4);
+    CHECK(strstr(coil_fire(2, 4), ",FIRED,"));
+    keep(STRIKER_RETURN_MS - 100);
+    CHECK(host_state() == TAPPER_DISCHARGING);
+    keep(200);
+    CHECK(host_state() == TAPPER_UNHOMED);
+    CHECK(strstr(ask("CHARGE,3,12500,3000,5"), ",NOT_HOMED,"));
+    CHECK(strstr(ask("HOME"), ",OK,UNHOMED,"));
+
+    coils_homed();
+    host_strikers(300, 0, 1 << 6, 0); /* another one is pulled off its mount while charged */
+    coil_charged(4, 2);
+    pass(10);
+    CHECK(host_state() == TAPPER_UNHOMED);
+    CHECK(strstr(coil_fire(4, 2), ",NOT_CHARGED,"));
+    host_strikers(300, 0, 0, 0);
+    pass(10);
+    CHECK(strstr(ask("HOME"), ",OK,SAFE,"));
+
+    host_strikers(300, 0, 0, 1 << 1); /* a switch that is stuck closed */
+    coil_charged(5, 1);
+    CHECK(strstr(coil_fire(5, 1), ",FIRED,"));
+    keep(STRIKER_LEAVE_MS + 50);
+    CHECK(host_state() == TAPPER_UNHOMED);
+    host_coils(0);
+}
+
 int main(void)
 {
     CHECK(tapper_crc("123456789", 9) == 0x29B1);
@@ -588,6 +689,8 @@ int main(void)
     test_random_resets();
     test_random_delays();
     test_frames();
+    test_channels();
+    test_strikers_that_fail();
     printf("tapper firmware: %d checks passed\n", checks);
     return 0;
 }

@@ -135,6 +135,8 @@ def _describe_arm(
     if not _has_state_publisher():
         return [LogInfo(msg="robot_state_publisher is not installed: no robot_description")]
     cell = load_cell(cell_file or None)
+    if cell.arm.chain() is not None:
+        return [LogInfo(msg="the arm has a URDF of its own, which its own driver describes")]
     return [
         Node(
             package="robot_state_publisher",

@@ -165,6 +165,10 @@ def _check_named(document: Mapping[Any, Any], path: Path, found: Findings) -> li
     ):
         if isinstance(document.get(key), str):
             named += check(path.parent / document[key], kind)
+    further = document.get("objects")
+    for entry in further if isinstance(further, list) else ():
+        if isinstance(entry, str):
+            named += check(path.parent / entry, "object")
     if not found.errors and not any(entry.errors for entry in named):
         try:
             errors, warnings = conflicts(load_cell(path))

@@ -27,9 +27,9 @@ from tapping_cell.cli import argument_types, session
 from tapping_cell.cli.errors import tell_error, tell_refusal
 from tapping_cell.cli.graph import (
     RECORDER,
-    SIMULATED,
     Graph,
     GraphError,
+    nodes_of,
     own_domain,
     with_own_ports,
 )
@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(f"run folder {folder}; watch it with ROS_DOMAIN_ID={domain.number}")
     parameters = node_parameters(arguments, cell)
     parameters[RECORDER] |= {"folder": folder.parent, "name": folder.name}
-    nodes = (*SIMULATED, RECORDER)
+    nodes = (*nodes_of(cell, hardware=False), RECORDER)
     try:
         with (
             tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports,

@@ -24,7 +24,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from tapping_cell.cli.errors import tell_error
-from tapping_cell.configuration.arm_assembly import make_dialect
+from tapping_cell.configuration.arm_assembly import joint_accelerations, make_dialect
 from tapping_cell.configuration.cell import (
     ArmSection,
     Cell,
@@ -119,7 +119,7 @@ def _connection(arm: ArmSection) -> Iterator[SerialTransport | RosTrajectoryLink
     rclpy.init()
     try:
         node = Node("doctor")
-        link = RosTrajectoryLink(node, arm.ros2_control, arm.max_acceleration)
+        link = RosTrajectoryLink(node, arm.ros2_control, joint_accelerations(arm))
         try:
             yield link
         finally:

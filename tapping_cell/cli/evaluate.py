@@ -11,6 +11,12 @@ goals that cannot be reached must be refused before the first tap. A cell with f
 evaluated on its own working area, a row of the table for each of --start-angles:
 
   python -m tapping_cell evaluate --cell config/positioning_cell/cell.yaml --camera-noise 0.05 0.05
+
+A sweep evaluates every point of a grid of parameters, on all cores, and goes on where it was
+interrupted:
+
+  python -m tapping_cell evaluate --model physics --sweep friction=0.1:0.4:7 tolerance=1,0.3 \\
+      --report sweep
 """
 
 from __future__ import annotations
@@ -33,6 +39,7 @@ from tapping_cell.cli.errors import tell_refusal
 from tapping_cell.cli.evaluate_fixed import add_fixed_arguments, run_fixed
 
 if TYPE_CHECKING:
+    from tapping_cell.cli.sweep import Point
     from tapping_cell.configuration.cell import Cell
     from tapping_cell.planning.evaluation import Evaluation, PhysicsWorld, Results
     from tapping_cell.planning.evaluation.worlds import World
@@ -176,6 +183,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="object file that the true parameters start from, where the planner believes another "
         "(physics; --object)",
     )
+    numbers(
+        "--true-friction",
+        type=float,
+        metavar="MU",
+        help="true coefficient of friction, instead of that of --truth (physics)",
+    )
+    numbers(
+        "--sweep",
+        nargs="+",
+        metavar="NAME=VALUES",
+        help="evaluate over a grid: friction=0.1:0.4:7 (first, last, number) tolerance=1,0.3 "
+        "(values); with --report, where an interrupted sweep goes on",
+    )
     add_fixed_arguments(parser)
     several = parser.add_argument_group(
         "several objects", "each to its place, with truth kept; --trials counts scenes"
@@ -211,7 +231,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     numbers("--seed", type=argument_types.seed, default=0, help="of the random numbers (0)")
     numbers("--processes", type=int, metavar="N", help="default: one a core")
     parser.add_argument("--json", action="store_true", help="print JSON")
-    numbers("--report", type=Path, metavar="DIR", help="write a table and plots (with --all)")
+    numbers("--report", type=Path, metavar="DIR", help="write a table and plots (--all, --sweep)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -224,14 +244,18 @@ def run(arguments: argparse.Namespace) -> int:
 
     try:
         fixed = _fixed_cell(arguments)
+        if arguments.sweep and (fixed is not None or arguments.arrange is not None):
+            raise PlanningError("--sweep is for one object and an arm; leave --arrange out")
         if fixed is not None:
             return run_fixed(arguments, fixed)
         if arguments.arrange is not None:
             return _arrange(arguments)
+        if arguments.sweep:
+            return _sweep(arguments)
         if arguments.all:
             return _compare(arguments)
         if arguments.report is not None:
-            raise PlanningError("--report compares all methods: give --all with it")
+            raise PlanningError("--report is for several evaluations: give --all or --sweep")
         evaluation = make_evaluation(arguments, arguments.planner)
         figures = measure(arguments, evaluation)
     except (PlanningError, ConfigurationError, MechanicsError) as error:
@@ -282,6 +306,8 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
             space = functools.partial(_cell_space, arguments.cell, arguments.object)
     if arguments.model == "abstract" and (arguments.round_position or arguments.round_angle):
         raise PlanningError("rounding moves the striker: give --model physics or world with it")
+    if arguments.model != "physics" and arguments.true_friction is not None:
+        raise PlanningError("a true friction needs the closed forms: give --model physics with it")
     tasks = arguments.random_tasks
     if tasks is not None and len(tasks) not in (0, 2):
         raise PlanningError(
@@ -368,6 +394,7 @@ def _physics(arguments: argparse.Namespace, cell: Any, scatter: Any) -> PhysicsW
     from tapping_cell.configuration.files import shared_folder
     from tapping_cell.configuration.objects import load_object
     from tapping_cell.configuration.schema import ConfigurationError, load
+    from tapping_cell.planning import PlanningError
     from tapping_cell.planning.evaluation import PhysicsWorld
     from tapping_cell.simulation.truth import TruthFile
 
@@ -388,9 +415,17 @@ def _physics(arguments: argparse.Namespace, cell: Any, scatter: Any) -> PhysicsW
         restitution=min(1.0, known.restitution * truth.impact.restitution_factor),
         contact_friction=known.contact_friction * truth.impact.contact_friction_factor,
     )
+    if arguments.true_friction is not None:
+        if not 0.0 < arguments.true_friction <= 2.0:
+            raise PlanningError(
+                f"the true friction is {arguments.true_friction:g}; it must be above 0 and at "
+                "most 2"
+            )
+        actual = replace(actual, friction=arguments.true_friction)
+    model, answers = make_tap(cell), actual.tap(cell.file.tapper.striker())
     return PhysicsWorld(
-        model=replace(make_tap(cell), smallest_distance=0.0),
-        truth=actual.tap(cell.file.tapper.striker()),
+        model=replace(model, sliding=model.sliding.tabulated(), smallest_distance=0.0),
+        truth=replace(answers, sliding=answers.sliding.tabulated()),
         scatter=scatter,
         standoff=cell.file.tapper.standoff,
         round_position=1e-3 * arguments.round_position,
@@ -423,7 +458,7 @@ def _simulated(arguments: argparse.Namespace, cell: Any) -> World:
 
 
 def _inputs(arguments: argparse.Namespace) -> dict[str, Any]:
-    left_out = {"json", "report", "processes", "verb"}
+    left_out = {"json", "report", "processes", "verb", "sweep"}
     return {
         name: str(value) if isinstance(value, Path) else value
         for name, value in sorted(vars(arguments).items())
@@ -477,6 +512,60 @@ def _text(planner: str, figures: dict[str, Any]) -> str:
         if figures[key]:
             lines.append(f"  {label:<17} {figures[key]}")
     return "\n".join(lines)
+
+
+def _sweep(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from tapping_cell.cli import sweep
+    from tapping_cell.planning import PlanningError
+    from tapping_cell.report.sweep import sweep_table, write_sweep
+
+    if arguments.report is None or arguments.all:
+        raise PlanningError("--sweep writes a folder: give --report DIR with it, and not --all")
+    axes = sweep.read_axes(arguments.sweep)
+    points = list(sweep.grid(axes))
+    for point in points:
+        # What is wrong is said before the first trial.
+        chosen = sweep.arguments_at(arguments, point)
+        make_evaluation(chosen, chosen.planner)
+    kept = sweep.KeptPoints(arguments.report, _inputs(arguments))
+    run_point = functools.partial(_measure_point, arguments)
+    with Progress(
+        console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
+    ) as bar:
+        task = bar.add_task("sweep", total=len(points))
+        try:
+            rows = sweep.sweep(
+                points, kept, run_point, arguments.processes, lambda count: bar.advance(task, count)
+            )
+        except KeyboardInterrupt:
+            bar.stop()
+            done = sum(kept.get(point) is not None for point in points)
+            print(
+                f"interrupted: {done} of {len(points)} points are kept in {arguments.report}; the "
+                "same command goes on from there",
+                file=sys.stderr,
+            )
+            raise
+    write_sweep(arguments.report, rows)
+    if arguments.json:
+        print(json.dumps([{"point": point, "figures": figures} for point, figures in rows]))
+    else:
+        print(sweep_table(rows))
+        print(f"report in {arguments.report}")
+    return 0
+
+
+def _measure_point(arguments: argparse.Namespace, point: Point) -> dict[str, Any]:
+    """One point of a sweep, in a process of its own."""
+    from tapping_cell.cli import sweep
+
+    chosen = sweep.arguments_at(arguments, point)
+    # The points share the cores, and the bar is that of the whole sweep.
+    chosen.processes, chosen.json = 1, True
+    return measure(chosen, make_evaluation(chosen, chosen.planner))
 
 
 def _compare(arguments: argparse.Namespace) -> int:

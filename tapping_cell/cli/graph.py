@@ -17,11 +17,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
+from tapping_cell.configuration.cell import Cell
 from tapping_cell.nodes import MODULES, security
 from tapping_cell.nodes.cell_identity import STATE, cell_key, claim
 
 SIMULATED = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 HARDWARE = ("overhead_camera", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
+
+FIRST_TRIGGER = "tapper_trigger"
 
 RECORDER = "run_recorder"
 """Records every goal; the cell works without it, so that its end does not end the graph."""
@@ -39,6 +42,19 @@ OWN_DOMAINS = range(1, 102)
 """Domains that clear the ephemeral ports of Linux; 0 is everybody's."""
 
 _PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux' prctl(2)
+
+
+def nodes_of(cell: Cell, *, hardware: bool) -> tuple[str, ...]:
+    """The nodes of a cell: an arm's driver where there is one, a ``tapper_trigger`` a board."""
+    nodes: tuple[str, ...] = HARDWARE if hardware else SIMULATED
+    if cell.file.arm is None:
+        nodes = tuple(name for name in nodes if name != "scara_arm")
+    return (*nodes, *(trigger(board) for board in range(1, len(cell.boards))))
+
+
+def trigger(board: int) -> str:
+    """The name of the node that drives a board."""
+    return f"{FIRST_TRIGGER}_{board}" if board else FIRST_TRIGGER
 
 
 class GraphError(RuntimeError):
@@ -141,9 +157,13 @@ class Graph:
         self.stop()
 
     def _start(self, name: str) -> Child:
-        command = [sys.executable, "-m", MODULES[name], "--ros-args"]
+        of_board = name.removeprefix(f"{FIRST_TRIGGER}_")
+        kind = FIRST_TRIGGER if of_board != name else name
+        command = [sys.executable, "-m", MODULES[kind], "--ros-args"]
+        if kind != name:
+            command += ["-r", f"__node:={name}", "-p", f"board:={of_board}"]
         if security.is_enabled(self._environment):
-            command += ["--enclave", security.enclave_of(name)]
+            command += ["--enclave", security.enclave_of(kind)]
         if self._namespace:
             command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
             # Two cells have the same names of frames: each keeps its own.
@@ -259,8 +279,11 @@ def with_own_ports(
     in it, so that its arm homes by itself."""
     own = {name: dict(values) for name, values in parameters.items()}
     own["sim_world"] |= {"arm_port": ports / "arm", "tapper_port": ports / "tapper"}
-    own["scara_arm"] |= {"port": ports / "arm", "home_on_activate": True}
-    own["tapper_trigger"]["port"] = ports / "tapper"
+    if "scara_arm" in own:
+        own["scara_arm"] |= {"port": ports / "arm", "home_on_activate": True}
+    for name in own:
+        if name.startswith(FIRST_TRIGGER):
+            own[name]["port"] = ports / name.replace(FIRST_TRIGGER, "tapper")
     return own
 
 

@@ -25,12 +25,13 @@ from rich.markup import escape
 from tapping_cell.cli import argument_types, start_up
 from tapping_cell.cli.errors import ExitStatus, tell_error, tell_refusal
 from tapping_cell.cli.graph import (
-    HARDWARE,
+    FIRST_TRIGGER,
     RECORDER,
-    SIMULATED,
     Graph,
     GraphError,
     domain_number,
+    nodes_of,
+    trigger,
     with_own_ports,
 )
 from tapping_cell.cli.session import end_on_signals
@@ -133,7 +134,7 @@ def run(arguments: argparse.Namespace) -> int:
         key = cell_key(domain_number(), arguments.namespace)
     except (ConfigurationError, UnknownPlannerError, GraphError) as error:
         return tell_refusal(error)
-    nodes: tuple[str, ...] = HARDWARE if arguments.hardware else SIMULATED
+    nodes = nodes_of(cell, hardware=arguments.hardware)
     if not arguments.no_record:
         nodes = (*nodes, RECORDER)
     if arguments.page:
@@ -142,7 +143,7 @@ def run(arguments: argparse.Namespace) -> int:
     parameters = node_parameters(arguments, cell)
     if not arguments.hardware:
         # Nobody can be hurt in the simulated cell, so that its arm homes by itself.
-        parameters["scara_arm"]["home_on_activate"] = True
+        parameters.get("scara_arm", {})["home_on_activate"] = True
     if not arguments.hardware and not has_simulated_ports(cell):
         # A file of a real cell names real ports: the simulated devices take none of them.
         parameters = with_own_ports(parameters)
@@ -259,7 +260,8 @@ def require_devices(cell: Cell, arguments: argparse.Namespace) -> None:
     """
     given = arguments.params.read_text(encoding="utf-8") if arguments.params else ""
     missing = []
-    for name, port in (("arm", cell.arm.port), ("tapper", cell.file.tapper.port)):
+    arm = () if cell.file.arm is None else (("arm", cell.file.arm.port),)
+    for name, port in (*arm, *(("tapper", board.port) for board in cell.boards)):
         # A file of parameters may name another port for the node.
         if (
             port
@@ -317,8 +319,8 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
         "overhead_camera": dict(place),
         "camera_pose": files,
         "tap_planner": dict(files),
-        "scara_arm": dict(files),
-        "tapper_trigger": dict(place),
+        **({} if cell.file.arm is None else {"scara_arm": dict(files)}),
+        **{trigger(board): dict(place) for board in range(len(cell.boards))},
         RECORDER: {**files, **seed},
     }
     if arguments.truth:
@@ -340,7 +342,9 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
             "runs": parameters[RECORDER].get("folder", Path("runs").resolve()),
         }
     if getattr(arguments, "set_up", False):
-        parameters["scara_arm"]["set_up"] = parameters["tapper_trigger"]["set_up"] = True
+        for name in parameters:
+            if name == "scara_arm" or name.startswith(FIRST_TRIGGER):
+                parameters[name]["set_up"] = True
     if getattr(arguments, "camera", None):
         parameters["overhead_camera"]["source"] = arguments.camera
     return parameters

@@ -27,5 +27,9 @@ def run(arguments: argparse.Namespace) -> int:
     except ConfigurationError as error:
         tell_error(str(error))
         return 2
+    own = cell.arm.ros2_control
+    if own is not None and own.chain is not None:
+        tell_error(f"the arm of this cell has a URDF of its own: {own.chain.urdf}")
+        return 2
     sys.stdout.write(urdf(cell.arm.geometry()))
     return 0

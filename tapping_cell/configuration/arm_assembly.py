@@ -6,6 +6,7 @@ from typing import cast
 
 from tapping_cell.configuration.cell import ArmSection, Ros2ControlSection
 from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.chain_link import ChainLink, ChainSettings
 from tapping_cell.hardware.dialect import ArmDialect
 from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
 from tapping_cell.hardware.marlin_dialect import MarlinDialect, MarlinSettings
@@ -25,10 +26,22 @@ def make_arm_driver(arm: ArmSection, connection: Transport | TrajectoryLink) -> 
     )
 
 
+def joint_accelerations(arm: ArmSection) -> tuple[float, ...]:
+    """With which the joints of an arm that has its own driver brake, rad/s^2 or m/s^2."""
+    own = arm.ros2_control
+    if own is None or own.chain is None:
+        return arm.max_acceleration
+    return own.chain.max_acceleration
+
+
 def make_dialect(arm: ArmSection, connection: Transport | TrajectoryLink) -> ArmDialect:
     """The language of the cell's controller, with what its settings must be."""
     if arm.ros2_control is not None:
         link = cast(TrajectoryLink, connection)
+        chain, section = arm.chain(), arm.ros2_control.chain
+        if chain is not None and section is not None:
+            upright = ChainSettings(arm.park, section.tilt, arm.travel_height)
+            link = ChainLink(link, chain, arm.geometry(), upright)
         return Ros2ControlDialect(link, _trajectory_settings(arm, arm.ros2_control))
     transport = cast(Transport, connection)
     needs = arm.controller_needs()
@@ -56,4 +69,5 @@ def _trajectory_settings(arm: ArmSection, section: Ros2ControlSection) -> Ros2Co
         arm.max_acceleration,
         (angle, angle, quill, angle),
         section.state_timeout,
+        () if section.chain is None else Joints._fields,
     )

@@ -25,11 +25,13 @@ from tapping_cell.configuration.table import load_camera_model, load_reference_m
 from tapping_cell.hardware.arm_settings import ArmSettings
 from tapping_cell.hardware.arm_shape import ArmShape
 from tapping_cell.hardware.axis_units import check_letters
+from tapping_cell.hardware.chain_urdf import chain_from_urdf
 from tapping_cell.hardware.controller_needs import ControllerNeeds, needs_of
 from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.motion import MotionSettings
 from tapping_cell.hardware.output_tapper import OutputTapperSettings
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
+from tapping_cell.hardware.serial_chain import SerialChain, pose_matrix
 from tapping_cell.mechanics import Striker
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraModel, ReferenceMap, marker_ids
@@ -72,6 +74,41 @@ class KeepOutSection:
 
 
 @dataclass(frozen=True, slots=True)
+class ChainSection:
+    """The kinematics of an arm that is no SCARA, as its URDF tells them."""
+
+    urdf: str = text(
+        "file of the arm's URDF, relative to this file; a xacro file is expanded first"
+    )
+    base_link: str = text("link of the URDF from which the chain begins")
+    tip_link: str = text("link of the URDF that carries the tapper")
+    tool: tuple[float, float, float, float, float, float] = quantity(
+        "pose of the striker's tip in tip_link, x along the line of travel, z up: x, y, z in m, "
+        "roll, pitch, yaw in rad",
+        "",
+        -7.0,
+        7.0,
+    )
+    max_acceleration: tuple[float, ...] = quantity(
+        "accelerations with which the arm's joints brake: rad/s^2 or m/s^2", "", 0.001, 1000.0
+    )
+    mount: tuple[float, float, float, float, float, float] = quantity(
+        "pose of base_link in arm_base: x, y, z in m, roll, pitch, yaw in rad",
+        "",
+        -7.0,
+        7.0,
+        default=(0.0,) * 6,
+    )
+    tilt: float = quantity(
+        "greatest angle of the striker from upright before its place is not believed",
+        "rad",
+        0.0005,
+        0.1,
+        default=0.01,
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Ros2ControlSection:
     """An arm with a ROS driver of its own: how it is commanded and where it tells its joints."""
 
@@ -97,6 +134,9 @@ class Ros2ControlSection:
         0.05,
         1.0,
         default=0.25,
+    )
+    chain: ChainSection | None = section(
+        "the arm's own kinematics, where it is no SCARA: any number of joints", default=None
     )
 
     def __post_init__(self) -> None:
@@ -295,16 +335,43 @@ class ArmSection:
             raise ValueError("key 'arm.ros2_control' is missing: the dialect ros2_control needs it")
         if self.port:
             raise ValueError("arm.port has no meaning for the dialect ros2_control: leave it out")
-        if len(section.joints) != len(self.lower):
+        if section.chain is None and len(section.joints) != len(self.lower):
             raise ValueError(
                 f"arm.ros2_control.joints has {len(section.joints)} names, the arm has"
-                f" {len(self.lower)} joints"
+                f" {len(self.lower)} joints; another arm needs arm.ros2_control.chain"
             )
         if self.homing != "none":
             raise ValueError(
                 f"arm.homing is {self.homing}, but must be none for the dialect ros2_control: the"
                 " arm's own driver homes it"
             )
+
+    def chain(self) -> SerialChain | None:
+        """The arm's own kinematics; None for a SCARA.
+
+        Raises:
+            ValueError: the URDF cannot be read, or does not fit the section.
+        """
+        section = self.ros2_control
+        if section is None or section.chain is None:
+            return None
+        chain = section.chain
+        if len(chain.max_acceleration) != len(section.joints):
+            raise ValueError(
+                f"arm.ros2_control.chain.max_acceleration has {len(chain.max_acceleration)}"
+                f" values, .joints has {len(section.joints)}: give one for each"
+            )
+        try:
+            return chain_from_urdf(
+                Path(chain.urdf).read_text(encoding="utf-8"),
+                chain.base_link,
+                chain.tip_link,
+                section.joints,
+                pose_matrix(chain.mount),
+                pose_matrix(chain.tool),
+            )
+        except (OSError, ValueError) as error:
+            raise ValueError(f"arm.ros2_control.chain.urdf {chain.urdf}: {error}") from error
 
     def controller_needs(self) -> ControllerNeeds:
         """What the controller's own settings must allow.
@@ -560,6 +627,11 @@ class CellFile:
         "tappers at fixed mounts, in the place of an arm", default=None
     )
     keep_outs: KeepOutSection = section("keep-out zones", default=KeepOutSection())
+    objects: tuple[str, ...] = text(
+        "object files of the further objects on the table, relative to this file; each has a name "
+        "and a marker of its own",
+        default=(),
+    )
 
     def __post_init__(self) -> None:
         """Refuse a cell with neither arm nor fixed tappers, or with both (ValueError)."""
@@ -568,6 +640,14 @@ class CellFile:
                 "give either the key 'arm' (an arm that carries the tapper) or the key "
                 "'fixed_tappers' (tappers at fixed mounts)"
             )
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """A tapper's controller: its port, and the channel of each tapper on it, by name."""
+
+    port: str
+    channels: dict[str, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -643,6 +723,19 @@ class Cell:
         return {entry.name: self.tapper_of(entry) for entry in fixed.tappers}
 
     @property
+    def boards(self) -> tuple[Board, ...]:
+        """The tappers' controllers, in the order of the cell file; channels rise on each."""
+        fixed = self.file.fixed_tappers
+        channels = {} if fixed is None else {entry.name: entry.channel for entry in fixed.tappers}
+        ports: dict[str, dict[str, int]] = {}
+        for name, tapper in self.tapper_sections.items():
+            ports.setdefault(tapper.port, {})[name] = channels.get(name, 0)
+        return tuple(
+            Board(port, dict(sorted(names.items(), key=lambda pair: pair[1])))
+            for port, names in ports.items()
+        )
+
+    @property
     def strike_height(self) -> float:
         """Height of the tips over the table while they strike, m."""
         return (self.file.fixed_tappers or self.arm).strike_height
@@ -667,14 +760,15 @@ def load_cell(path: Path | str | None = None, object_path: Path | str | None = N
     """
     cell_path = Path(path) if path else shared_folder() / "cell.yaml"
     cell_path = cell_path.expanduser().resolve()
-    content = load(CellFile, cell_path)
     folder = cell_path.parent
+    content = _with_urdf_of(load(CellFile, cell_path), folder)
     chosen = Path(object_path) if object_path else folder / content.object
     chosen = chosen.expanduser().resolve()
     try:
         if content.arm is not None:
             content.arm.driver_settings()
             content.arm.controller_needs()
+            content.arm.chain()
             content.arm.motion()
         content.tapper.striker()
         content.tapper.curve()
@@ -698,6 +792,15 @@ def load_cell(path: Path | str | None = None, object_path: Path | str | None = N
         except ValueError as error:
             raise ConfigurationError(f"{cell_path}: tapper '{name}': {error}") from error
     return cell
+
+
+def _with_urdf_of(content: CellFile, folder: Path) -> CellFile:
+    """The cell file with the full path of its URDF, where it names one."""
+    own = None if content.arm is None else content.arm.ros2_control
+    if content.arm is None or own is None or own.chain is None:
+        return content
+    chain = replace(own.chain, urdf=str(folder / own.chain.urdf))
+    return replace(content, arm=replace(content.arm, ros2_control=replace(own, chain=chain)))
 
 
 def has_simulated_ports(cell: Cell) -> bool:
@@ -751,33 +854,36 @@ def _simulated_ports(cell: Cell) -> dict[str, str]:
     }
 
 
-def load_other_objects(paths: str, cell: Cell) -> tuple[ObjectFile, ...]:
-    """The files of further objects on a cell's table, ``paths`` separated by commas.
+def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
+    """The objects on a cell's table besides its own: those of its key ``objects``, then those of
+    the parameter ``other_object_files``, ``paths`` separated by commas.
 
     Raises:
         ConfigurationError: a file cannot be used, two objects have one name or one marker, or the
             arm cannot travel over one.
     """
-    named = [path.strip() for path in paths.split(",")]
-    files = tuple(load_object(Path(path).expanduser()) for path in named if path)
+    named = [path.strip() for path in paths.split(",") if path.strip()]
+    places = [cell.path.parent / Path(path).expanduser() for path in cell.file.objects]
+    places += [Path(path).expanduser() for path in named]
+    files = tuple(load_object(place.resolve()) for place in places)
+    source = "parameter other_object_files" if named else f"{cell.path}: key 'objects'"
     names = [file.name for file in (cell.object, *files)]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ConfigurationError(
-            f"parameter other_object_files: two objects have the name '{twice[0]}'; give each a "
-            "name of its own"
+            f"{source}: two objects have the name '{twice[0]}'; give each a name of its own"
         )
     try:
         marker_ids([file.seen() for file in (cell.object, *files)])
     except ValueError as error:
-        raise ConfigurationError(f"parameter other_object_files: {error}") from error
+        raise ConfigurationError(f"{source}: {error}") from error
     if cell.file.arm is None:
         return files
     travel = cell.file.arm.travel_height
     for file in files:
         if file.height >= travel:
             raise ConfigurationError(
-                f"parameter other_object_files: '{file.name}' is {1e3 * file.height:.1f} mm high, "
+                f"{source}: '{file.name}' is {1e3 * file.height:.1f} mm high, "
                 f"but the tip travels at {1e3 * travel:.1f} mm (key 'arm.travel_height' of "
                 f"{cell.path}) and would hit it; raise that or keep the object off the table"
             )

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from tapping_cell.configuration.assembly import make_planner_settings, make_strike_space
-from tapping_cell.configuration.cell import Cell
+from tapping_cell.configuration.cell import Cell, load_further_objects
+from tapping_cell.configuration.chain_reach import chain_reach
 from tapping_cell.configuration.fixed_conflicts import fixed_conflicts
+from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.mechanics import MechanicsError
 from tapping_cell.planning import FreeSpace, PlanningError, make_planner, planner_names
 
@@ -23,12 +26,13 @@ NOISE_ROOM = 3.0
 def conflicts(cell: Cell) -> tuple[list[str], list[str]]:
     """Errors (a goal would fail) and warnings (it may, or something is not there yet)."""
     if cell.file.fixed_tappers is not None:
-        errors = [*_markers(cell), *fixed_conflicts(cell)]
+        errors = [*_markers(cell), *fixed_conflicts(cell), *_further_objects(cell)]
         return errors, [*_lens(cell), *_noise(cell), *_ports(cell)]
     errors = [*_markers(cell), *_heights(cell), *_joints(cell), *_curve(cell), *_planner(cell)]
+    errors += _further_objects(cell)
     warnings = [*_lens(cell), *_noise(cell), *_ports(cell), *_brake(cell)]
     reach_errors, reach_warnings = _reach(cell)
-    return errors + reach_errors, warnings + reach_warnings
+    return errors + reach_errors, [*warnings, *reach_warnings, *chain_reach(cell)]
 
 
 def _markers(cell: Cell) -> Iterator[str]:
@@ -50,6 +54,26 @@ def _markers(cell: Cell) -> Iterator[str]:
             f"{cell.object_path}: the marker of {1e3 * marker.size:.1f} mm at {1e3 * off:.1f} mm "
             f"from the centre sticks out of the object ({1e3 * reach:.1f} mm); use a smaller one"
         )
+
+
+def _further_objects(cell: Cell) -> Iterator[str]:
+    """The key ``objects``: files that load, names and markers that differ, heights that suit."""
+    try:
+        files = load_further_objects(cell)
+    except ConfigurationError as error:
+        yield str(error)
+        return
+    for file in files:
+        # Its marker is judged like that of the cell's object.
+        yield from (
+            f"'{file.name}': {sentence}" for sentence in _markers(replace(cell, object=file))
+        )
+        if cell.file.arm is not None and cell.file.arm.strike_height >= file.height:
+            yield (
+                f"{cell.path}: key 'arm.strike_height' is {1e3 * cell.file.arm.strike_height:.1f} "
+                f"mm, but the further object '{file.name}' is {1e3 * file.height:.1f} mm high: the "
+                "striker passes over it; lower it"
+            )
 
 
 def _heights(cell: Cell) -> Iterator[str]:

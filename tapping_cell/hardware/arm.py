@@ -343,6 +343,9 @@ class ArmDriver:
                 ) from fault
             if fault.reason is FaultReason.REJECTED:
                 raise self._halted(fault) from fault
+            if fault.reason is FaultReason.UNREACHABLE:
+                # Found before anything was sent.
+                self._confirmed = reading.joints
             raise
         outcome = refusal or self._mismatch(goal, reading.joints)
         if reading.moving:

@@ -27,6 +27,7 @@ class FaultReason(Enum):
     UNREACHABLE = "unreachable"
     POSITION_MISMATCH = "position_mismatch"
     POSITION_LOST = "position_lost"
+    STRIKER_AWAY = "striker_away"
     INTERLOCK = "interlock"
     SHOT_SPENT = "shot_spent"
     NEEDS_PERSON = "needs_person"

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,11 @@ Array = NDArray[np.float64]
 
 LEAST_TIME = 0.02
 """Shortest time of a move, s: a controller takes no two points of one time."""
+
+LEAST_PIECE = 1e-3
+"""A part of a move that takes less is left to its neighbours, s."""
+STRAIGHT = 1 - 1e-6
+"""Cosine of the angle between two moves that count as one line."""
 
 COURSE_SAMPLES = 200
 """Places of a trajectory of which the one nearest to the arm is looked for."""
@@ -40,28 +46,73 @@ class TrajectoryPoint:
 def straight_points(
     start: Sequence[float], moves: Sequence[StraightMove], max_acceleration: Sequence[float]
 ) -> tuple[TrajectoryPoint, ...]:
-    """The points after the start of moves that each begin and end at rest.
+    """The points after the start of straight moves that begin and end at rest.
 
-    ``moves``: targets in rad and m, the feed along the line in their unit a minute.
-    ``max_acceleration`` in rad/s^2 or m/s^2 of each joint. Moves of no length are left out.
+    Between two moves that go on in one direction the arm does not stop: it passes at the lower of
+    their speeds, or at what the ways before and behind allow. ``moves``: targets in rad and m, the
+    feed along the line in their unit a minute. ``max_acceleration`` in rad/s^2 or m/s^2 of each
+    joint. Moves of no length are left out.
     """
+    legs = _legs(start, moves, max_acceleration)
     points: list[TrajectoryPoint] = []
-    here, began = tuple(start), 0.0
+    began = 0.0
+    for leg, (entry, exit_) in zip(legs, _passing_speeds(legs), strict=True):
+        for time, way, speed in _trapezoid(leg, entry, exit_):
+            points.append(
+                TrajectoryPoint(
+                    began + time,
+                    tuple(a + way * d for a, d in zip(leg.start, leg.direction, strict=True)),
+                    tuple(speed * d for d in leg.direction),
+                )
+            )
+        began = points[-1].time
+    return tuple(points)
+
+
+@dataclass(frozen=True, slots=True)
+class _Leg:
+    """One straight move: the way along a unit direction, and what bounds it."""
+
+    start: tuple[float, ...]
+    direction: tuple[float, ...]
+    length: float
+    speed: float
+    acceleration: float
+
+
+def _legs(
+    start: Sequence[float], moves: Sequence[StraightMove], max_acceleration: Sequence[float]
+) -> list[_Leg]:
+    legs, here = [], tuple(start)
     for move in moves:
         ways = [b - a for a, b in zip(here, move.target, strict=True)]
         length = math.hypot(*ways)
         if length == 0:
             continue
-        for time, part, rate in _trapezoid(length, move.feed / 60, ways, max_acceleration):
-            points.append(
-                TrajectoryPoint(
-                    began + time,
-                    tuple(a + part * way for a, way in zip(here, ways, strict=True)),
-                    tuple(rate * way for way in ways),
-                )
-            )
-        here, began = move.target, points[-1].time
-    return tuple(points)
+        direction = tuple(way / length for way in ways)
+        pull = min(a / abs(d) for d, a in zip(direction, max_acceleration, strict=True) if d)
+        legs.append(_Leg(here, direction, length, move.feed / 60, pull))
+        here = move.target
+    return legs
+
+
+def _passing_speeds(legs: Sequence[_Leg]) -> list[tuple[float, float]]:
+    """Speeds at the beginning and the end of each leg."""
+    corners = [0.0] * (len(legs) + 1)
+    for index, (before, after) in enumerate(pairwise(legs), start=1):
+        along = sum(a * b for a, b in zip(before.direction, after.direction, strict=True))
+        # Very short moves are given their least time, from rest to rest.
+        short = min(leg.length / leg.speed for leg in (before, after)) < LEAST_TIME
+        if along > STRAIGHT and not short:
+            corners[index] = min(before.speed, after.speed)
+    # What can be reached from rest behind, and from where one can come to rest before.
+    for index, leg in enumerate(legs, start=1):
+        reached = math.sqrt(corners[index - 1] ** 2 + 2 * leg.acceleration * leg.length)
+        corners[index] = min(corners[index], reached)
+    for index, leg in reversed(list(enumerate(legs))):
+        stopped = math.sqrt(corners[index + 1] ** 2 + 2 * leg.acceleration * leg.length)
+        corners[index] = min(corners[index], stopped)
+    return list(pairwise(corners))
 
 
 class Course:
@@ -74,9 +125,9 @@ class Course:
         self._places = np.array([point.positions for point in points])
         self._speeds = np.array([point.velocities for point in points])
         self._samples: Array = np.linspace(0.0, points[-1].time, COURSE_SAMPLES, dtype=np.float64)
-        self._track, _ = self._at(self._samples)
+        self._track, _ = self.at(self._samples)
 
-    def _at(self, times: Array) -> tuple[Array, Array]:
+    def at(self, times: Array) -> tuple[Array, Array]:
         """Positions and velocities at times from the start in s, a row each."""
         times = np.clip(times, 0.0, self._times[-1])
         after = np.clip(np.searchsorted(self._times, times, side="right"), 1, len(self._times) - 1)
@@ -95,7 +146,7 @@ class Course:
         nearest = int(np.argmin(distances))
         if not distances[nearest] <= COURSE_WIDTH:
             return None
-        place, speeds = self._at(np.array([self._samples[nearest] + duration], dtype=np.float64))
+        place, speeds = self.at(np.array([self._samples[nearest] + duration], dtype=np.float64))
         return tuple(place[0].tolist()), tuple(speeds[0].tolist())
 
 
@@ -112,19 +163,24 @@ def brake_point(
     )
 
 
-def _trapezoid(
-    length: float, speed: float, ways: Sequence[float], max_acceleration: Sequence[float]
-) -> list[tuple[float, float, float]]:
-    """Corners after the start: time in s, part of the way in [0, 1], its rate of change in 1/s."""
-    pull = min(a / abs(way) for way, a in zip(ways, max_acceleration, strict=True) if way)
-    cruise = speed / length
-    ramp = min(cruise / pull, math.sqrt(1 / pull))
-    peak = pull * ramp
-    even = max((1 - peak * ramp) / peak, 0.0)
-    total = 2 * ramp + even
-    if total < LEAST_TIME:
-        return [(LEAST_TIME, 1.0, 0.0)]
-    corners = [(ramp, peak * ramp / 2, peak)]
-    if even > 1e-3:
-        corners.append((ramp + even, 1 - peak * ramp / 2, peak))
-    return [*corners, (total, 1.0, 0.0)]
+def _trapezoid(leg: _Leg, entry: float, exit_: float) -> list[tuple[float, float, float]]:
+    """Corners after the start: time in s, way in rad or m, speed along it."""
+    pull = leg.acceleration
+    # Where there is no room for the leg's speed, the two ramps meet at this one.
+    peak = min(leg.speed, math.sqrt((2 * pull * leg.length + entry**2 + exit_**2) / 2))
+    first, last = (peak - entry) / pull, (peak - exit_) / pull
+    ramps = (peak + entry) / 2 * first + (peak + exit_) / 2 * last
+    even = max((leg.length - ramps) / peak, 0.0)
+    total = first + even + last
+    if total < LEAST_TIME and entry == exit_ == 0.0:
+        return [(LEAST_TIME, leg.length, 0.0)]
+    corners = [
+        (first, (peak + entry) / 2 * first, peak),
+        (first + even, leg.length - (peak + exit_) / 2 * last, peak),
+    ]
+    kept, before = [], 0.0
+    for corner in corners:
+        if min(corner[0] - before, total - corner[0]) > LEAST_PIECE:
+            kept.append(corner)
+            before = corner[0]
+    return [*kept, (total, leg.length, exit_)]

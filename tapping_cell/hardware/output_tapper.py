@@ -162,11 +162,20 @@ class OutputTapperDriver:
         energy: float,
         go_on: Callable[[], bool] = lambda: True,
         timeout: float = 5.0,
+        channel: int = 0,
     ) -> Reply:
-        """Get ready for ``shot`` with the pulse for ``energy`` in J; nothing is switched.
+        """Get ready for ``shot`` with the pulse for ``energy`` in J; nothing is switched. There is
+        channel 0 alone.
 
-        Raises HardwareFault: SHOT_SPENT, INTERLOCK, OUT_OF_RANGE, STOPPED, DISCONNECTED, REJECTED.
+        Raises HardwareFault: SHOT_SPENT, INTERLOCK, OUT_OF_RANGE, STOPPED, DISCONNECTED, REJECTED,
+        SETTINGS_MISMATCH.
         """
+        if channel:
+            raise self._noted(
+                FaultReason.SETTINGS_MISMATCH,
+                f"channel {channel} was asked for, but {self._link.name} fires one tapper, channel"
+                " 0; correct the channels in the cell file",
+            )
         least, most = self.settings.energies[0], self.settings.energies[-1]
         if not (0 < shot <= protocol.MAXIMUM_SHOT and least <= energy <= most):
             raise self._noted(

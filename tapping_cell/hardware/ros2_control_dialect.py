@@ -42,6 +42,8 @@ class Ros2ControlSettings:
     """The arm's tolerances in position, rad or m: half of it is what a joint at rest may vary."""
     state_timeout: float = 0.25
     """Longest silence of the joint states, s."""
+    axes: tuple[str, ...] = ()
+    """Names of what the link tells, where that is not the joints themselves."""
 
 
 class Ros2ControlDialect:
@@ -58,7 +60,11 @@ class Ros2ControlDialect:
     @property
     def units(self) -> Sequence[float]:
         """Rad and m, as the joints."""
-        return (1.0,) * len(self._settings.joints)
+        return (1.0,) * len(self._names)
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        return self._settings.axes or self._settings.joints
 
     def connect(self, deadline: float) -> Firmware:
         """Hear the joint states for a while; refuses a rate or a clock that interlocks cannot
@@ -138,7 +144,8 @@ class Ros2ControlDialect:
             raise
 
     def _finished(self, expected_end: float, deadline: float) -> AxisReading:
-        while self._link.now() < max(expected_end, self._ends):
+        # The end of the trajectory is known better than that of moves with a stop at each place.
+        while self._link.now() < self._ends:
             self._hear()
             self._check_goal()
         while True:
@@ -249,13 +256,15 @@ class Ros2ControlDialect:
             self._link.wait(WAIT)
 
     def _checked(self, sample: JointSample) -> JointSample:
-        for name, value in zip(self._settings.joints, sample.positions, strict=True):
+        for name, value in zip(self._names, sample.positions, strict=True):
             if not math.isfinite(value):
                 raise HardwareFault(
                     FaultReason.POSITION_LOST,
                     f"the joint states of {self._link.name} give {value} for joint {name}: its"
                     " hardware is not active",
                 )
+        if sample.doubt:
+            raise HardwareFault(FaultReason.POSITION_LOST, f"{self._link.name}: {sample.doubt}")
         if sample.ahead > CLOCK_LIMIT:
             raise HardwareFault(
                 FaultReason.POSITION_LOST,

@@ -128,6 +128,8 @@ class TapperDriver:
         self._boot: int | None = None
         self._version = ""
         self._attempted = 0
+        self._channels = 1
+        self._channel = 0
         self._mode = self.settings.mode
         # A FIRE of an earlier process may still be on its way to the board.
         self._release_by = self._latest_release(transport.now(), protocol.LONGEST_WINDOW)
@@ -142,6 +144,11 @@ class TapperDriver:
     def version(self) -> str:
         """The firmware's version, empty before the first connect."""
         return self._version
+
+    @property
+    def channels(self) -> int:
+        """Tappers on the board; 1 before the first connect and for firmware 2.0."""
+        return self._channels
 
     @property
     def stopped(self) -> bool:
@@ -173,6 +180,7 @@ class TapperDriver:
         try:
             reply = self._greet(self._transport.now() + timeout)
             self._version = reply.version
+            self._channels = reply.channels
             self._boot = reply.boot
             return self.set_mode(self._mode)
         except HardwareFault as fault:
@@ -233,11 +241,12 @@ class TapperDriver:
         return reply
 
     def home(self, go_on: Callable[[], bool] = lambda: True) -> Reply:
-        """Move the spring's carriage to its front switch, so that its place is known.
+        """Prove that the striker is at its place: the spring's carriage goes to its front switch;
+        strikers at fixed mounts must close the switches there.
 
         ``go_on`` is asked every few milliseconds; when it says no, the carriage stops and the reply
-        to that is returned, whose state is UNHOMED. Raises HardwareFault: HOMING_FAILED, INTERLOCK,
-        STOPPED, TIMEOUT, BOARD_RESET, DISCONNECTED.
+        to that is returned, whose state is UNHOMED. Raises HardwareFault: HOMING_FAILED,
+        STRIKER_AWAY, INTERLOCK, STOPPED, TIMEOUT, BOARD_RESET, DISCONNECTED.
         """
         reply = self._request(Command.HOME)
         if reply.result is not Result.OK:
@@ -254,6 +263,8 @@ class TapperDriver:
         if reply.state is not State.SAFE:
             if reply.stop_latched or not reply.interlock_closed:
                 raise self._refusal(reply)
+            if reply.channels > 1:
+                raise self._refusal(reply)
             raise self._noted(
                 FaultReason.HOMING_FAILED,
                 "the tapper's carriage did not find its front switch, or did not leave it: check"
@@ -267,17 +278,20 @@ class TapperDriver:
         energy: float,
         go_on: Callable[[], bool] = lambda: True,
         timeout: float = 5.0,
+        channel: int = 0,
     ) -> Reply:
-        """Store ``energy`` in J for ``shot``; returns when charged. The tapper discharges by itself
-        ``timeout`` s after the request, or 500 ms after the last frame.
+        """Store ``energy`` in J for ``shot`` of a channel; returns when charged. The tapper
+        discharges by itself ``timeout`` s after the request, or 500 ms after the last frame.
 
         A carriage whose place is unknown is homed first; one that is on its way back is waited for.
         ``go_on`` is asked every few milliseconds; when it says no, the tapper is discharged at once
         and its reply to that is returned, whose state is not CHARGED. ``shot`` must be above every
         shot charged before, by at most ``MAXIMUM_JUMP``. Raises HardwareFault: SHOT_SPENT,
         INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET, REJECTED, DISCONNECTED,
-        HOMING_FAILED, POSITION_LOST, NEEDS_PERSON.
+        HOMING_FAILED, POSITION_LOST, STRIKER_AWAY, SETTINGS_MISMATCH, NEEDS_PERSON.
         """
+        if not 0 <= channel < self._channels:
+            raise self._noted(FaultReason.SETTINGS_MISMATCH, self._no_such_channel(channel))
         energy_uj = round(energy * 1e6) if energy == energy and abs(energy) < 1e9 else -1
         if not (0 < shot <= protocol.MAXIMUM_SHOT and 0 < energy_uj <= protocol.MAXIMUM_ENERGY_UJ):
             raise self._noted(
@@ -288,7 +302,9 @@ class TapperDriver:
         self._refuse_spent(shot)
         until = self._transport.now() + self.settings.home_timeout
         while True:
-            reply = self._request(Command.CHARGE, shot, energy_uj, round(timeout * 1e3))
+            reply = self._request(
+                Command.CHARGE, shot, energy_uj, round(timeout * 1e3), *_named(channel)
+            )
             if reply.result is Result.NOT_HOMED and reply.state is State.UNHOMED:
                 reply = self.home(go_on)
                 if reply.state is not State.SAFE:
@@ -320,14 +336,25 @@ class TapperDriver:
                 return self.discharge()
             self._listen(self.settings.poll_period)
             reply = self._request(Command.STATUS)
-        if reply.shot != shot or round(reply.energy * 1e6) != energy_uj:
+        told = reply.shot, round(reply.energy * 1e6), reply.channel
+        if told != (shot, energy_uj, channel):
             self.discharge()
             raise self._noted(
                 FaultReason.PROTOCOL,
-                f"the tapper is charged for shot {reply.shot} with {reply.energy:g} J, asked was"
-                f" shot {shot} with {energy:g} J: it was discharged",
+                f"the tapper is charged for shot {reply.shot} with {reply.energy:g} J on channel"
+                f" {reply.channel}, asked was shot {shot} with {energy:g} J on channel {channel}:"
+                " it was discharged",
             )
+        self._channel = channel
         return reply
+
+    def _no_such_channel(self, channel: int) -> str:
+        return (
+            f"channel {channel} was asked for, but the board on {self._transport.name} has"
+            f" {self._channels} (firmware {self._version}): correct the channels in the cell file,"
+            " or flash the build for more (make -C firmware/tapper DRIVE=SOLENOID CHANNELS=8 flash"
+            " PORT=...)"
+        )
 
     def fire(self, shot: int, window: float, still_allowed: Callable[[float], bool]) -> FireResult:
         """Release the charged ``shot`` once, within ``window`` s from now or not at all.
@@ -400,7 +427,9 @@ class TapperDriver:
     def _send_fire(self, shot: int, deadline: int, again: Callable[[], bool]) -> Reply | None:
         """Send FIRE, and again while ``again`` allows it; the reply, or None."""
         sequence = self._next_sequence()
-        frame = protocol.encode(self._session, sequence, Command.FIRE, shot, deadline)
+        frame = protocol.encode(
+            self._session, sequence, Command.FIRE, shot, deadline, *_named(self._channel)
+        )
         for attempt in range(self.settings.attempts):
             if attempt and not again():
                 break
@@ -420,6 +449,19 @@ class TapperDriver:
                 f"shot {shot} may have been fired already (last tried: {self._attempted}): use a"
                 " new number",
             )
+
+    def wait_for_return(self, go_on: Callable[[], bool] = lambda: True) -> Reply:
+        """Wait until the board is at rest after a release: SAFE when the striker is back, UNHOMED
+        when it was given up; another state where ``go_on`` says no or nothing has ended in time.
+
+        Raises HardwareFault: TIMEOUT, BOARD_RESET, STOPPED, DISCONNECTED.
+        """
+        reply = self._request(Command.STATUS)
+        until = self._transport.now() + self.settings.home_timeout
+        while reply.state in RETURNING and go_on() and self._transport.now() < until:
+            self._listen(self.settings.poll_period)
+            reply = self._request(Command.STATUS)
+        return reply
 
     def discharge(self) -> Reply:
         """Let the spring down without a release; ends a homing as well."""
@@ -594,6 +636,20 @@ class TapperDriver:
                 "the tapper refused the energy or the timeout as out of its range: check the energy"
                 " table against the firmware's build",
             )
+        elif reply.result is Result.CHANNEL:
+            reason, text = FaultReason.SETTINGS_MISMATCH, self._no_such_channel(reply.channel)
+        elif reply.state is State.UNHOMED and reply.channels > 1:
+            away = [
+                str(channel)
+                for channel in range(reply.channels)
+                if not reply.at_mounts >> channel & 1
+            ]
+            which = f"of channel {', '.join(away)}" if away else "released last"
+            reason, text = (
+                FaultReason.STRIKER_AWAY,
+                f"the striker {which} did not leave its mount or is not back at it, as its switch"
+                " says: free it, check its return spring and its switch",
+            )
         elif reply.state is State.UNHOMED:
             reason, text = (
                 FaultReason.POSITION_LOST,
@@ -611,3 +667,9 @@ class TapperDriver:
     def _noted(self, reason: FaultReason, sentence: str) -> HardwareFault:
         self.counters.last_error = sentence
         return HardwareFault(reason, sentence)
+
+
+def _named(channel: int) -> tuple[int, ...]:
+    """The last argument of CHARGE and FIRE: firmware 2.0 knows channel 0 alone, and no word for
+    it."""
+    return (channel,) if channel else ()

@@ -35,8 +35,9 @@ class TapperDevice(Protocol):
         energy: float,
         go_on: Callable[[], bool] = lambda: True,
         timeout: float = 5.0,
+        channel: int = 0,
     ) -> Reply:
-        """Get ready for a shot with an energy in J."""
+        """Get ready for a shot with an energy in J, on a channel."""
 
     def fire(self, shot: int, window: float, still_allowed: Callable[[float], bool]) -> FireResult:
         """Fire the shot once, or not at all."""

@@ -1,4 +1,4 @@
-"""Codec of the tapper's line protocol, version 2: bytes <-> frames.
+"""Codec of the tapper's line protocol, versions 2.0 and 2.1: bytes <-> frames.
 
 ``@<session>,<seq>,<WORD>[,args]*<CRC>\\n``. The CRC is CRC-16/CCITT-FALSE (polynomial 0x1021, start
 0xFFFF, no reflection) over everything between ``@`` and ``*``, as four upper-case hex digits.
@@ -7,8 +7,10 @@ taken for the device. An ``@`` begins a frame wherever it stands, a newline ends
 
 A reply's arguments: state, shot, energy in uJ, interlock closed (0/1), stop latched (0/1), the last
 shot fired in this boot (0: none), its measured speed in um/s (0: not measured), boot number, the
-board's time in ms (wraps at 2**32), mode, enabling switch held (0/1); ``WELCOME`` adds the
-firmware's version, whose first part is the version of the protocol.
+board's time in ms (wraps at 2**32), mode, enabling switch held (0/1); from 2.1 on: channel of the
+shot, channels of the board, mask of the channels whose striker is seen at its mount. ``WELCOME``
+adds the firmware's version, whose first part is the version of the protocol. A board with 2.0 has
+one channel, 0, and takes no channel in ``CHARGE`` and ``FIRE``.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ LONGEST_PULSE = 0.033
 s (16 bits of 0.5 us)."""
 TIME_MODULUS = 2**32
 """The board's time in ms is counted modulo this."""
-LONGEST_FRAME = 168
+LONGEST_FRAME = 184
 """Bytes from ``@`` to the newline."""
 MAXIMUM_SHOT = 2**64 - 1
 MAXIMUM_JUMP = 2**32
@@ -68,6 +70,7 @@ class Result(Enum):
     STOPPED = "STOPPED"
     BUSY = "BUSY"
     RANGE = "RANGE"
+    CHANNEL = "CHANNEL"
     SESSION = "SESSION"
     NEEDS_PERSON = "NEEDS_PERSON"
     UNKNOWN = "UNKNOWN"
@@ -114,6 +117,12 @@ class Reply:
     enabled: bool
     """Whether the enabling switch is held."""
     version: str = ""
+    channel: int = 0
+    """Of ``shot``."""
+    channels: int = 1
+    """Tappers on this board."""
+    at_mounts: int = 0
+    """Mask of the channels whose striker a switch sees at its mount; 0 where none is fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +171,8 @@ _SHOT = r"(\d{1,20})"
 _VERSION = r"\d{1,3}\.[A-Za-z0-9.+-]{1,20}"
 _REPLY = re.compile(
     rf"^(\d{{1,5}}),(\d{{1,5}}),([A-Z_]{{1,12}}),([A-Z]{{1,11}}),{_SHOT},{_UNSIGNED},([01]),([01]),"
-    rf"{_SHOT},{_UNSIGNED},{_UNSIGNED},{_UNSIGNED},([A-Z]{{1,5}}),([01])(?:,({_VERSION}))?$"
+    rf"{_SHOT},{_UNSIGNED},{_UNSIGNED},{_UNSIGNED},([A-Z]{{1,5}}),([01])"
+    rf"(?:,(\d{{1,2}}),(\d{{1,2}}),{_UNSIGNED})?(?:,({_VERSION}))?$"
 )
 _GREETING = re.compile(rf"^(\d{{1,5}}),(\d{{1,5}}),WELCOME,.*,({_VERSION})$")
 
@@ -223,5 +233,8 @@ def _reply(line: bytes) -> Reply | OtherFirmware | Bad:
         time_ms=int(found[12]),
         mode=mode,
         enabled=found[14] == "1",
-        version=found[15] or "",
+        version=found[18] or "",
+        channel=int(found[15] or 0),
+        channels=int(found[16] or 1),
+        at_mounts=int(found[17] or 0),
     )

@@ -27,6 +27,8 @@ class JointSample:
     """None where the arm's driver does not tell them."""
     ahead: float = 0.0
     """By how much its stamp lies in the future by this computer's clock, s."""
+    doubt: str = ""
+    """Why the positions are not to be believed; empty where they are."""
 
 
 def braking_point(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from tapping_cell.logic import enabling
 from tapping_cell.logic.clock import Now
@@ -18,6 +19,8 @@ QUICKEST_IMAGE_S = 0.05
 """Bound of the least delay of an image until its observation is heard, beyond that of the arm's
 messages: it cannot be told from a difference of the clocks, and makes images look later than they
 were taken."""
+FAULTED = (TapperState.FAULT, TapperState.STOPPED)
+ENGAGED = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 NAMES = {"object": "camera_pose", "arm": "scara_arm", "tapper": "tapper_trigger"}
 
 
@@ -32,10 +35,38 @@ class CellMonitor:
         self._silence_limit = silence_limit
         self.object: ObjectState | None = None
         self.arm: ArmState | None = None
-        self.tapper: TapperState | None = None
+        self._boards: dict[tuple[str, ...], TapperState] = {}
+        self._boards_heard: dict[tuple[str, ...], float] = {}
+        self._spoke: tuple[str, ...] = ()
+        self._expected: frozenset[tuple[str, ...]] = frozenset()
+        self._arm_expected: bool | None = None
         self.camera_clock = PeerClock()
         self._heard = {name: -math.inf for name in NAMES}
         self._seen_at = -math.inf
+
+    def expect(self, has_arm: bool, boards: Sequence[Sequence[str]]) -> None:
+        """What the cell consists of: an arm or none, and the tappers' names of each board. Whoever
+        does not know judges by what is heard."""
+        self._arm_expected = has_arm
+        self._expected = frozenset(tuple(names) for names in boards)
+
+    @property
+    def has_arm(self) -> bool:
+        """Whether the cell has an arm."""
+        if self._arm_expected is not None:
+            return self._arm_expected
+        return not any(state.fixed_mounts for state in self._boards.values())
+
+    @property
+    def tapper(self) -> TapperState | None:
+        """What there is to say of the tappers: the last word of the board that has something to
+        say; a fault before a tap under way before rest."""
+        states = self._boards
+        for wanted in (FAULTED, ENGAGED):
+            for state in states.values():
+                if state.state in wanted:
+                    return state
+        return states.get(self._spoke)
 
     def on_object(self, message: ObjectState, now: Now) -> None:
         """Take in ``object_state``."""
@@ -52,12 +83,34 @@ class CellMonitor:
 
     def on_tapper(self, message: TapperState, now: Now) -> None:
         """Take in ``tapper_state``."""
-        self.tapper = message
-        self._heard["tapper"] = now.steady
+        board = tuple(message.tappers) or self._only_board()
+        if board is None or (self._expected and board not in self._expected):
+            return  # one that has not read its cell file yet, or of another cell
+        if board:
+            self._boards.pop((), None)
+        self._spoke = board
+        self._boards[self._spoke] = message
+        self._boards_heard[self._spoke] = now.steady
+
+    def _only_board(self) -> tuple[str, ...] | None:
+        """The board that a state without names speaks of; None where there are several."""
+        known = self._expected or frozenset(self._boards)
+        if len(known) > 1:
+            return None
+        return next(iter(known), ())
 
     def silent(self, name: str, now: Now) -> bool:
         """Whether ``object``, ``arm`` or ``tapper`` was not heard for longer than the limit."""
-        return now.steady - self._heard[name] > self._silence_limit
+        return now.steady - self._last_heard(name) > self._silence_limit
+
+    def _last_heard(self, name: str) -> float:
+        """Steady time of the last word; of the tappers that of the board unheard for longest."""
+        if name != "tapper":
+            return self._heard[name]
+        boards = self._expected or frozenset(self._boards_heard)
+        return min(
+            (self._boards_heard.get(board, -math.inf) for board in boards), default=-math.inf
+        )
 
     def observed_at(self, now: Now) -> float:
         """When the last image was taken, on the own steady clock, s."""
@@ -92,18 +145,19 @@ class CellMonitor:
     def missing(self, now: Now) -> Trouble | None:
         """What keeps the cell from tapping; None when nothing does."""
         arm, tapper = self.arm, self.tapper
-        if arm is None or self.silent("arm", now):
-            return ErrorCode.ARM_SILENT, self._silence("arm", now)
-        if arm.set_up and not arm.enabled:
-            return enabling.RELEASED
-        if arm.state != ArmState.IDLE:
-            return arm.error_code or ErrorCode.ARM_BUSY, arm.error_msg or "the arm is busy"
+        of_arm = self._arm_missing(arm, now) if self.has_arm else None
+        if of_arm is not None:
+            return of_arm
         if tapper is None or self.silent("tapper", now):
             return ErrorCode.TAPPER_SILENT, self._silence("tapper", now)
         if tapper.state != TapperState.SAFE:
             code = tapper.error_code or ErrorCode.TAPPER_BUSY
             return code, tapper.error_msg or "the tapper is busy"
-        if not tapper.interlock_closed:
+        for board in self._boards.values():
+            if not self.has_arm and (not board.mounts_proven or board.away):
+                code = board.error_code or ErrorCode.TAPPER_MOUNT_NOT_PROVEN
+                return code, board.error_msg or "the mounts of the tappers are not proven yet"
+        if not all(board.interlock_closed for board in self._boards.values()):
             return ErrorCode.TAPPER_INTERLOCK_OPEN, "the tapper's interlock is open; close it"
         if self.object is None or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)
@@ -116,11 +170,20 @@ class CellMonitor:
             )
         return None
 
+    def _arm_missing(self, arm: ArmState | None, now: Now) -> Trouble | None:
+        if arm is None or self.silent("arm", now):
+            return ErrorCode.ARM_SILENT, self._silence("arm", now)
+        if arm.set_up and not arm.enabled:
+            return enabling.RELEASED
+        if arm.state != ArmState.IDLE:
+            return arm.error_code or ErrorCode.ARM_BUSY, arm.error_msg or "the arm is busy"
+        return None
+
     def fault(self) -> Trouble | None:
         """A fault of arm or tapper that needs a person; None where there is none."""
         for state, faults in (
             (self.arm, (ArmState.FAULT, ArmState.STOPPED)),
-            (self.tapper, (TapperState.FAULT, TapperState.STOPPED)),
+            (self.tapper, FAULTED),
         ):
             if state is not None and state.state in faults:
                 return state.error_code or ErrorCode.NOT_READY, state.error_msg
@@ -128,25 +191,25 @@ class CellMonitor:
 
     def lost(self, now: Now) -> bool:
         """True when arm or tapper went away: their drivers come back by themselves."""
-        arm, tapper = self.arm, self.tapper
+        arm = self.arm
+        arm_lost = self.has_arm and (
+            self.silent("arm", now) or (arm is not None and arm.state == ArmState.DISCONNECTED)
+        )
         return (
-            self.silent("arm", now)
+            arm_lost
             or self.silent("tapper", now)
-            or (arm is not None and arm.state == ArmState.DISCONNECTED)
-            or (tapper is not None and tapper.state == TapperState.DISCONNECTED)
+            or any(state.state == TapperState.DISCONNECTED for state in self._boards.values())
         )
 
     def withdrawn(self, now: Now) -> bool:
-        """True when the arm gives the camera a free view and nothing is charged."""
-        arm, tapper = self.arm, self.tapper
-        return (
-            arm is not None
-            and tapper is not None
-            and arm.state == ArmState.IDLE
-            and arm.clear_of_camera
-            and tapper.state == TapperState.SAFE
-            and not self.lost(now)
+        """True when the arm gives the camera a free view, nothing is charged and no striker of a
+        fixed mount is out."""
+        arm = self.arm
+        free = not self.has_arm or (
+            arm is not None and arm.state == ArmState.IDLE and arm.clear_of_camera
         )
+        safe = all(state.state == TapperState.SAFE for state in self._boards.values())
+        return free and bool(self._boards) and safe and not self.lost(now)
 
     def in_position(self, tap_id: int) -> bool:
         """True when the arm publishes that it is in position for that tap."""
@@ -163,15 +226,19 @@ class CellMonitor:
         """The greatest tap id that arm and tapper have published."""
         return max(
             self.arm.tap_id if self.arm is not None else 0,
-            self.tapper.tap_id if self.tapper is not None else 0,
+            *(state.tap_id for state in self._boards.values()),
+            0,
         )
 
     def outcome(self, tap_id: int) -> int:
         """The outcome that the tapper publishes for a tap; NONE while it publishes none."""
-        tapper = self.tapper
-        if tapper is None or tapper.tap_id != tap_id:
-            return int(TapperState.NONE)
-        return int(tapper.outcome)
+        tapper = self.tapper_of(tap_id)
+        return int(TapperState.NONE) if tapper is None else int(tapper.outcome)
+
+    def tapper_of(self, tap_id: int) -> TapperState | None:
+        """The last word of the board that serves or served a tap; None where none did."""
+        serving = [state for state in self._boards.values() if state.tap_id == tap_id]
+        return serving[0] if serving else None
 
     def seen_away_from(self, pose: Pose, distance: float, angle: float) -> bool:
         """True when the object is seen farther than ``distance`` m or turned by more than
@@ -212,7 +279,7 @@ class CellMonitor:
         )
 
     def _silence(self, name: str, now: Now) -> str:
-        heard = now.steady - self._heard[name]
+        heard = now.steady - self._last_heard(name)
         node = NAMES[name]
         if math.isinf(heard):
             return f"{node} has not been heard; start it"

@@ -42,6 +42,8 @@ _TAPPER = {
     FaultReason.NEEDS_PERSON: ErrorCode.TAPPER_STOPPED,
     FaultReason.HOMING_FAILED: ErrorCode.TAPPER_FAULT,
     FaultReason.POSITION_LOST: ErrorCode.TAPPER_FAULT,
+    FaultReason.STRIKER_AWAY: ErrorCode.TAPPER_STRIKER_AWAY,
+    FaultReason.SETTINGS_MISMATCH: ErrorCode.CONFIGURATION_CONFLICT,
 }
 
 

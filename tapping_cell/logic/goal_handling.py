@@ -14,7 +14,7 @@ from tapping_cell.logic.frames import TABLE, Frames, TableOnly
 from tapping_cell.logic.goal_validation import REFUSALS, Refused, read_goal, read_tolerance
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.poses import to_message
-from tapping_cell.logic.table_maps import TableMap, TableMaps
+from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.task import SingleTapTask, Task
 from tapping_cell.messages import ErrorCode, Header, PoseStamped, SingleTap
 from tapping_cell.planning import (
@@ -24,13 +24,16 @@ from tapping_cell.planning import (
     PositioningSession,
     PrescribedSession,
     Prescription,
+    Refusal,
     check_goal,
     keep_gains,
     load_gains,
     make_planner,
 )
 from tapping_cell.planning.gains import NAMES
-from tapping_cell.se2 import Pose
+from tapping_cell.planning.precision_limit import precision_limit
+from tapping_cell.planning.session import GoalSession
+from tapping_cell.se2 import Array, Pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,14 +92,63 @@ class GoalHandling:
         self._in_background = solve_in_background
         self._gains = load_gains(cell.object.name, keep_for) if keep_for else Gains.start()
         self._planner = planner or cell.file.goal.planner
-        self._maps = maps or TableMaps(cell)
+        self._given_maps = maps
+        self._prepare(cell)
         self.others = other_objects.areas(now)
         """Where the other objects lie; None for one that is not on the table."""
         self._planned_among = self.others
-        self.map = self._map()
-        self._planners: dict[str, Planner] = {}
+        self._use_map()
         # Made now, so that a method that must be solved first begins before the first goal.
-        self._planner_for(cell.tolerance)
+        self._use_method(cell.tolerance)
+
+    # What another kind of cell does otherwise
+
+    def _prepare(self, cell: Cell) -> None:
+        """Make what lasts as long as the cell."""
+        self._maps = self._given_maps or TableMaps(cell)
+        self._planners: dict[str, Planner] = {}
+
+    def _use_map(self) -> None:
+        """Take the map with the other objects where they lie."""
+        self.map = self._maps.among([area for area in self.others if area is not None])
+
+    def _use_method(self, tolerance: tuple[float, float]) -> None:
+        """See that there is the planning method (PlanningError)."""
+        self._planner_for(tolerance)
+
+    def _update(self, task: Task) -> None:
+        """Let a task work with the present map."""
+        if task.free_space is not self.map.free:
+            assert isinstance(task.session, (PositioningSession, PrescribedSession))
+            single = isinstance(task, SingleTapTask)
+            space = self.map.experiments if single else self.map.space
+            task.session.use_room(space, self.map.free)
+            task.free_space = self.map.free
+
+    def _goal_refusal(self, goal: Pose) -> Refusal | None:
+        """Why the cell cannot bring the object there, or None."""
+        return check_goal(goal, self.map.space, self.map.free)
+
+    def _session(
+        self, goal: Pose, tolerance: tuple[float, float], most_taps: int, probe: bool
+    ) -> GoalSession:
+        """What decides on the taps of a goal."""
+        return PositioningSession(
+            goal,
+            self._planner_for(tolerance),
+            self.map.space,
+            self.map.free,
+            self._gains,
+            adapt=self._adapt,
+            probe=self._probe or probe,
+            most_taps=most_taps,
+        )
+
+    def outline(self) -> Array:
+        """Edges of the region in which an object can be worked on, (edges, 2 ends, 2), m."""
+        return self.map.free.outline()
+
+    # What every cell does
 
     def update_free_space(self, task: Task, since: float, now: Now) -> tuple[int, str] | None:
         """Let a task work in the space that the other objects leave; or why that is not known: the
@@ -110,11 +162,7 @@ class GoalHandling:
             )
         self._locate_others(now)
         self._planned_among = self.others
-        if task.free_space is not self.map.free:
-            single = isinstance(task, SingleTapTask)
-            space = self.map.experiments if single else self.map.space
-            task.session.use_room(space, self.map.free)
-            task.free_space = self.map.free
+        self._update(task)
         return None
 
     def others_moved(self, now: Now) -> bool:
@@ -125,10 +173,7 @@ class GoalHandling:
         """Take in where the other objects lie now."""
         before, self.others = self.others, self.other_objects.areas(now)
         if before != self.others:
-            self.map = self._map()
-
-    def _map(self) -> TableMap:
-        return self._maps.among([area for area in self.others if area is not None])
+            self._use_map()
 
     def use(self, planner: str) -> None:
         """Take another planning method, from the next goal on.
@@ -138,7 +183,7 @@ class GoalHandling:
         """
         before, self._planner = self._planner, planner or self.cell.file.goal.planner
         try:
-            self._planner_for(self.cell.tolerance)
+            self._use_method(self.cell.tolerance)
         except ValueError:
             self._planner = before
             raise
@@ -179,6 +224,9 @@ class GoalHandling:
         )
         if isinstance(tolerance, Refused):
             return tolerance
+        too_fine = precision_limit(assembly.make_planner_settings(self.cell, tolerance))
+        if too_fine:
+            return Refused(ErrorCode.GOAL_BAD_TOLERANCE, too_fine)
         limit = self.cell.file.goal.max_taps
         if request.max_taps > limit:
             return Refused(
@@ -193,20 +241,11 @@ class GoalHandling:
                 " cell's own",
             )
         self._locate_others(now)
-        unreachable = check_goal(goal, self.map.space, self.map.free)
+        unreachable = self._goal_refusal(goal)
         if unreachable is not None:
             return Refused(REFUSALS[unreachable.reason], unreachable.sentence)
         max_taps = request.max_taps or limit
-        session = PositioningSession(
-            goal,
-            self._planner_for(tolerance),
-            self.map.space,
-            self.map.free,
-            self._gains,
-            adapt=self._adapt,
-            probe=self._probe or request.probe,
-            most_taps=max_taps,
-        )
+        session = self._session(goal, tolerance, max_taps, request.probe)
         expires = now.steady + (request.time_limit or self._time_limit)
         message = request.message
         if message.header.frame_id != TABLE:

@@ -17,6 +17,8 @@ LARGEST_HEIGHT = 0.001
 NORM_SLACK = 0.01
 OLDEST_S = 60.0
 FARTHEST_AHEAD_S = 5.0
+LEAST_TOLERANCE = 5e-5
+"""Of position (m) and angle (rad), whatever the object."""
 
 REFUSALS = {
     RefusalReason.GOAL_NOT_FINITE: ErrorCode.GOAL_NOT_FINITE,
@@ -96,11 +98,11 @@ def read_tolerance(
 ) -> tuple[float, float] | Refused:
     """The tolerance of an action goal in m and rad, 0 meaning the cell's own."""
     for name, value, unit in (("position", position, "m"), ("angle", angle, "rad")):
-        if not math.isfinite(value) or value < 0 or 0 < value < 1e-4:
+        if not math.isfinite(value) or value < 0 or 0 < value < LEAST_TOLERANCE:
             return Refused(
                 ErrorCode.GOAL_BAD_TOLERANCE,
                 f"the {name} tolerance is {value:g} {unit}; it must be 0 (the cell's own) or at "
-                f"least 0.0001 {unit}",
+                f"least {LEAST_TOLERANCE:g} {unit}",
             )
     return position or default[0], angle or default[1]
 

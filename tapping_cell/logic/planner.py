@@ -126,7 +126,8 @@ TABLE = table(
         ((S.LOOKING,), Event.OBSERVED, (S.PLANNING,)),
         ((S.PLANNING,), Event.TAP_PROPOSED, (S.CONFIRMING,)),
         ((S.CONFIRMING,), Event.TAP_DROPPED, (S.LOOKING,)),
-        ((S.PLANNING, S.CONFIRMING), Event.TAP_COMMANDED, (S.PLACING,)),
+        # Nothing must be placed before a tapper at a fixed mount fires.
+        ((S.PLANNING, S.CONFIRMING), Event.TAP_COMMANDED, (S.PLACING, S.FIRING)),
         ((S.PLACING,), Event.IN_POSITION, (S.FIRING,)),
         (TAPPING, Event.OUTCOME_TOLD, (S.SETTLING,)),
         (TAPPING, Event.GIVEN_UP, (S.SETTLING,)),
@@ -183,6 +184,7 @@ class PlannerLogic:
         self._machine = StateMachine(TABLE, S.IDLE)
         self._monitor = CellMonitor(settings.silence_limit)
         self._active = self._configured = False
+        self._has_arm = True
         self._task: Task | None = None
         self._shot: Shot | None = None
         self._proposed: Shot | None = None
@@ -214,6 +216,9 @@ class PlannerLogic:
             assert isinstance(event.connected, GoalHandling)
             self.goals = event.connected
             self._configured = True
+            cell = self.goals.cell
+            self._has_arm = cell.file.arm is not None
+            self._monitor.expect(self._has_arm, [list(board.channels) for board in cell.boards])
             if event.kept_goal is not None:
                 self._recall(event, now)
         elif isinstance(event, Activated):
@@ -496,6 +501,10 @@ class PlannerLogic:
             elif self._late(now):
                 self._fail(*self._monitor.blind(self._settings.look_deadline, needed, now), now)
             return
+        if not task.ready:
+            # The goal's own time limit ends this, if nothing does.
+            self._deadline = now.steady + self._settings.look_deadline
+            return
         unknown = self.goals.update_free_space(task, self._look_after, now)
         if unknown is not None:
             if self._late(now):
@@ -576,7 +585,10 @@ class PlannerLogic:
         expiry = now.ros + round(allowance * NANOSECONDS)
         height = self.goals.cell.strike_height
         self._effects.append(Publish("tap_command", shot.command(now.ros, expiry, height)))
-        self._enter(Event.TAP_COMMANDED, S.PLACING, now, self._settings.place_deadline)
+        if self._has_arm:
+            self._enter(Event.TAP_COMMANDED, S.PLACING, now, self._settings.place_deadline)
+        else:
+            self._enter(Event.TAP_COMMANDED, S.FIRING, now, self._settings.fire_deadline)
 
     def _wait_for_person(self, task: Task, now: Now) -> None:
         """A person looks at the proposed tap; the plan holds as long as the object stays."""
@@ -672,7 +684,7 @@ class PlannerLogic:
 
     def _take_outcome(self, task: Task, shot: Shot, now: Now) -> None:
         """Take in the outcome that the tapper told."""
-        tapper = self._monitor.tapper
+        tapper = self._monitor.tapper_of(shot.tap_id)
         assert tapper is not None
         shot.outcome = self._monitor.outcome(shot.tap_id)
         shot.measured_speed = tapper.measured_speed
@@ -699,7 +711,8 @@ class PlannerLogic:
             return
         self._check_cell(
             ErrorCode.ARM_TIMEOUT,
-            f"the arm did not withdraw within {self._settings.withdraw_deadline:.0f} s",
+            f"the {'arm did not withdraw' if self._has_arm else 'striker was not back'} within"
+            f" {self._settings.withdraw_deadline:.0f} s",
             now,
         )
 
@@ -759,7 +772,7 @@ class PlannerLogic:
 
     def _hidden_by_arm(self, now: Now) -> bool:
         """True when the object should be seen and is not, and the arm may have to park."""
-        if self._withdrawn_tap_id in (0, self._parked_tap_id):
+        if not self._has_arm or self._withdrawn_tap_id in (0, self._parked_tap_id):
             return False
         looked = now.steady - self._look_after
         return min(looked, self._monitor.unseen_for(now)) > HIDDEN_S
@@ -767,7 +780,7 @@ class PlannerLogic:
     def _park(self, now: Now) -> None:
         """Send the arm on to its park pose: a second withdrawal says so."""
         tap_id = self._withdrawn_tap_id
-        if tap_id in (0, self._parked_tap_id):
+        if not self._has_arm or tap_id in (0, self._parked_tap_id):
             return
         self._parked_tap_id = tap_id
         self._publish_withdrawal(tap_id, now)

@@ -1,20 +1,24 @@
-"""The tapper's machine: charges and fires once a tap, only while the arm holds still for it."""
+"""The tapper's machine: charges and fires once a tap, only while the arm holds still for it.
+
+Of tappers at fixed mounts no arm need hold still: the machine charges at once, fires when it is
+charged, and is at rest again when the board has seen the striker back at its mount."""
 
 from __future__ import annotations
 
 import math
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import partial
 from typing import Any
 
-from tapping_cell.configuration.cell import Cell
+from tapping_cell.configuration.cell import Board, Cell
 from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.tapper import FireOutcome
 from tapping_cell.hardware.tapper_protocol import Reply
+from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import enabling, tap_commands, tapper_jobs
 from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
@@ -25,7 +29,7 @@ from tapping_cell.logic.host import Configured
 from tapping_cell.logic.poses import from_message
 from tapping_cell.logic.tap_commands import Trouble
 from tapping_cell.logic.tapper_jobs import ChargeEnd, FireEnd, Status
-from tapping_cell.logic.tapper_peers import PeerLimits, TapperPeers
+from tapping_cell.logic.tapper_peers import Mounts, PeerLimits, TapperPeers
 from tapping_cell.logic.transitions import StateMachine, table
 from tapping_cell.messages import ErrorCode, HoldStill, TapCommand, TapperState
 from tapping_cell.se2 import Pose
@@ -43,6 +47,8 @@ pulse and the flight."""
 RELEASED_S = 0.05
 """From the report of a release to the end of the arm's promise: longer than the release's pulse."""
 HOLD_ATTEMPTS = 5
+PROVE_PERIOD_S = 0.5
+"""Between two attempts to prove that the strikers are at their mounts."""
 LONGEST_CHARGED_S = 3.0
 """A striker that was charged while the arm lowered it is discharged where the arm is not in
 position so long afterwards."""
@@ -59,6 +65,8 @@ class State(Enum):
     CHARGED = "Charged"
     """The arm is on its last way down, or is asked to stand still."""
     FIRING = "Firing"
+    RETURNING = "Returning"
+    """A striker at a fixed mount was released and is not back."""
     DISCHARGING = "Discharging"
     FAULT = "Fault"
     STOPPED = "Stopped"
@@ -73,6 +81,9 @@ class Event(Enum):
     ARM_READY = "arm above or at the strike pose"
     CHARGED = "charged"
     HELD = "arm holds still"
+    FIXED = "mount is fixed"
+    RELEASED = "released from a fixed mount"
+    RETURNED = "striker is back"
     GIVEN_UP = "given up"
     ENDED = "ended"
     FAILED = "failed"
@@ -91,6 +102,9 @@ TABLE = table(
         ((S.WAITING,), Event.ARM_READY, (S.CHARGING,)),
         ((S.CHARGING,), Event.CHARGED, (S.CHARGED,)),
         ((S.CHARGED,), Event.HELD, (S.FIRING,)),
+        ((S.CHARGED,), Event.FIXED, (S.FIRING,)),
+        ((S.FIRING,), Event.RELEASED, (S.RETURNING,)),
+        ((S.RETURNING,), Event.RETURNED, (S.SAFE,)),
         ((S.WAITING,), Event.GIVEN_UP, (S.SAFE,)),
         ((S.CHARGING, S.CHARGED, S.FIRING), Event.GIVEN_UP, (S.DISCHARGING,)),
         ((S.CHARGING, S.FIRING, S.DISCHARGING), Event.ENDED, (S.SAFE,)),
@@ -108,6 +122,7 @@ WIRE = {
     S.CHARGING: TapperState.CHARGING,
     S.CHARGED: TapperState.CHARGED,
     S.FIRING: TapperState.FIRING,
+    S.RETURNING: TapperState.FIRING,
     S.DISCHARGING: TapperState.CHARGED,
     S.FAULT: TapperState.FAULT,
     S.STOPPED: TapperState.STOPPED,
@@ -158,6 +173,8 @@ class TapperOptions:
     set_up: bool = False
     """Set-up mode: charges and fires only while an enabling device is held."""
     draw_key: Callable[[], int] = random_key
+    board: int = 0
+    """Which of the cell's boards this is, in the order of the cell file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +182,8 @@ class Tap:
     """The tap that is served."""
 
     tap_id: int
+    channel: int
+    """Of the tapper that strikes, on its board."""
     energy: float
     """J."""
     expiry: int
@@ -172,7 +191,7 @@ class Tap:
     planned: Pose
     """Where the object lay when the tap was planned."""
     strike: Pose
-    """Where the arm brings the tip."""
+    """Where the arm brings the tip, or where it stands."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +213,12 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     def __init__(self, options: TapperOptions) -> None:
         super().__init__(StateMachine(TABLE, S.DISCONNECTED), 1.0 / options.state_rate)
-        self._curve: EnergyCurve | None = None
+        self._curves: Mapping[str, EnergyCurve] = {}
+        self._all_names: tuple[str, ...] = ()
+        self._board = Board("", {})
+        self._board_index = options.board
+        self._mounts = Mounts()
+        self._prove_at = -math.inf
         self._peers = TapperPeers(options.limits)
         self._trouble = (ErrorCode.TAPPER_NOT_CONNECTED, "the tapper is not connected yet")
         self._tap: Tap | None = None
@@ -206,7 +230,6 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._key = 0
         self._draw_key = options.draw_key
         self._last_tap_id = 0
-        self._names: tuple[str, ...] = ()
         self._fixed = False
         self._told = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
@@ -240,6 +263,10 @@ class TapperLogic(DeviceLogic[State, Event]):
         doubt = self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now)
         if doubt is not None:
             return doubt
+        if self._fixed:
+            # Nobody can move a mount: what is left is that this very tap is being fired.
+            fires = self.state is S.FIRING
+            return None if fires else (ErrorCode.NONE, "the tap is over")
         if permit is None or permit.tap_id != tap.tap_id:
             return ErrorCode.TAPPER_ARM_NOT_IN_POSITION, "the arm has not promised to hold still"
         end = max(release_by, now.steady) + FLIGHT_S
@@ -267,6 +294,8 @@ class TapperLogic(DeviceLogic[State, Event]):
                 self._give_up(gone)
         elif topic == "object_state":
             self._peers.hear_object(message, now)
+        elif topic == "tapper_state":
+            self._peers.hear_tapper(message, now)
         elif topic == enabling.TOPIC:
             self._enabling.hear_key(message.data, now)
             self._watch_enabling(now)
@@ -285,19 +314,22 @@ class TapperLogic(DeviceLogic[State, Event]):
             if tap is not None and command.tap_id == tap.tap_id:
                 self._give_up((ErrorCode.NONE, ""))
             return
-        tapper = tap_commands.named_tapper(command.tapper, self._names)
+        tapper = tap_commands.named_tapper(command.tapper, self._all_names)
+        if tapper is not None and tapper not in self._board.channels:
+            self._give_way(command, now)
+            return
         refusal = self._refusal(command, now)
         if refusal is not None:
             self._refuse(command, refusal, now)
             return
-        assert self._curve is not None
         assert tapper is not None
         self._machine.move(Event.TAP, S.WAITING)
         self._told.tapper = tapper
         self._last_tap_id = command.tap_id
         self._tap = Tap(
             command.tap_id,
-            self._curve.energy_for(command.striker_speed),
+            self._board.channels[tapper],
+            self._curves[tapper].energy_for(command.striker_speed),
             to_nanoseconds(command.expiry),
             from_message(command.object_pose),
             from_message(command.strike_pose),
@@ -307,6 +339,19 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._peers.begin_tap()
         self._trouble = (ErrorCode.NONE, "")
         self._tell_tap(command.tap_id, TapperState.NONE)
+        if self._fixed:
+            self._charge_when_ready(now)
+
+    def _give_way(self, command: TapCommand, now: Now) -> None:
+        """A tap of another board was commanded: none of this one is fired beside it."""
+        if self.state in SERVING and command.tap_id != self._told.tap_id:
+            self._give_up(
+                (
+                    ErrorCode.TAPPER_OTHER_ACTIVE,
+                    f"the tapper '{command.tapper}' of another board was commanded meanwhile; one"
+                    " tap at a time",
+                )
+            )
 
     def _tell_tap(self, tap_id: int, outcome: int) -> None:
         self._told.tap_id, self._told.outcome = tap_id, outcome
@@ -314,7 +359,7 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     def _refusal(self, command: TapCommand, now: Now) -> Trouble | None:
         """Why a tap command is not taken; None when it is."""
-        if not self._active or self._curve is None:
+        if not self._active or not self._configured:
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
         if self.state is not S.SAFE:
             serving = self.state in SERVING
@@ -324,18 +369,21 @@ class TapperLogic(DeviceLogic[State, Event]):
                 else f"is not at rest: {self._trouble[1]}"
             )
             return ErrorCode.TAPPER_BUSY, f"the tapper {why}"
-        if tap_commands.named_tapper(command.tapper, self._names) is None:
-            return tap_commands.unknown_tapper(command.tapper, self._names)
+        tapper = tap_commands.named_tapper(command.tapper, self._all_names)
+        if tapper is None:
+            return tap_commands.unknown_tapper(command.tapper, self._all_names)
+        if self._fixed and (doubt := self._mounts.doubt()) is not None:
+            return doubt
         if self._set_up and not self._enabling.held(now):
             return enabling.RELEASED
         if tap_commands.expired(command, now):
             return ErrorCode.TAPPER_COMMAND_EXPIRED, "its expiry has passed"
-        speed = command.striker_speed
-        if math.isfinite(speed) and not self._curve.slowest <= speed <= self._curve.fastest:
+        speed, curve = command.striker_speed, self._curves[tapper]
+        if math.isfinite(speed) and not curve.slowest <= speed <= curve.fastest:
             return (
                 ErrorCode.TAPPER_SPEED_OUT_OF_RANGE,
                 f"a striker speed of {1000 * speed:.1f} mm/s is outside the tapper's "
-                f"{1000 * self._curve.slowest:.1f} to {1000 * self._curve.fastest:.1f} mm/s",
+                f"{1000 * curve.slowest:.1f} to {1000 * curve.fastest:.1f} mm/s",
             )
         return tap_commands.refusal(command, now, self._last_tap_id)
 
@@ -362,6 +410,7 @@ class TapperLogic(DeviceLogic[State, Event]):
                 tapper_jobs.charge,
                 shot=tap.tap_id,
                 energy=tap.energy,
+                channel=tap.channel,
                 doubt=self.doubt_charging,
                 tell=self._set_up,
             ),
@@ -391,6 +440,11 @@ class TapperLogic(DeviceLogic[State, Event]):
         tap = self._tap
         if self.state is not S.CHARGED or tap is None or self._attempts > 0:
             return
+        if self._fixed:
+            self._attempts += 1
+            self._machine.move(Event.FIXED, S.FIRING)
+            self._begin_shot(tap)
+            return
         if self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now) is None:
             self._ask_arm(now)
             return
@@ -403,6 +457,12 @@ class TapperLogic(DeviceLogic[State, Event]):
             )
         if why is not None:
             self._discharge(why)
+
+    def _begin_shot(self, tap: Tap) -> None:
+        self._run(
+            "fire",
+            partial(tapper_jobs.fire, shot=tap.tap_id, doubt=self.doubt_firing, tell=self._set_up),
+        )
 
     def _ask_arm(self, now: Now) -> None:
         assert self._tap is not None
@@ -434,12 +494,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         elif not late:
             self._permit = Permit(tap.tap_id, until)
             self._machine.move(Event.HELD, S.FIRING)
-            self._run(
-                "fire",
-                partial(
-                    tapper_jobs.fire, shot=tap.tap_id, doubt=self.doubt_firing, tell=self._set_up
-                ),
-            )
+            self._begin_shot(tap)
         elif self._attempts < HOLD_ATTEMPTS:
             self._ask_arm(now)
         else:
@@ -464,7 +519,7 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     def _job_done(self, name: str, result: Any, now: Now) -> None:
         if isinstance(result, FireEnd):
-            self._fired(result)
+            self._fired(result, now)
         elif isinstance(result, ChargeEnd):
             self._charge_ended(result, now)
         else:
@@ -477,6 +532,11 @@ class TapperLogic(DeviceLogic[State, Event]):
                 self._board_ready(result.reply, Event.CONNECTED)
             elif name == "clear":
                 self._board_ready(result.reply, Event.CLEARED)
+            elif name == "prove":
+                self._see_mounts()
+            elif name == "return":
+                self._see_return(result.reply)
+                self._see_stop(result.reply)
 
     def _charge_ended(self, end: ChargeEnd, now: Now) -> None:
         self._take_in(end.status)
@@ -488,7 +548,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         else:
             self._machine.move(Event.CHARGED, S.CHARGED)
             self._attempts, self._charged_at = 0, now.steady
-            self._key = self._draw_key()
+            self._key = 0 if self._fixed else self._draw_key()
             self._ask_when_in_position(now)
 
     def _not_fired(self, why: Trouble | None) -> None:
@@ -500,7 +560,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         code, sentence = why or (ErrorCode.NONE, "")
         self._trouble = (code, sentence if code else "")
 
-    def _fired(self, end: FireEnd) -> None:
+    def _fired(self, end: FireEnd, now: Now) -> None:
         """A shot ended: tell its outcome, then the state in which the board is."""
         self._tap = None
         self._told.outcome = OUTCOMES[end.outcome]
@@ -521,13 +581,19 @@ class TapperLogic(DeviceLogic[State, Event]):
                 self._trouble = trouble
             return
         assert end.status is not None
-        self._machine.move(Event.ENDED, S.SAFE)
         self._take_in(end.status)
+        if self._fixed and end.outcome is not FireOutcome.NOT_FIRED:
+            self._machine.move(Event.RELEASED, S.RETURNING)
+            self._run("return", tapper_jobs.wait_for_return)
+        else:
+            self._machine.move(Event.ENDED, S.SAFE)
         self._see_stop(end.status.reply)
 
     def _job_failed(self, name: str, fault: HardwareFault, now: Now) -> None:
         if name == "connect":
             self.patience = patience_after(self.patience, fault)
+        if name == "prove" and fault.reason is FaultReason.INTERLOCK:
+            return  # the guard was opened meanwhile: it is proven when it is closed
         # Every fault that a job raises was met before FIRE went out.
         if fault.reason in OF_THE_TAP and self.state in (S.CHARGING, S.CHARGED, S.FIRING):
             self._log(LogLevel.ERROR, fault.sentence)
@@ -558,6 +624,33 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._take_in(result)
         self._hear_switch(result.reply, now)
         self._see_stop(result.reply)
+        if self.state is S.SAFE:
+            self._see_mounts()
+
+    def _see_return(self, reply: Reply) -> None:
+        """The striker is back, or was given up."""
+        if reply.state is BoardState.SAFE:
+            self._machine.move(Event.RETURNED, S.SAFE)
+        elif not reply.stop_latched:
+            struck = self._told.tapper
+            self._fail_to(S.FAULT)
+            self._say(
+                ErrorCode.TAPPER_STRIKER_AWAY,
+                f"the striker of {', '.join(self._mounts.away) or struck} did not leave its mount"
+                " or is not back at it, as its switch says; free it, check its return spring and"
+                " its switch, then clear the fault",
+            )
+
+    def _see_mounts(self) -> None:
+        """Tell, while at rest, what is wrong with the mounts, or that it is no longer."""
+        if not self._fixed:
+            return
+        doubt = self._mounts.doubt()
+        of_mounts = (ErrorCode.TAPPER_STRIKER_AWAY, ErrorCode.TAPPER_MOUNT_NOT_PROVEN)
+        if doubt is not None:
+            self._say(*doubt)
+        elif self._trouble[0] in of_mounts:
+            self._trouble = (ErrorCode.NONE, "")
 
     def _hear_switch(self, reply: Reply, now: Now) -> None:
         self._told.enabling_switch = reply.enabled
@@ -578,14 +671,33 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._told.shots_fired = status.fired
         self._told.boot_number = reply.boot
         self._told.interlock_closed = reply.interlock_closed
+        switches = reply.at_mounts
+        self._mounts.fitted = reply.channels > 1 or switches > 0
+        self._mounts.proven = reply.state not in (BoardState.UNHOMED, BoardState.HOMING)
+        resting = reply.state not in (BoardState.RELEASING, BoardState.DISCHARGING)
+        if resting or not switches:
+            self._mounts.away = tuple(
+                name
+                for name, channel in self._board.channels.items()
+                if self._mounts.fitted and not switches >> channel & 1
+            )
 
     # States
 
     def _configured_with(self, event: Configured, now: Now) -> None:
         assert isinstance(event.cell, Cell)
-        self._curve = event.cell.file.tapper.curve()
-        self._names = event.cell.tapper_names
-        self._fixed = event.cell.file.fixed_tappers is not None
+        cell = event.cell
+        self._board = cell.boards[self._board_index]
+        self._curves = {name: part.curve() for name, part in cell.tapper_sections.items()}
+        self._all_names = cell.tapper_names
+        self._fixed = cell.file.fixed_tappers is not None
+        if self._fixed:
+            others = [
+                list(board.channels)
+                for index, board in enumerate(cell.boards)
+                if index != self._board_index
+            ]
+            self._peers.use_mounts(self._mounts, others)
 
     def _connected(self, answer: Any, now: Now) -> None:
         assert isinstance(answer, Reply)
@@ -644,7 +756,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._machine.move(Event.FAILED, target)
 
     def _healthy(self) -> bool:
-        return self.state in SERVING or self.state is S.SAFE
+        return self.state in SERVING or self.state in (S.SAFE, S.RETURNING)
 
     def _begin_clear(self, now: Now) -> None:
         if self.state is not S.CLEARING:
@@ -658,7 +770,10 @@ class TapperLogic(DeviceLogic[State, Event]):
                 self._read_at = now.steady
                 self._run("connect", partial(tapper_jobs.connect, patience=self.patience))
         elif self.state not in (S.STOPPED, S.FAULT):
+            self._prove_when_due(now)
             self._read_when_due(READ_PERIOD_S, tapper_jobs.read, now)
+        if self._fixed:
+            self._charge_when_ready(now)
         self._ask_when_in_position(now)
         tap = self._tap
         if self.state is S.WAITING and tap is not None and now.ros > tap.expiry:
@@ -671,6 +786,16 @@ class TapperLogic(DeviceLogic[State, Event]):
                 )
             )
 
+    def _prove_when_due(self, now: Now) -> None:
+        """Have the board prove its mounts where it can and has not."""
+        mounts = self._mounts
+        wanted = self._fixed and mounts.fitted and not mounts.proven and not mounts.away
+        wanted = wanted and self._told.interlock_closed and self.state is S.SAFE
+        idle = self._job is None and self._reading is None
+        if wanted and idle and now.steady >= self._prove_at + PROVE_PERIOD_S:
+            self._prove_at = now.steady
+            self._run("prove", tapper_jobs.prove)
+
     # Reports
 
     def _report(self, now: Now) -> Publish:
@@ -678,10 +803,11 @@ class TapperLogic(DeviceLogic[State, Event]):
         told = self._told
         message = TapperState(
             state=WIRE[self.state],
-            tappers=list(self._names),
+            tappers=list(self._board.channels),
             tapper=told.tapper,
             fixed_mounts=self._fixed,
-            mounts_proven=True,
+            away=list(self._mounts.away) if self._fixed else [],
+            mounts_proven=not self._fixed or (self._mounts.fitted and self._mounts.proven),
             tap_id=told.tap_id,
             outcome=told.outcome,
             measured_speed=told.measured_speed,
@@ -697,4 +823,10 @@ class TapperLogic(DeviceLogic[State, Event]):
         return Publish("tapper_state", message)
 
     def _comparable(self, message: Message) -> Message:
-        return message.state, message.tap_id, message.outcome, message.error_code
+        return (
+            message.state,
+            message.tap_id,
+            message.outcome,
+            message.error_code,
+            message.mounts_proven,
+        )

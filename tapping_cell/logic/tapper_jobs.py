@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tapping_cell.hardware.faults import HardwareFault
-from tapping_cell.hardware.tapper import FireOutcome, FireResult
+from tapping_cell.hardware.tapper import FireOutcome, FireResult, TapperDriver
 from tapping_cell.hardware.tapper_device import TapperDevice
 from tapping_cell.hardware.tapper_protocol import Reply, State
 from tapping_cell.logic.clock import Now
@@ -72,18 +72,25 @@ def discharge(context: JobContext) -> Status:
     return _told(driver, driver.discharge())
 
 
+def prove(context: JobContext) -> Status:
+    """Have the board prove that its strikers are at their mounts."""
+    driver: TapperDriver = context.driver
+    return _told(driver, driver.home(lambda: not context.abandoned()))
+
+
 def charge(
     context: JobContext,
     shot: int,
     energy: float,
+    channel: int,
     doubt: Callable[[Now], Trouble | None],
     tell: bool,
 ) -> ChargeEnd:
-    """Charge ``energy`` in J for a shot, and discharge at once when ``doubt`` is met.
+    """Charge ``energy`` in J for a shot of a channel, and discharge at once when ``doubt`` is met.
 
     ``tell``: post the board's last reply before each check.
     """
-    driver: TapperDevice = context.driver
+    driver: TapperDriver = context.driver
     refusal: Trouble | None = None
 
     def go_on() -> bool:
@@ -95,7 +102,7 @@ def charge(
 
     if not go_on():
         return ChargeEnd(_told(driver, driver.status()), False, refusal)
-    reply = driver.charge(shot, energy, go_on)
+    reply = driver.charge(shot, energy, go_on, channel=channel)
     charged = reply.state is State.CHARGED
     return ChargeEnd(_told(driver, reply), charged, refusal)
 
@@ -132,6 +139,12 @@ def fire(
     except HardwareFault as met:
         fault = met
     return FireEnd(shot, result.outcome, result.sentence, refusal, status, fault)
+
+
+def wait_for_return(context: JobContext) -> Status:
+    """Wait until the striker that was released is back at its mount, or is given up."""
+    driver: TapperDriver = context.driver
+    return _told(driver, driver.wait_for_return(lambda: not context.abandoned()))
 
 
 def _told(driver: TapperDevice, reply: Reply) -> Status:

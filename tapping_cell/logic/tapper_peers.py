@@ -1,15 +1,19 @@
-"""Whom a tapper must hear before it charges and fires: arm, planner and camera."""
+"""Whom a tapper must hear before it charges and fires: arm, planner and camera.
+
+Tappers at fixed mounts have no arm. In its place stand the mounts, which the board has proven, and
+the cell's other boards, none of which may be charged or have a striker out."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock
 from tapping_cell.logic.poses import from_message
 from tapping_cell.logic.tap_commands import Trouble
-from tapping_cell.messages import ArmState, ErrorCode, ObjectState, PlanState
+from tapping_cell.messages import ArmState, ErrorCode, ObjectState, PlanState, TapperState
 from tapping_cell.se2 import Pose
 
 TAPPING = (PlanState.PLACING, PlanState.FIRING)
@@ -46,6 +50,47 @@ class PeerLimits:
     """Greatest rotation of the object from how the tap was planned, rad."""
 
 
+RESTING = (
+    TapperState.SAFE,
+    TapperState.STOPPED,
+    TapperState.FAULT,
+    TapperState.DISCONNECTED,
+)
+"""States of a board in which it fires nothing before it says so; its strikers may still be out."""
+
+
+@dataclass(slots=True)
+class Mounts:
+    """What the own board tells of its strikers. ``proven``: since its start each was seen at its
+    mount and, where it was released, to leave it and come back; ``away``: names of those that are
+    not there; ``fitted``: whether switches tell."""
+
+    proven: bool = False
+    fitted: bool = False
+    away: tuple[str, ...] = ()
+
+    def doubt(self) -> Trouble | None:
+        """Why no tapper of this board may be charged; None where one may."""
+        if not self.fitted:
+            return (
+                ErrorCode.TAPPER_MOUNT_NOT_PROVEN,
+                "the board has no switches at its mounts, so that it cannot prove that the strikers"
+                " are back; flash firmware 2.1 or newer, built for its channels",
+            )
+        if self.away:
+            return (
+                ErrorCode.TAPPER_STRIKER_AWAY,
+                f"the striker of {', '.join(self.away)} is not at its mount; free it and check its"
+                " switch",
+            )
+        if not self.proven:
+            return (
+                ErrorCode.TAPPER_MOUNT_NOT_PROVEN,
+                "the strikers were not yet proven to be at their mounts since the board's start",
+            )
+        return None
+
+
 class TapperPeers:
     """What arm, planner and camera said last, and when by the own steady clock.
 
@@ -65,6 +110,21 @@ class TapperPeers:
         self._picture_at: float | None = None
         self._seen: ObjectState | None = None
         self._seen_at = -math.inf
+        self._mounts: Mounts | None = None
+        self._boards: dict[tuple[str, ...], tuple[TapperState, float]] = {}
+        self._other_boards: frozenset[tuple[str, ...]] = frozenset()
+
+    def use_mounts(self, mounts: Mounts, other_boards: Sequence[Sequence[str]]) -> None:
+        """This cell has no arm: ``mounts`` of the own board, and the tappers' names of each of the
+        others."""
+        self._mounts = mounts
+        self._other_boards = frozenset(tuple(names) for names in other_boards)
+
+    def hear_tapper(self, message: TapperState, now: Now) -> None:
+        """Hear ``tapper_state`` of any board."""
+        names = tuple(message.tappers)
+        if names in self._other_boards:
+            self._boards[names] = message, now.steady
 
     def begin_tap(self) -> None:
         """A tap was commanded: whose it is shows in what the planner says from now on."""
@@ -108,6 +168,8 @@ class TapperPeers:
         ``planned``: where the object lay when the tap was planned; ``strike``: where the tap wants
         the tip, in ``table``.
         """
+        if self._mounts is not None:
+            return self._mount_doubt(now) or self._other_doubt(planned, now)
         return self._arm_doubt(tap_id, strike, now) or self._other_doubt(planned, now)
 
     def charging_doubt(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
@@ -116,6 +178,8 @@ class TapperPeers:
         ``strike``: the commanded strike pose, in ``table``. The arm must have been read back above
         it, so that the only motion left is straight down, and must still be heard.
         """
+        if self._mounts is not None:
+            return self._mount_doubt(now) or self._other_doubt(planned, now)
         if not self._lowers(tap_id, strike, now):
             doubt = self._arm_doubt(tap_id, strike, now)
             if doubt is not None:
@@ -156,6 +220,28 @@ class TapperPeers:
         if not _above(arm, strike):
             # Two planners by mistake may give one id to two taps.
             return code, f"the arm is in position for another tap with the id {tap_id}"
+        return None
+
+    def _mount_doubt(self, now: Now) -> Trouble | None:
+        """What is to be said against a tap from the board's own mounts: they are not proven, or
+        another board is not at rest."""
+        assert self._mounts is not None
+        doubt = self._mounts.doubt()
+        if doubt is not None:
+            return doubt
+        for names in sorted(self._other_boards):
+            state, heard = self._boards.get(names, (None, -math.inf))
+            if state is None or now.steady - heard > self._limits.silence:
+                how = "has not been heard" if state is None else "is silent"
+                return (
+                    ErrorCode.TAPPER_OTHER_ACTIVE,
+                    f"the board of '{names[0]}' {how}; check its tapper_trigger",
+                )
+            if state.state not in RESTING or state.away:
+                return (
+                    ErrorCode.TAPPER_OTHER_ACTIVE,
+                    f"the board of '{names[0]}' is charged or has a striker out; one tap at a time",
+                )
         return None
 
     def _skew(self, now: Now) -> Trouble | None:
@@ -202,6 +288,11 @@ class TapperPeers:
                 ErrorCode.OBJECT_NOT_SEEN,
                 f"the object has not been seen for {unseen:.2f} s (limit {limits.unseen:.2f} s);"
                 " uncover it, or raise unseen_limit where the arm itself covers it",
+            )
+        if self._mounts is not None and not self._seen.at_rest:
+            return (
+                ErrorCode.OBJECT_NOT_AT_REST,
+                "the object moves; a fixed tapper fires at an object at rest alone",
             )
         pose = from_message(self._seen.pose.pose)
         moved, turned = planned.distance_to(pose), abs(planned.rotation_to(pose))

@@ -31,12 +31,11 @@ from tapping_cell.messages import (
 )
 from tapping_cell.planning import (
     Decision,
-    FreeSpace,
     Gains,
-    PositioningSession,
     PrescribedSession,
     Strike,
 )
+from tapping_cell.planning.session import GoalSession
 from tapping_cell.planning.stopping import LONG_LOOK
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import ReferenceMap
@@ -146,7 +145,7 @@ class Task:
     goal: Pose
     tolerance: tuple[float, float]
     max_taps: int
-    session: PositioningSession | PrescribedSession
+    session: GoalSession | PrescribedSession
     token: Token | None
     """Of the action goal that waits for the result; None for a goal of the topic."""
     expires: float
@@ -156,7 +155,7 @@ class Task:
     records: list[TapRecord] = field(default_factory=list)
     not_fired: int = 0
     without_effect: int = 0
-    free_space: FreeSpace | None = None
+    free_space: object | None = None
     """The map that the session was last told to work in."""
 
     def description(self) -> str:
@@ -166,10 +165,15 @@ class Task:
             f"{math.degrees(self.goal.theta):.1f} deg"
         )
 
+    @property
+    def ready(self) -> bool:
+        """Whether a decision can be made: a goal may have to be solved first."""
+        return not isinstance(self.session, GoalSession) or self.session.ready
+
     def decide(self, seen: ObjectState, frames: int) -> Decision:
         """What to do with the object at rest as it is seen; a look is ``frames`` long, a long one
         ``LONG_LOOK`` times that; 0 where there is no time left for a long one."""
-        assert isinstance(self.session, PositioningSession)
+        assert isinstance(self.session, GoalSession)
         pose = from_message(seen.pose.pose)
         return self.session.decide(
             pose,

@@ -61,11 +61,13 @@ def withdrawal(
 ) -> tuple[Waypoint, ...]:
     """Waypoints from joints ``current`` to a pose with a free view, else to the park pose.
 
-    The park pose is also taken where no pose at travel height has a free view.
+    The park pose is also taken where no pose at travel height has a free view, and by an arm that
+    is no SCARA: where its links are, the cell file does not tell.
     """
     geometry = cell.arm.geometry()
     parked = withdraw_path(geometry, current, motion)
-    if scene is None:
+    own = cell.arm.ros2_control
+    if scene is None or (own is not None and own.chain is not None):
         return parked
     raised = raise_step(geometry, current, motion).joints
     tried = _candidates(geometry, raised)

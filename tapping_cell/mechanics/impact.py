@@ -37,6 +37,9 @@ from tapping_cell.mechanics.errors import (
 )
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.intp] | slice
+
+_ALL = slice(None)
 Constraint = Literal["linear_bearings", "free"]
 
 # The largest angle between the striker's axis and the contact normal that plans use: a grazing
@@ -209,37 +212,54 @@ class Impact:
         ``contact`` as for :meth:`strike`. NaN where no incidence within
         ``LARGEST_INCIDENCE`` gives the slope.
         """
+        bracket = self._bracket(impulse_slope, contact)
+        root = np.full(bracket.found.shape, np.nan)
+        rows = np.flatnonzero(bracket.found)
+        root[rows] = _bracketed_root(
+            lambda angle, some: bracket.error(angle, rows[some]),
+            *(part[rows] for part in (bracket.low, bracket.high, bracket.e_low, bracket.e_high)),
+        )
+        return root.reshape(bracket.shape)
+
+    def has_incidence(self, impulse_slope: ArrayLike, contact: ArrayLike) -> NDArray[np.bool_]:
+        """Whether :meth:`incidence_for` finds an incidence; much faster."""
+        bracket = self._bracket(impulse_slope, contact)
+        return bracket.found.reshape(bracket.shape)
+
+    def _bracket(self, impulse_slope: ArrayLike, contact: ArrayLike) -> _Bracket:
+        """Two incidences between which the impulse takes the slope."""
         slope = np.asarray(impulse_slope, dtype=float)
         c = np.asarray(contact, dtype=float)
         shape = np.broadcast_shapes(slope.shape, c.shape[:-1])
+        slope = np.broadcast_to(slope, shape).ravel()
+        c = np.broadcast_to(c, (*shape, 2)).reshape(-1, 2)
         # Right at the limit the slope is flat in the incidence: aim a hair inside it.
         limit = self.friction * (1 - 1e-11)
-        target = np.clip(np.broadcast_to(slope, shape), -limit, limit)
+        target = np.clip(slope, -limit, limit)
         beyond = np.abs(slope) > self.friction * (1 + 1e-9)
 
-        def error(angle: Array) -> Array:
-            p_n, p_t, _ = self._routh(angle, c)
-            return np.asarray(p_t / p_n - target)
+        def error(angle: Array, rows: Rows) -> Array:
+            p_n, p_t, _ = self._routh(angle, c[rows])
+            return np.asarray(p_t / p_n - target[rows])
 
-        straight = np.zeros(shape)
-        e_straight = error(straight)
+        straight = np.zeros(slope.shape)
+        e_straight = error(straight, _ALL)
         # A contact that sticks answers to the tangent of the incidence: half as far again as a
         # linear guess is beyond the root, if not the last place to look is.
         b1, b2, _ = self.inverse_inertias(straight, c)
         other = np.arctan(-1.5 * (1 + self.restitution) * b1 / b2 * e_straight)
-        e_other = error(other)
+        e_other = error(other, _ALL)
         open_ended = (e_other * e_straight > 0) | (np.abs(other) > LARGEST_INCIDENCE)
         if open_ended.any():
             other = np.where(open_ended, np.copysign(LARGEST_INCIDENCE, -e_straight), other)
-            e_other = np.where(open_ended, error(other), e_other)
+            e_other = np.where(open_ended, error(other, _ALL), e_other)
         # Far off a polygon's normal the slope may fall with the incidence: look on that side too.
         wrong_side = e_other * e_straight > 0
         if wrong_side.any():
             other = np.where(wrong_side, np.copysign(LARGEST_INCIDENCE, e_straight), other)
-            e_other = np.where(wrong_side, error(other), e_other)
-        missing = (e_other * e_straight > 0) | beyond
-        root = _bracketed_root(error, straight, other, e_straight, e_other)
-        return np.where(missing, np.nan, root)
+            e_other = np.where(wrong_side, error(other, _ALL), e_other)
+        found = ~((e_other * e_straight > 0) | beyond)
+        return _Bracket(shape, found, straight, other, e_straight, e_other, error)
 
     def _routh(self, incidence: Array, contact: Array) -> tuple[Array, Array, Array]:
         """Impulses for a striker of unit speed, and the sign of the sliding at the end."""
@@ -272,26 +292,47 @@ class Impact:
         return p_n, p_t, np.where(still_first, direction, reverse)
 
 
+class _Bracket(NamedTuple):
+    """Flat: incidences of a slope too low and too high, the errors of the slope there, and whether
+    there is a root between; ``error`` is the function of incidence and rows."""
+
+    shape: tuple[int, ...]
+    found: NDArray[np.bool_]
+    low: Array
+    high: Array
+    e_low: Array
+    e_high: Array
+    error: Callable[[Array, Rows], Array]
+
+
 def _bracketed_root(
-    function: Callable[[Array], Array], low: Array, high: Array, f_low: Array, f_high: Array
+    function: Callable[[Array, Rows], Array], low: Array, high: Array, f_low: Array, f_high: Array
 ) -> Array:
-    """Zeros between ``low`` and ``high`` by Chandrupatla's method, elementwise (1997)."""
+    """Zeros between ``low`` and ``high``, (n,), by Chandrupatla's method, elementwise (1997).
+
+    ``function`` takes places and the rows that they are of; rows that are done are left out.
+    """
+    found = low.copy()
+    rows: NDArray[np.intp] = np.arange(low.size)
     a, b, c = high.copy(), low.copy(), high.copy()
     fa, fb, fc = f_high.copy(), f_low.copy(), f_high.copy()
     t = np.full(a.shape, 0.5)
     for _ in range(_ROOT_STEPS):
         x = a + t * (b - a)
-        fx = function(x)
+        fx = function(x, rows)
         same = np.sign(fx) == np.sign(fa)
         c, fc = np.where(same, a, b), np.where(same, fa, fb)
         b, fb = np.where(same, b, a), np.where(same, fb, fa)
         a, fa = x, fx
-        best = np.where(np.abs(fa) < np.abs(fb), a, b)
         best_f = np.minimum(np.abs(fa), np.abs(fb))
         width = np.abs(b - a)
-        tolerance = _ROOT_TOLERANCE / np.where(width > 0, width, 1.0)
-        if np.all((best_f <= _SLOPE_TOLERANCE) | (width <= _ROOT_TOLERANCE)):
+        found[rows] = np.where(np.abs(fa) < np.abs(fb), a, b)
+        left = (best_f > _SLOPE_TOLERANCE) & (width > _ROOT_TOLERANCE)
+        rows = rows[left]
+        if rows.size == 0:
             break
+        a, b, c, fa, fb, fc, width = (part[left] for part in (a, b, c, fa, fb, fc, width))
+        tolerance = _ROOT_TOLERANCE / width
         with np.errstate(divide="ignore", invalid="ignore"):
             xi = (a - b) / (c - b)
             phi = (fa - fb) / (fc - fb)
@@ -301,4 +342,4 @@ def _bracketed_root(
             good = (phi**2 < xi) & ((1 - phi) ** 2 < 1 - xi) & np.isfinite(inverse)
         t = np.where(good, inverse, 0.5)
         t = np.clip(t, np.minimum(tolerance, 0.5), np.maximum(1 - tolerance, 0.5))
-    return best
+    return found

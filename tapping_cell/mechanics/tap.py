@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell import se2
 from tapping_cell.mechanics.bodies import Body, Polygon
-from tapping_cell.mechanics.contact import first_contact
+from tapping_cell.mechanics.contact import Contact, first_contact
 from tapping_cell.mechanics.errors import (
     InvalidParameterError,
     UnreachableDisplacementError,
@@ -208,9 +208,13 @@ class Tap:
         if not isinstance(self.body, Polygon):
             return inside
         held = _poses("object pose", object_pose)
-        turned = _turn(wanted, -held[..., 2])
-        sample = np.where(inside[..., None], turned, [1.0, 0.0, 0.0])
-        return np.asarray(inside & ~np.isnan(self._plan_in_body(sample).incidence))
+        shape = np.broadcast_shapes(inside.shape, held.shape[:-1])
+        turned = np.broadcast_to(_turn(wanted, -held[..., 2]), (*shape, 3))
+        found = np.array(np.broadcast_to(inside, shape))
+        _, line, slope = self._line_of_action(turned[found])
+        local = _in_frame(line.normal, line.point)
+        found[found] = ~line.missed & self.impact.has_incidence(slope, local)
+        return found
 
     def jacobian(self, displacement: ArrayLike) -> Array:
         """Derivative (..., 3, 3) of the tap's result by the striker's pose, in m and rad.
@@ -257,18 +261,9 @@ class Tap:
 
     def _plan_in_body(self, wanted: Array) -> TapPlan:
         """Plans in the object's frame; the incidence is NaN where no contact can do it."""
-        twist = self.sliding.twist_for(wanted)
-        velocity, spin = twist[..., :2], twist[..., 2]
-        speed = np.hypot(velocity[..., 0], velocity[..., 1])
-        along = velocity / np.where(speed > 0, speed, 1.0)[..., None]
-        body = self.body
-        lever = body.radius_of_gyration**2 * spin / np.where(speed > 0, speed, 1.0)
-        # The line of action as the flight of a point: its first contact is the place to hit.
-        right = np.stack([along[..., 1], -along[..., 0]], axis=-1)
-        far = 2 * body.bounding_radius
-        line = first_contact(body, 0.0, lever[..., None] * right - far * along, along)
-        normal = line.normal
-        slope = _cross(normal, along) / (normal * along).sum(axis=-1)
+        twist, line, slope = self._line_of_action(wanted)
+        body, normal = self.body, line.normal
+        speed = np.hypot(twist[..., 0], twist[..., 1])
         local = _in_frame(normal, line.point)
         incidence = self.impact.incidence_for(slope, local)
         incidence = np.where(line.missed, np.nan, incidence)
@@ -285,6 +280,22 @@ class Tap:
             incidence=incidence,
             twist=twist,
         )
+
+    def _line_of_action(self, wanted: Array) -> tuple[Array, Contact, Array]:
+        """Twist of the launch, where the impulse's line of action enters the body, and the slope of
+        the impulse to the normal there; in the object's frame."""
+        twist = self.sliding.twist_for(wanted)
+        velocity, spin = twist[..., :2], twist[..., 2]
+        speed = np.hypot(velocity[..., 0], velocity[..., 1])
+        along = velocity / np.where(speed > 0, speed, 1.0)[..., None]
+        body = self.body
+        lever = body.radius_of_gyration**2 * spin / np.where(speed > 0, speed, 1.0)
+        # The line of action as the flight of a point: its first contact is the place to hit.
+        right = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+        far = 2 * body.bounding_radius
+        line = first_contact(body, 0.0, lever[..., None] * right - far * along, along)
+        slope = _cross(line.normal, along) / (line.normal * along).sum(axis=-1)
+        return twist, line, slope
 
     def _inside(self, wanted: Array) -> NDArray[np.bool_]:
         distance = np.hypot(wanted[..., 0], wanted[..., 1])

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from tapping_cell.mechanics import Polygon, Tap
 from tapping_cell.planning.free_space import PathLengths
-from tapping_cell.planning.gains import Gains
+from tapping_cell.planning.gains import Gains, command_of, prediction_of
 from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.se2 import wrap_angle
 
 HEADINGS = 24
-SHARES_OF_FIRST = (1.0, 0.7, 0.5, 0.3, 0.15)
-SHARES_OF_LARGEST = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
+SHARES_OF_FIRST = np.array([1.0, 0.7, 0.5, 0.3, 0.15])
+SHARES_OF_LARGEST = np.array([1.0, 0.6, 0.35, 0.2, 0.1, 0.05])
 TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
 
@@ -35,68 +36,109 @@ def alternative_taps(
     largest tap) and rotations (shares of the cone). They are ranked by how many taps the method
     would need from where they lead, with the distance measured along the path around obstacles.
     """
+    number = gains.value
+    made = candidate_taps(pose, goal, first, number, planner, paths.length, tap)
+    order = np.argsort(made.cost, kind="stable")
+    order = order[np.isfinite(made.cost[order])]
+    waiting, waiting_cost = order[:0], made.cost[:0]
+    for start in range(0, order.size, CHUNK):
+        part = order[start : start + CHUNK]
+        cost = made.cost[part] + indirect(made.after[part], goal, number, planner, tap)
+        waiting = np.concatenate([waiting, part])
+        waiting_cost = np.concatenate([waiting_cost, cost])
+        # Those that no candidate further on can come before.
+        following = order[start + CHUNK : start + CHUNK + 1]
+        ready = waiting_cost <= made.cost[following].min(initial=np.inf)
+        rank = np.argsort(waiting_cost[ready], kind="stable")
+        if rank.size:
+            yield made.commanded[waiting[ready][rank]]
+        waiting, waiting_cost = waiting[~ready], waiting_cost[~ready]
+
+
+class Candidates(NamedTuple):
+    """Taps that may replace a method's own, m of them for each pose.
+
+    commanded: (..., m, 3). after: (..., m, 3), the poses they lead to. cost: (..., m), taps with
+    this one and from there on, at least; infinite where nothing leads on.
+    """
+
+    commanded: Array
+    after: Array
+    cost: Array
+
+
+def candidate_taps(
+    pose: Array,
+    goal: Array,
+    first: Array,
+    number: Array,
+    planner: Planner,
+    path: Callable[[Array], Array],
+    tap: Tap,
+) -> Candidates:
+    """What ``alternative_taps`` ranks, for poses, goals and first choices (..., 3).
+
+    number: ``Gains.value``, (..., 6). path: length of the way from places (..., m, 2) to the goal.
+    """
     settings = planner.settings
-    length = math.hypot(first[0], first[1]) * float(gains.value[0])
+    length = np.hypot(first[..., 0], first[..., 1]) * number[..., 0]
+    shares = np.broadcast_to(SHARES_OF_LARGEST, (*length.shape, len(SHARES_OF_LARGEST)))
     sizes = np.clip(
         np.concatenate(
-            [
-                length * np.array(SHARES_OF_FIRST),
-                settings.largest_distance * np.array(SHARES_OF_LARGEST),
-            ]
+            [length[..., None] * SHARES_OF_FIRST, settings.largest_distance * shares], axis=-1
         ),
         settings.smallest_distance,
         settings.largest_distance,
     )
-    headings = math.atan2(first[1], first[0]) + np.arange(HEADINGS) * (2.0 * math.pi / HEADINGS)
+    turns = np.arange(HEADINGS) * (2.0 * math.pi / HEADINGS)
+    headings = np.arctan2(first[..., 1], first[..., 0])[..., None] + turns
     if isinstance(tap.body, Polygon):
-        headings = np.concatenate([headings, _through_edges(tap, tap.body, float(pose[2]))])
-    heading, size, share = (
-        axis.ravel() for axis in np.meshgrid(headings, np.unique(sizes), TURNS, indexing="ij")
-    )
+        headings = np.concatenate([headings, _through_edges(tap, tap.body, pose[..., 2])], axis=-1)
+    shape = (*length.shape, headings.shape[-1], sizes.shape[-1], len(TURNS))
+    flat = (*length.shape, -1)
+    heading = np.broadcast_to(headings[..., :, None, None], shape).reshape(flat)
+    size = np.broadcast_to(sizes[..., None, :, None], shape).reshape(flat)
+    share = np.broadcast_to(np.array(TURNS), shape).reshape(flat)
+    known, start = number[..., None, :], pose[..., None, :]
     most = settings.cone_slope * size
-    scale = 1.0 / float(gains.value[1])
-    left = float(wrap_angle(goal[2] - pose[2])) * scale
+    scale = 1.0 / known[..., 1]
+    left = wrap_angle(goal[..., 2] - pose[..., 2])[..., None] * scale
     turn = np.where(share == 1.0, np.clip(left, -most, most), share * most)
-    commanded = gains.command(size, turn, heading, pose[2], settings.cone_slope)
-    after = pose + gains.predict(commanded, pose[2])
-    path = paths.length(after[:, :2])
-    remaining = wrap_angle(goal[2] - after[:, 2]) * scale
-    reachable = np.isfinite(path)
-    cost = np.where(
-        reachable,
-        planner.taps_to_go(np.where(reachable, path, 0.0), remaining)
-        + 0.05 * size / settings.largest_distance,
-        np.inf,
-    )
-    if isinstance(tap.body, Polygon):
-        cost = cost + _indirect(after, goal, gains, planner, tap)
-    order = np.argsort(cost, kind="stable")
-    order = order[np.isfinite(cost[order])]
-    for start in range(0, order.size, CHUNK):
-        yield commanded[order[start : start + CHUNK]]
+    commanded = command_of(known, size, turn, heading, start[..., 2], settings.cone_slope)
+    after = start + prediction_of(known, commanded, start[..., 2])
+    way = path(after[..., :2])
+    remaining = wrap_angle(goal[..., None, 2] - after[..., 2]) * scale
+    reachable = np.isfinite(way)
+    taps = planner.taps_to_go(np.where(reachable, way, 0.0), remaining)
+    cost = np.where(reachable, taps + 0.05 * size / settings.largest_distance, np.inf)
+    return Candidates(commanded, after, cost)
 
 
-def _through_edges(tap: Tap, body: Polygon, orientation: float) -> Array:
+def _through_edges(tap: Tap, body: Polygon, orientation: Array) -> Array:
     """Directions of travel, rad in `table`, that the edges pass on best: their normals, and half
-    of the contact friction to both sides."""
-    inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0]) + orientation
+    of the contact friction to both sides; (..., directions) for orientations (...)."""
+    inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0])
     aside = 0.5 * math.atan(tap.impact.friction) * np.array([-1.0, 0.0, 1.0])
-    return np.asarray((inward[:, None] + aside).ravel())
+    return np.asarray(orientation[..., None] + (inward[:, None] + aside).ravel())
 
 
-def _indirect(after: Array, goal: Array, gains: Gains, planner: Planner, tap: Tap) -> Array:
-    """One more tap where no contact of a polygon gives the rest in one: poses (n, 3) after a tap.
+def indirect(after: Array, goal: Array, number: Array, planner: Planner, tap: Tap) -> Array:
+    """One more tap where no contact of a polygon gives the rest in one: poses (..., 3) after a tap.
 
     The edges of a polygon pass on impulses within the contact's friction of their normals only,
-    which a planning method does not know.
+    which a planning method does not know. ``number``: ``Gains.value``.
     """
+    if not isinstance(tap.body, Polygon):
+        return np.zeros(after.shape[:-1])
     left = goal - after
-    left[:, 2] = wrap_angle(left[:, 2])
-    distance, turn, heading = gains.to_plan(left)
+    distance = np.hypot(left[..., 0], left[..., 1])
+    turn = wrap_angle(left[..., 2]) / number[..., 1]
+    heading = np.arctan2(left[..., 1], left[..., 0])
     settings = planner.settings
     near = (distance >= settings.smallest_distance) & (distance <= settings.largest_distance)
-    commanded = gains.command(
-        np.where(near, distance, 1.0), turn, heading, after[:, 2], settings.cone_slope
+    commanded = command_of(
+        number, np.where(near, distance, 1.0), turn, heading, after[..., 2], settings.cone_slope
     )
-    direct = tap.reachable(commanded, after)
+    direct = np.zeros(near.shape, dtype=bool)
+    direct[near] = tap.reachable(commanded[near], after[near])
     return np.where(near & ~direct, 1.0, 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from threading import Thread
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +15,8 @@ from tapping_cell.planning.fixed_policy import (
     Solution,
     expected_taps,
     scatter_points,
-    solve_goal,
+    solve_coarse,
+    solve_finer,
     states_after,
 )
 from tapping_cell.planning.fixed_tappers import FixedStrikeSpace, Lines
@@ -58,19 +60,55 @@ WAY = np.linspace(0.25, 1.0, 4)
 KEPT_SOLUTIONS = 16
 
 
-class GoalSolver:
-    """Solves goals and keeps the last ones solved, for one object and cell."""
+class SolvedGoal:
+    """A goal that is solved, or being solved: coarse first, then fine."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[str, Solution] = OrderedDict()
+        self._solution: Solution | None = None
+        self._failure: Exception | None = None
 
-    def solution(self, space: FixedStrikeSpace, settings: PlannerSettings, goal: Array) -> Solution:
-        """The solution for a goal; seconds where it is new."""
+    @property
+    def solution(self) -> Solution | None:
+        """The best solution so far; None while there is none.
+
+        Raises what solving it raised.
+        """
+        if self._failure is not None:
+            raise self._failure
+        return self._solution
+
+    def solve(self, space: FixedStrikeSpace, settings: PlannerSettings, place: Array) -> None:
+        """Solve it; seconds."""
+        try:
+            coarse = solve_coarse(space, settings, place)
+            self._solution = coarse
+            self._solution = solve_finer(space, settings, coarse)
+        except Exception as error:  # kept for whoever asks: a thread has no caller to raise to
+            self._failure = error
+
+
+class GoalSolver:
+    """Solves goals and keeps the last ones solved, for one object and cell.
+
+    ``background``: in a thread of its own; who asks gets the best solution so far.
+    """
+
+    def __init__(self, *, background: bool = False) -> None:
+        self._kept: OrderedDict[str, SolvedGoal] = OrderedDict()
+        self._background = background
+
+    def goal(self, space: FixedStrikeSpace, settings: PlannerSettings, goal: Array) -> SolvedGoal:
+        """The solved goal; where it is new and not for the background, after seconds."""
         turn = 0.0 if space.is_round else float(goal[2])
         place = np.array([goal[0], goal[1], turn])
         key = f"{space.key()};{settings.key()};{np.round(place, 6).tolist()}"
         if key not in self._kept:
-            self._kept[key] = solve_goal(space, settings, place)
+            made = self._kept[key] = SolvedGoal()
+            if self._background:
+                arguments = (space, settings, place)
+                Thread(target=made.solve, args=arguments, name="goal", daemon=True).start()
+            else:
+                made.solve(space, settings, place)
             while len(self._kept) > KEPT_SOLUTIONS:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)
@@ -129,10 +167,15 @@ class FixedTapperSession(GoalSession):
         """Work in this space from now on: what stands on the table may have changed."""
         self._nominal = space
         self._space = believed(space, self.mounts)
-        self._solution: Solution | None = None
+        self._solved: SolvedGoal | None = None
         self._goal_refusal = check_fixed_goal(self.goal, space)
         if self._goal_refusal is None:
-            self._solution = self._solver.solution(space, self.settings, self.goal)
+            self._solved = self._solver.goal(space, self.settings, self.goal)
+
+    @property
+    def ready(self) -> bool:
+        """Whether the goal is solved, coarsely at least."""
+        return self._solved is None or self._solved.solution is not None
 
     def observe(
         self,
@@ -233,7 +276,9 @@ class FixedTapperSession(GoalSession):
         self, pose: Array, left: Array, lines: Lines, usable: list[int]
     ) -> tuple[int, Array, float] | None:
         """Tapper, commanded displacement (3,) and its length with the fewest expected taps."""
-        assert self._solution is not None
+        assert self._solved is not None
+        solution = self._solved.solution
+        assert solution is not None, "the goal is not solved yet; ask ready first"
         heading, slope = lines.heading[usable], lines.slope[usable]
         gain = self.gains.value
         least = lines.least[usable]
@@ -255,8 +300,8 @@ class FixedTapperSession(GoalSession):
         )
         box = self.settings.stopping
         cost = expected_taps(
-            self._solution.value,
-            self._solution.grid,
+            solution.value,
+            solution.grid,
             (box.distance, box.rotation),
             after,
         )

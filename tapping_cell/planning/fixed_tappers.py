@@ -69,6 +69,13 @@ class WorkingArea:
     y: float
     radius: float
 
+    def outline(self, edges: int = 72) -> Array:
+        """Edges of the disc, (edges, 2 ends, 2), to be drawn, m in `table`."""
+        angles = np.linspace(0.0, 2.0 * math.pi, edges + 1)
+        ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        corners = np.array([self.x, self.y]) + self.radius * ring
+        return np.stack([corners[:-1], corners[1:]], axis=1)
+
     def room(self, points: ArrayLike) -> Array:
         """Distance of points (..., 2) to the area's edge, negative outside, m."""
         p = np.asarray(points, dtype=float)

@@ -181,31 +181,14 @@ class Gains:
         orientation: of the object before the tap, rad. cone_slope: the most rotation per distance
         that can be asked for, rad/m; what an object off its middle needs beyond it is left out.
         """
-        number = self.value
-        travel = np.asarray(distance, dtype=float)
-        size = np.maximum(np.abs(travel), 1e-12)
-        along = np.asarray(heading, dtype=float) + np.where(travel < 0.0, math.pi, 0.0)
-        drift = _across(number, along - np.asarray(orientation, dtype=float))
-        slope = np.asarray(rotation, dtype=float) / size - drift / number[..., 1]
-        slope = np.clip(slope, -cone_slope, cone_slope)
-        along = along - number[..., 2] - number[..., 3] * slope
-        length = size / number[..., 0]
-        return np.stack([length * np.cos(along), length * np.sin(along), slope * length], axis=-1)
+        return command_of(self.value, distance, rotation, heading, orientation, cone_slope)
 
     def predict(self, commanded: ArrayLike, orientation: ArrayLike) -> Array:
         """The displacement, (..., 3), that a commanded one is expected to make.
 
         orientation: of the object before the tap, rad.
         """
-        command, number = np.asarray(commanded, dtype=float), self.value
-        length = np.hypot(command[..., 0], command[..., 1])
-        slope = command[..., 2] / np.maximum(length, 1e-12)
-        along = np.arctan2(command[..., 1], command[..., 0])
-        along = along + number[..., 2] + number[..., 3] * slope
-        length = length * number[..., 0]
-        drift = _across(number, along - np.asarray(orientation, dtype=float))
-        turn = length * (number[..., 1] * slope + drift)
-        return np.stack([length * np.cos(along), length * np.sin(along), turn], axis=-1)
+        return prediction_of(self.value, commanded, orientation)
 
     def observe(
         self,
@@ -366,6 +349,39 @@ class Gains:
         _replace_main(made.rotation, value[[1, 4, 5]], deviation[[1, 4, 5]])
         _replace_main(made.direction, value[[2, 3]], deviation[[2, 3]])
         return made
+
+
+def command_of(
+    number: Array,
+    distance: ArrayLike,
+    rotation: ArrayLike,
+    heading: ArrayLike,
+    orientation: ArrayLike,
+    cone_slope: float = math.inf,
+) -> Array:
+    """``Gains.command`` for ``Gains.value`` (..., 6), which broadcasts with the taps."""
+    travel = np.asarray(distance, dtype=float)
+    size = np.maximum(np.abs(travel), 1e-12)
+    along = np.asarray(heading, dtype=float) + np.where(travel < 0.0, math.pi, 0.0)
+    drift = _across(number, along - np.asarray(orientation, dtype=float))
+    slope = np.asarray(rotation, dtype=float) / size - drift / number[..., 1]
+    slope = np.clip(slope, -cone_slope, cone_slope)
+    along = along - number[..., 2] - number[..., 3] * slope
+    length = size / number[..., 0]
+    return np.stack([length * np.cos(along), length * np.sin(along), slope * length], axis=-1)
+
+
+def prediction_of(number: Array, commanded: ArrayLike, orientation: ArrayLike) -> Array:
+    """``Gains.predict`` for ``Gains.value`` (..., 6), which broadcasts with the taps."""
+    command = np.asarray(commanded, dtype=float)
+    length = np.hypot(command[..., 0], command[..., 1])
+    slope = command[..., 2] / np.maximum(length, 1e-12)
+    along = np.arctan2(command[..., 1], command[..., 0])
+    along = along + number[..., 2] + number[..., 3] * slope
+    length = length * number[..., 0]
+    drift = _across(number, along - np.asarray(orientation, dtype=float))
+    turn = length * (number[..., 1] * slope + drift)
+    return np.stack([length * np.cos(along), length * np.sin(along), turn], axis=-1)
 
 
 def _replace_main(belief: Belief, mean: ArrayLike, deviation: ArrayLike) -> None:

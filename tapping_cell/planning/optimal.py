@@ -12,7 +12,7 @@ from tapping_cell.planning.interface import Array, Planner, Taps
 from tapping_cell.planning.lookup import Indices, bracket
 from tapping_cell.planning.policy_cache import keep_policy, load_policy
 from tapping_cell.planning.settings import PlannerSettings
-from tapping_cell.planning.value_iteration import Solution, solve
+from tapping_cell.planning.value_iteration import Solution, solutions
 
 ALIKE = 0.35
 """Neighbouring taps are interpolated when they differ by less than this share of the larger one."""
@@ -77,7 +77,7 @@ class OptimalPlanner:
     """The optimal method for given settings: from the cache, or solved now, or in the background.
 
     While a plan is solved in the background, ``fallback`` (exact two-tap plans unless given)
-    answers, and ``name`` says so.
+    answers, then the plan of a coarse grid, and ``name`` says so.
     """
 
     def __init__(
@@ -91,10 +91,12 @@ class OptimalPlanner:
         self._fallback: Planner = ExactPlanner(settings) if fallback is None else fallback
         self._ready = threading.Event()
         self._policy: OptimalPolicy | None = None
+        self._finest = False
         self._failure: BaseException | None = None
         kept = load_policy(settings)
         if kept is not None:
             self._policy = OptimalPolicy(settings, kept)
+            self._finest = True
             self._ready.set()
         elif background:
             threading.Thread(target=self._solve, name="optimal-plan", daemon=True).start()
@@ -105,8 +107,8 @@ class OptimalPlanner:
 
     @property
     def ready(self) -> bool:
-        """Whether the optimal plan answers."""
-        return self._policy is not None
+        """Whether the optimal plan of the fine grid answers."""
+        return self._finest
 
     @property
     def failure(self) -> BaseException | None:
@@ -115,8 +117,12 @@ class OptimalPlanner:
 
     @property
     def name(self) -> str:
-        """ "optimal", or the fallback's name while the plan is being solved."""
-        return "optimal" if self.ready else f"{self._fallback.name} (optimal is being solved)"
+        """ "optimal", or what answers while the plan is being solved."""
+        if self._finest:
+            return "optimal"
+        if self._policy is not None:
+            return "optimal on a coarse grid (the fine one is being solved)"
+        return f"{self._fallback.name} (optimal is being solved)"
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until the plan is solved, at most ``timeout`` s; returns ``ready``."""
@@ -133,9 +139,10 @@ class OptimalPlanner:
 
     def _solve(self) -> None:
         try:
-            solution = solve(self.settings)
+            for solution in solutions(self.settings):
+                self._policy = OptimalPolicy(self.settings, solution)
             keep_policy(self.settings, solution)
-            self._policy = OptimalPolicy(self.settings, solution)
+            self._finest = True
         except Exception as error:  # kept for whoever asks: a thread has no caller to raise to
             self._failure = error
         finally:

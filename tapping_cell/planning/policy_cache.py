@@ -20,7 +20,7 @@ import numpy as np
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.value_iteration import FINE_STEPS, RATIO, Solution
 
-FORMAT = 4
+FORMAT = 5
 """To be raised whenever the solver would give other plans for the same settings and grids."""
 
 MOST_FILES = 64

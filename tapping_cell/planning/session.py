@@ -117,6 +117,25 @@ class GoalSession(ABC):
         """Tolerance, scatter and camera."""
 
     @property
+    def ready(self) -> bool:
+        """Whether a decision can be made: where a goal must be solved first, when it is."""
+        return True
+
+    @abstractmethod
+    def observe(
+        self,
+        strike: Strike,
+        pose_before: ArrayLike,
+        pose_after: ArrayLike,
+        covariance: ArrayLike | None = None,
+    ) -> None:
+        """Learn from a tap that was fired."""
+
+    @abstractmethod
+    def edge_warning(self, pose: ArrayLike) -> str:
+        """A sentence where the object lies where few taps are left; an empty text else."""
+
+    @property
     @abstractmethod
     def method(self) -> str:
         """Name of the planning method, for records."""

@@ -37,13 +37,30 @@ def arm_solids(
     shoulder, elbow, wrist = transform_points(pose, np.array([[0.0, 0.0], elbow, wrist]))
     held = np.array([striker.x, striker.y, striker.theta])
     return (
-        _box(held, (-tapper.tool_start, 0.0), tapper.tip_radius, tip.z, _STRIKER_LEVEL),
-        _box(
-            held, (-tapper.tool_length, -tapper.tool_start), tapper.tool_radius, tip.z, _TOOL_LEVEL
-        ),
+        *_tool(tapper, held, held, tip.z),
         _solid(_circle(wrist, QUILL_RADIUS), max(tip.z, 0.0), low, _TOOL_LEVEL),
         _link(elbow, wrist, low, arm),
         _link(shoulder, elbow, low, arm),
+    )
+
+
+def striker_solids(
+    tapper: TapperSection, mount: Pose, height: float, out: float
+) -> tuple[Occluder, ...]:
+    """A tapper at a fixed mount, its tip ``height`` m over the table and ``out`` m on its way."""
+    rest = np.array([mount.x, mount.y, mount.theta])
+    ahead = rest + out * np.array([math.cos(mount.theta), math.sin(mount.theta), 0.0])
+    return _tool(tapper, rest, ahead, height)
+
+
+def _tool(tapper: TapperSection, rest: Array, tip: Array, height: float) -> tuple[Occluder, ...]:
+    """Striker and housing; the striker reaches from the housing at rest to the tip."""
+    out = math.hypot(tip[0] - rest[0], tip[1] - rest[1])
+    along = (-tapper.tool_start - out, 0.0)
+    housing = (-tapper.tool_length, -tapper.tool_start)
+    return (
+        _box(tip, along, tapper.tip_radius, height, _STRIKER_LEVEL),
+        _box(rest, housing, tapper.tool_radius, height, _TOOL_LEVEL),
     )
 
 

@@ -2,7 +2,8 @@
 
 Perspective from a tilted pose, lens distortion, markers sampled over the area of each pixel, uneven
 light, sensor noise, blur while moving, the object's side wall, and silhouettes above the table (the
-arm, a hand). The static scene is drawn once; a frame redraws only the patch around the object.
+arm, a hand). The static scene is drawn once, objects at rest when one of them has moved, and a
+frame redraws only the patches around those that move.
 """
 
 from __future__ import annotations
@@ -72,12 +73,41 @@ class Occluder:
     convex: bool = False
 
 
-class SceneRenderer:
-    """Renders the table with its reference markers and one object.
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneObject:
+    """An object in the picture: its convex outline in its frame, points (N, 2) in m, and what its
+    top shows and how high that is: a marker, or the plain top of an object without one."""
 
-    ``camera`` and ``pose`` are the true ones; ``outline`` the convex outline of the object in its
-    frame, points (N, 2) in m; ``marker`` is what its top shows and how high that is: a marker, or
-    the plain top of an object without one. Frames depend on ``seed``.
+    outline: NDArray[np.float64]
+    marker: ObjectMarker | ObjectOutline
+
+
+class _Look:
+    """How one object looks from the camera."""
+
+    def __init__(
+        self,
+        shown: SceneObject,
+        rays: NDArray[np.float64],
+        pixel: float,
+        blur: float,
+    ) -> None:
+        """``rays``: where each pixel meets the plane of the object's top, (rows, columns, 2)."""
+        marker = shown.marker
+        self.outline, self.height = shown.outline, marker.height
+        self.x, self.y = (np.ascontiguousarray(rays[..., i], dtype=np.float32) for i in (0, 1))
+        bright = isinstance(marker, ObjectOutline) and marker.brighter
+        top = BRIGHT_TOP_REFLECTANCE if bright else TOP_REFLECTANCE
+        self.wall = BRIGHT_WALL_REFLECTANCE if bright else WALL_REFLECTANCE
+        self.body = outline_layer(self.outline, top, pixel, blur)
+        self.label, self.label_pose = _label(marker, pixel, blur)
+
+
+class SceneRenderer:
+    """Renders the table with its reference markers and the objects on it.
+
+    ``camera`` and ``pose`` are the true ones; ``outline`` and ``marker`` describe the first object
+    as in ``SceneObject``, ``others`` the further ones. Frames depend on ``seed``.
     """
 
     def __init__(
@@ -89,12 +119,11 @@ class SceneRenderer:
         marker: ObjectMarker | ObjectOutline,
         settings: SceneSettings | None = None,
         seed: int = 0,
+        others: Sequence[SceneObject] = (),
     ) -> None:
         self.view = View(camera, pose)
         self.settings = settings or SceneSettings()
         self._random = np.random.default_rng(seed)
-        self._outline = np.asarray(outline, dtype=float)
-        self._height = marker.height
         # The coverage of whole pixels already holds a pixel's own area.
         self._point_spread = max(0.1, np.sqrt(max(0.0, self.settings.blur**2 - 1.0 / 12.0)))
         distance = float(pose.position[2])
@@ -106,19 +135,20 @@ class SceneRenderer:
         background = self._background(ground, references, pixel, blur)
         self._background16 = _fixed_point(background)
         self._background_image = background
-        above = self.view.rays_on_plane(rays, marker.height)
-        self._x, self._y = (np.ascontiguousarray(above[..., i], dtype=np.float32) for i in (0, 1))
+        objects = (SceneObject(np.asarray(outline, dtype=float), marker), *others)
+        self._looks = tuple(
+            _Look(shown, self.view.rays_on_plane(rays, shown.marker.height), pixel, blur)
+            for shown in objects
+        )
         if self.settings.shadow_depth > 0.0:
             self._ground = ground.astype(np.float32)
-        bright = isinstance(marker, ObjectOutline) and marker.brighter
-        top = BRIGHT_TOP_REFLECTANCE if bright else TOP_REFLECTANCE
-        self._wall = BRIGHT_WALL_REFLECTANCE if bright else WALL_REFLECTANCE
-        self._body = outline_layer(self._outline, top, pixel, blur)
-        self._label, self._label_pose = _label(marker, pixel, blur)
         self._noise = self._noise_pool()
+        # What lies still is drawn into one picture, what moves over it into another.
+        self._still, self._still16 = background.copy(), self._background16.copy()
+        self._still_key: tuple[tuple[float, ...], ...] = ()
+        self._still_windows: list[tuple[slice, slice]] = []
         self._clean = self._background16.copy()
-        self._drawn: tuple[slice, slice] | None = None
-        self._drawn_key: tuple[float, ...] | None = None
+        self._moving_windows: list[tuple[slice, slice]] = []
 
     def render(
         self,
@@ -130,14 +160,12 @@ class SceneRenderer:
         """One frame, uint8 (height, width).
 
         ``object_pose`` is (x, y, theta) in table when the exposure begins and ``end_pose`` when it
-        ends (the same when at rest); ``light`` scales the whole scene's light (0 is dark).
+        ends (the same when at rest), or one such row for each object; ``light`` scales the whole
+        scene's light (0 is dark).
         """
-        start = np.asarray(object_pose, dtype=float)
-        end = start if end_pose is None else np.asarray(end_pose, dtype=float)
-        key = (*start.tolist(), *end.tolist())
-        if key != self._drawn_key:
-            self._draw_object(start, end)
-            self._drawn_key = key
+        start = np.atleast_2d(np.asarray(object_pose, dtype=float))
+        end = start if end_pose is None else np.atleast_2d(np.asarray(end_pose, dtype=float))
+        self._draw_objects(start, end)
         clean = self._clean
         if occluders:
             clean = clean.copy()
@@ -202,51 +230,95 @@ class SceneRenderer:
             return None
         return slice(low[1], high[1]), slice(low[0], high[0])
 
-    def _draw_object(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
-        if self._drawn is not None:
-            self._clean[self._drawn] = self._background16[self._drawn]
-            self._drawn = None
+    def _draw_objects(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
+        """Draw the objects at rest, if one of them has moved, and over them those that move."""
+        still = np.all(start == end, axis=-1)
+        key = tuple((number, *start[number].tolist()) for number in np.flatnonzero(still).tolist())
+        if key != self._still_key:
+            for window in (*self._still_windows, *self._moving_windows):
+                self._still[window] = self._background_image[window]
+                self._still16[window] = self._clean[window] = self._background16[window]
+            self._still_windows = []
+            for number in np.flatnonzero(still).tolist():
+                pose = start[number]
+                drawn = self._draw(self._looks[number], pose, pose, self._still)
+                if drawn is not None:
+                    window, patch = drawn
+                    self._still[window] = patch
+                    self._still16[window] = self._clean[window] = _fixed_point(patch)
+                    self._still_windows.append(window)
+            self._still_key = key
+        else:
+            for window in self._moving_windows:
+                self._clean[window] = self._still16[window]
+        self._moving_windows = []
+        moving = np.flatnonzero(~still).tolist()
+        floor = self._still.copy() if len(moving) > 1 else self._still
+        for number in moving:
+            drawn = self._draw(self._looks[number], start[number], end[number], floor)
+            if drawn is not None:
+                window, patch = drawn
+                if len(moving) > 1:
+                    floor[window] = patch
+                self._clean[window] = _fixed_point(patch)
+                self._moving_windows.append(window)
+
+    def _draw(
+        self,
+        look: _Look,
+        start: NDArray[np.float64],
+        end: NDArray[np.float64],
+        floor: Array32,
+    ) -> tuple[tuple[slice, slice], Array32] | None:
+        """A window of the picture and the scene in it with an object that goes from one pose to
+        another; None where it is out of view. ``floor``: the picture without it."""
         ends = np.stack([start, end])
-        base = se2.transform_points(ends[:, None, :], self._outline)
-        rims = np.stack([self.view.project(base), self.view.project(base, self._height)])
+        base = se2.transform_points(ends[:, None, :], look.outline)
+        rims = np.stack([self.view.project(base), self.view.project(base, look.height)])
         fallen = self.view.project(base + np.array(self.settings.shadow))
         window = self._window(np.concatenate([rims.reshape(-1, 2), fallen.reshape(-1, 2)]))
         if window is None:
-            return
+            return None
         travel = float(np.max(np.abs(rims[:, 1] - rims[:, 0])))
         count = int(np.clip(np.ceil(travel), 1, 12))
         shares = (np.arange(count) + 0.5) / count
         total = np.zeros(self._light[window].shape, dtype=np.float32)
         for share in shares:
-            total += self._patch(window, start + share * (end - start))
-        self._clean[window] = _fixed_point(total / np.float32(count))
-        self._drawn = window
+            total += self._patch(look, window, start + share * (end - start), floor[window])
+        return window, np.asarray(total / np.float32(count), dtype=np.float32)
 
-    def _patch(self, window: tuple[slice, slice], pose: NDArray[np.float64]) -> Array32:
+    def _patch(
+        self,
+        look: _Look,
+        window: tuple[slice, slice],
+        pose: NDArray[np.float64],
+        floor: Array32,
+    ) -> Array32:
         """The scene in a window with the object at one pose."""
         light = self._light[window] * np.float32(WHITE_LEVEL)
-        body = self._body_coverage(window, pose)
-        floor = self._background_image[window]
+        body = self._body_coverage(look, window, pose)
         if self.settings.shadow_depth > 0.0:
             ground = self._ground[window]
             fallen = pose + np.array([*self.settings.shadow, 0.0])
-            _, shaded = self._body.sample(*_local(fallen, ground[..., 0], ground[..., 1]))
+            _, shaded = look.body.sample(*_local(fallen, ground[..., 0], ground[..., 1]))
             floor = floor * (1 - np.float32(self.settings.shadow_depth) * shaded)
-        x, y = self._x[window], self._y[window]
-        top, covered = self._body.sample(*_local(pose, x, y))
+        x, y = look.x[window], look.y[window]
+        top, covered = look.body.sample(*_local(pose, x, y))
         # Top, wall and floor share every pixel: where no wall is seen none shows between them.
-        behind = np.maximum(body - covered, 0.0) * light * np.float32(self._wall)
+        behind = np.maximum(body - covered, 0.0) * light * np.float32(look.wall)
         patch = floor * (1 - np.maximum(body, covered)) + behind + top * light
-        if self._label is not None:
-            label_pose = se2.compose(pose, self._label_pose)
-            reflected, covered = self._label.sample(*_local(label_pose, x, y))
+        if look.label is not None:
+            label_pose = se2.compose(pose, look.label_pose)
+            reflected, covered = look.label.sample(*_local(label_pose, x, y))
             patch = patch * (1 - covered) + reflected * light
         return np.asarray(patch, dtype=np.float32)
 
-    def _body_coverage(self, window: tuple[slice, slice], pose: NDArray[np.float64]) -> Array32:
+    def _body_coverage(
+        self, look: _Look, window: tuple[slice, slice], pose: NDArray[np.float64]
+    ) -> Array32:
         """Coverage by the whole body: from the outline on the table to the one on top."""
-        base = se2.transform_points(pose, self._outline)
-        rims = np.concatenate([self.view.project(base), self.view.project(base, self._height)])
+        base = se2.transform_points(pose, look.outline)
+        rims = np.concatenate([self.view.project(base), self.view.project(base, look.height)])
         hull = cv2.convexHull(rims.astype(np.float32))[:, 0]
         corner = np.array([window[1].start, window[0].start]) - 0.5
         rows, columns = (part.stop - part.start for part in window)

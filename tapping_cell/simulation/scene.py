@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from numpy.typing import ArrayLike
 
 from tapping_cell.configuration.cell import Cell
-from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
+from tapping_cell.simulation.rendered_camera import SceneObject, SceneRenderer, SceneSettings
 from tapping_cell.simulation.truth import CameraTruth
 from tapping_cell.vision.camera import CameraModel, CameraPose
 
@@ -25,8 +26,14 @@ def true_camera(calibrated: CameraModel, truth: CameraTruth) -> CameraModel:
     )
 
 
-def make_renderer(cell: Cell, truth: CameraTruth, outline: ArrayLike, seed: int) -> SceneRenderer:
-    """A renderer of the cell's table and object as the truth has them."""
+def make_renderer(
+    cell: Cell,
+    truth: CameraTruth,
+    outline: ArrayLike,
+    seed: int,
+    others: Sequence[SceneObject] = (),
+) -> SceneRenderer:
+    """A renderer of the cell's table, its object and further ones as the truth has them."""
     return SceneRenderer(
         camera=true_camera(cell.camera, truth),
         pose=CameraPose.above(truth.position, truth.aim, truth.turn),
@@ -35,4 +42,5 @@ def make_renderer(cell: Cell, truth: CameraTruth, outline: ArrayLike, seed: int)
         marker=cell.object.seen(),
         settings=SceneSettings(noise=truth.noise, light_falloff=truth.light_falloff),
         seed=seed,
+        others=others,
     )

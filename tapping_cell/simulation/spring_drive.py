@@ -118,6 +118,28 @@ class SpringDrive:
 
     # What the firmware orders.
 
+    def can_store(self, energy: float) -> bool:
+        """Whether whole steps store ``energy`` in J to within 3 %."""
+        return self.mechanism.can_store(energy)
+
+    def charge(self, energy: float, now: float) -> None:
+        """Draw the spring for ``energy`` in J."""
+        self.out(self.mechanism.steps_for(energy), now)
+
+    def stored(self, now: float) -> float:
+        """What the spring stores now, J."""
+        return self.mechanism.energy_at(self.place(now))
+
+    def at_mounts(self, now: float) -> int:
+        """Mask of the strikers that a switch sees at their mounts: none, an arm carries it."""
+        return 0
+
+    def released(self, channel: int, now: float) -> None:
+        """The latch was released: the carriage goes back by ``back``."""
+
+    def start(self) -> None:
+        """The board was switched on."""
+
     def home(self, now: float) -> None:
         """Leave the front switch if it is closed, and look for it."""
         wake = WAKE_TIME if self._phase is Phase.OFF else 0.0

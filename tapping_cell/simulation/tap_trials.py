@@ -38,14 +38,20 @@ class SimulatedTaps:
     round_angle: float = 0.0
 
     def answer(
-        self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator
+        self,
+        poses: Array,
+        seen: Array,
+        commanded: Array,
+        gains: Array,
+        rng: np.random.Generator,
     ) -> Array:
-        """True displacements (n, 3) of taps commanded at the objects' poses (n, 3), in table axes.
+        """True displacements (n, 3) of taps on objects at ``poses``, planned for those seen.
 
-        The first two of ``gains`` (n, 4) multiply distance and rotation on top (where the centre of
-        mass lies is told by the truth file, not by the other two); a tap that misses moves nothing.
+        All are (n, 3) in table axes. The first two of ``gains`` (n, 4) multiply distance and
+        rotation on top (where the centre of mass lies is told by the truth file, not by the other
+        two); a tap that misses moves nothing.
         """
-        plan = self.model.plan(commanded, poses)
+        plan = self.model.plan(commanded, seen)
         tips = np.array(plan.strike_pose)
         tips[..., 0] -= self.standoff * np.cos(tips[..., 2])
         tips[..., 1] -= self.standoff * np.sin(tips[..., 2])

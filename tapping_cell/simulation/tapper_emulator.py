@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from tapping_cell.simulation.coil_bank import CoilBank
 from tapping_cell.simulation.device_emulator import OutputQueue
 from tapping_cell.simulation.spring_drive import SpringDrive, SpringMechanism, Status
 
@@ -21,8 +22,15 @@ FORGET_PRESS = 5.0
 """A press as long as this, while the board is at rest, forgets the shot numbers used, s."""
 LONGEST_WINDOW_MS = 100
 LARGEST_JUMP = 2**32
-VERSION = "2.0.0-sim"
-SETTLING = {"HOMING": "SAFE", "CHARGING": "CHARGED", "CHARGED": "CHARGED", "DISCHARGING": "SAFE"}
+OLD_VERSION = "2.0.0-sim"
+"""Of a board that knows no channels."""
+SETTLING = {
+    "HOMING": "SAFE",
+    "SAFE": "SAFE",
+    "CHARGING": "CHARGED",
+    "CHARGED": "CHARGED",
+    "DISCHARGING": "SAFE",
+}
 """States with a movement, and what they become when it has ended well."""
 
 FireCallback = Callable[[int, float, float], float | None]
@@ -35,6 +43,10 @@ class TapperMachine:
     """The mechanics and electronics around the board."""
 
     spring: SpringMechanism = field(default_factory=SpringMechanism)
+    coils: int = 0
+    """Channels of a board with coils at fixed mounts in the place of the spring; 0: the spring."""
+    version: str = "2.1.0-sim"
+    """Of the firmware."""
     carriage: float = 0.0
     """Where the carriage stands at first, steps from its front switch."""
     release_time: float = 0.02
@@ -87,7 +99,13 @@ class TapperEmulator:
         self.interlock_closed = True
         self.fires: list[tuple[int, float, float]] = []
         """Every release: shot, energy in J, time in s."""
-        self.drive = SpringDrive(self.machine.spring, now, self.machine.carriage)
+        self.drive: SpringDrive | CoilBank = (
+            CoilBank(self.machine.coils)
+            if self.machine.coils
+            else SpringDrive(self.machine.spring, now, self.machine.carriage)
+        )
+        self.channel = 0
+        """Of the last shot that was charged."""
         self._boot = boot - 1
         self._used = 0  # kept in EEPROM: the greatest shot ever charged
         self._enabled = False
@@ -106,6 +124,7 @@ class TapperEmulator:
         self._setup = True
         self._shot = self._used
         self._energy_uj = 0
+        self.channel = 0
         self._fired = 0
         self._speed_um = 0
         self._heard = now
@@ -114,10 +133,25 @@ class TapperEmulator:
         self._press = ""
         self._pressed = 0.0
         self._acknowledged = -1e9
+        self.drive.start()
         self.drive.halt(now)
         self._state = "UNHOMED"
 
     # What the world asks and does.
+
+    @property
+    def coils(self) -> CoilBank:
+        """The coils of a board with channels (TypeError: it drives a spring)."""
+        if not isinstance(self.drive, CoilBank):
+            raise TypeError("this board drives a spring")
+        return self.drive
+
+    @property
+    def spring(self) -> SpringDrive:
+        """The carriage of a board with a spring (TypeError: it has coils)."""
+        if not isinstance(self.drive, SpringDrive):
+            raise TypeError("this board has coils")
+        return self.drive
 
     @property
     def state(self) -> str:
@@ -192,6 +226,9 @@ class TapperEmulator:
         while True:
             due = self._next_internal()
             if due is None or due > now:
+                # Coils make no movement whose end is an event.
+                if self._state == "SAFE" or (self.machine.coils and self._state in SETTLING):
+                    self._settle(SETTLING[self._state], self._state)
                 return
             self.drive.advance(due)
             if self._state == "RELEASING" and due >= self._released_until:
@@ -305,10 +342,12 @@ class TapperEmulator:
         numbers = [int(argument) for argument in arguments]
         if any(number >= 2**64 for number in numbers):
             return "UNKNOWN"
-        if command == "CHARGE" and len(numbers) == 3:
-            return self._charge(numbers[0], numbers[1], numbers[2], now)
-        if command == "FIRE" and len(numbers) == 2:
-            return self._fire(numbers[0], numbers[1], now)
+        most = 0 if self.machine.version == OLD_VERSION else 1
+        if command == "CHARGE" and 3 <= len(numbers) <= 3 + most:
+            channel = numbers[3] if len(numbers) == 4 else 0
+            return self._charge(numbers[0], numbers[1], numbers[2], channel, now)
+        if command == "FIRE" and 2 <= len(numbers) <= 2 + most:
+            return self._fire(numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else 0, now)
         if numbers:
             return "UNKNOWN"
         if command == "HELLO":
@@ -335,7 +374,7 @@ class TapperEmulator:
         self._settle("SAFE", "HOMING")
         return "OK"
 
-    def _charge(self, shot: int, energy_uj: int, timeout_ms: int, now: float) -> str:
+    def _charge(self, shot: int, energy_uj: int, timeout_ms: int, channel: int, now: float) -> str:
         if self._state == "STOPPED":
             return "STOPPED"
         if not self.interlock_closed:
@@ -351,24 +390,26 @@ class TapperEmulator:
         if not (
             0 < energy_uj <= self.machine.maximum_energy * 1e6
             and 0 < timeout_ms <= self.machine.maximum_timeout * 1e3
-            and self.machine.spring.can_store(energy_uj * 1e-6)
+            and self.drive.can_store(energy_uj * 1e-6)
         ):
             return "RANGE"
+        if channel >= max(self.machine.coils, 1):
+            return "CHANNEL"
         if self._too_much_for_setup(energy_uj):
             return "NOT_ENABLED"
-        self._shot, self._energy_uj = shot, energy_uj
+        self._shot, self._energy_uj, self.channel = shot, energy_uj, channel
         self._used = shot
         self._expires = now + timeout_ms * 1e-3
         self._press = ""
         self._state = "CHARGING"
-        self.drive.out(self.machine.spring.steps_for(energy_uj * 1e-6), now)
+        self.drive.charge(energy_uj * 1e-6, now)
         return "OK"
 
     def _time_ms(self, now: float) -> int:
         passed = int((now - self._started) * 1e3 + 1e-6)
         return (self.machine.first_time_ms + passed) % 2**32
 
-    def _fire(self, shot: int, deadline: int, now: float) -> str:
+    def _fire(self, shot: int, deadline: int, channel: int, now: float) -> str:
         if shot and shot == self._fired:
             return "FIRED"
         if self._state == "STOPPED":
@@ -377,6 +418,8 @@ class TapperEmulator:
             return "INTERLOCK"
         if self._state != "CHARGED" or shot != self._shot:
             return "SPENT" if shot < self._shot else "NOT_CHARGED"
+        if channel != self.channel:
+            return "CHANNEL"
         if deadline >= 2**32:
             return "UNKNOWN"
         if not 0 < (deadline - self._time_ms(now)) % 2**32 <= LONGEST_WINDOW_MS:
@@ -385,9 +428,10 @@ class TapperEmulator:
         self._state = "RELEASING"
         self._released_until = now + self.machine.release_time
         self._fired = shot
-        energy = self.machine.spring.energy_at(self.drive.place(now))
+        energy = self.drive.stored(now)
         self.fires.append((shot, energy, now))
         measured = self.on_fire(shot, energy, now) if self.on_fire else None
+        self.drive.released(self.channel, now)
         self._speed_um = 0 if measured is None else max(round(measured * 1e6), 0)
         return "FIRED"
 
@@ -417,8 +461,10 @@ class TapperEmulator:
             "SETUP" if self._setup else "RUN",
             int(self._enabled),
         ]
+        if self.machine.version != OLD_VERSION:
+            fields += [self.channel, max(self.machine.coils, 1), self.drive.at_mounts(now)]
         if result == "WELCOME":
-            fields.append(VERSION)
+            fields.append(self.machine.version)
         body = ",".join(str(value) for value in fields).encode()
         return b"@" + body + b"*" + b"%04X" % _checksum(body) + b"\n"
 

@@ -181,6 +181,18 @@ class ArmTruth:
 
 
 @dataclass(frozen=True, slots=True)
+class MountsTruth:
+    """How the lines of fixed tappers really lie: drawn about the cell file's by the seed."""
+
+    offset: float = quantity(
+        "standard deviation of a line beside its place", "m", 0.0, 0.01, default=0.0002
+    )
+    angle: float = quantity(
+        "standard deviation of a line's direction", "rad", 0.0, 0.1, default=0.002
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class CameraTruth:
     """How the camera really is, against its calibration file."""
 
@@ -216,4 +228,13 @@ class TruthFile:
     impact: ImpactTruth = section("impact", default=ImpactTruth())
     scatter: ScatterTruth = section("scatter of a tap", default=ScatterTruth())
     arm: ArmTruth = section("arm", default=ArmTruth())
+    mounts: MountsTruth = section("mounts of fixed tappers", default=MountsTruth())
     camera: CameraTruth = section("camera", default=CameraTruth())
+    further_starts: tuple[tuple[float, float, float], ...] = quantity(
+        "the same of the cell's further objects, in their order; those without one begin at random "
+        "free places",
+        "",
+        -7.0,
+        7.0,
+        default=(),
+    )

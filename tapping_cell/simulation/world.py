@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile
 from tapping_cell.mechanics import Striker
 from tapping_cell.se2 import Pose, wrap_angle
+from tapping_cell.simulation.collision import Solid
 from tapping_cell.simulation.contact import TOUCH_M, Contact, ContactLaw, Flight, Outline
 from tapping_cell.simulation.sliding import LONGEST_STEP_S, Motion, Slide, TableFriction
 from tapping_cell.simulation.support import sample_support
@@ -99,10 +100,11 @@ class World:
             tangential_stiffness=truth.impact.tangential_stiffness,
             oblique_loss=truth.impact.oblique_loss,
         )
-        self._contact = Contact(
-            Outline(body, offset), body.mass, inertia, striker, law, self._slide.acceleration
-        )
+        self._outline, self._inertia, self._law = Outline(body, offset), inertia, law
         self._body = body
+        self._contact = self._contact_with(striker)
+        self.solid = Solid.of(body, offset, inertia)
+        """The object as others meet it."""
         self._random = np.random.default_rng(random)
         # Of its own: how a tap scatters does not depend on whether it is measured.
         self._gate_random = self._random.spawn(1)[0]
@@ -141,6 +143,25 @@ class World:
         motion = self._motion()
         return motion.vx, motion.vy, motion.omega
 
+    @property
+    def motion(self) -> Motion:
+        """Pose and twist of the centre of mass at that time."""
+        return self._motion()
+
+    def go_on(self, motion: Motion) -> None:
+        """Go on from here with another motion of the centre of mass: something else was met."""
+        self._cut(motion)
+
+    def _contact_with(self, striker: Striker) -> Contact:
+        return Contact(
+            self._outline,
+            self._body.mass,
+            self._inertia,
+            striker,
+            self._law,
+            self._slide.acceleration,
+        )
+
     def reseed(self, seed: int) -> None:
         """Begin the random numbers anew."""
         self._random = np.random.default_rng(seed)
@@ -150,11 +171,12 @@ class World:
         self._tap = None
         self._cut(self._centred(pose))
 
-    def random_pose(self, length: float, width: float, margin: float) -> Pose:
-        """A pose anywhere on a table of that size, at least ``margin`` m off its edges."""
-        reach = np.maximum(np.array([length, width]) / 2 - margin, 0.0)
-        x, y = self._random.uniform(-reach, reach)
-        return Pose(float(x), float(y), float(self._random.uniform(-math.pi, math.pi)))
+    def take_striker(self, striker: Striker, stroke: float) -> None:
+        """Strike with another striker from now on, with a stroke in m: each of several tappers has
+        its own."""
+        self._stroke = stroke
+        if striker != self._striker:
+            self._striker, self._contact = striker, self._contact_with(striker)
 
     def strike(self, tip: Pose, tip_height: float, speed: float, now: float) -> bool:
         """Release the striker at a true tip pose in ``table`` with a speed in m/s.
@@ -187,6 +209,16 @@ class World:
             ),
         )
         return meets
+
+    def travel_to_meet(self, tip: Pose, tip_height: float, speed: float) -> float:
+        """How far a released striker travels until it meets the object where it lies now, m; inf
+        where it does not."""
+        if not 0 < tip_height < self._height or speed <= 0:
+            return math.inf
+        axis = (math.cos(tip.theta), math.sin(tip.theta))
+        flight = Flight(tip.x, tip.y, speed * axis[0], speed * axis[1], axis, self._stroke)
+        self._bring_out(flight)
+        return self._travel(flight)
 
     def gate_speed(self, speed: float) -> float:
         """What the tapper's gate measures, m/s, of a striker released with a commanded speed."""
@@ -270,17 +302,22 @@ class World:
 
     def _meets(self, flight: Flight) -> bool:
         """Whether a striker that goes on would meet the object where it lies now."""
-        nearest = math.inf
+        return math.isfinite(self._travel(flight))
+
+    def _travel(self, flight: Flight) -> float:
+        """How far a striker that goes on travels until it meets the object where it lies now."""
+        nearest, left = math.inf, flight.left
         while flight.left > 0:
             gap = self._contact.gap(self._after, flight)
             if gap <= TOUCH_M:
-                return self._contact.closing_speed(self._after, flight) > 0
+                meets = self._contact.closing_speed(self._after, flight) > 0
+                return left - flight.left if meets else math.inf
             if gap > nearest:
                 # The outline is convex: once the way leads off, it stays so.
-                return False
+                return math.inf
             nearest = gap
             flight.fly(max(gap, TOUCH_M) / flight.speed)
-        return False
+        return math.inf
 
     def _motion(self) -> Motion:
         """The motion now, between the ends of the step under way (cubic, as the ends' speeds)."""

@@ -88,6 +88,7 @@ HEARS = {
     "tapper_trigger": (
         "tap_command",
         "arm_state",
+        "tapper_state",
         "plan_state",
         "object_state",
         "emergency_stop",

@@ -1,4 +1,4 @@
-"""Further objects on the table: looked at in turn, now and then, beside the one being moved."""
+"""Further objects on the table: looked at in turn, or in every frame while one is being moved."""
 
 from __future__ import annotations
 
@@ -57,17 +57,20 @@ class OtherObjects:
         ids = marker_ids(seen) | other_ids
         chosen = replace(settings or TrackerSettings(), other_ids=ids)
         self._trackers = [PoseTracker(camera, table, one, chosen) for one in seen]
-        self._next = 0
         self._looked = [-PERIOD] * len(self._trackers)
 
     def update(self, image: Image, stamp: float) -> Sighting | None:
-        """Judge one frame as :meth:`PoseTracker.update` does; None where no object's turn is."""
+        """Judge one frame as :meth:`PoseTracker.update` does, for the object that was looked at
+        longest ago; None where no object's turn is."""
         if not self._trackers:
             return None
-        number = self._next
+        number = min(range(len(self._trackers)), key=lambda each: self._looked[each])
         # A stamp that goes back is the tracker's to judge: it says so.
         if 0.0 <= stamp - self._looked[number] < PERIOD:
             return None
+        return self.follow(number, image, stamp)
+
+    def follow(self, number: int, image: Image, stamp: float) -> Sighting:
+        """Judge one frame for one of the objects, counted from 0."""
         self._looked[number] = stamp
-        self._next = (number + 1) % len(self._trackers)
         return Sighting(number, self._trackers[number].update(image, stamp))

@@ -10,7 +10,7 @@ from harness import Bench
 from tapping_cell_msgs.msg import ErrorCode, ObjectState, PlanState, TapCommand
 from test_tap_planner import acted
 
-from tapping_cell.configuration.cell import load_cell, load_other_objects
+from tapping_cell.configuration.cell import load_cell, load_further_objects
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes.conversions import from_message, to_message
@@ -103,12 +103,12 @@ def test_an_object_put_in_the_way_of_a_tap_has_it_planned_anew() -> None:
 def test_files_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
     cell = load_cell()
     with pytest.raises(ConfigurationError, match="the name 'aluminium disk'"):
-        load_other_objects(str(shared_folder() / "objects" / "aluminium_disk.yaml"), cell)
+        load_further_objects(cell, str(shared_folder() / "objects" / "aluminium_disk.yaml"))
     tall = tmp_path / "tall.yaml"
     tall.write_text(OTHER.read_text().replace("height: 0.012", "height: 0.300"))
     with pytest.raises(ConfigurationError, match=r"300\.0 mm high, but the tip travels"):
-        load_other_objects(f" {tall} ,", cell)
+        load_further_objects(cell, f" {tall} ,")
     renamed = tmp_path / "renamed.yaml"
     renamed.write_text(cell.object_path.read_text().replace("aluminium disk", "twin"))
     with pytest.raises(ConfigurationError, match="two objects have marker"):
-        load_other_objects(str(renamed), cell)
+        load_further_objects(cell, str(renamed))

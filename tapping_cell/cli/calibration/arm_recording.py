@@ -42,6 +42,12 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
         CalibrationRefused: the cell or the camera does not do; the sentence says why.
         RecordError: the file cannot be gone on with.
     """
+    own = cell.arm.ros2_control
+    if own is not None and own.chain is not None:
+        raise CalibrationRefused(
+            "arm.ros2_control.chain: the joints of this arm are calibrated by its own driver; only "
+            "arm.base and chain.tool are the cell's, measure them"
+        )
     session.end_on_signals()
     growing = GrowingCsv(arguments.record, HEADER, arguments.resume)
     try:

@@ -1,7 +1,8 @@
 """The seeing node: pictures in, the object's pose on the table with its covariance out.
 
-Further objects (parameter ``other_object_files``) are looked at in turn and published on
-``other_objects``.
+Further objects (key ``objects`` of the cell file, parameter ``other_object_files``) are looked at
+in turn, the one that ``plan_state`` names in every picture. Each look is published on
+``other_objects``, and what is known of all objects on ``object_states``.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from numpy.typing import NDArray
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
-from tapping_cell_msgs.msg import ErrorCode, ObjectState, PlanState
+from tapping_cell_msgs.msg import ErrorCode, ObjectState, ObjectStates, PlanState
 
-from tapping_cell.configuration.cell import Cell, load_cell, load_other_objects
+from tapping_cell.configuration.cell import Cell, load_cell, load_further_objects
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.schema import choice, quantity, text
 from tapping_cell.logic.frames import TABLE
@@ -132,6 +133,8 @@ class CameraPose(CellNode[Parameters]):
         self._late = 0
         self._unanswered_since = 0.0
         self._goal: Pose | None = None
+        self._tapped = ""
+        self._other_states: list[ObjectState] = []
         self._heard = time.monotonic()
         self._missed = 0
         self._annotated_at = 0.0
@@ -144,6 +147,7 @@ class CameraPose(CellNode[Parameters]):
         self._pose_publisher = self.create_publisher(PoseWithCovarianceStamped, "object_pose", 10)
         self._state_publisher = self.create_publisher(ObjectState, "object_state", LATCHED)
         self._others_publisher = self.create_publisher(ObjectState, "other_objects", 10)
+        self._states_publisher = self.create_publisher(ObjectStates, "object_states", LATCHED)
         self._camera_publisher = self.create_publisher(PoseStamped, "camera/pose", LATCHED)
         self._picture_publisher = self.create_publisher(
             Image, "camera/image_annotated", images.PICTURES
@@ -168,7 +172,10 @@ class CameraPose(CellNode[Parameters]):
     def configure(self) -> None:
         """Read the cell, table and object files."""
         self._cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
-        self._other_files = load_other_objects(self.settings.other_object_files, self._cell)
+        self._other_files = load_further_objects(self._cell, self.settings.other_object_files)
+        self._other_states = [ObjectState(object_id=file.name) for file in self._other_files]
+        for state in self._other_states:
+            state.header.frame_id = TABLE
         self._camera, self._calibration = None, ()
 
     def cleanup(self) -> None:
@@ -189,6 +196,7 @@ class CameraPose(CellNode[Parameters]):
 
     def _on_plan_state(self, message: PlanState) -> None:
         busy = message.state not in (PlanState.IDLE, PlanState.CANCELED)
+        self._tapped = message.object_id if busy else ""
         self._goal = from_message(message.goal.pose) if busy else None
 
     def _on_camera_info(self, message: CameraInfo) -> None:
@@ -301,10 +309,21 @@ class CameraPose(CellNode[Parameters]):
             self._make_trackers(self._camera, self._cell)
 
     def _look_at_others(self, picture: Image, grey: NDArray[np.uint8], stamp: float) -> None:
-        sighting = None if self._others is None else self._others.update(grey, stamp)
-        if sighting is not None:
+        """Look at the object that is being tapped, if it is one of them, and at one in its turn."""
+        others = self._others
+        if others is None:
+            return
+        tapped = [n for n, file in enumerate(self._other_files) if file.name == self._tapped]
+        sightings = [others.follow(number, grey, stamp) for number in tapped]
+        sightings += [one for one in (others.update(grey, stamp),) if one is not None]
+        for sighting in sightings:
             name = self._other_files[sighting.number].name
-            self._others_publisher.publish(_state_of(picture, name, sighting.observation))
+            state = _state_of(picture, name, sighting.observation)
+            self._other_states[sighting.number] = state
+            self._others_publisher.publish(state)
+        states = ObjectStates(objects=[self._last, *self._other_states])
+        states.header = self._last.header
+        self._states_publisher.publish(states)
 
     def _publish(self, picture: Image, observation: Observation) -> None:
         assert self._cell is not None

@@ -26,10 +26,10 @@ from tapping_cell_msgs.msg import (
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.client_node import ClientNode
 from tapping_cell.nodes.page.cell_view import CellView, Mode
-from tapping_cell.nodes.page.node_watch import CAMERAS, CORE, NOT_YET, NodeWatch
+from tapping_cell.nodes.page.node_watch import ARM, CAMERAS, NOT_YET, NodeWatch
 
 NAME = "cell_client"
-ACTORS = ("scara_arm", "tapper_trigger")
+ACTORS = (ARM, "tapper_trigger")
 STOP_PATIENCE_S = 2.0
 STOP_PERIOD_S = 0.02
 _POLL_S = 0.05
@@ -88,6 +88,7 @@ class CellClient(ClientNode):
 
         def gather() -> dict[str, Any]:
             self._view.simulated = self._watch.runs("sim_world")
+            self._watch.has_arm = self._view.has_arm
             return {**self._view.state(), "nodes": self._watch.rows()}
 
         return self.in_executor(gather)
@@ -105,7 +106,7 @@ class CellClient(ClientNode):
             rows = {row["name"]: row for row in state["nodes"]}
             heard = [row for row in rows.values() if row["life"] != "not running"]
             known = {row["name"] for row in heard if row["sentence"] != NOT_YET}
-            complete = known.issuperset(CORE) and not known.isdisjoint(CAMERAS)
+            complete = known.issuperset(self._watch.core) and not known.isdisjoint(CAMERAS)
             if (complete and state["mode"] != "not ready") or (
                 heard and time.monotonic() > deadline
             ):
@@ -128,6 +129,7 @@ class CellClient(ClientNode):
             NotDone: names who did not confirm the stop.
         """
         asked: dict[str, Future] = {}
+        actors = self._actors()
 
         def ask() -> None:
             for actor, client in self._stop.items():
@@ -135,10 +137,10 @@ class CellClient(ClientNode):
                     asked[actor] = client.call_async(Trigger.Request())
 
         deadline = time.monotonic() + STOP_PATIENCE_S
-        missing = list(ACTORS)
+        missing = list(actors)
         while missing and time.monotonic() < deadline:
             self.in_executor(ask)
-            missing = [actor for actor in ACTORS if actor not in asked or not asked[actor].done()]
+            missing = [actor for actor in actors if actor not in asked or not asked[actor].done()]
             time.sleep(STOP_PERIOD_S)
         if missing:
             raise NotDone(
@@ -146,13 +148,18 @@ class CellClient(ClientNode):
                 " use the wired emergency stop"
             )
 
+    def _actors(self) -> tuple[str, ...]:
+        """The actors of this cell: no arm where its tappers are fixed."""
+        has_arm = self.in_executor(lambda: self._view.has_arm)
+        return tuple(actor for actor in ACTORS if has_arm or actor != ARM)
+
     def clear(self) -> list[str]:
         """Clear stop and faults of arm and tapper; returns what they say.
 
         Raises:
             NotDone: one of them refuses; the sentence is its own.
         """
-        answers = [self._call(client, actor) for actor, client in self._clear.items()]
+        answers = [self._call(self._clear[actor], actor) for actor in self._actors()]
         refused = [words for good, words in answers if not good]
         if refused:
             raise NotDone("; ".join(refused))

@@ -122,7 +122,10 @@ class GoalClient(ClientNode):
         reasons = []
         if not self._action.server_is_ready():
             reasons.append("the planner is not up")
-        if self.arm_state is None:
+        if self.tapper_state is not None and self.tapper_state.fixed_mounts:
+            if not self.tapper_state.mounts_proven:
+                reasons.append(self.tapper_state.error_msg or "the mounts are not proven yet")
+        elif self.arm_state is None:
             reasons.append("the arm's driver is not up")
         elif self.arm_state.state == ArmState.DISCONNECTED:
             reasons.append(self.arm_state.error_msg or "the arm is not connected yet")

@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TransformStamped
 
 from tapping_cell import messages
-from tapping_cell.configuration.arm_assembly import make_arm_driver
+from tapping_cell.configuration.arm_assembly import joint_accelerations, make_arm_driver
 from tapping_cell.configuration.cell import ArmSection, Ros2ControlSection, load_cell
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.hardware.arm import ArmDriver
@@ -90,7 +90,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
             driver = make_arm_driver(arm, SerialTransport(port, arm.baud))
         else:
             port = arm.ros2_control.controller
-            driver = make_arm_driver(arm, self._link_to(arm.ros2_control, arm.max_acceleration))
+            driver = make_arm_driver(arm, self._link_to(arm.ros2_control, joint_accelerations(arm)))
         firmware = self.connect(driver, port, cell, lambda _: arm_jobs.reading_of(driver))
         for remark in firmware.remarks:
             self.get_logger().warning(remark)

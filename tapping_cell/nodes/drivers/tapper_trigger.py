@@ -32,6 +32,14 @@ class Parameters:
     autostart: bool = text("configure and activate without being asked", default=True)
     cell_file: str = text("path of the cell file; empty for the package's own", default="")
     port: str = text("path of the tapper's serial port; empty for the cell file's", default="")
+    board: int = quantity(
+        "which of the cell's boards this node drives: 0 for the first port in the cell file, 1 for "
+        "the next",
+        "",
+        0,
+        15,
+        default=0,
+    )
     state_rate: float = quantity("rate of tapper_state", "Hz", 1.0, 200.0, default=20.0)
     set_up: bool = text(
         "set-up mode: charge and fire only while an enabling device is held, and only the board's "
@@ -84,6 +92,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver | OutputTapperDriver]):
         self.host.publishes(messages.TapperState, "tapper_state", LATCHED)
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
         self.host.subscribes(messages.ArmState, "arm_state", LATCHED)
+        self.host.subscribes(messages.TapperState, "tapper_state", LATCHED)
         self.host.subscribes(messages.PlanState, "plan_state", LATCHED)
         self.host.subscribes(messages.ObjectState, "object_state", LATCHED)
         self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
@@ -92,12 +101,17 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver | OutputTapperDriver]):
     def configure(self) -> None:
         """Read the cell file, open the port, open a session, which discharges the tapper."""
         cell = load_cell(self.settings.cell_file or None)
+        if self.settings.board >= len(cell.boards):
+            raise ConfigurationError(
+                f"parameter board is {self.settings.board}, but {cell.path} has"
+                f" {len(cell.boards)} (0 to {len(cell.boards) - 1})"
+            )
         tapper = cell.file.tapper
         if tapper.output is not None:
             output = self._output_driver(tapper, tapper.output)
             self.connect(output, tapper.output.name, cell, lambda reply: reply)
             return
-        port = str(self.port_path(self.settings.port or tapper.port))
+        port = str(self.port_path(self.settings.port or cell.boards[self.settings.board].port))
         mode = Mode.SETUP if self.settings.set_up else Mode.RUN
         driver = TapperDriver(SerialTransport(port, tapper.baud), TapperSettings(mode=mode))
         self.connect(driver, port, cell, lambda reply: reply)
@@ -157,7 +171,9 @@ def make_logic(parameters: Parameters) -> TapperLogic:
         parameters.moved_limit,
         parameters.turned_limit,
     )
-    return TapperLogic(TapperOptions(parameters.state_rate, limits, parameters.set_up))
+    return TapperLogic(
+        TapperOptions(parameters.state_rate, limits, parameters.set_up, board=parameters.board)
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -115,6 +115,11 @@ class CellView:
         """What stopped each actor and was not reset."""
         self.simulated = False
 
+    @property
+    def has_arm(self) -> bool:
+        """Whether the cell has an arm, as far as its tappers have said."""
+        return self._monitor.has_arm
+
     def on_object(self, message: ObjectState) -> None:
         """Take in ``object_state``."""
         self._monitor.on_object(message, _now())
@@ -237,7 +242,7 @@ class CellView:
             "object": self._object_state(),
             "plan": self._plan_state(),
             "taps": self._taps,
-            "arm": self._device("arm", ARM_WORDS),
+            "arm": self._device("arm", ARM_WORDS) if self.has_arm else None,
             "tapper": self._device("tapper", TAPPER_WORDS),
             "log": list(self._log),
         }
@@ -251,6 +256,7 @@ class CellView:
             None if tapper is None or self._monitor.silent("tapper", _now()) else tapper,
             holders,
             self.simulated,
+            self.has_arm,
         )
 
     def _blocked(self, mode: Mode) -> str:

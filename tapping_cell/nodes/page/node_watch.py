@@ -11,8 +11,9 @@ from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
 
-CORE = ("camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
-"""Nodes that every cell has, besides one of CAMERAS."""
+ARM = "scara_arm"
+CORE = ("camera_pose", "tap_planner", ARM, "tapper_trigger")
+"""Nodes that a cell has, besides one of CAMERAS; without ARM where its tappers are fixed."""
 CAMERAS = ("sim_world", "overhead_camera")
 SILENCE_LIMIT_S = 3.5
 """Age of the last diagnostics, which come every second, beyond which a node counts as silent."""
@@ -48,6 +49,8 @@ class NodeWatch:
         self._node = node
         self._prefix = node.get_namespace().rstrip("/") + "/"
         self._peers: dict[str, _Peer] = {}
+        self.has_arm = True
+        """Whether the cell has an arm, whose node is then missed."""
         self._subscription = node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, 10
         )
@@ -106,6 +109,11 @@ class NodeWatch:
         rest = name[len(self._prefix) :]
         return "" if "/" in rest else rest
 
+    @property
+    def core(self) -> tuple[str, ...]:
+        """The nodes that this cell must have, besides a camera."""
+        return tuple(name for name in CORE if self.has_arm or name != ARM)
+
     def runs(self, name: str) -> bool:
         """Whether a node of this name is up."""
         peer = self._peers.get(name)
@@ -114,7 +122,7 @@ class NodeWatch:
     def rows(self) -> list[dict[str, str]]:
         """One row for every node: name, life cycle, level (ok, warn, error) and a sentence."""
         cameras = [name for name in CAMERAS if name in self._peers] or [CAMERAS[-1]]
-        names = [*cameras, *CORE]
+        names = [*cameras, *self.core]
         names += sorted(set(self._peers) - set(names))
         return [self._row(name) for name in names]
 

@@ -69,7 +69,7 @@ from tapping_cell.nodes.page.cell_view import (
 )
 from tapping_cell.nodes.page.ghost import Ghost
 from tapping_cell.nodes.page.goal_queue import GoalQueue, NamedGoals, QueueFull, Wanted
-from tapping_cell.nodes.page.node_watch import NodeWatch
+from tapping_cell.nodes.page.node_watch import ARM, NodeWatch
 from tapping_cell.nodes.page.pictures import to_jpeg
 from tapping_cell.nodes.page.previews import Previews
 from tapping_cell.nodes.page.requests import (
@@ -90,7 +90,8 @@ from tapping_cell.nodes.page.requests import (
 )
 from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.page.stop_link import StopLink
-from tapping_cell.planning import FreeSpace, check_goal, planner_names
+from tapping_cell.planning import FreeSpace, Refusal, check_goal, planner_names
+from tapping_cell.planning.fixed_session import check_fixed_goal
 from tapping_cell.report.error_codes import hint
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraError, CameraModel, View
@@ -164,7 +165,7 @@ class OperatorPage(CellNode[Parameters]):
         self._cancel_client = self.create_client(CancelGoal, "position_object/_action/cancel_goal")
         self._clear_clients = {
             name: self.create_client(Trigger, f"{name}/clear_fault")
-            for name in ("scara_arm", "tapper_trigger")
+            for name in (ARM, "tapper_trigger")
         }
         self._home_client = self.create_client(Trigger, "scara_arm/home")
         self._button_client = self.create_client(Trigger, "sim_world/press_clear_button")
@@ -189,11 +190,10 @@ class OperatorPage(CellNode[Parameters]):
     def configure(self) -> None:
         """Read the cell, and the map of the table by which the planner refuses goals."""
         cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
-        space = assembly.make_strike_space(cell)
-        free = FreeSpace(space)
+        check = _goal_check(cell)
 
         def refusal(pose: Pose) -> str:
-            found = check_goal(pose, space, free)
+            found = check(pose)
             return with_code(found.sentence, REFUSALS[found.reason]) if found is not None else ""
 
         self._cell, self._refusal = cell, refusal
@@ -383,6 +383,7 @@ class OperatorPage(CellNode[Parameters]):
             return
         self._view.held_by_page = self._stop is not None and self._stop.held
         self._view.simulated = self._watch.runs("sim_world")
+        self._watch.has_arm = self._view.has_arm
         state = self._view.state()
         state["nodes"] = self._watch.rows()
         state["placeable"] = self._ghost is not None
@@ -629,6 +630,8 @@ class OperatorPage(CellNode[Parameters]):
 
     def _clear_actors(self, answer: server.Answer) -> None:
         for name, client in self._clear_clients.items():
+            if name == ARM and not self._view.has_arm:
+                continue
             self._call(client, Trigger.Request(), "clear", name, answer)
 
     def _home(self, who: str, answer: server.Answer) -> None:
@@ -663,6 +666,16 @@ class OperatorPage(CellNode[Parameters]):
             answer(_answer(to, response.success, f"{name}: {response.message}"))
 
         client.call_async(request).add_done_callback(done or told)
+
+
+def _goal_check(cell: Cell) -> Callable[[Pose], Refusal | None]:
+    """By what the planner of this cell refuses goals."""
+    if cell.file.arm is None:
+        fixed = assembly.make_fixed_space(cell)
+        return lambda pose: check_fixed_goal(pose, fixed)
+    space = assembly.make_strike_space(cell)
+    free = FreeSpace(space)
+    return lambda pose: check_goal(pose, space, free)
 
 
 def _on_stop_state(view: CellView, actor: str) -> Callable[[StopState], None]:

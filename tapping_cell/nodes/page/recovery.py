@@ -32,12 +32,13 @@ class Recovery:
         tapper: TapperState | None,
         holders: list[str],
         simulated: bool,
+        has_arm: bool = True,
     ) -> list[Step]:
         """What is to be done, in order; empty where nothing is.
 
         ``arm`` and ``tapper`` are the states that are heard now, None where there is none.
         ``holders`` names who holds a stop as far as it is known. In a simulated cell the page can
-        press the button at the tapper.
+        press the button at the tapper. A cell without an arm needs no homing.
         """
         tapper_halted = tapper is not None and tapper.state in TAPPER_HALTED
         halted = tapper_halted or (arm is not None and arm.state in ARM_HALTED)
@@ -62,6 +63,8 @@ class Recovery:
                 steps.append(Step(text, pressed, button))
             held = f" Stops: {', '.join(holders)}." if holders else ""
             steps.append(Step(f"Clear the stop and the faults.{held}", now, "clear"))
+        if not has_arm:
+            return steps
         home = "done" if homed and not halted else "later" if halted else "now"
         busy = arm is not None and arm.state == ArmState.HOMING
         text = "The arm is homing." if busy else "Home the arm: it finds its end switches."

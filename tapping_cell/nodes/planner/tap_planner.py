@@ -18,10 +18,10 @@ from tapping_cell_msgs.action import PositionObject, SingleTap
 from visualization_msgs.msg import MarkerArray
 
 from tapping_cell import messages
-from tapping_cell.configuration.cell import load_cell, load_other_objects
+from tapping_cell.configuration.cell import load_cell, load_further_objects
 from tapping_cell.configuration.schema import ConfigurationError, text
 from tapping_cell.logic import effects, stops
-from tapping_cell.logic.goal_handling import GoalHandling
+from tapping_cell.logic.fixed_goal_handling import goal_handling_class
 from tapping_cell.logic.host import Activated, Configured, Deactivated, ShutDown
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, Scene
@@ -66,7 +66,7 @@ class PlannerHost(LogicHost[PlannerLogic]):
                 scene.goal,
                 scene.strike,
                 scene.path,
-                region_marker(goals.map.free.outline()),
+                region_marker(goals.outline()),
                 scene.others,
             )
         )
@@ -118,9 +118,9 @@ class TapPlanner(CellNode[Parameters]):
         """Read the files, make the planning method and the map of the table."""
         settings = self.settings
         cell = load_cell(settings.cell_file or None, settings.object_file or None)
-        others = load_other_objects(settings.other_object_files, cell)
+        others = load_further_objects(cell, settings.other_object_files)
         try:
-            goals = GoalHandling(
+            goals = goal_handling_class(cell)(
                 cell,
                 settings.planner,
                 OtherObjects(others, settings.others_memory, settings.moved_limit),

@@ -1,4 +1,7 @@
-"""The simulated world: camera pictures out, and two serial devices on pseudo-terminals."""
+"""The simulated world: camera pictures out, and two serial devices on pseudo-terminals.
+
+The cell's object and its further objects lie on one table and collide where they meet.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +14,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import Point, PoseStamped
 from rclpy.duration import Duration
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import Trigger
+from tapping_cell_msgs.msg import ObjectContact, ObjectState, ObjectStates
 from tapping_cell_msgs.srv import ResetWorld
 
-from tapping_cell.configuration.cell import Cell, load_cell, refuse_own_drivers
+from tapping_cell.configuration.cell import (
+    Cell,
+    TapperSection,
+    load_cell,
+    load_further_objects,
+    refuse_own_drivers,
+)
 from tapping_cell.configuration.files import shared_folder
-from tapping_cell.configuration.schema import load, quantity, text
+from tapping_cell.configuration.schema import ConfigurationError, load, quantity, text
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
 from tapping_cell.nodes.cell_identity import claim, key_of
@@ -28,12 +38,13 @@ from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.conversions import from_message, is_finite, to_message
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import SimulatedDevices
+from tapping_cell.simulation.fixed_devices import FixedDevices, numbered
 from tapping_cell.simulation.pacing import Pace
 from tapping_cell.simulation.pseudo_terminal import PortTakenError
-from tapping_cell.simulation.rendered_camera import SceneRenderer
+from tapping_cell.simulation.rendered_camera import SceneObject, SceneRenderer
 from tapping_cell.simulation.scene import make_renderer
+from tapping_cell.simulation.tabletop import Tabletop, TrueContact
 from tapping_cell.simulation.truth import TruthFile
-from tapping_cell.simulation.world import World
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +54,11 @@ class Parameters:
     autostart: bool = text("configure and activate without being asked", default=True)
     cell_file: str = text("path of the cell file; empty for the package's own", default="")
     object_file: str = text("path of the object file; empty for the cell file's", default="")
+    other_object_files: str = text(
+        "paths of the files of further objects on the table, besides those of the cell file, "
+        "separated by commas",
+        default="",
+    )
     truth_file: str = text("path of the truth file; empty for the package's own", default="")
     seed: int = quantity("of all that is random", "", 0, 2**31 - 1, default=1)
     arm_port: str = text("where the arm's port appears; empty for the cell file's", default="")
@@ -70,9 +86,9 @@ class SimWorld(CellNode[Parameters]):
         super().__init__("sim_world", Parameters)
         self._cell: Cell | None = None
         self._truth: TruthFile | None = None
-        self._world: World | None = None
+        self._world: Tabletop | None = None
         self._renderer: SceneRenderer | None = None
-        self._devices: SimulatedDevices | None = None
+        self._devices: SimulatedDevices | FixedDevices | None = None
         self._claim: socket.socket | None = None
         self._info = CameraInfo()
         self._lock = threading.Lock()
@@ -82,6 +98,8 @@ class SimWorld(CellNode[Parameters]):
         self._pace = Pace(1.0 / self.settings.frame_rate, self.settings.slow_motion)
         self._publisher = PicturePublisher(self, self.settings.compressed_quality)
         self._truth_publisher = self.create_publisher(PoseStamped, "ground_truth", 10)
+        self._states_publisher = self.create_publisher(ObjectStates, "true_states", 10)
+        self._contact_publisher = self.create_publisher(ObjectContact, "true_contacts", 10)
         self.create_service(ResetWorld, "reset_world", self._on_reset)
         self.create_service(Trigger, "~/press_clear_button", self._on_clear_button)
         self.create_timer(1.0 / self.settings.frame_rate, self._expose)
@@ -92,17 +110,27 @@ class SimWorld(CellNode[Parameters]):
         cell = load_cell(settings.cell_file or None, settings.object_file or None)
         refuse_own_drivers(cell)
         truth = load(TruthFile, settings.truth_file or shared_folder() / "truth" / "default.yaml")
-        world = World(
-            cell.object,
-            cell.file.tapper.striker(),
-            cell.file.tapper.stroke,
-            truth,
-            settings.seed,
-        )
-        renderer = make_renderer(cell, truth.camera, world.outline, settings.seed)
+        further = load_further_objects(cell, settings.other_object_files)
+        table = cell.file.table
+        try:
+            world = Tabletop(
+                (cell.object, *further),
+                cell.file.tapper.striker(),
+                cell.file.tapper.stroke,
+                truth,
+                settings.seed,
+                (table.length, table.width),
+            )
+        except ValueError as error:
+            raise ConfigurationError(str(error)) from error
+        own, *others = world.worlds.values()
+        shown = [
+            SceneObject(one.outline, file.seen()) for one, file in zip(others, further, strict=True)
+        ]
+        renderer = make_renderer(cell, truth.camera, own.outline, settings.seed, shown)
         # Drawn once before the devices are there: the first picture takes longest, and an emulated
         # board must not be kept waiting.
-        renderer.render(world.pose)
+        renderer.render(list(world.poses.values()))
         self._claim = claim(f"world/{key_of(self)}")
         if self._claim is None:
             raise NotReady(
@@ -111,20 +139,34 @@ class SimWorld(CellNode[Parameters]):
                 "give this one a ROS_DOMAIN_ID or a namespace of its own"
             )
         try:
-            devices = SimulatedDevices(
-                cell,
-                truth.arm,
-                arm_port=self.port_path(settings.arm_port or cell.arm.port),
-                tapper_port=self.port_path(settings.tapper_port or cell.file.tapper.port),
-                on_strike=self._on_strike,
-                seed=settings.seed,
-            )
+            devices = self._make_devices(cell, truth)
         except PortTakenError as error:
             raise NotReady(str(error)) from error
         self._cell, self._truth, self._world, self._devices = cell, truth, world, devices
         self._renderer = renderer
         self._info = images.to_camera_info(cell.camera)
         self._info.header.frame_id = "camera_optical"
+
+    def _make_devices(self, cell: Cell, truth: TruthFile) -> SimulatedDevices | FixedDevices:
+        settings = self.settings
+        if cell.file.arm is None:
+            return FixedDevices(
+                cell,
+                truth.mounts,
+                ports=lambda board, port: self.port_path(
+                    numbered(settings.tapper_port, board) or port
+                ),
+                on_strike=self._on_fixed_strike,
+                seed=settings.seed,
+            )
+        return SimulatedDevices(
+            cell,
+            truth.arm,
+            arm_port=self.port_path(settings.arm_port or cell.arm.port),
+            tapper_port=self.port_path(settings.tapper_port or cell.file.tapper.port),
+            on_strike=self._on_strike,
+            seed=settings.seed,
+        )
 
     def cleanup(self) -> None:
         """Close the ports; the devices are gone."""
@@ -148,6 +190,19 @@ class SimWorld(CellNode[Parameters]):
             self._world.strike(tip, height, speed, now)
             return self._world.gate_speed(speed)
 
+    def _on_fixed_strike(
+        self, tip: Pose, height: float, speed: float, tapper: TapperSection, now: float
+    ) -> tuple[float, float]:
+        """A tapper at a fixed mount was released; called from its emulator's thread."""
+        with self._lock:
+            if self._world is None:
+                return speed, tapper.stroke
+            self._world.advance(now)
+            self._world.take_striker(tapper.striker(), tapper.stroke)
+            travel = min(self._world.travel_to_meet(tip, height, speed), tapper.stroke)
+            self._world.strike(tip, height, speed, now)
+            return self._world.gate_speed(speed), travel
+
     def _expose(self) -> None:
         """Take a picture where one is due; send the one whose latency is over."""
         if not self.active or self._world is None:
@@ -161,26 +216,33 @@ class SimWorld(CellNode[Parameters]):
             if taken is None:
                 return
             opening, middle, closing = (
-                self._pose_at(taken - camera.exposure * share) for share in (1.0, 0.5, 0.0)
+                self._poses_at(taken - camera.exposure * share) for share in (1.0, 0.5, 0.0)
             )
+            contacts = self._world.take_contacts()
         if taken == now:
             # Kept through a slide: a switch of tasks between the two clocks would shift a picture.
             self._world_began = Time(nanoseconds=clock - round(1e9 * now))
         stamp = self._world_began + Duration(seconds=taken - camera.exposure / 2)
         self._publish_truth(middle, stamp)
+        for contact in contacts:
+            self._publish_contact(contact)
         solids = self._devices.solids(now) if camera.shows_arm and self._devices else ()
-        picture = images.to_message(self._renderer.render(opening, closing, solids), "mono8")
+        picture = images.to_message(
+            self._renderer.render([*opening.values()], [*closing.values()], solids), "mono8"
+        )
         picture.header.frame_id = "camera_optical"
         picture.header.stamp = stamp.to_msg()
         self._late.append((now + camera.latency, picture))
         self._send_late()
 
-    def _pose_at(self, time: float) -> Pose:
-        """The object's true pose, on the table or held by the arm."""
+    def _poses_at(self, time: float) -> dict[str, Pose]:
+        """The objects' true poses: on the table, or the cell's own one held by the arm."""
         assert self._world is not None and self._truth is not None and self._devices is not None
         self._world.advance(time)
-        held = self._truth.arm.holds
-        return self._world.pose if held is None else self._devices.tip(time)[0] @ Pose(*held)
+        poses, held = dict(self._world.poses), self._truth.arm.holds
+        if held is not None and isinstance(self._devices, SimulatedDevices):
+            poses[next(iter(poses))] = self._devices.tip(time)[0] @ Pose(*held)
+        return poses
 
     def _send_late(self) -> None:
         while self._late and self._late[0][0] <= time.monotonic():
@@ -190,12 +252,35 @@ class SimWorld(CellNode[Parameters]):
         self._publisher.publish(picture, self._info)
         self._frames += 1
 
-    def _publish_truth(self, pose: Pose, stamp: Time) -> None:
+    def _publish_truth(self, poses: dict[str, Pose], stamp: Time) -> None:
         message = PoseStamped()
         message.header.frame_id = "table"
         message.header.stamp = stamp.to_msg()
-        message.pose = to_message(pose)
+        message.pose = to_message(next(iter(poses.values())))
         self._truth_publisher.publish(message)
+        assert self._world is not None
+        states = ObjectStates(header=message.header)
+        for name, pose in poses.items():
+            state = ObjectState(header=message.header, object_id=name, visible=True)
+            state.at_rest = self._world.worlds[name].at_rest
+            state.pose.pose = to_message(pose)
+            vx, vy, omega = self._world.worlds[name].twist
+            state.velocity.linear.x, state.velocity.linear.y = vx, vy
+            state.velocity.angular.z = omega
+            states.objects.append(state)
+        self._states_publisher.publish(states)
+
+    def _publish_contact(self, contact: TrueContact) -> None:
+        x, y = contact.place
+        message = ObjectContact(
+            object_id=contact.name,
+            other_id=contact.other,
+            position=Point(x=x, y=y, z=0.0),
+            closing_speed=contact.closing_speed,
+        )
+        message.header.frame_id = "table"
+        message.header.stamp = (self._world_began + Duration(seconds=contact.time)).to_msg()
+        self._contact_publisher.publish(message)
 
     def _on_clear_button(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Stand in for the person who presses the button at the tapper after a stop."""
@@ -211,10 +296,12 @@ class SimWorld(CellNode[Parameters]):
         if self._world is None or self._cell is None or not self.active:
             response.message = "the world is not active yet; call again when it is"
             return response
-        name = self._cell.object.name
-        if request.object_id not in ("", name):
+        name = request.object_id or self._cell.object.name
+        if name not in self._world.worlds:
             response.message = (
-                f"there is no object '{request.object_id}', only '{name}'; nothing was moved"
+                f"there is no object '{name}'; name one of "
+                + ", ".join(f"'{each}'" for each in self._world.worlds)
+                + "; nothing was moved"
             )
             return response
         table = self._cell.file.table
@@ -222,8 +309,14 @@ class SimWorld(CellNode[Parameters]):
             if request.seed:
                 self._world.reseed(request.seed)
             if request.random:
-                margin = self._cell.object.body().bounding_radius + 0.06
-                pose = self._world.random_pose(table.length, table.width, margin)
+                fixed = self._cell.file.fixed_tappers
+                try:
+                    pose = self._world.free_pose(
+                        name, disc=None if fixed is None else fixed.working_area
+                    )
+                except ValueError as error:
+                    response.message = f"{error}; nothing was moved"
+                    return response
             elif is_finite(request.object_pose):
                 pose = from_message(request.object_pose)
             else:
@@ -235,9 +328,9 @@ class SimWorld(CellNode[Parameters]):
                     f"{1000 * table.length:.0f} x {1000 * table.width:.0f} mm; nothing was moved"
                 )
                 return response
-            self._world.place(pose)
+            self._world.place(name, pose)
         response.success = True
-        response.message = f"the object lies at x {1000 * pose.x:.1f} mm, y {1000 * pose.y:.1f} mm"
+        response.message = f"'{name}' lies at x {1000 * pose.x:.1f} mm, y {1000 * pose.y:.1f} mm"
         return response
 
 

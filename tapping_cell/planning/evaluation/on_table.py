@@ -81,7 +81,9 @@ def _run_one(
     seen = pose + look * rng.standard_normal(3)
     decision, seen = _decide(session, pose, seen, evaluation, rng)
     while isinstance(decision, Strike):
-        moved = evaluation.answer(pose[None, :], np.array([decision.commanded]), gain, rng)[0]
+        moved = evaluation.answer(
+            pose[None, :], seen[None, :], np.array([decision.commanded]), gain, rng
+        )[0]
         pose = pose + moved
         pose[2] = wrap_angle(pose[2])
         over = over or float(space.workspace.edge_distance(pose[:2])) < space.object_radius

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from tapping_cell.planning.evaluation.polygon_taps import contact_taps
 from tapping_cell.planning.evaluation.task import (
     End,
     Evaluation,
@@ -44,6 +45,7 @@ def run_open_trials(
     end = np.full(count, End.ENDLESS, dtype=np.int64)
     aside = np.zeros(count)
     running: NDArray[np.intp] = np.arange(count, dtype=np.intp)
+    model = evaluation.world.model if evaluation.world is not None else None
     for _ in range(evaluation.most_taps + 1):
         inside = look_longer(seen, pose, goal, running, evaluation.settings, rng)
         left = _remaining(goal[running], seen[running])
@@ -64,13 +66,29 @@ def run_open_trials(
             orientation,
             evaluation.settings.cone_slope,
         )
-        moved = evaluation.answer(pose[running], commanded, true_gains[running], rng)
+        if model is not None:
+            commanded = contact_taps(
+                seen[running], goal[running], commanded, known.value, planner, model
+            )
+            struck = ~np.isnan(commanded[:, 0])
+            stuck = running[~struck]
+            end[stuck] = np.where(taps[stuck] == 0, End.REFUSED_BEFORE, End.REFUSED_LATER)
+            running, commanded, known = (
+                running[struck],
+                commanded[struck],
+                gains.of(running[struck]),
+            )
+            orientation = orientation[struck]
+        asked = known.predict(commanded, orientation)
+        moved = evaluation.answer(pose[running], seen[running], commanded, true_gains[running], rng)
         pose[running] += moved
         before = seen[running]
         seen[running] = pose[running] + look * rng.standard_normal((running.size, 3))
         taps[running] += 1
         measured = seen[running] - before
-        missed = np.hypot(measured[:, 0], measured[:, 1]) < MISSED * np.abs(tap.distance)
+        missed = np.hypot(measured[:, 0], measured[:, 1]) < MISSED * np.hypot(
+            asked[:, 0], asked[:, 1]
+        )
         aside[running] = np.where(missed, rng.uniform(-ASIDE, ASIDE, running.size), 0.0)
         if evaluation.adapt:
             gains.put(

@@ -80,11 +80,17 @@ class Evaluation:
             raise PlanningError(f"off centre by {self.off_centre} rad/m; allowed is 0 to 10")
 
     def answer(
-        self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator
+        self,
+        poses: Array,
+        seen: Array,
+        commanded: Array,
+        gains: Array,
+        rng: np.random.Generator,
     ) -> Array:
-        """True displacements (n, 3) of taps commanded at poses (n, 3) with true gains (n, 4)."""
+        """True displacements (n, 3) of taps commanded at poses (n, 3) that a camera saw at ``seen``
+        (n, 3), with true gains (n, 4)."""
         world = AbstractWorld(self.settings.scatter) if self.world is None else self.world
-        return world.answer(poses, commanded, gains, rng)
+        return world.answer(poses, seen, commanded, gains, rng)
 
 
 class Results(NamedTuple):

@@ -18,11 +18,18 @@ class AbstractWorld:
     """The object moves as commanded, but for gains and scatter."""
 
     scatter: Scatter = field(default_factory=Scatter)
+    model: None = None
 
     def answer(
-        self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator
+        self,
+        poses: Array,
+        seen: Array,
+        commanded: Array,
+        gains: Array,
+        rng: np.random.Generator,
     ) -> Array:
-        """True displacements (n, 3) of commanded ones, at poses (n, 3), for true gains (n, 4)."""
+        """True displacements (n, 3) of commanded ones, at poses (n, 3) that the camera saw at
+        ``seen`` (n, 3), for true gains (n, 4)."""
         return scattered(commanded, gains, poses, self.scatter, rng)
 
 
@@ -47,10 +54,15 @@ class PhysicsWorld:
     speed_factor: float = 1.0
 
     def answer(
-        self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator
+        self,
+        poses: Array,
+        seen: Array,
+        commanded: Array,
+        gains: Array,
+        rng: np.random.Generator,
     ) -> Array:
-        """True displacements (n, 3) of taps commanded at the objects' poses (n, 3)."""
-        plan = self.model.plan(commanded, poses)
+        """True displacements (n, 3) of taps that are planned for the poses seen, (n, 3)."""
+        plan = self.model.plan(commanded, seen)
         tips = np.array(plan.strike_pose)
         tips[..., 0] -= self.standoff * np.cos(tips[..., 2])
         tips[..., 1] -= self.standoff * np.sin(tips[..., 2])
@@ -84,12 +96,25 @@ def scattered(
 
 
 class World(Protocol):
-    """What answers commanded taps."""
+    """What answers commanded taps.
+
+    model: the mechanics by which the planner makes them; None where every tap can be made.
+    """
+
+    @property
+    def model(self) -> Tap | None:
+        """See above."""
 
     def answer(
-        self, poses: Array, commanded: Array, gains: Array, rng: np.random.Generator
+        self,
+        poses: Array,
+        seen: Array,
+        commanded: Array,
+        gains: Array,
+        rng: np.random.Generator,
     ) -> Array:
-        """True displacements (n, 3) of commanded ones, at poses (n, 3), for true gains (n, 4)."""
+        """True displacements (n, 3) of commanded ones, at poses (n, 3) that the camera saw at
+        ``seen`` (n, 3), for true gains (n, 4)."""
 
 
 START_REACH = 0.1

@@ -54,7 +54,7 @@ def learnt(seed: int, count: int = 16, bumps: int = 0) -> tuple[LearntObject, fl
     )
     world = SimulatedTaps(tap, content, truth)
     gains = np.tile([1.0, 1.0, 0.0, 0.0], (count, 1))
-    moved = world.answer(np.zeros((count, 3)), asked, gains, random)
+    moved = world.answer(np.zeros((count, 3)), np.zeros((count, 3)), asked, gains, random)
     moved[:bumps] *= 2.5
     return learn_object(content, asked, moved), friction, factor
 

@@ -116,6 +116,65 @@ def test_a_move_keeps_to_the_limits_and_takes_the_least_time(
     assert controller.state(duration + 0.1)[0] == pytest.approx(goal, abs=1e-12)
 
 
+@settings(deadline=None, max_examples=20)
+@given(
+    st.floats(0.02, 0.12),
+    st.floats(0.02, 0.12),
+    st.floats(0.05, 0.25),
+    st.floats(0.05, 0.25),
+)
+def test_moves_in_one_line_are_passed_without_a_stop_as_fast_as_can_be(
+    first: float, second: float, fast: float, slow: float
+) -> None:
+    pull = GEOMETRY.max_acceleration[2]
+    start = (0.1, 0.2, 0.0, 0.3)
+    via = (0.1, 0.2, -first, 0.3)
+    goal = (0.1, 0.2, -first - second, 0.3)
+    moves = [StraightMove(via, 60 * fast), StraightMove(goal, 60 * slow)]
+    points = straight_points(start, moves, GEOMETRY.max_acceleration)
+    # Reference: speed against place on a fine grid, forwards and back within the acceleration.
+    places = np.linspace(0.0, first + second, 1001)
+    bound = np.where(places < first, fast, slow)
+    bound[0] = bound[-1] = 0.0
+    gain = 2 * pull * float(places[1])
+    for n in range(1, len(places)):
+        bound[n] = min(bound[n], math.sqrt(bound[n - 1] ** 2 + gain))
+    for n in range(len(places) - 2, -1, -1):
+        bound[n] = min(bound[n], math.sqrt(bound[n + 1] ** 2 + gain))
+    least = float(np.sum(2 * places[1] / (bound[:-1] + bound[1:])))
+    assert points[-1].time == pytest.approx(least, rel=5e-3, abs=3e-3)
+    controller = TrajectoryController(ControllerSettings(NAMES, lag=0.0), start)
+    assert controller.take(NAMES, points, 0.0) == ""
+    times = np.arange(0.0, points[-1].time, 4e-3)
+    heights = np.array([controller.state(time)[0][2] for time in times])
+    speeds = np.abs(np.diff(heights)) / 4e-3
+    beyond = heights[:-1] < -first
+    assert np.all(speeds[beyond] <= slow * 1.01 + 1e-6)
+    assert np.all(speeds[heights[1:] > -first] <= fast * 1.01 + 1e-6)
+    assert np.all(np.abs(np.diff(speeds)) / 4e-3 <= 1.05 * pull + 1e-3)
+    assert points[-1].positions == pytest.approx(goal) and not any(points[-1].velocities)
+
+
+def test_a_corner_is_still_taken_at_rest() -> None:
+    moves = [StraightMove((0.1, 0.2, -0.1, 0.3), 15.0), StraightMove((0.4, 0.2, -0.1, 0.3), 60.0)]
+    points = straight_points((0.1, 0.2, 0.0, 0.3), moves, GEOMETRY.max_acceleration)
+    (corner,) = [p for p in points if p.positions == pytest.approx((0.1, 0.2, -0.1, 0.3))]
+    assert not any(corner.velocities)
+
+
+def test_the_way_down_is_not_stopped_where_it_becomes_slow() -> None:
+    cell = Cell()
+    driver = cell.ready()
+    slow_from, goal = Joints(0.3, 1.2, -0.100, 0.0), Joints(0.3, 1.2, -0.115, 0.0)
+    began = cell.time
+    driver.move_to(goal, 0.4, via=slow_from, via_speed=0.8)
+    times = np.arange(began, cell.time, 0.005)
+    moving = [abs(cell.controller.state(float(time))[1][2]) > 0.01 for time in times]
+    first, last = moving.index(True), len(moving) - moving[::-1].index(True)
+    assert all(moving[first:last]), "it stopped on its way down"
+    assert close(cell.truth(), goal)
+
+
 @given(joints, st.tuples(*(st.floats(-v, v) for v in GEOMETRY.max_speed)))
 def test_braking_keeps_to_the_deceleration(
     place: tuple[float, ...], speed: tuple[float, ...]

@@ -196,7 +196,7 @@ def test_tolerances_are_the_cells_own_or_sound(position: float, angle: float) ->
         assert found.code == ErrorCode.GOAL_BAD_TOLERANCE
         return
     assert found[0] == (position or 0.001) and found[1] == (angle or 0.017)
-    assert all(value >= 1e-4 for value in found)
+    assert all(value >= 5e-5 for value in found)
 
 
 @given(x=st.floats(-1, 1), y=st.floats(-1, 1), theta=st.floats(-3.1, 3.1))

@@ -124,6 +124,7 @@ def test_incidence_for_finds_the_impulse(constraint, mass, restitution, friction
     contact = (-DISK.radius, 0.0)
     largest = math.tan(float(impact.largest_impulse_angle(contact)))
     incidence = impact.incidence_for(share * largest, contact)
+    assert impact.has_incidence(share * largest, contact) == (not np.isnan(incidence))
     assume(not np.isnan(incidence))
     result = impact.strike(1.0, incidence, contact)
     assert result.tangential_impulse / result.normal_impulse == pytest.approx(

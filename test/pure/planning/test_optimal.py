@@ -87,7 +87,9 @@ def test_a_solved_plan_is_found_on_disk_and_a_damaged_one_is_solved_again(
     kept = load_policy(settings)
     assert kept is not None
     solved = []
-    monkeypatch.setattr(optimal_module, "solve", lambda given: solved.append(given) or kept)
+    monkeypatch.setattr(
+        optimal_module, "solutions", lambda given: iter([solved.append(given) or kept])
+    )
     assert load_policy(replace(settings, tolerance_position=0.0011)) is None
     path = policy_file(settings)
     whole = path.read_bytes()
@@ -102,18 +104,26 @@ def test_a_solved_plan_is_found_on_disk_and_a_damaged_one_is_solved_again(
 
 def test_while_a_plan_is_solved_another_method_answers(planner, monkeypatch):
     gate, solved = threading.Event(), load_policy(planner.settings)
+    coarse, asked = threading.Event(), threading.Event()
 
     def slow(settings):
         gate.wait(30.0)
-        return solved
+        yield solved._replace(tap=np.full_like(solved.tap, 0.03))
+        asked.set()
+        coarse.wait(30.0)
+        yield solved
 
-    monkeypatch.setattr(optimal_module, "solve", slow)
+    monkeypatch.setattr(optimal_module, "solutions", slow)
     settings = PlannerSettings(tolerance_position=0.0013)
     planner = make_planner("optimal", settings, background=True)
     assert not planner.ready and planner.name.startswith("exact")
     exact = make_planner("exact", settings).choose(0.01, 0.2)
     assert float(planner.choose(0.01, 0.2).distance) == float(exact.distance)
     gate.set()
+    assert asked.wait(30.0)
+    assert not planner.ready and planner.name.startswith("optimal on a coarse grid")
+    assert float(planner.choose(0.01, 0.2).distance) == pytest.approx(0.03)
+    coarse.set()
     assert planner.wait(60.0) and planner.name == "optimal"
 
 
@@ -121,7 +131,7 @@ def test_a_failure_in_the_background_is_kept_and_the_fallback_goes_on(monkeypatc
     def broken(settings):
         raise MemoryError("no room")
 
-    monkeypatch.setattr(optimal_module, "solve", broken)
+    monkeypatch.setattr(optimal_module, "solutions", broken)
     planner = OptimalPlanner(PlannerSettings(tolerance_position=0.0014), background=True)
     assert not planner.wait(10.0)
     assert isinstance(planner.failure, MemoryError)
@@ -149,3 +159,13 @@ def test_a_rotation_beyond_half_a_turn_in_the_cones_units_still_costs_taps(setti
     far = policy.taps_to_go(np.full(4, 0.09), np.array([3.0, 4.0, 5.0, 6.0]))
     largest = settings.cone_slope * settings.largest_distance
     assert np.all(np.diff(far)[1:] == pytest.approx(1.0 / largest, rel=1e-6))
+
+
+def test_the_coarse_plan_comes_first_and_is_nearly_as_good(planner):
+    first, last = solver.solutions(planner.settings)
+    assert first.value.size < last.value.size / 3
+    rough = optimal_module.OptimalPolicy(planner.settings, first)
+    for distance, degrees in TASKS:
+        taps = float(rough.taps_to_go(distance, math.radians(degrees)))
+        best = float(planner.taps_to_go(distance, math.radians(degrees)))
+        assert taps == pytest.approx(best, rel=0.15)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import ive
 
 from tapping_cell.planning import (
     Done,
@@ -92,3 +93,31 @@ def test_the_papers_camera_is_too_coarse_and_the_box_says_so():
 def test_a_share_given_by_the_user_is_taken():
     box = stopping_box(0.002, 0.01, 0.0001, 0.001, 0.5)
     assert (box.distance, box.rotation) == (0.001, 0.005)
+
+
+@pytest.mark.parametrize("relative", [1e-4, 0.01, 0.1, 0.5, 2.0])
+def test_a_round_look_is_judged_as_by_a_fine_quadrature(relative):
+    """Independent reference: the noncentral chi-square distribution of the squared distance."""
+    rng = np.random.default_rng(4)
+    distance = np.abs(1.0 + relative * rng.normal(0.0, 2.0, 200))
+    heading = rng.uniform(0.0, 7.0, 200)
+    residual = np.stack(
+        [distance * np.cos(heading), distance * np.sin(heading), np.zeros(200)], axis=-1
+    )
+    found = inside_probability(residual, covariance(relative, relative, 1e-3), 1.0, 1.0)
+    step = min(1.0, 12.0 * relative) / 20_000
+    radius = 1.0 - step * (np.arange(20_000) + 0.5)
+    for index in range(0, 200, 25):
+        product = radius * distance[index] / relative**2
+        gap = radius - distance[index]
+        density = radius / relative**2 * np.exp(-0.5 * (gap / relative) ** 2) * ive(0, product)
+        assert found[index] == pytest.approx(density.sum() * step, abs=1e-6)
+
+
+def test_far_and_near_looks_together_are_judged_as_each_alone():
+    rng = np.random.default_rng(5)
+    residual = rng.uniform(-3.0, 3.0, (50, 3))
+    spread = covariance(0.2, 0.1, 0.3, 0.5)
+    together = inside_probability(residual, spread, 1.0, 1.0)
+    alone = [float(inside_probability(each, spread, 1.0, 1.0)) for each in residual]
+    assert together == pytest.approx(alone, abs=1e-12)

@@ -34,9 +34,11 @@ def test_without_errors_it_agrees_with_the_closed_forms() -> None:
     poses, wanted = commanded(12)
     random = np.random.default_rng(1)
     gains = np.tile([1.0, 1.0, 0.0, 0.0], (12, 1))
-    moved = SimulatedTaps(TAP, CELL.object, PLAIN).answer(poses, wanted, gains, random)
+    moved = SimulatedTaps(TAP, CELL.object, PLAIN).answer(poses, poses, wanted, gains, random)
     still = Scatter(0.0, 0.0, 0.0)
-    closed = PhysicsWorld(model=TAP, truth=TAP, scatter=still).answer(poses, wanted, gains, random)
+    closed = PhysicsWorld(model=TAP, truth=TAP, scatter=still).answer(
+        poses, poses, wanted, gains, random
+    )
     distance = np.hypot(wanted[:, 0], wanted[:, 1])
     assert np.max(np.hypot(*(moved - closed)[:, :2].T) / distance) < 0.01
     assert np.max(np.abs(moved[:, 2] - closed[:, 2]) * 0.048 / distance) < 0.01
@@ -49,7 +51,9 @@ def test_the_truth_and_the_gains_count_and_the_generator_decides() -> None:
     )
     world = SimulatedTaps(TAP, CELL.object, truth)
     gains = np.full((4, 2), 1.5)
-    first, again = (world.answer(poses, wanted, gains, np.random.default_rng(7)) for _ in range(2))
+    first, again = (
+        world.answer(poses, poses, wanted, gains, np.random.default_rng(7)) for _ in range(2)
+    )
     assert np.array_equal(first, again)
     # Half of the distance for twice the friction, and the gain on top.
     ratio = np.hypot(*first[:, :2].T) / np.hypot(*wanted[:, :2].T)

@@ -216,9 +216,3 @@ def test_every_supplied_world_answers_a_tap(file: Path) -> None:
     assert world.strike(Pose(START.x - 0.07, START.y, 0.0), 0.006, 0.3, 0.0)
     moved = math.dist(settled(world)[:2], START[:2])
     assert 0.001 < moved < 0.02
-
-
-@given(seed=st.integers(0, 1000))
-def test_random_poses_keep_off_the_edges(seed: int) -> None:
-    pose = world_of(PLAIN, seed).random_pose(0.6, 0.44, 0.1)
-    assert abs(pose.x) <= 0.2 and abs(pose.y) <= 0.12

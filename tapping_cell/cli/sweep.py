@@ -1,0 +1,221 @@
+"""Evaluations over a grid of parameters: ``evaluate --sweep friction=0.1:0.4:7 tolerance=1,0.3``.
+
+Each point of the grid is one evaluation; the points share the cores. They are kept in the report's
+folder as they end, so that the same command goes on after an interruption. Only what the points
+have in common must stay as it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.planning import PlanningError
+
+POINTS = "points.jsonl"
+"""One line a point: its values, what all have in common, its figures."""
+Value = float | str
+Point = dict[str, Value]
+
+
+def _both(name: str) -> Callable[[argparse.Namespace, Value], None]:
+    """A parameter with one number for mm and degrees, or for percent of both."""
+    return lambda arguments, value: setattr(arguments, name, (value, value))
+
+
+def _entry(name: str, index: int) -> Callable[[argparse.Namespace, Value], None]:
+    def put(arguments: argparse.Namespace, value: Value) -> None:
+        before = list(getattr(arguments, name))
+        before[index] = value
+        setattr(arguments, name, tuple(before))
+
+    return put
+
+
+def _plain(name: str) -> Callable[[argparse.Namespace, Value], None]:
+    return lambda arguments, value: setattr(arguments, name, value)
+
+
+PARAMETERS: dict[str, Callable[[argparse.Namespace, Value], None]] = {
+    "planner": _plain("planner"),
+    "friction": _plain("true_friction"),
+    "tolerance": _both("tolerance"),
+    "distance-scatter": _entry("scatter", 0),
+    "rotation-scatter": _entry("scatter", 1),
+    "direction-scatter": _entry("scatter", 2),
+    "camera-position-noise": _entry("camera_noise", 0),
+    "camera-angle-noise": _entry("camera_noise", 1),
+    "distance-bias": _entry("gain_bias", 0),
+    "rotation-bias": _entry("gain_bias", 1),
+    "round-position": _plain("round_position"),
+    "round-angle": _plain("round_angle"),
+    "box": _plain("box"),
+}
+"""What may be swept, in the units of evaluate's options; ``friction`` is the true coefficient."""
+
+
+def read_axis(text: str) -> tuple[str, tuple[Value, ...]]:
+    """Name and values of ``name=first:last:count`` or ``name=value,value``.
+
+    Raises:
+        PlanningError: no such parameter, or values that are none.
+    """
+    name, _, given = text.partition("=")
+    if name not in PARAMETERS:
+        raise PlanningError(
+            f"'{name}' cannot be swept; choose from {', '.join(sorted(PARAMETERS))}"
+        )
+    if name == "planner":
+        names = tuple(part for part in given.split(",") if part)
+        if not names:
+            raise PlanningError("planner= names no method; write planner=optimal,exact")
+        return name, names
+    try:
+        if ":" in given:
+            first, last, count = given.split(":")
+            values = np.linspace(float(first), float(last), int(count)).tolist()
+        else:
+            values = [float(part) for part in given.split(",")]
+    except ValueError:
+        values = []
+    if not values or not all(map(math.isfinite, values)):
+        raise PlanningError(
+            f"'{text}' gives no values; write {name}=first:last:count or {name}=value,value"
+        )
+    return name, tuple(float(f"{value:.10g}") for value in values)
+
+
+def read_axes(texts: Sequence[str]) -> dict[str, tuple[Value, ...]]:
+    """The axes of a sweep; PlanningError for one that is named twice."""
+    axes: dict[str, tuple[Value, ...]] = {}
+    for text in texts:
+        name, values = read_axis(text)
+        if name in axes:
+            raise PlanningError(f"{name} is swept twice; give all of its values at once")
+        axes[name] = values
+    return axes
+
+
+def grid(axes: dict[str, tuple[Value, ...]]) -> Iterator[Point]:
+    """Every combination of the values; the last axis runs fastest."""
+    for values in itertools.product(*axes.values()):
+        yield dict(zip(axes, values, strict=True))
+
+
+def arguments_at(arguments: argparse.Namespace, point: Point) -> argparse.Namespace:
+    """The options of one point."""
+    chosen = argparse.Namespace(**vars(arguments))
+    for name, value in point.items():
+        PARAMETERS[name](chosen, value)
+    return chosen
+
+
+class KeptPoints:
+    """The points of a sweep on disk. ``common``: what they have in common.
+
+    Raises:
+        PlanningError: the folder holds a sweep of something else.
+    """
+
+    def __init__(self, folder: Path, common: dict[str, Any]) -> None:
+        self._file = folder / POINTS
+        self._common: dict[str, Any] = json.loads(json.dumps(common))
+        self._done: dict[str, dict[str, Any]] = {}
+        folder.mkdir(parents=True, exist_ok=True)
+        text = self._file.read_text(encoding="utf-8") if self._file.exists() else ""
+        whole = text[: text.rfind("\n") + 1]
+        if whole != text:
+            # The line that an interruption cut short.
+            self._file.write_text(whole, encoding="utf-8")
+        for line in whole.splitlines():
+            kept = json.loads(line)
+            if kept["common"] != self._common:
+                differ = sorted(
+                    name
+                    for name in {*kept["common"], *self._common}
+                    if kept["common"].get(name) != self._common.get(name)
+                )
+                raise PlanningError(
+                    f"{self._file} holds a sweep with other options ({', '.join(differ)}); choose"
+                    " another folder or delete it"
+                )
+            self._done[_key(kept["point"])] = kept["figures"]
+
+    def get(self, point: Point) -> dict[str, Any] | None:
+        """The figures of a point that is done."""
+        return self._done.get(_key(point))
+
+    def keep(self, point: Point, figures: dict[str, Any]) -> None:
+        """Write a point down, so that no interruption loses it."""
+        self._done[_key(point)] = figures
+        line = json.dumps({"point": point, "common": self._common, "figures": figures})
+        with self._file.open("a", encoding="utf-8") as stream:
+            stream.write(line + "\n")
+            stream.flush()
+            os.fsync(stream.fileno())
+
+
+def _key(point: Point) -> str:
+    return json.dumps(point, sort_keys=True)
+
+
+def sweep(
+    points: Sequence[Point],
+    kept: KeptPoints,
+    measure: Callable[[Point], dict[str, Any]],
+    processes: int | None,
+    note: Callable[[int], None],
+) -> list[tuple[Point, dict[str, Any]]]:
+    """The figures of every point; those already kept are not measured again.
+
+    Args:
+        points: in the order of the result.
+        kept: where points are kept as they end.
+        measure: figures of a point; can be pickled.
+        processes: how many to use; None for one a core.
+        note: called with the number of points just done.
+    """
+    missing = [point for point in points if kept.get(point) is None]
+    note(len(points) - len(missing))
+    workers = min(processes or os.cpu_count() or 1, len(missing))
+    if workers <= 1:
+        for point in missing:
+            kept.keep(point, measure(point))
+            note(1)
+    else:
+        _measure_together(missing, kept, measure, workers, note)
+    rows = []
+    for point in points:
+        figures = kept.get(point)
+        assert figures is not None
+        rows.append((point, figures))
+    return rows
+
+
+def _measure_together(
+    points: Sequence[Point],
+    kept: KeptPoints,
+    measure: Callable[[Point], dict[str, Any]],
+    workers: int,
+    note: Callable[[int], None],
+) -> None:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        running = {pool.submit(measure, point): point for point in points}
+        try:
+            for done in as_completed(running):
+                kept.keep(running[done], done.result())
+                note(1)
+        except BaseException:
+            # An interruption, or a point that fails: those that have not begun are left out.
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise

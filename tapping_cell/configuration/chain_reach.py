@@ -1,0 +1,93 @@
+"""Whether an arm that is no SCARA can follow the SCARA that its cell file describes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.hardware.chain_link import upright
+from tapping_cell.hardware.scara import ReachCode
+from tapping_cell.hardware.serial_chain import Array, SerialChain
+from tapping_cell.se2 import Pose
+
+PLACES = 5
+"""Along each side of the table."""
+DIRECTIONS = 6
+"""Of the line of travel, at each place."""
+FIRST_SEEDS = 40
+"""Random postures from which the park pose is looked for."""
+
+
+def chain_reach(cell: Cell) -> Iterator[str]:
+    """A warning where the arm cannot strike at a place that the SCARA reaches."""
+    chain = cell.arm.chain()
+    if chain is None:
+        return
+    seed = _first(chain, upright(np.array(cell.arm.geometry().forward(cell.arm.park))))
+    if seed is None:
+        yield (
+            f"{cell.path}: the arm of arm.ros2_control.chain cannot bring the striker upright to "
+            "arm.park; check chain.mount, chain.tool and arm.park"
+        )
+        return
+    missed, asked, where = 0, 0, ""
+    for tip in _stations(cell):
+        asked += 1
+        joints, reason = _near(chain, upright(tip), seed)
+        if joints is None:
+            missed += 1
+            where = where or reason
+        else:
+            seed = joints
+    if missed:
+        yield (
+            f"{cell.path}: {100 * missed / asked:.0f} % of the strike poses that the SCARA of the "
+            f"section arm reaches over the table are out of the arm's own reach, the first at "
+            f"{where}: a tap there ends in a fault; move the arm, or narrow arm.lower and arm.upper"
+        )
+
+
+def _stations(cell: Cell) -> Iterator[Array]:
+    """Tip poses in ``arm_base`` that the SCARA reaches, from place to neighbouring place."""
+    table, geometry, to_base = cell.file.table, cell.arm.geometry(), cell.arm_base.inverse()
+    for x in np.linspace(-table.length / 2, table.length / 2, PLACES):
+        for y in np.linspace(-table.width / 2, table.width / 2, PLACES):
+            for yaw in np.linspace(-math.pi, math.pi, DIRECTIONS, endpoint=False):
+                place = to_base @ Pose(float(x), float(y), float(yaw))
+                tip = np.array([place.x, place.y, cell.strike_height, place.theta])
+                reached = any(
+                    int(geometry.inverse_many(tip, branch, cell.arm.park).code) == ReachCode.REACHED
+                    for branch in type(geometry.branch_of(cell.arm.park))
+                )
+                if reached:
+                    yield tip
+
+
+def _first(chain: SerialChain, target: Array) -> Array | None:
+    """Joints at a pose from some posture; None where none leads there."""
+    draw = np.random.default_rng(0)
+    middle = (chain.lower + chain.upper) / 2
+    seeds = [middle, *draw.uniform(chain.lower, chain.upper, (FIRST_SEEDS, len(middle)))]
+    solved = (chain.inverse(target, seed) for seed in seeds)
+    return next((solution.joints for solution in solved if solution.success), None)
+
+
+def _near(chain: SerialChain, target: Array, seed: Array) -> tuple[Array | None, str]:
+    """Joints at a pose from those at another, a joint turned by a whole turn where it must be."""
+    first = chain.inverse(target, seed)
+    if first.success:
+        return first.joints, ""
+    for joint in reversed(range(len(seed))):
+        for turn in (-math.tau, math.tau):
+            turned = seed.copy()
+            turned[joint] += turn
+            if not chain.joints[joint].prismatic and (
+                chain.lower[joint] <= turned[joint] <= chain.upper[joint]
+            ):
+                solution = chain.inverse(target, turned)
+                if solution.success:
+                    return solution.joints, ""
+    return None, first.reason

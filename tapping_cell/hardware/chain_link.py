@@ -1,0 +1,298 @@
+"""An arm of any kinematics in the place of a SCARA that the cell plans and moves with.
+
+The cell file describes a SCARA whose tip goes where the real arm's striker can go, upright all the
+way. This link stands between that SCARA's driver and the real arm's trajectory controller: a
+trajectory of the SCARA's joints becomes one of the real joints along the same way of the tip, found
+by inverse kinematics point by point from where the arm stands, and the real joint states become the
+SCARA's joints by forward kinematics. So every check of the driver (in position, at rest, moved by
+somebody) is made of what the real joints tell. A straight move of the SCARA's quill is a straight
+vertical move of the striker.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.joint_trajectory import Course, TrajectoryPoint
+from tapping_cell.hardware.scara import Branch, ReachCode, ScaraGeometry
+from tapping_cell.hardware.serial_chain import Array, SerialChain
+from tapping_cell.hardware.trajectory_link import JointSample, Progress, TrajectoryLink
+
+STEP = 0.02
+"""Between two points of a trajectory, s."""
+LEAST_STEP = 0.005
+"""A point nearer to a corner than this is left out, s."""
+LONGEST_STRETCH = 1.4
+LONGEST_DELAY = 1.5
+"""A trajectory may take this times its duration and this much more, s, so that no joint exceeds its
+speed; the driver's deadline allows 1.5 times and 2 s."""
+SPEED_STEP = 1e-3
+"""Over which joint speeds are carried over, s."""
+TURNS = 12.6
+"""Widened limits with which the SCARA's joints are computed, rad: the driver checks the true
+ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChainSettings:
+    """Where the SCARA's joints are looked for, and how upright the striker must be."""
+
+    park: tuple[float, ...]
+    """Joints of the SCARA near which the first ones are looked for: rad, rad, m, rad."""
+    tilt: float = 0.01
+    """Greatest angle between the striker's z and the vertical, rad."""
+    travel_height: float = 0.06
+    """The tip may be turned about itself by a whole turn, where a joint would else be beyond its
+    limit, only on a way that is nowhere lower, m."""
+
+
+class ChainLink:
+    """A :class:`~tapping_cell.hardware.trajectory_link.TrajectoryLink` of the SCARA's joints."""
+
+    def __init__(
+        self,
+        link: TrajectoryLink,
+        chain: SerialChain,
+        geometry: ScaraGeometry,
+        settings: ChainSettings,
+    ) -> None:
+        self._link = link
+        self._chain = chain
+        self._geometry = geometry
+        self._settings = settings
+        self._wide = replace(
+            geometry,
+            singularity_margin=0.0,
+            lower=(-TURNS, -TURNS, -10.0, -TURNS),
+            upper=(TURNS, TURNS, 10.0, TURNS),
+        )
+        self._near: Array = np.array(settings.park, dtype=np.float64)
+        self._course: tuple[float, float, Course] | None = None
+        self._converted: dict[float, JointSample] = {}
+
+    @property
+    def name(self) -> str:
+        """The controller's name."""
+        return self._link.name
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the controller was there at the last ``open``."""
+        return self._link.is_open
+
+    @property
+    def interface(self) -> str:
+        """How trajectories are sent."""
+        return self._link.interface
+
+    @property
+    def other_names(self) -> Sequence[str]:
+        """Joint names of the last message that lacked some of the arm's."""
+        return self._link.other_names
+
+    @property
+    def rivals(self) -> Sequence[str]:
+        """Other nodes that could send the controller trajectories."""
+        return self._link.rivals
+
+    @property
+    def samples(self) -> Sequence[JointSample]:
+        """What was heard in the last second as the SCARA's joints, the newest last."""
+        heard = self._link.samples
+        kept = self._converted
+        self._converted = {}
+        for sample in heard:
+            known = kept.get(sample.received)
+            self._converted[sample.received] = self._scara(sample) if known is None else known
+        return tuple(self._converted.values())
+
+    def now(self) -> float:
+        """The steady clock, s."""
+        return self._link.now()
+
+    def open(self, timeout: float) -> None:
+        """Wait until the controller takes trajectories."""
+        self._course = None
+        self._near = np.array(self._settings.park, dtype=np.float64)
+        self._converted = {}
+        self._link.open(timeout)
+
+    def close(self) -> None:
+        """Use the controller no more."""
+        self._link.close()
+
+    def stop(self, data: bytes) -> bool:
+        """From any thread: latch the stop, and brake."""
+        return self._link.stop(data)
+
+    def release(self) -> None:
+        """End the latch of ``stop``."""
+        self._link.release()
+
+    def wait(self, duration: float) -> None:
+        """Wait for the next sample, for up to ``duration`` s."""
+        self._link.wait(duration)
+
+    def brake(self) -> bool:
+        """From any thread: have the arm come to rest at once."""
+        return self._link.brake()
+
+    def progress(self) -> Progress:
+        """What became of the trajectory that was sent last."""
+        return self._link.progress()
+
+    def send(self, points: Sequence[TrajectoryPoint]) -> None:
+        """Send the real arm along the way of the SCARA's tip.
+
+        Raises HardwareFault: UNREACHABLE before anything is sent, where a joint would be beyond
+        its limit or much too fast; as the real link else.
+        """
+        start = self.samples[-1]
+        course = Course(start.positions, points)
+        real = self._link.samples[-1]
+        times = _times(points)
+        joints = self._along(course, times, np.array(real.positions))
+        stretch = self._stretch(times, joints)
+        if stretch * times[-1] > LONGEST_STRETCH * times[-1] + LONGEST_DELAY:
+            raise HardwareFault(
+                FaultReason.UNREACHABLE,
+                f"a move would take a joint of {self.name} to {stretch:.1f} times its speed: the"
+                " way leads past a singular pose, or arm.max_speed is too high for this arm",
+            )
+        times = times * stretch
+        speeds = np.gradient(joints, times, axis=0)
+        speeds[0] = speeds[-1] = 0.0
+        for corner in points:
+            if not any(corner.velocities):
+                speeds[np.abs(times - corner.time * stretch) < 1e-9] = 0.0
+        self._link.send(
+            [
+                TrajectoryPoint(float(time), tuple(place), tuple(speed))
+                for time, place, speed in zip(
+                    times[1:], joints[1:].tolist(), speeds[1:].tolist(), strict=True
+                )
+            ]
+        )
+        self._course = (self.now(), stretch, course)
+
+    def _along(self, course: Course, times: Array, real: Array) -> Array:
+        """Joints of the real arm at each time, from where it stands; what it leans is taken out on
+        the way."""
+        tips = self._geometry.forward_many(course.at(times)[0])
+        high = bool(np.min(tips[:, 2]) > self._settings.travel_height - 1e-3)
+        part = times / times[-1]
+        fault: HardwareFault | None = None
+        for turns in (0, -1, 1) if high else (0,):
+            turned = tips.copy()
+            turned[:, 3] += turns * math.tau * part**2 * (3 - 2 * part)
+            try:
+                joints = self._solved_all(turned, real)
+            except HardwareFault as met:
+                fault = fault or met
+            else:
+                left = (1 - part)[:, None]
+                return np.asarray(joints + left * (real - joints[0]))
+        assert fault is not None
+        raise fault
+
+    def _solved_all(self, tips: Array, real: Array) -> Array:
+        found = [self._solved(tips[0], real)]
+        for tip in tips[1:]:
+            found.append(self._solved(tip, found[-1]))
+        return np.array(found)
+
+    def _solved(self, tip: Array, seed: Array) -> Array:
+        solution = self._chain.inverse(upright(tip), seed)
+        if not solution.success:
+            raise HardwareFault(
+                FaultReason.UNREACHABLE,
+                f"{self.name} cannot bring the striker to {solution.reason}; choose another pose,"
+                " or move the arm's base",
+            )
+        return solution.joints
+
+    def _stretch(self, times: Array, joints: Array) -> float:
+        """By how much longer the way must take than planned; at least 1."""
+        speeds = np.abs(np.diff(joints, axis=0)) / np.diff(times)[:, None]
+        return max(1.0, float(np.max(speeds / self._chain.max_speed)))
+
+    def _scara(self, sample: JointSample) -> JointSample:
+        """A sample of the real joints as one of the SCARA's."""
+        near = self._expected(sample.measured)
+        place, doubt = self._converted_place(np.array(sample.positions), near)
+        if not doubt:
+            self._near = place
+        speeds = None
+        if sample.velocities is not None:
+            ahead = np.array(sample.positions) + SPEED_STEP * np.array(sample.velocities)
+            beyond, beyond_doubt = self._converted_place(ahead, place)
+            if not (doubt or beyond_doubt):
+                speeds = tuple(((beyond - place) / SPEED_STEP).tolist())
+        return JointSample(
+            sample.measured,
+            sample.received,
+            tuple(place.tolist()),
+            speeds,
+            sample.ahead,
+            doubt or sample.doubt,
+        )
+
+    def _expected(self, time: float) -> Array:
+        """Where the SCARA is on its course; else where it was last."""
+        if self._course is None:
+            return self._near
+        began, stretch, course = self._course
+        place, _ = course.at(np.array([(time - began) / stretch], dtype=np.float64))
+        return np.asarray(place[0])
+
+    def _converted_place(self, joints: Array, near: Array) -> tuple[Array, str]:
+        """Joints of the SCARA with the tip where the real arm's striker is, nearest to some, and
+        why they are not to be believed."""
+        pose = self._chain.forward(joints)
+        if not np.all(np.isfinite(pose)):
+            return np.full(4, np.nan), ""
+        tip = np.array([*pose[:3, 3], math.atan2(pose[1, 0], pose[0, 0])])
+        lean = math.acos(min(1.0, max(-1.0, float(pose[2, 2]))))
+        doubt = ""
+        if lean > self._settings.tilt:
+            doubt = (
+                f"the striker leans by {math.degrees(lean):.1f} deg (limit"
+                f" {math.degrees(self._settings.tilt):.1f} deg): turn it upright by the arm's own"
+                " panel, over the table and near its park pose, or correct"
+                " arm.ros2_control.chain.tool"
+            )
+        found = [
+            solution.joints
+            for branch in Branch
+            if int((solution := self._wide.inverse_many(tip, branch, near)).code)
+            == ReachCode.REACHED
+        ]
+        if not found:
+            return near, doubt or (
+                f"the striker is at x {tip[0] * 1e3:.0f} mm, y {tip[1] * 1e3:.0f} mm from arm_base,"
+                " out of reach of the SCARA in the cell file: move it there by the arm's own"
+                " panel, or correct arm.upper_arm, arm.forearm and arm.ros2_control.chain"
+            )
+        return min(found, key=lambda place: float(np.sum(np.abs(place - near)))), doubt
+
+
+def upright(tip: Array) -> Array:
+    """4 by 4 of a tip pose x, y, z, yaw in ``arm_base``."""
+    x, y, z, yaw = tip
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return np.array(
+        [[cos, -sin, 0.0, x], [sin, cos, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]]
+    )
+
+
+def _times(points: Sequence[TrajectoryPoint]) -> Array:
+    """The corners' times and those between, from 0, s."""
+    corners = np.array([0.0, *(point.time for point in points)])
+    between = np.arange(STEP, corners[-1], STEP)
+    apart = np.min(np.abs(between[:, None] - corners), axis=1) > LEAST_STEP
+    return np.sort(np.concatenate([corners, between[apart]]))

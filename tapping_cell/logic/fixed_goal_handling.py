@@ -1,0 +1,95 @@
+"""Goal handling of a cell with fixed tappers: the same requests, another kind of session."""
+
+from __future__ import annotations
+
+from tapping_cell.configuration import assembly
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.effects import Token
+from tapping_cell.logic.goal_handling import GoalHandling
+from tapping_cell.logic.goal_validation import Refused
+from tapping_cell.logic.task import SingleTapTask, Task
+from tapping_cell.messages import ErrorCode, SingleTap
+from tapping_cell.planning import KeepOut, Refusal
+from tapping_cell.planning.errors import PlanningError
+from tapping_cell.planning.fixed_session import (
+    METHOD,
+    FixedTapperSession,
+    GoalSolver,
+    check_fixed_goal,
+)
+from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
+from tapping_cell.planning.mounts import MountBelief
+from tapping_cell.planning.session import GoalSession
+from tapping_cell.se2 import Array, Pose
+
+
+class FixedGoalHandling(GoalHandling):
+    """See the module's docstring. What was learnt of the mounts is kept from goal to goal."""
+
+    def _prepare(self, cell: Cell) -> None:
+        self._whole = assembly.make_fixed_space(cell)
+        self._spaces: dict[tuple[KeepOut, ...], FixedStrikeSpace] = {}
+        self._solver = GoalSolver(background=self._in_background)
+        self._mounts = MountBelief.start(len(self._whole.tappers))
+
+    def _use_map(self) -> None:
+        obstacles = tuple(area for area in self.others if area is not None)
+        if obstacles not in self._spaces:
+            self._spaces = {obstacles: self._whole.among(obstacles)}
+        self._space = self._spaces[obstacles]
+
+    def _use_method(self, tolerance: tuple[float, float]) -> None:
+        if self._planner not in ("", METHOD, self.cell.file.goal.planner):
+            raise PlanningError(
+                f"the planning method '{self._planner}' moves an arm; a cell with fixed tappers has"
+                f" one method, '{METHOD}'"
+            )
+
+    def _update(self, task: Task) -> None:
+        assert isinstance(task.session, FixedTapperSession)
+        if task.free_space is not self._space:
+            task.session.use_room(self._space)
+            task.free_space = self._space
+
+    def _goal_refusal(self, goal: Pose) -> Refusal | None:
+        return check_fixed_goal(goal, self._space)
+
+    def _session(
+        self, goal: Pose, tolerance: tuple[float, float], most_taps: int, probe: bool
+    ) -> GoalSession:
+        return FixedTapperSession(
+            goal,
+            assembly.make_planner_settings(self.cell, tolerance),
+            self._space,
+            self._solver,
+            self._gains,
+            self._mounts,
+            adapt=self._adapt,
+            most_taps=most_taps,
+        )
+
+    def outline(self) -> Array:
+        """Edges of the working area, (edges, 2 ends, 2), m in ``table``."""
+        return self._space.area.outline()
+
+    def learn(self, task: Task) -> None:
+        """Remember what a goal's taps taught about object and mounts."""
+        super().learn(task)
+        if isinstance(task.session, FixedTapperSession):
+            self._mounts = task.session.mounts
+
+    def accept_tap(
+        self, asked: SingleTap.Goal, token: Token, pose: Pose | None, now: Now
+    ) -> SingleTapTask | Refused:
+        """Fixed tappers make no prescribed taps yet."""
+        return Refused(
+            ErrorCode.COMMAND_INVALID,
+            "single taps are prescribed for a tapper on an arm alone; send goals, whose taps are"
+            " recorded, and calibrate the mounts from their records",
+        )
+
+
+def goal_handling_class(cell: Cell) -> type[GoalHandling]:
+    """The kind of goal handling that fits a cell."""
+    return GoalHandling if cell.file.fixed_tappers is None else FixedGoalHandling

@@ -1,0 +1,49 @@
+"""The finest tolerance that taps of an object can meet: its smallest tap scatters."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.stopping import inside_probability
+
+LEAST_SHARE = 0.05
+"""Least share of the smallest taps that must end inside the tolerance: with one in twenty a goal
+takes some forty taps, since a tap that goes wrong costs one that leads away first."""
+
+
+def smallest_tap_share(settings: PlannerSettings) -> float:
+    """Share of the smallest taps that end where the cell may stop, of those that start at just
+    their length from the goal and straight towards it."""
+    least, scatter, camera = settings.smallest_distance, settings.scatter, settings.camera
+    # A tap is aimed by one look and judged by another.
+    look, turn = 2.0 * camera.position**2, 2.0 * camera.angle**2
+    along = (scatter.distance * least) ** 2 + look
+    across = (scatter.direction * least) ** 2 + look
+    box = settings.stopping
+    box = settings.stopping
+    spread = np.diag([along, across, 0.0])
+    placed = float(inside_probability(np.zeros(3), spread, box.distance, math.pi))
+    return placed * math.erf(box.rotation / math.sqrt(2.0 * max(turn, 1e-18)))
+
+
+def precision_limit(settings: PlannerSettings) -> str:
+    """Why taps cannot meet this tolerance, with the number that limits; an empty text if they can.
+
+    Whether the camera can tell is judged by each look (``stopping``).
+    """
+    share = smallest_tap_share(settings)
+    if share >= LEAST_SHARE or not settings.stopping.camera_suffices:
+        return ""
+    least, scatter = settings.smallest_distance, settings.scatter
+    along, across = scatter.distance * least, scatter.direction * least
+    return (
+        f"the tolerance of {1e3 * settings.tolerance_position:.3g} mm and "
+        f"{math.degrees(settings.tolerance_angle):.3g} degrees is too fine for the smallest tap: "
+        f"its {1e3 * least:.3g} mm scatter by {1e3 * along:.2g} mm in distance and "
+        f"{1e3 * across:.2g} mm across, so that {100.0 * share:.2g} % of such taps would end "
+        f"inside; {100.0 * LEAST_SHARE:.0f} % are needed. Widen the tolerance, or make smaller or "
+        "more even taps (smallest_tap and scatter of the object's file)"
+    )

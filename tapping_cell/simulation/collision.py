@@ -1,0 +1,163 @@
+"""Objects on the table that meet one another: the gap between two outlines, and the impact.
+
+The impact is perfectly inelastic along the contact normal and without friction along the tangent:
+afterwards the two points of contact move alike along the normal. Masses, moments of inertia and
+levers are those of the objects, so that a hit off the middle turns both.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.mechanics import Disk, Polygon, Ring
+from tapping_cell.simulation.sliding import Motion
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """A convex object seen from above: everything within ``radius`` m of the hull of ``corners``.
+
+    corners: (n, 2) about the centre of mass, m, counter-clockwise; a disk is one corner with its
+    radius. mass in kg, inertia in kg m^2 about the centre of mass.
+    """
+
+    corners: Array
+    radius: float
+    mass: float
+    inertia: float
+
+    @classmethod
+    def of(cls, body: Disk | Ring | Polygon, centre: tuple[float, float], inertia: float) -> Solid:
+        """A body whose centre of mass lies at ``centre`` of its frame, m."""
+        if isinstance(body, Polygon):
+            return cls(np.asarray(body.points) - np.array(centre), 0.0, body.mass, inertia)
+        return cls(-np.array([centre]), body.radius, body.mass, inertia)
+
+    @property
+    def reach(self) -> float:
+        """Greatest distance of the outline from the centre of mass, m."""
+        return float(np.hypot(*self.corners.T).max()) + self.radius
+
+    def at(self, motion: Motion) -> Array:
+        """The corners in table, (n, 2)."""
+        cos, sin = math.cos(motion.theta), math.sin(motion.theta)
+        turn = np.array([[cos, -sin], [sin, cos]])
+        return np.asarray(self.corners @ turn.T + np.array([motion.x, motion.y]))
+
+
+class Gap(NamedTuple):
+    """The least distance between two solids, m, negative where they overlap; the unit normal from
+    the first to the second there, and the place."""
+
+    distance: float
+    normal: tuple[float, float]
+    place: tuple[float, float]
+
+
+def gap_between(first: Solid, second: Solid, here: Motion, there: Motion) -> Gap:
+    """The gap between two solids where they are."""
+    p, q = first.at(here), second.at(there)
+    from_q, from_p = _separation(p, q), _separation(q, p)
+    best = max(
+        (side for side in (from_q, from_p) if side is not None),
+        key=lambda side: side[0],
+        default=None,
+    )
+    if best is not None and best[0] <= 0.0:
+        # The hulls overlap: the way out is along the edge of the least overlap.
+        depth, normal, corner = best
+        sign = -1.0 if best is from_q else 1.0
+        along = (sign * float(normal[0]), sign * float(normal[1]))
+        return Gap(
+            depth - first.radius - second.radius, along, (float(corner[0]), float(corner[1]))
+        )
+    one, other = _nearest_points(p, q)
+    way = other - one
+    distance = float(np.hypot(*way))
+    if distance == 0.0:
+        way = np.array([there.x - here.x, there.y - here.y])
+    length = float(np.hypot(*way))
+    # Two disks about one point: any direction leads out.
+    normal = way / length if length > 0.0 else np.array([1.0, 0.0])
+    place = one + normal * first.radius
+    return Gap(
+        distance - first.radius - second.radius,
+        (float(normal[0]), float(normal[1])),
+        (float(place[0]), float(place[1])),
+    )
+
+
+def impact(
+    first: Solid, second: Solid, here: Motion, there: Motion, gap: Gap
+) -> tuple[Motion, Motion, float] | None:
+    """The motions after two solids have met and the closing speed, m/s; None where they part."""
+    (nx, ny), (x, y) = gap.normal, gap.place
+    lever = (x - here.x) * ny - (y - here.y) * nx
+    other_lever = (x - there.x) * ny - (y - there.y) * nx
+    closing = (
+        (here.vx - there.vx) * nx
+        + (here.vy - there.vy) * ny
+        + here.omega * lever
+        - there.omega * other_lever
+    )
+    if closing <= 0.0:
+        return None
+    impulse = closing / (
+        1 / first.mass
+        + 1 / second.mass
+        + lever**2 / first.inertia
+        + other_lever**2 / second.inertia
+    )
+    return (
+        here._replace(
+            vx=here.vx - impulse * nx / first.mass,
+            vy=here.vy - impulse * ny / first.mass,
+            omega=here.omega - impulse * lever / first.inertia,
+        ),
+        there._replace(
+            vx=there.vx + impulse * nx / second.mass,
+            vy=there.vy + impulse * ny / second.mass,
+            omega=there.omega + impulse * other_lever / second.inertia,
+        ),
+        closing,
+    )
+
+
+def _separation(points: Array, polygon: Array) -> tuple[float, Array, Array] | None:
+    """Greatest distance of points from a polygon along one of its edges' normals, that normal (out
+    of the polygon) and the point; None for a polygon without edges."""
+    if polygon.shape[0] < 3:
+        return None
+    edges = np.roll(polygon, -1, axis=0) - polygon
+    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=-1)
+    normals /= np.hypot(normals[:, 0], normals[:, 1])[:, None]
+    heights = np.einsum("pei,ei->ep", points[:, None, :] - polygon[None, :, :], normals)
+    lowest = heights.min(axis=1)
+    edge = int(lowest.argmax())
+    return float(lowest[edge]), normals[edge], points[int(heights[edge].argmin())]
+
+
+def _nearest_points(p: Array, q: Array) -> tuple[Array, Array]:
+    """The nearest points of two convex hulls that do not overlap."""
+    one, other, away = _to_edges(p, q)
+    back, there, length = _to_edges(q, p)
+    return (one, other) if away <= length else (there, back)
+
+
+def _to_edges(points: Array, polygon: Array) -> tuple[Array, Array, float]:
+    """The point that is nearest to an edge of a polygon, the place on it, and the distance."""
+    edges = np.roll(polygon, -1, axis=0) - polygon
+    lengths = np.maximum((edges**2).sum(axis=-1), 1e-18)
+    offsets = points[:, None, :] - polygon[None, :, :]
+    shares = np.clip((offsets * edges).sum(axis=-1) / lengths, 0.0, 1.0)
+    places = polygon[None, :, :] + shares[..., None] * edges[None, :, :]
+    away = np.hypot(*np.moveaxis(points[:, None, :] - places, -1, 0))
+    which, edge = np.unravel_index(int(away.argmin()), away.shape)
+    return points[which], places[which, edge], float(away[which, edge])

@@ -1,0 +1,169 @@
+"""The simulated boards of tappers at fixed mounts, on pseudo-terminals, joined to the world."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tapping_cell.configuration.cell import Board, Cell, FixedTapperSection, TapperSection
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.arm_picture import striker_solids
+from tapping_cell.simulation.devices import LARGEST_BOOT
+from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.rendered_camera import Occluder
+from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
+from tapping_cell.simulation.truth import MountsTruth
+
+RETURN_SPEED = 1.0
+"""With which its spring brings a striker back, m/s."""
+
+OnFixedStrike = Callable[[Pose, float, float, TapperSection, float], tuple[float, float]]
+"""Called at a release: true tip pose in ``table``, its height in m, commanded speed in m/s, the
+tapper, time in s; returns what the gate measures of the speed, m/s, and how far the tip goes, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """A striker that was released: when, in s, how fast, in m/s, and how far, in m."""
+
+    begun: float
+    speed: float
+    travel: float
+
+    def extension(self, now: float) -> float:
+        """How far out the tip is, m."""
+        out = self.speed * (now - self.begun)
+        back = self.travel - RETURN_SPEED * (now - self.begun - self.travel / self.speed)
+        return max(0.0, min(out, back))
+
+    @property
+    def duration(self) -> float:
+        """From the release to the return, s."""
+        return self.travel / self.speed + self.travel / RETURN_SPEED
+
+
+def true_mounts(cell: Cell, truth: MountsTruth, seed: int) -> dict[str, Pose]:
+    """Where the strikers truly are, by name: drawn about the cell file's mounts."""
+    random = np.random.default_rng([seed, 22])
+    mounts = {}
+    for entry in cell.fixed_tappers.tappers:
+        aside, turn = random.standard_normal(2) * (truth.offset, truth.angle)
+        x, y = entry.position
+        mounts[entry.name] = Pose(
+            x - float(aside) * math.sin(entry.direction),
+            y + float(aside) * math.cos(entry.direction),
+            entry.direction + float(turn),
+        )
+    return mounts
+
+
+def numbered(port: str, board: int) -> str:
+    """The port of a board where one port is given for the first: ``tapper``, ``tapper_1``."""
+    return f"{port}_{board}" if port and board else port
+
+
+class FixedTapperBoard:
+    """One emulated board and the strikers that it drives."""
+
+    def __init__(
+        self,
+        cell: Cell,
+        board: Board,
+        mounts: Mapping[str, Pose],
+        on_strike: OnFixedStrike,
+        boot: int,
+        now: float,
+    ) -> None:
+        self._height = cell.fixed_tappers.strike_height
+        self._entries: dict[int, FixedTapperSection] = {
+            entry.channel: entry
+            for entry in cell.fixed_tappers.tappers
+            if entry.name in board.channels
+        }
+        self._tappers = {channel: cell.tapper_of(entry) for channel, entry in self._entries.items()}
+        self._mounts = mounts
+        self._on_strike = on_strike
+        self._flights: dict[str, Flight] = {}
+        self.emulator = TapperEmulator(
+            TapperMachine(coils=1 + max(self._entries)), self._fire, boot=boot, now=now
+        )
+
+    def _fire(self, shot: int, energy: float, now: float) -> float | None:
+        entry = self._entries.get(self.emulator.channel)
+        if entry is None:
+            return None  # a channel without a striker
+        tapper = self._tappers[entry.channel]
+        curve = tapper.curve()
+        least, most = curve.table[0][0], curve.table[-1][0]
+        speed = curve.speed_for(min(max(energy, least), most))
+        measured, travel = self._on_strike(
+            self._mounts[entry.name], self._height, speed, tapper, now
+        )
+        flight = self._flights[entry.name] = Flight(now, speed, travel)
+        self.emulator.coils.flight = flight.duration
+        return measured
+
+    def solids(self, now: float) -> tuple[Occluder, ...]:
+        """What the camera sees of the strikers."""
+        made: list[Occluder] = []
+        for channel, entry in self._entries.items():
+            flight = self._flights.get(entry.name)
+            out = flight.extension(now) if flight is not None else 0.0
+            made += striker_solids(
+                self._tappers[channel], self._mounts[entry.name], self._height, out
+            )
+        return tuple(made)
+
+
+class FixedDevices:
+    """Every board of a cell, each behind a port that a driver opens like any other.
+
+    ``ports``: makes a path of the number of a board and its port in the cell file.
+
+    Raises:
+        PortTakenError: a port's path belongs to a running process.
+    """
+
+    def __init__(
+        self,
+        cell: Cell,
+        truth: MountsTruth,
+        ports: Callable[[int, str], Path],
+        on_strike: OnFixedStrike,
+        seed: int,
+    ) -> None:
+        now = time.monotonic()
+        boot = int(time.time()) % LARGEST_BOOT + 1
+        mounts = true_mounts(cell, truth, seed)
+        self._boards: list[FixedTapperBoard] = []
+        self._ports: list[PseudoTerminal] = []
+        try:
+            for index, board in enumerate(cell.boards):
+                made = FixedTapperBoard(cell, board, mounts, on_strike, boot, now)
+                port = PseudoTerminal(made.emulator, ports(index, board.port))
+                port.open()
+                self._boards.append(made)
+                self._ports.append(port)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Unplug every board."""
+        for port in self._ports:
+            port.close()
+
+    def press_clear_button(self) -> None:
+        """What a person does at each board before a latched stop can be cleared."""
+        for port, board in zip(self._ports, self._boards, strict=True):
+            with port.lock:
+                board.emulator.press_clear_button(time.monotonic())
+
+    def solids(self, now: float) -> tuple[Occluder, ...]:
+        """What the camera sees of the strikers."""
+        return tuple(solid for board in self._boards for solid in board.solids(now))

@@ -1,0 +1,254 @@
+"""Several objects on one simulated table: one is struck, slides, and may meet the others.
+
+Each object is a ``World`` of its own; this holds them to one time, gives the striker to the first
+object on its way, and lets objects that meet collide (``simulation.collision``). Time runs in steps
+that shrink before a contact, so that objects overlap by less than 0.1 mm.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tapping_cell.configuration.objects import ObjectFile
+from tapping_cell.mechanics import Striker
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.collision import gap_between, impact
+from tapping_cell.simulation.truth import TruthFile
+from tapping_cell.simulation.world import World
+
+SHORTEST_STEP_S, LONGEST_STEP_S = 1e-4, 2e-3
+TOUCHING_M = 2e-5
+"""Objects nearer than this touch."""
+NOTED_SPEED = 0.001
+"""Contacts that close slower than this, m/s, are not reported: two that slide side by side."""
+APART_S = 0.05
+"""Within so long after a contact of two objects another one belongs to it."""
+START_GAP_M = 0.04
+"""Between an object that is put somewhere at random and the others."""
+EDGE_M = 0.06
+"""Between its outline and the table's edge."""
+TRIES, RESTARTS = 300, 40
+
+
+@dataclass(frozen=True, slots=True)
+class TrueContact:
+    """Two objects met: who came, on whom, when (s), where (m, in table) and how fast (m/s)."""
+
+    name: str
+    other: str
+    time: float
+    place: tuple[float, float]
+    closing_speed: float
+
+
+class Tabletop:
+    """The objects of a cell on its table. Times in s, never going back from call to call."""
+
+    def __init__(
+        self,
+        contents: Sequence[ObjectFile],
+        striker: Striker,
+        stroke: float,
+        truth: TruthFile,
+        seed: int,
+        size: tuple[float, float],
+    ) -> None:
+        """``contents``: the cell's object first; ``stroke``: see ``World``; ``size`` of the table:
+        length and width, m.
+
+        Raises:
+            ValueError: there is no room for them all, or a centre of mass is not over its support.
+        """
+        self.worlds: dict[str, World] = {
+            content.name: World(
+                content, striker, stroke, truth, seed if number == 0 else _seed(seed, number)
+            )
+            for number, content in enumerate(contents)
+        }
+        self._size = size
+        self._random = _seed(seed, len(contents))
+        self._now = -math.inf
+        self._met: dict[frozenset[str], float] = {}
+        self._contacts: list[TrueContact] = []
+        self._tapped = next(iter(self.worlds))
+        self._spread(truth)
+
+    @property
+    def poses(self) -> Mapping[str, Pose]:
+        """Where every object is at the time that this was last advanced to."""
+        return {name: world.pose for name, world in self.worlds.items()}
+
+    @property
+    def at_rest(self) -> bool:
+        """True when no object moves or is about to be hit."""
+        return all(world.at_rest for world in self.worlds.values())
+
+    def advance(self, now: float) -> None:
+        """Let time go on until ``now``."""
+        if math.isinf(self._now):
+            self._advance_all(now)
+        while self._now < now:
+            alone = len(self.worlds) == 1 or self.at_rest
+            self._advance_all(now if alone else min(now, self._now + self._step_length()))
+            if not alone:
+                self._collide()
+
+    def strike(self, tip: Pose, tip_height: float, speed: float, now: float) -> bool:
+        """Release the striker, see ``World.strike``: the first object on its way is struck."""
+        self.advance(now)
+        travels = {
+            name: world.travel_to_meet(tip, tip_height, speed)
+            for name, world in self.worlds.items()
+        }
+        name = min(travels, key=lambda each: travels[each])
+        if math.isinf(travels[name]):
+            # It meets nothing that rests; an object that slides may yet come into its way.
+            moving = [each for each, world in self.worlds.items() if not world.at_rest]
+            name = moving[0] if moving else name
+        self._tapped = name
+        return self.worlds[name].strike(tip, tip_height, speed, now)
+
+    def take_striker(self, striker: Striker, stroke: float) -> None:
+        """See ``World.take_striker``."""
+        for world in self.worlds.values():
+            world.take_striker(striker, stroke)
+
+    def travel_to_meet(self, tip: Pose, tip_height: float, speed: float) -> float:
+        """See ``World.travel_to_meet``: of the first object on the way."""
+        return min(world.travel_to_meet(tip, tip_height, speed) for world in self.worlds.values())
+
+    def gate_speed(self, speed: float) -> float:
+        """What the tapper's gate measures, see ``World.gate_speed``."""
+        return next(iter(self.worlds.values())).gate_speed(speed)
+
+    def reseed(self, seed: int) -> None:
+        """Begin the random numbers anew."""
+        for number, world in enumerate(self.worlds.values()):
+            world.reseed(seed if number == 0 else int(_seed(seed, number).integers(2**31)))
+        self._random = _seed(seed, len(self.worlds))
+
+    def place(self, name: str, pose: Pose) -> None:
+        """Put an object somewhere, at rest."""
+        self.worlds[name].place(pose)
+
+    def free_pose(
+        self,
+        name: str,
+        others: Sequence[str] | None = None,
+        disc: tuple[float, float, float] | None = None,
+    ) -> Pose:
+        """A random pose on the table, away from its edges and from the other objects; with its
+        centre in a ``disc`` (middle x and y, and radius, m) where one is given.
+
+        Raises:
+            ValueError: there is no room.
+        """
+        world = self.worlds[name]
+        names = list(self.worlds) if others is None else others
+        half = np.maximum(np.array(self._size) / 2 - world.solid.reach - EDGE_M, 0.0)
+        for _ in range(TRIES):
+            x, y = self._random.uniform(-half, half).tolist()
+            pose = Pose(x, y, float(self._random.uniform(-math.pi, math.pi)))
+            if disc is not None and math.hypot(x - disc[0], y - disc[1]) > disc[2]:
+                continue
+            if all(
+                pose.distance_to(self.worlds[each].pose)
+                >= START_GAP_M + world.solid.reach + self.worlds[each].solid.reach
+                for each in names
+                if each != name
+            ):
+                return pose
+        raise ValueError(
+            f"there is no free place for '{name}' on a table of {1000 * self._size[0]:.0f} x "
+            f"{1000 * self._size[1]:.0f} mm with {len(names)} objects; take fewer or smaller ones, "
+            "or give their places in the truth file (key 'further_starts')"
+        )
+
+    def take_contacts(self) -> list[TrueContact]:
+        """The contacts between objects since the last call."""
+        contacts, self._contacts = self._contacts, []
+        return contacts
+
+    def _spread(self, truth: TruthFile) -> None:
+        """Put the further objects where the truth file says, or at random free places."""
+        own, *further = self.worlds
+        for name, start in zip(further, truth.further_starts, strict=False):
+            self.worlds[name].place(Pose(*start))
+        given = [own, *further[: len(truth.further_starts)]]
+        for attempt in range(RESTARTS):
+            placed = list(given)
+            try:
+                for name in further[len(truth.further_starts) :]:
+                    self.worlds[name].place(self.free_pose(name, placed))
+                    placed.append(name)
+            except ValueError:
+                # Those before may stand badly: all begin anew.
+                if attempt == RESTARTS - 1:
+                    raise
+            else:
+                return
+
+    def _advance_all(self, now: float) -> None:
+        self._now = max(self._now, now)
+        for world in self.worlds.values():
+            world.advance(self._now)
+
+    def _pairs(self) -> list[tuple[str, str, float]]:
+        """Pairs of which one moves, and the speed at which they may approach, m/s."""
+        speeds = {}
+        for name, world in self.worlds.items():
+            vx, vy, omega = world.twist
+            speeds[name] = math.hypot(vx, vy) + abs(omega) * world.solid.reach
+        return [
+            (first, second, speeds[first] + speeds[second])
+            for first, second in itertools.combinations(self.worlds, 2)
+            if speeds[first] + speeds[second] > 0.0
+        ]
+
+    def _step_length(self) -> float:
+        """So long nothing can meet, s."""
+        longest = LONGEST_STEP_S
+        for first, second, speed in self._pairs():
+            one, other = self.worlds[first], self.worlds[second]
+            apart = _clearance(one, other)
+            if apart <= longest * speed:
+                apart = gap_between(one.solid, other.solid, one.motion, other.motion).distance
+            longest = min(longest, max(apart / speed, SHORTEST_STEP_S))
+        return longest
+
+    def _collide(self) -> None:
+        for first, second, speed in self._pairs():
+            one, other = self.worlds[first], self.worlds[second]
+            apart = _clearance(one, other)
+            if apart > TOUCHING_M + speed * SHORTEST_STEP_S:
+                continue
+            gap = gap_between(one.solid, other.solid, one.motion, other.motion)
+            if gap.distance > TOUCHING_M:
+                continue
+            after = impact(one.solid, other.solid, one.motion, other.motion, gap)
+            if after is None:
+                continue
+            one.go_on(after[0])
+            other.go_on(after[1])
+            pair = frozenset((first, second))
+            new = self._now - self._met.get(pair, -math.inf) > APART_S
+            self._met[pair] = self._now
+            if new and after[2] > NOTED_SPEED:
+                came, met = (second, first) if second == self._tapped else (first, second)
+                self._contacts.append(TrueContact(came, met, self._now, gap.place, after[2]))
+
+
+def _clearance(one: World, other: World) -> float:
+    """The least that two objects can be apart, whatever their rotation, m."""
+    here, there = one.motion, other.motion
+    between = math.hypot(here.x - there.x, here.y - there.y)
+    return between - one.solid.reach - other.solid.reach
+
+
+def _seed(seed: int, number: int) -> np.random.Generator:
+    return np.random.default_rng([seed, number])

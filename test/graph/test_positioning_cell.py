@@ -1,0 +1,27 @@
+"""The positioning cell as a user runs it: every node a process, no arm."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+from tapping_cell.configuration.files import shared_folder
+
+CELL = shared_folder() / "positioning_cell" / "cell.yaml"
+
+
+def test_the_demo_reaches_a_goal_without_an_arm(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    options = ["--cell", str(CELL), "--goal", "15", "-20", "60", "--seed", "2"]
+    command = [sys.executable, "-m", "tapping_cell", "demo", "--out", str(folder), *options]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=200)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    told = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert told["reached"]
+    assert told["true_residual"]["distance_mm"] <= 1.0
+    assert abs(told["true_residual"]["rotation_deg"]) <= 1.0
+    assert not (folder / "logs" / "scara_arm.log").exists()
+    log = (folder / "logs" / "tapper_trigger.log").read_text(encoding="utf-8")
+    assert "error" not in log.lower(), log

@@ -1,0 +1,180 @@
+"""The tapper's machine at fixed mounts, with its driver and its emulated board, in virtual time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from virtual_node import VirtualNode
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.logic.poses import to_message
+from tapping_cell.logic.tapper import TapperLogic, TapperOptions
+from tapping_cell.messages import (
+    ErrorCode,
+    ObjectState,
+    PoseWithCovariance,
+    TapCommand,
+    TapperState,
+)
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
+
+CELL = load_cell(shared_folder() / "positioning_cell" / "cell.yaml")
+
+
+class Ring(VirtualNode):
+    """The node and its board of eight coils; nobody plays an arm."""
+
+    def __init__(self, machine: TapperMachine | None = None) -> None:
+        self.device = TapperEmulator(machine or TapperMachine(coils=8), now=0.0)
+
+        def make(line: Any) -> tuple[TapperLogic, TapperDriver]:
+            return TapperLogic(TapperOptions()), TapperDriver(line, draw_number=lambda below: 7)
+
+        super().__init__(
+            "tapper_trigger",
+            self.device,
+            make,
+            lambda driver, patience, _: driver.connect(timeout=patience),
+            "tapper_state",
+            cell=CELL,
+        )
+        self.wait_state(TapperState.SAFE)
+
+    def command(self, tap_id: int, tapper: str, speed: float = 0.3, valid: float = 5.0) -> None:
+        message = TapCommand(
+            request=TapCommand.TAP, tap_id=tap_id, striker_speed=speed, tapper=tapper
+        )
+        message.header.frame_id = "table"
+        message.expiry = self.stamp(valid)
+        self.publish("tap_command", message)
+
+    def see(self, at_rest: bool = True, x: float = 0.0) -> None:
+        pose = PoseWithCovariance(pose=to_message(Pose(x, 0.0, 0.0)))
+        message = ObjectState(visible=True, at_rest=at_rest, pose=pose)
+        message.header.stamp = self.stamp()
+        self.publish("object_state", message)
+
+    def see_for(self, seconds: float, **seen: Any) -> None:
+        end = self.now() + seconds
+        while self.now() < end:
+            self.see(**seen)
+            self.run(0.03)
+
+    def proven(self) -> None:
+        self.wait(lambda: self.last.mounts_proven, "mounts proven")
+
+    def shots(self) -> list[int]:
+        return [shot for shot, _, _ in self.device.fires]
+
+
+@pytest.fixture
+def ring() -> Ring:
+    return Ring()
+
+
+def test_it_proves_its_mounts_and_fires_the_tapper_that_is_named(ring: Ring) -> None:
+    ring.proven()
+    assert list(ring.last.tappers) == list(CELL.tapper_names)
+    assert ring.last.fixed_mounts
+    channels = CELL.boards[0].channels
+    for tap_id, name in enumerate(("west", "northeast", "east"), start=100):
+        ring.command(tap_id, name)
+        ring.wait(lambda i=tap_id: ring.last.tap_id == i and ring.last.outcome, "an outcome")
+        assert (ring.last.outcome, ring.last.tapper) == (TapperState.FIRED, name)
+        assert ring.device.channel == channels[name]
+        # At rest again only when the striker is back.
+        assert ring.last.state == TapperState.FIRING
+        assert ring.device.coils.next_event() is not None
+        ring.wait_state(TapperState.SAFE)
+        assert ring.device.coils.next_event() is None
+    assert ring.shots() == [100, 101, 102]
+    ring.command(102, "east")
+    ring.run(1.0)
+    assert ring.shots() == [100, 101, 102]
+    assert not ring.said()
+
+
+def test_a_tap_must_name_one_of_several_tappers(ring: Ring) -> None:
+    ring.proven()
+    for tap_id, name in ((100, ""), (101, "nobody")):
+        ring.command(tap_id, name)
+        ring.wait(lambda i=tap_id: ring.last.tap_id == i, "told")
+        assert ring.last.outcome == TapperState.NOT_FIRED
+        assert ring.last.error_code == ErrorCode.TAPPER_UNKNOWN
+    assert ring.shots() == []
+
+
+def test_it_does_not_fire_at_an_object_that_moves_or_was_moved(ring: Ring) -> None:
+    ring.proven()
+    ring.see_for(0.2)
+    ring.command(100, "west", valid=1.0)
+    ring.see_for(1.5, at_rest=False)
+    assert ring.shots() == []
+    assert ring.last.outcome == TapperState.NOT_FIRED
+    ring.command(101, "west", valid=1.0)
+    ring.see_for(1.5, x=0.02)
+    assert ring.shots() == []
+    ring.command(102, "west", valid=1.0)
+    ring.see_for(0.5)
+    assert ring.shots() == [102]
+
+
+def test_it_does_not_fire_blindly_when_the_camera_falls_silent(ring: Ring) -> None:
+    ring.proven()
+    ring.see_for(0.2)
+    ring.run(1.0)
+    ring.command(100, "west", valid=1.0)
+    ring.run(1.5)
+    assert ring.shots() == []
+    assert ring.last.outcome == TapperState.NOT_FIRED
+
+
+def test_a_striker_that_stays_out_is_a_fault_that_names_it(ring: Ring) -> None:
+    ring.proven()
+    ring.device.coils.flight = 1e6
+    ring.command(100, "north")
+    ring.wait_state(TapperState.FAULT)
+    assert ring.last.outcome == TapperState.FIRED
+    assert ring.last.error_code == ErrorCode.TAPPER_STRIKER_AWAY
+    assert "north" in ring.last.error_msg
+    ring.command(101, "west")
+    ring.run(1.0)
+    assert ring.shots() == [100]
+
+
+def test_a_striker_that_does_not_leave_its_mount_is_a_fault(ring: Ring) -> None:
+    ring.proven()
+    ring.device.coils.block(CELL.boards[0].channels["south"], True)
+    ring.command(100, "south")
+    ring.wait_state(TapperState.FAULT)
+    assert ring.last.error_code == ErrorCode.TAPPER_STRIKER_AWAY
+
+
+def test_a_striker_pulled_off_its_mount_forbids_every_tap_until_it_is_back(ring: Ring) -> None:
+    ring.proven()
+    ring.device.coils.keep_out(4, True)
+    ring.wait(lambda: not ring.last.mounts_proven and ring.last.away, "told")
+    assert list(ring.last.away) == [CELL.tapper_names[4]]
+    ring.command(100, "north", valid=1.0)
+    ring.run(1.5)
+    assert ring.shots() == []
+    ring.device.coils.keep_out(4, False)
+    ring.proven()
+    assert ring.last.error_code == ErrorCode.NONE
+    ring.command(101, "north")
+    ring.wait(lambda: ring.shots() == [101], "fired")
+
+
+@pytest.mark.parametrize("machine", [TapperMachine(), TapperMachine(version="2.0.0-sim")])
+def test_a_board_without_switches_fires_nothing(machine: TapperMachine) -> None:
+    ring = Ring(machine)
+    ring.run(2.0)
+    assert not ring.last.mounts_proven
+    assert ring.last.error_code == ErrorCode.TAPPER_MOUNT_NOT_PROVEN
+    ring.command(100, "east")
+    ring.run(1.0)
+    assert ring.shots() == []

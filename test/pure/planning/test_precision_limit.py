@@ -1,0 +1,44 @@
+"""Tolerances that no tap can meet are refused with the number that limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tapping_cell.planning import CameraNoise, PlannerSettings, Scatter
+from tapping_cell.planning.precision_limit import precision_limit, smallest_tap_share
+
+LOOK = CameraNoise(1e-5, math.radians(0.01))
+
+
+def at(tolerance: float, **others: float | CameraNoise | Scatter) -> PlannerSettings:
+    """Settings for a tolerance in mm and degrees."""
+    size = {"tolerance_position": 1e-3 * tolerance, "tolerance_angle": math.radians(tolerance)}
+    return replace(PlannerSettings(camera=LOOK), **size, **others)
+
+
+@pytest.mark.parametrize("tolerance", [1.0, 0.3, 0.1, 0.05])
+def test_the_share_is_that_of_drawn_taps(tolerance: float) -> None:
+    settings = at(tolerance)
+    rng = np.random.default_rng(2)
+    noise = rng.standard_normal((5, 200_000))
+    look = math.sqrt(2.0) * LOOK.position
+    along = 0.05 * 0.0017 * noise[0] + look * noise[1]
+    across = math.radians(1.0) * 0.0017 * noise[2] + look * noise[3]
+    box = settings.stopping
+    turned = math.sqrt(2.0) * LOOK.angle * noise[4]
+    inside = (np.hypot(along, across) <= box.distance) & (np.abs(turned) <= box.rotation)
+    assert smallest_tap_share(settings) == pytest.approx(inside.mean(), abs=0.004)
+
+
+def test_fine_tolerances_are_taken_down_to_what_the_smallest_tap_allows() -> None:
+    assert precision_limit(at(0.1)) == precision_limit(at(0.05)) == ""
+    coarse = at(0.05, smallest_distance=0.006)
+    refused = precision_limit(coarse)
+    assert "0.05 mm" in refused and "its 6 mm scatter by 0.3 mm" in refused
+    assert precision_limit(replace(coarse, scatter=Scatter(0.005, 0.05, 0.002))) == ""
+    # What the camera cannot tell is the camera's to refuse.
+    assert precision_limit(replace(coarse, camera=CameraNoise(1e-4, 1e-3))) == ""

@@ -1,0 +1,76 @@
+"""A picture of several objects shows each where it is, at rest and while others move."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.objects import load_object
+from tapping_cell.simulation.rendered_camera import SceneObject, SceneRenderer
+from tapping_cell.simulation.scene import make_renderer
+from tapping_cell.simulation.truth import CameraTruth
+from tapping_cell.vision import OtherObjects
+
+CELL = load_cell()
+SQUARE = load_object(shared_folder() / "objects" / "aluminium_square.yaml")
+POSES = np.array([[-0.1, 0.02, 0.3], [0.08, -0.05, 1.0]])
+
+
+def scene(noise: float = 2.0) -> SceneRenderer:
+    square = SceneObject(np.asarray(SQUARE.shape.vertices), SQUARE.seen())
+    truth = CameraTruth(noise=noise)
+    return make_renderer(CELL, truth, np.asarray(CELL.outline()), 1, [square])
+
+
+def test_every_object_is_found_where_it_lies() -> None:
+    renderer = scene()
+    seen = [CELL.object.seen(), SQUARE.seen()]
+    others = OtherObjects(CELL.camera, CELL.references, seen)
+    for frame in range(12):
+        picture = renderer.render(POSES)
+        for number in range(len(POSES)):
+            sighting = others.follow(number, picture, 1.0 + frame / 30)
+    for number, true in enumerate(POSES):
+        sighting = others.follow(number, renderer.render(POSES), 2.0)
+        found = sighting.observation.pose
+        assert sighting.observation.visible and found is not None
+        assert np.hypot(*(np.array(found)[:2] - true[:2])) < 5e-4
+
+
+def test_what_has_moved_leaves_no_trace_and_the_rest_stays() -> None:
+    renderer, fresh = scene(0.0), scene(0.0)
+    first = renderer.render(POSES)
+    moved = POSES.copy()
+    moved[1] += [0.05, 0.04, 0.3]
+    renderer.render(POSES, moved)
+    renderer.render((POSES + moved) / 2, moved)
+    assert np.array_equal(renderer.render(moved), fresh.render(moved))
+    assert np.array_equal(renderer.render(POSES), first)
+    assert not np.array_equal(first, fresh.render(moved))
+
+
+def test_two_that_move_side_by_side_are_both_drawn() -> None:
+    renderer = scene(0.0)
+    close = np.array([[0.0, 0.0, 0.0], [0.105, 0.0, 0.0]])
+    step = np.array([0.002, 0.0, 0.0])
+    both = renderer.render(close, close + step).astype(float)
+    alone = [renderer.render(pose, pose + step).astype(float) for pose in close[:1]]
+    rows, columns = np.nonzero(np.abs(both - alone[0]) > 20)
+    # Without the second one only its own place differs.
+    where = renderer.view.project(np.array([[0.105, 0.0]]), SQUARE.height)[0]
+    assert abs(np.mean(columns) - where[0]) < 40 and abs(np.mean(rows) - where[1]) < 40
+
+
+def test_objects_of_one_look_are_drawn_alike() -> None:
+    disk = SceneObject(np.asarray(CELL.outline()), CELL.object.seen())
+    renderer = make_renderer(
+        CELL, replace(CameraTruth(), noise=0.0), np.asarray(CELL.outline()), 1, [disk]
+    )
+    one = renderer.render(np.array([[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0]]))
+    other = renderer.render(np.array([[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]))
+    assert np.array_equal(one, other)
+    assert one.mean() != pytest.approx(renderer.render(np.array([[-0.1, 0.0, 0.0]])).mean())
