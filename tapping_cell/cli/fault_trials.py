@@ -1,33 +1,37 @@
 """Taps of the real drivers on emulated devices behind bad lines, checked against the devices'
 truth.
 
-The tap is the cell's: place the striker, draw, look again whether the arm stands there, fire once,
-withdraw. What the drivers say is held against what the devices did.
+A tap is made of the jobs of the shipped machines (``logic.arm_jobs``, ``logic.tapper_jobs``): place
+the striker, charge, look again whether the arm stands there, fire once, withdraw. What the drivers
+say is held against what the devices did.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from tapping_cell.hardware.arm import ArmDriver
-from tapping_cell.hardware.arm_settings import ArmReading, ArmSettings, HomingStrategy
+from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
 from tapping_cell.hardware.dialect import ArmDialect
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
 from tapping_cell.hardware.marlin_dialect import MarlinDialect
-from tapping_cell.hardware.motion import MotionSettings, strike_path, withdraw_path
+from tapping_cell.hardware.motion import MotionSettings, Waypoint, strike_path, withdraw_path
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
 from tapping_cell.hardware.tapper import FireOutcome, TapperDriver
 from tapping_cell.hardware.tapper_protocol import State
 from tapping_cell.hardware.transport import Transport
+from tapping_cell.logic import arm_jobs, tapper_jobs
+from tapping_cell.logic.arm_jobs import Reading
+from tapping_cell.logic.clock import Now
 from tapping_cell.simulation.fault_layer import (
     Direction,
     FaultKind,
@@ -46,8 +50,8 @@ HOME = (0.0, np.pi / 2, 0.0, 0.0)
 PARK = (0.6, 1.2, -0.020, 0.0)
 TRUE_TOLERANCE = np.array([2e-3, 2e-3, 2e-4, 2e-3])
 """How far the true joints may be from the strike pose at a release: rad, rad, m, rad."""
-WINDOW = 0.05
-"""How long after the last check the tapper may release, s."""
+EXPIRY_NS = 600_000_000_000
+"""How long a tap's way to its strike pose may take."""
 CALL_LIMIT = 600.0
 """A tap with its recoveries that takes longer counts as hanging, s of the cell's time."""
 RECOVERIES = 40
@@ -127,6 +131,34 @@ class Clock(Protocol):
         """s."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Direct:
+    """Runs the machines' jobs at once, with nothing else going on; a ``JobContext``."""
+
+    driver: Any
+    transport: Transport
+
+    def now(self) -> Now:
+        """Both clocks show the line's time."""
+        steady = self.transport.now()
+        return Now(steady, round(1e9 * steady))
+
+    def sleep(self, duration: float) -> None:
+        """Let ``duration`` s pass."""
+        self.transport.sleep(duration)
+
+    def abandoned(self) -> bool:
+        """Never."""
+        return False
+
+    def post(self, content: object) -> None:
+        """Nobody listens."""
+
+    def ask(self, query: Callable[[Now], Any]) -> Any:
+        """The answer at this moment."""
+        return query(self.now())
+
+
 class TrialCell:
     """Two emulated devices behind bad lines, their drivers, and a witness of the truth."""
 
@@ -161,6 +193,8 @@ class TrialCell:
             )
         self.arm = ArmDriver(arm_port, language, self.geometry, ArmSettings(home_joints=HOME))
         self.tapper = TapperDriver(tapper_port, draw_number=self._draw)
+        self._arm_context = _Direct(self.arm, arm_port)
+        self._tapper_context = _Direct(self.tapper, tapper_port)
         self.goal: Joints | None = None
         self.shot = 0
         self.firing = False
@@ -220,34 +254,46 @@ class TrialCell:
             self.tally.reasons[fault.reason.value] += 1
         self._report(self.shot, outcome)
         try:
-            self.arm.follow(withdraw_path(self.geometry, self.arm.read_joints(), self.motion))
+            arm_jobs.withdraw(self._arm_context, self._withdrawal, not_before=self.clock.now)
         except HardwareFault:
             # The next tap recovers; the striker has been released or surely will not be.
             return outcome
         return outcome
 
     def _tap(self) -> FireOutcome:
+        """The jobs of the shipped machines, one after the other."""
         tip = self.random_tip()
         path = strike_path(self.geometry, self.arm.read_joints(), tip, self.motion)
         goal = path[-1].joints if path else self.arm.read_joints()
-        self._check_place(self.arm.follow(path), goal)
+        now = self._arm_context.now()
+        placed = arm_jobs.place(
+            self._arm_context, tip, self.motion, now.ros + EXPIRY_NS, not_before=now.steady
+        )
+        self._check_place(placed.reading, goal)
         self.goal = goal
-        self.tapper.charge(self.shot, float(self.rng.uniform(0.001, 0.2)))
-        reading = self.arm.read()
+        energy = float(self.rng.uniform(0.001, 0.2))
+        charged = tapper_jobs.charge(
+            self._tapper_context, self.shot, energy, 0, lambda _: None, tell=False
+        )
+        reading = arm_jobs.read(self._arm_context)
         self._check_place(reading, goal)
-        if reading.alarm or reading.moving or not self._near(reading.joints, goal):
-            self.tapper.discharge()
+        there = not reading.moving and self._near(reading.joints, goal)
+        if not charged.charged or not reading.homed or not there:
+            tapper_jobs.discharge(self._tapper_context)
             return FireOutcome.NOT_FIRED
         self.firing = True
         try:
-            return self.tapper.fire(self.shot, WINDOW, self.allowed).outcome
+            end = tapper_jobs.fire(self._tapper_context, self.shot, self.doubt, tell=False)
+            return end.outcome
         finally:
             self.firing = False
 
-    def allowed(self, release_by: float) -> bool:
+    def _withdrawal(self, here: Joints) -> Sequence[Waypoint]:
+        return withdraw_path(self.geometry, here, self.motion)
+
+    def doubt(self, release_by: float, now: Now) -> None:
         """The last check before FIRE, which notes when a release must be over."""
         self.release_by = release_by
-        return True
 
     def recover(self) -> None:
         """Bring both devices back to where they take orders, with a person's help at the button."""
@@ -315,7 +361,7 @@ class TrialCell:
         with self._arm_held():
             return Joints(*self.arm_device.joints(now)), self.arm_device.moving(now)
 
-    def _check_place(self, reading: ArmReading, goal: Joints) -> None:
+    def _check_place(self, reading: Reading, goal: Joints) -> None:
         """The arm's driver says it stands at the goal: does it?"""
         if reading.moving or not self._near(reading.joints, goal):
             return

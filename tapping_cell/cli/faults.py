@@ -6,6 +6,7 @@ vanish and return; boards that restart), and holds what the drivers say against 
 did.
 
     python -m tapping_cell faults --goals 1000 --seed 1   # the whole cell in simulated time
+    python -m tapping_cell faults --goals 500 --only 'freeze, freeze at a shot'
     python -m tapping_cell faults --replay 1000003        # one run of it again, with its trace
     python -m tapping_cell faults --mutants               # would a missing guard be found?
     python -m tapping_cell faults --taps 10000 --seed 1   # drivers and boards alone
@@ -79,6 +80,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " random faults; with --mutants how many goals at most (default 1000)",
     )
     parser.add_argument(
+        "--only",
+        metavar="KINDS",
+        default="",
+        help="with --goals and --replay: only faults of these kinds, separated by commas, such as"
+        " 'freeze, kill'",
+    )
+    parser.add_argument(
         "--mutant", action="append", help="with --mutants: only this one, may be repeated"
     )
     instead = parser.add_mutually_exclusive_group()
@@ -126,7 +134,9 @@ def run(arguments: argparse.Namespace) -> int:
         tell_error("--soak must be above 0 and at most 1000 hours")
         return 2
     if arguments.replay is not None:
-        return goal_faults.replay(arguments.replay, arguments.goals or GOALS_A_RUN)
+        return goal_faults.replay(
+            arguments.replay, arguments.goals or GOALS_A_RUN, _kinds(arguments.only)
+        )
     if arguments.mutants:
         return goal_faults.run_mutants(
             arguments.goals or 1000,
@@ -137,7 +147,11 @@ def run(arguments: argparse.Namespace) -> int:
         )
     if arguments.goals is not None:
         return goal_faults.run_goals(
-            arguments.goals, arguments.seed, arguments.jobs, arguments.json
+            arguments.goals,
+            arguments.seed,
+            arguments.jobs,
+            arguments.json,
+            _kinds(arguments.only),
         )
     dialects = [Dialect(arguments.dialect)] if arguments.dialect else list(Dialect)
     if arguments.crashes:
@@ -183,6 +197,11 @@ def run(arguments: argparse.Namespace) -> int:
     }
     print(json.dumps(result, indent=2) if arguments.json else _in_words(result))
     return 0 if total.clean else 1
+
+
+def _kinds(only: str) -> tuple[str, ...]:
+    """Kinds of faults out of a list with commas."""
+    return tuple(kind.strip() for kind in only.split(",") if kind.strip())
 
 
 def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:

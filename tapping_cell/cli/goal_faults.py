@@ -10,19 +10,26 @@ from collections.abc import Sequence
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from tapping_cell.cli.errors import tell_error
 from tapping_cell.report import error_codes
 from tapping_cell.verification.campaign import Summary, run_campaign
+from tapping_cell.verification.faults import KINDS
 from tapping_cell.verification.mutants import MUTANTS, Mutant
 from tapping_cell.verification.trial import run_trial
 
 TRACE_LINES = 60
 """Lines of a violation's trace that are printed; ``--replay`` writes all."""
+NAME_WIDTH = 52
 GOALS_IN_A_STEP = 100
 """Goals between two looks at whether a mutant was caught."""
 
 
-def run_goals(goals: int, seed: int, jobs: int, as_json: bool) -> int:
-    """Run a campaign; exit status 0 only if nothing was violated."""
+def run_goals(goals: int, seed: int, jobs: int, as_json: bool, only: Sequence[str] = ()) -> int:
+    """Run a campaign; exit status 0 only if nothing was violated. ``only``: of these faults."""
+    unknown = sorted(set(only) - set(KINDS))
+    if unknown:
+        tell_error(f"no such faults: {', '.join(unknown)}; choose from: {', '.join(KINDS)}")
+        return 2
     began = time.monotonic()
     with Progress(
         TextColumn("goals"),
@@ -38,18 +45,19 @@ def run_goals(goals: int, seed: int, jobs: int, as_json: bool) -> int:
             seed,
             jobs,
             lambda s: progress.update(bar, completed=s.goals, violations=len(s.violations)),
+            only=only,
         )
     wall = time.monotonic() - began
     if as_json:
         print(json.dumps(_as_json(summary, seed, wall), indent=2))
     else:
-        _print(summary, wall)
+        _print(summary, wall, only)
     return 1 if summary.violations else 0
 
 
-def replay(seed: int, goals: int) -> int:
+def replay(seed: int, goals: int, only: Sequence[str] = ()) -> int:
     """Repeat one run and print its whole trace."""
-    report = run_trial(seed, goals, trace=True)
+    report = run_trial(seed, goals, True, only)
     print("\n".join(report.trace))
     for violation in report.violations:
         print(f"VIOLATION at {violation.time:.3f} s: {violation.name}: {violation.sentence}")
@@ -58,15 +66,21 @@ def replay(seed: int, goals: int) -> int:
 
 def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json: bool) -> int:
     """Plant each mutant in processes of its own; exit status 0 only if all are caught."""
+    unknown = sorted(set(names) - {mutant.name for mutant in MUTANTS})
+    if unknown:
+        tell_error(f"no such mutants: {'; '.join(unknown)}")
+        return 2
     chosen = [mutant for mutant in MUTANTS if not names or mutant.name in names]
+    if not as_json:
+        print(f"{'taken out':<{NAME_WIDTH}} {'finding':<8} {'goals':>6}  caught by")
     results: list[dict[str, object]] = []
     for mutant in chosen:
         caught = _hunt(mutant, goals, seed, jobs)
         results.append(caught)
         if not as_json:
-            found = caught["caught by"]
-            words = f"caught after {caught['goals']} goals: {found}" if found else "SURVIVED"
-            print(f"{mutant.name:<58} {words}", flush=True)
+            found = caught["caught by"] or "SURVIVED"
+            words = f"{mutant.finding or '-':<8} {caught['goals']:>6}  {found}"
+            print(f"{mutant.name:<{NAME_WIDTH}} {words}", flush=True)
     survived = [result for result in results if not result["caught by"]]
     if as_json:
         print(json.dumps(results, indent=2))
@@ -98,14 +112,24 @@ def _hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]
         caught = [answer for answer in answers if answer["caught by"]]
         done += sum(answer["goals"] for answer in answers)
         if caught:
-            return {"name": mutant.name, "goals": done, "caught by": caught[0]["caught by"]}
-    return {"name": mutant.name, "goals": done, "caught by": ""}
+            return _hunted(mutant, done, caught[0]["caught by"])
+    return _hunted(mutant, done, "")
+
+
+def _hunted(mutant: Mutant, goals: int, caught_by: str) -> dict[str, object]:
+    return {
+        "name": mutant.name,
+        "finding": mutant.finding,
+        "goals": goals,
+        "caught by": caught_by,
+    }
 
 
 def _as_json(summary: Summary, seed: int, wall: float) -> dict[str, object]:
     return {
         "goals": summary.goals,
         "taps": summary.taps,
+        "program_taps": summary.program_taps,
         "seed": seed,
         "cell_hours": round(summary.cell_seconds / 3600, 3),
         "wall_time": round(wall, 1),
@@ -123,10 +147,11 @@ def _as_json(summary: Summary, seed: int, wall: float) -> dict[str, object]:
     }
 
 
-def _print(summary: Summary, wall: float) -> None:
+def _print(summary: Summary, wall: float, only: Sequence[str]) -> None:
     speed = summary.cell_seconds / max(wall, 1e-9)
     print(
-        f"{summary.goals} goals, {summary.taps} taps, {summary.cell_seconds / 3600:.1f} h of the"
+        f"{summary.goals} goals, {summary.taps} taps and {summary.program_taps} of programs without"
+        f" a planner, {summary.cell_seconds / 3600:.1f} h of the"
         f" cell in {wall:.0f} s ({speed:.0f} times real time)"
     )
     print("faults:")
@@ -138,7 +163,7 @@ def _print(summary: Summary, wall: float) -> None:
     print(f"{len(summary.violations)} violations")
     for seed, violation in summary.violations:
         print(f"  seed {seed}, {violation.time:.3f} s: {violation.name}: {violation.sentence}")
-        trace = run_trial(seed, 10, trace=True).trace
+        trace = run_trial(seed, 10, True, only).trace
         print("\n".join(f"    {line}" for line in trace[-TRACE_LINES:]))
 
 

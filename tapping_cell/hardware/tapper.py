@@ -61,6 +61,8 @@ class FireResult:
     released_by: float | None = None
     """After this time of the host's steady clock the release output is off for certain, s; None
     for NOT_FIRED: it was never on."""
+    fault: HardwareFault | None = None
+    """What the board had against it; None where the last check said no."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -382,12 +384,13 @@ class TapperDriver:
         sample = self._request(Command.STATUS)
         sampled_at = self._transport.now()
         if sample.state is not State.CHARGED or sample.shot != shot:
-            return self._not_fired(shot, str(self._refusal(sample)))
+            return self._not_fired(shot, self._refusal(sample))
         boot = self._boot
         release_by = self._latest_release(sampled_at, window)
         if not still_allowed(release_by):
             self.discharge()
-            return self._not_fired(shot, f"shot {shot} was no longer allowed before FIRE")
+            sentence = f"shot {shot} was no longer allowed before FIRE"
+            return FireResult(FireOutcome.NOT_FIRED, shot, sentence)
         self._attempted = shot
         self._release_by = max(self._release_by, release_by)
         deadline = protocol.deadline_after(sample.time_ms, window)
@@ -417,7 +420,7 @@ class TapperDriver:
         if reply.result is Result.SESSION:
             self._boot = None
         self.counters.late += reply.result is Result.LATE
-        return self._not_fired(shot, str(self._refusal(reply)))
+        return self._not_fired(shot, self._refusal(reply))
 
     def _latest_release(self, sampled_at: float, window: float) -> float:
         """The latest time at which the release output can still be on, s: the board took its time
@@ -439,8 +442,8 @@ class TapperDriver:
                 return reply
         return None
 
-    def _not_fired(self, shot: int, sentence: str) -> FireResult:
-        return FireResult(FireOutcome.NOT_FIRED, shot, sentence)
+    def _not_fired(self, shot: int, fault: HardwareFault) -> FireResult:
+        return FireResult(FireOutcome.NOT_FIRED, shot, str(fault), fault=fault)
 
     def _refuse_spent(self, shot: int) -> None:
         if shot <= self._attempted:

@@ -58,6 +58,12 @@ FRESH_READING_S = 0.25
 """Greatest age of the read-back with which a promise is given."""
 SHORT_REST_S = 0.05
 """With so little left of its promise the arm prepares to move."""
+DISCHARGED_S = 0.7
+"""So long after it was last told charged, the board has discharged by itself: 0.5 s without a
+request, and the way back."""
+LONGEST_WAIT_S = 3.0
+"""Longest wait of a tap that is over for the striker to be discharged."""
+CHARGED = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 SET_UP_SPEED = 0.25
 """Fraction of the ordinary speed in set-up mode."""
 
@@ -200,6 +206,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._promised_to = (0, 0)
         self._promise_end = -math.inf
         self._outcome_told = 0
+        self._charged_until = self._leaving_since = -math.inf
         self._enabling = EnablingDevice()
 
     # Messages and requests
@@ -424,6 +431,10 @@ class ArmLogic(DeviceLogic[State, Event]):
         return None
 
     def _tapper_told(self, message: TapperState, now: Now) -> None:
+        if message.tap_id == self._tap_id:
+            charged = message.state in CHARGED
+            self._charged_until = now.steady + DISCHARGED_S if charged else -math.inf
+            self._leave_when_free(now)
         over = message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED)
         if not over or message.tap_id in (0, self._outcome_told) or message.tap_id != self._tap_id:
             return
@@ -433,11 +444,15 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _give_up(self, now: Now) -> None:
         """The tap is over for the arm."""
         self._machine.move(Event.GIVEN_UP, S.LEAVING)
+        self._leaving_since = now.steady
         self._abandon()
         self._leave_when_free(now)
 
     def _leave_when_free(self, now: Now) -> None:
         if self.state is not S.LEAVING or self._job is not None:
+            return
+        # A charged striker is not carried off; what is told only lengthens the standing still.
+        if now.steady < min(self._charged_until, self._leaving_since + LONGEST_WAIT_S):
             return
         # The job waits the short rest of a promise out while it reads.
         if now.steady >= self._promise_end - SHORT_REST_S:

@@ -257,7 +257,13 @@ class CellMonitor:
         if seen.error_code:
             return int(seen.error_code), str(seen.error_msg)
         if not seen.visible:
-            return ErrorCode.OBJECT_NOT_SEEN, "the object is not seen; uncover its marker"
+            covers = self.arm is not None and not self.arm.clear_of_camera
+            way = (
+                "the arm was not withdrawn and may cover it: home the arm, or uncover its marker"
+                if covers
+                else "uncover its marker"
+            )
+            return ErrorCode.OBJECT_NOT_SEEN, f"the object is not seen; {way}"
         age = now.steady - self.observed_at(now)
         if age > self._silence_limit:
             return (

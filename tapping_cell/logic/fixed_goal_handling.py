@@ -12,12 +12,8 @@ from tapping_cell.logic.task import SingleTapTask, Task
 from tapping_cell.messages import ErrorCode, SingleTap
 from tapping_cell.planning import KeepOut, Refusal
 from tapping_cell.planning.errors import PlanningError
-from tapping_cell.planning.fixed_session import (
-    METHOD,
-    FixedTapperSession,
-    GoalSolver,
-    check_fixed_goal,
-)
+from tapping_cell.planning.fixed_session import METHOD, FixedTapperSession, check_fixed_goal
+from tapping_cell.planning.fixed_solver import GoalSolver
 from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
 from tapping_cell.planning.mounts import MountBelief
 from tapping_cell.planning.session import GoalSession

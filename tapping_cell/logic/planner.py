@@ -55,6 +55,12 @@ from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.se2 import Pose
 
 TICK_S = 0.1
+WITHDRAWN_BY_ANOTHER = (
+    ErrorCode.NOT_READY,
+    "the tap was ended before it was fired, and not by this planner; see who else publishes"
+    " tap_command or tapper_state",
+)
+"""Why a tap was not fired whose tapper has no complaint."""
 HIDDEN_S = 0.7
 """An object that is not seen for so long after the arm withdrew may be hidden by it: it parks."""
 PARKING_S = 0.5
@@ -692,10 +698,12 @@ class PlannerLogic:
         self._withdraw(shot.tap_id, now)
         task.not_fired = task.not_fired + 1 if shot.outcome == TapperState.NOT_FIRED else 0
         if shot.outcome == TapperState.NOT_FIRED:
-            sentence = tapper.error_msg or "the tapper did not fire"
+            code, sentence = tapper.error_code, tapper.error_msg
+            if not code:
+                code, sentence = WITHDRAWN_BY_ANOTHER
             self._log(LogLevel.WARNING, f"tap not fired: {sentence}")
             if task.not_fired >= self._settings.attempts:
-                self._fail(tapper.error_code or ErrorCode.TAPPER_FAULT, sentence, now)
+                self._fail(code, sentence, now)
                 return
         self._enter(Event.OUTCOME_TOLD, S.SETTLING, now, self._settings.withdraw_deadline)
 

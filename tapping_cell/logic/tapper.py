@@ -230,6 +230,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._key = 0
         self._draw_key = options.draw_key
         self._last_tap_id = 0
+        self._used = 0
+        """The greatest number that the board has charged for, in this node's life or before."""
         self._fixed = False
         self._told = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
@@ -385,7 +387,7 @@ class TapperLogic(DeviceLogic[State, Event]):
                 f"a striker speed of {1000 * speed:.1f} mm/s is outside the tapper's "
                 f"{1000 * curve.slowest:.1f} to {1000 * curve.fastest:.1f} mm/s",
             )
-        return tap_commands.refusal(command, now, self._last_tap_id)
+        return tap_commands.refusal(command, now, max(self._last_tap_id, self._used))
 
     def _refuse(self, command: TapCommand, refusal: Trouble, now: Now) -> None:
         code, sentence = refusal
@@ -395,7 +397,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         new = self._last_tap_id < command.tap_id <= tap_commands.largest_id(self._last_tap_id, now)
         if new and self.state not in SERVING:
             self._last_tap_id = command.tap_id
-            self._tell_tap(command.tap_id, TapperState.NOT_FIRED)
+            spent = command.tap_id <= self._used
+            self._tell_tap(command.tap_id, TapperState.UNKNOWN if spent else TapperState.NOT_FIRED)
             if self.state is S.SAFE:
                 self._trouble = refusal
 
@@ -552,10 +555,12 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._ask_when_in_position(now)
 
     def _not_fired(self, why: Trouble | None) -> None:
-        """The tap ended surely without a release, and the tapper is at rest."""
+        """The tap ended without a release, and the tapper is at rest."""
         self._machine.move(Event.ENDED, S.SAFE)
         self._tap = None
-        self._told.outcome = TapperState.NOT_FIRED
+        # A number that the board has used may have been fired before this node was restarted.
+        spent = why is not None and why[0] == ErrorCode.TAPPER_SPENT
+        self._told.outcome = TapperState.UNKNOWN if spent else TapperState.NOT_FIRED
         self._let_arm_go(0.0)
         code, sentence = why or (ErrorCode.NONE, "")
         self._trouble = (code, sentence if code else "")
@@ -571,7 +576,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         if refused and refusal is not None:
             self._trouble = (refusal[0], refusal[1] if refusal[0] else "")
         elif refused:
-            self._trouble = (ErrorCode.TAPPER_FAULT, end.sentence)
+            code = ErrorCode.TAPPER_FAULT if end.refused is None else of_tapper(end.refused)
+            self._trouble = (code, end.sentence)
         elif end.outcome is FireOutcome.UNKNOWN:
             self._trouble = (ErrorCode.TAPPER_OUTCOME_UNKNOWN, end.sentence)
         if end.fault is not None:
@@ -668,6 +674,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         reply = status.reply
         ours = reply.last_fired == self._told.tap_id and reply.speed is not None
         self._told.measured_speed = reply.speed if ours and reply.speed is not None else math.nan
+        self._used = reply.shot
         self._told.shots_fired = status.fired
         self._told.boot_number = reply.boot
         self._told.interlock_closed = reply.interlock_closed
@@ -719,10 +726,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         """Nothing moves by itself."""
 
     def _deactivated(self, now: Now) -> None:
-        if self.state is S.WAITING:
+        if self.state in SERVING:
             self._give_up((ErrorCode.NOT_ACTIVE, "the node was deactivated"))
-        elif self.state in SERVING:
-            self._give_up((ErrorCode.NONE, ""))
 
     def _code_of(self, fault: HardwareFault) -> int:
         return of_tapper(fault)

@@ -43,6 +43,8 @@ class FireEnd:
     sentence: str
     refusal: Trouble | None
     """What the last check had against it, if that is why it was not fired."""
+    refused: HardwareFault | None
+    """What the board had against it, if that is why."""
     status: Status | None
     fault: HardwareFault | None
     """What was met after the outcome was known."""
@@ -138,7 +140,7 @@ def fire(
         status = _told(driver, reply)
     except HardwareFault as met:
         fault = met
-    return FireEnd(shot, result.outcome, result.sentence, refusal, status, fault)
+    return FireEnd(shot, result.outcome, result.sentence, refusal, result.fault, status, fault)
 
 
 def wait_for_return(context: JobContext) -> Status:

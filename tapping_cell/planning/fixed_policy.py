@@ -119,16 +119,6 @@ class Solution:
         return np.asarray(map_coordinates(self.value, where, order=1, mode="constant", cval=LOST))
 
 
-def solve_goal(
-    space: FixedStrikeSpace,
-    settings: PlannerSettings,
-    goal: ArrayLike,
-    step: float = FINE,
-) -> Solution:
-    """Solve for a goal (x, y, theta); seconds."""
-    return solve_finer(space, settings, solve_coarse(space, settings, goal), step)
-
-
 def solve_coarse(space: FixedStrikeSpace, settings: PlannerSettings, goal: ArrayLike) -> Solution:
     """Solve for a goal on the coarse grid: good enough far from it, in a third of the time."""
     place = np.asarray(goal, dtype=float)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
-from threading import Thread
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,13 +10,11 @@ from numpy.typing import ArrayLike
 from tapping_cell.planning.fixed_policy import (
     LOST,
     OUTER,
-    Solution,
     expected_taps,
     scatter_points,
-    solve_coarse,
-    solve_finer,
     states_after,
 )
+from tapping_cell.planning.fixed_solver import GoalSolver, SolvedGoal
 from tapping_cell.planning.fixed_tappers import FixedStrikeSpace, Lines
 from tapping_cell.planning.gains import Gains
 from tapping_cell.planning.goal import place_text
@@ -56,63 +52,6 @@ DEVIATIONS = 3.0
 
 WAY = np.linspace(0.25, 1.0, 4)
 """Shares of a slide at which it is held against keep-outs."""
-
-KEPT_SOLUTIONS = 16
-
-
-class SolvedGoal:
-    """A goal that is solved, or being solved: coarse first, then fine."""
-
-    def __init__(self) -> None:
-        self._solution: Solution | None = None
-        self._failure: Exception | None = None
-
-    @property
-    def solution(self) -> Solution | None:
-        """The best solution so far; None while there is none.
-
-        Raises what solving it raised.
-        """
-        if self._failure is not None:
-            raise self._failure
-        return self._solution
-
-    def solve(self, space: FixedStrikeSpace, settings: PlannerSettings, place: Array) -> None:
-        """Solve it; seconds."""
-        try:
-            coarse = solve_coarse(space, settings, place)
-            self._solution = coarse
-            self._solution = solve_finer(space, settings, coarse)
-        except Exception as error:  # kept for whoever asks: a thread has no caller to raise to
-            self._failure = error
-
-
-class GoalSolver:
-    """Solves goals and keeps the last ones solved, for one object and cell.
-
-    ``background``: in a thread of its own; who asks gets the best solution so far.
-    """
-
-    def __init__(self, *, background: bool = False) -> None:
-        self._kept: OrderedDict[str, SolvedGoal] = OrderedDict()
-        self._background = background
-
-    def goal(self, space: FixedStrikeSpace, settings: PlannerSettings, goal: Array) -> SolvedGoal:
-        """The solved goal; where it is new and not for the background, after seconds."""
-        turn = 0.0 if space.is_round else float(goal[2])
-        place = np.array([goal[0], goal[1], turn])
-        key = f"{space.key()};{settings.key()};{np.round(place, 6).tolist()}"
-        if key not in self._kept:
-            made = self._kept[key] = SolvedGoal()
-            if self._background:
-                arguments = (space, settings, place)
-                Thread(target=made.solve, args=arguments, name="goal", daemon=True).start()
-            else:
-                made.solve(space, settings, place)
-            while len(self._kept) > KEPT_SOLUTIONS:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return self._kept[key]
 
 
 class FixedTapperSession(GoalSession):

@@ -94,6 +94,13 @@ class GrblEmulator:
         """Whether the motors have power."""
         return self._torque.on
 
+    def fall_asleep(self, now: float) -> None:
+        """The motors go off, as by ``$SLP`` from another sender; a move under way ends at once."""
+        self._track.freeze(now)
+        self._blocks.clear()
+        self._state = "Sleep"
+        self._torque.cut(now)
+
     def push(self, joints: tuple[float, float, float, float], now: float) -> None:
         """A person moves the resting, unpowered arm to ``joints``; the controller does not
         notice."""
@@ -376,8 +383,7 @@ class GrblEmulator:
             self._home(now)
             return
         elif text == "$SLP":
-            self._state = "Sleep"
-            self._torque.cut(now)
+            self.fall_asleep(now)
         elif text.startswith("$J="):
             if self._shown_state(now) not in ("Idle", "Jog"):
                 raise Refused(9)

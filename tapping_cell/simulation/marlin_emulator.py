@@ -111,6 +111,12 @@ class MarlinEmulator:
         """Whether the axes move at ``time``."""
         return self._track.moving(time)
 
+    def fall_asleep(self, now: float) -> None:
+        """The motors go off, as by ``M84`` from another sender; a move under way ends at once."""
+        self._track.freeze(now)
+        self._blocks.clear()
+        self._torque.cut(now)
+
     @property
     def halted(self) -> bool:
         """Whether the firmware has killed itself."""

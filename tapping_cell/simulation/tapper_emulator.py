@@ -195,6 +195,12 @@ class TapperEmulator:
         self._enabled = held
         self._leave_setup_limit(now)
 
+    def set_motor_power(self, on: bool, now: float) -> None:
+        """The supply of the spring's motor fails, or is back: without it steps move nothing."""
+        self.advance(now)
+        assert isinstance(self.drive, SpringDrive), "coils have no motor"
+        self.drive.set_power(on, now)
+
     def open_stop_loop(self, now: float) -> None:
         """The emergency stop's wire opens, and closes again: the motor has had no power."""
         self.advance(now)

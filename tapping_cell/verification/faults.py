@@ -68,6 +68,8 @@ MOMENTS = (
 ARM_ASKED, ARM_PROMISED = "hold_still asked", "hold_still answered"
 CHECKED, RELEASED = "last check", "released"
 OF_A_SHOT = (
+    told("arm_state", ArmState.MOVING),
+    told("tapper_state", TapperState.CHARGING),
     told("tapper_state", TapperState.CHARGED),
     told("arm_state", ArmState.IN_POSITION),
     ARM_ASKED,
@@ -99,7 +101,7 @@ def draw_faults(
 
     ``only``: of these kinds; ``at_the_shot``: around the shot alone.
     """
-    number = int(rng.poisson(MEAN_FAULTS))
+    number = 1 + int(rng.poisson(MEAN_FAULTS - 1)) if at_the_shot else int(rng.poisson(MEAN_FAULTS))
     place = 0.0 if at_the_shot else rng.random()
     moment, kinds, closest = None, KINDS, 0.0
     if place < SHARE_AT_THE_SHOT:
@@ -288,6 +290,19 @@ def _foreign_outcome(rng: np.random.Generator, trial: Trial) -> Made:
     )
 
 
+def _foreign_withdrawal(rng: np.random.Generator, trial: Trial) -> Made:
+    """Somebody else withdraws the tap under way."""
+
+    def strike(t: Trial) -> None:
+        last = max(t.witness.commands, default=0)
+        command = TapCommand(request=TapCommand.WITHDRAW, tap_id=last)
+        command.header.frame_id = "table"
+        command.header.stamp = to_stamp(t.clocks["tap_planner"].now().ros)
+        t.network.publish("somebody_else", "tap_command", command)
+
+    return strike, "a foreign WITHDRAW of the present tap"
+
+
 def _repeated_command(rng: np.random.Generator, trial: Trial) -> Made:
     """The last TAP arrives once more, as it was: from a recording, or by a network's doing."""
 
@@ -317,8 +332,9 @@ def _slow_answer(rng: np.random.Generator, trial: Trial) -> Made:
 
 def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
     """Something is told that one node hears at once and the others late."""
-    what, words = MAKERS[_pick(rng, ONE_SIDED)](rng, trial)
-    first = _pick(rng, NODES)
+    kind = _pick(rng, ONE_SIDED)
+    what, words = MAKERS[kind](rng, trial)
+    first = _pick(rng, ("scara_arm", *NODES))
     late = float(rng.uniform(0.03, 0.6))
     silent = bool(rng.random() < 0.5)
     links = [
@@ -335,10 +351,21 @@ def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
         for link in links:
             t.network.faults.slow[link] = late
             t.scheduler.after(late, partial(t.network.hasten, *link))
+        t.note_kind(kind)
         what(t)
 
     echo = ", its own words late too" if silent else ""
     return strike, f"{words}; heard by all but {first} {late:.3f} s late{echo}"
+
+
+def _motors_off(rng: np.random.Generator, trial: Trial) -> Made:
+    """The motors of a board lose their power, and with it their place."""
+    if rng.random() < 0.5:
+        return lambda t: t.turn_arm_motors_off(), "the arm's motors lose their power"
+    lasting = _duration(rng, 0.05, 3.0)
+    return lambda t: t.turn_tapper_motor_off(lasting), (
+        f"the tapper's motor has no power for {lasting:.2f} s"
+    )
 
 
 def _shot_power(rng: np.random.Generator, trial: Trial) -> Made:
@@ -540,6 +567,7 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "duplicates": _duplicates,
     "replay": _replay,
     "foreign command": _foreign_command,
+    "foreign withdrawal": _foreign_withdrawal,
     "foreign outcome": _foreign_outcome,
     "repeated command": _repeated_command,
     "heard by one": _heard_by_one,
@@ -553,6 +581,7 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "cable at a shot": _shot_cable,
     "power at a shot": _shot_power,
     "loss of power": _power,
+    "motors off": _motors_off,
     "camera": _camera,
     "object moved": _bump,
     "emergency stop": _emergency_stop,
@@ -563,7 +592,10 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "disk full": _disk_full,
 }
 KINDS = tuple(MAKERS)
-ONE_SIDED = ("foreign command", "foreign outcome", "cancel", "emergency stop", "replay")
+ONE_SIDED = (
+    *("foreign withdrawal", "foreign outcome") * 3,
+    *("foreign command", "cancel", "emergency stop", "replay"),
+)
 """What one node may hear well before the others."""
 AT_A_SHOT = (
     *("freeze at a shot", "freeze at a write", "freeze after the last check") * 2,
@@ -572,11 +604,12 @@ AT_A_SHOT = (
     *("slow answer", "heard by one") * 3,
     *("foreign outcome", "foreign command", "repeated command", "foreign state") * 2,
     *("line at a shot", "cable at a shot", "power at a shot") * 2,
+    *("object moved", "foreign withdrawal") * 2,
     "slow topic",
     "kill",
+    "motors off",
     "deactivate",
     "cancel",
-    "object moved",
     "camera",
     "emergency stop",
     "stop service",

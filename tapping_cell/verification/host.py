@@ -237,10 +237,12 @@ class Process:
 
     def lifecycle(self, event: LifecycleEvent) -> None:
         """Activate or deactivate from outside."""
-        if not self.alive or isinstance(event, Activated) == self.active:
+        if not self.alive:
             return
 
         def handle() -> None:
+            if isinstance(event, Activated) == self.active:
+                return
             self.active = isinstance(event, Activated)
             self._carry_out(self.logic.on_lifecycle(event, self._clock.now()))
 

@@ -24,6 +24,10 @@ class Mutant:
     module: str
     old: str
     new: str
+    finding: str = ""
+    """The finding of a review (S1 to S11, R9) whose repair this takes out, or a part of it."""
+    also: Mutant | None = None
+    """What must be changed besides, in another module, to take the repair out."""
 
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -32,6 +36,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.tapper",
         "if self.state is not S.FIRING or end > permit.until:",
         "if self.state is not S.FIRING:",
+        "S1",
     ),
     Mutant(
         "fires without asking the arm",
@@ -43,18 +48,21 @@ MUTANTS: tuple[Mutant, ...] = (
         "        self._machine.move(Event.HELD, S.FIRING)\n"
         '        self._run("fire", partial(tapper_jobs.fire, shot=shot, '
         "doubt=self.doubt_firing))\n",
+        "S1",
     ),
     Mutant(
         "counts the promise from its answer",
         "tapping_cell.logic.tapper",
         "until = self._asked_at + HOLD_S",
         "until = now.steady + HOLD_S",
+        "S1",
     ),
     Mutant(
         "fires although the arm refuses to hold still",
         "tapping_cell.logic.tapper",
         "if response is not None and not response.granted:",
         "if False:",
+        "S1",
     ),
     Mutant(
         "tells an unknown outcome as not fired",
@@ -79,6 +87,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.tapper",
         "        if self.state is not S.SAFE:\n            serving =",
         "        if False:\n            serving =",
+        "S7",
     ),
     Mutant(
         "fires at an object that was moved",
@@ -91,6 +100,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.tapper_peers",
         "if moved <= limits.moved and turned <= limits.turned:",
         "if moved <= limits.moved:",
+        "S11",
     ),
     Mutant(
         "fires without a planner",
@@ -103,6 +113,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.tapper_peers",
         "if self._seen is None or unseen > limits.unseen:",
         "if self._seen is None:",
+        "S11",
     ),
     Mutant(
         "fires whatever the last check says",
@@ -112,6 +123,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "refusal = context.ask(lambda now: doubt(release_by, now))\n"
         "        refusal = None\n"
         "        return True",
+        "S1",
     ),
     Mutant(
         "keeps the striker charged when the tap is given up",
@@ -125,42 +137,49 @@ MUTANTS: tuple[Mutant, ...] = (
         "                # Nothing goes before the stop on the wire.\n"
         "                self._effects.append(StopWire())\n",
         "                pass\n",
+        "S4",
     ),
     Mutant(
         "forgets a stop over a restart",
         "tapping_cell.logic.device",
         "            self._stops.recall(event.kept_stop)\n",
         "",
+        "S5",
     ),
     Mutant(
         "does not keep a stop on disk",
         "tapping_cell.logic.device",
         "self._effects.append(KeepStop(self._stops.content()))",
         "pass",
+        "S5",
     ),
     Mutant(
         "does not hear the emergency stop",
         "tapping_cell.logic.stops",
         "            changed = self._add(TOPIC) or changed\n",
         "",
+        "S4",
     ),
     Mutant(
         "resets while the emergency stop is held",
         "tapping_cell.logic.stops",
         "        if levels.asserted:\n            self._asserted = True\n",
         "        if False:\n            self._asserted = True\n",
+        "S4",
     ),
     Mutant(
         "a job that was overtaken changes the state",
         "tapping_cell.logic.device",
         "        elif event.job == self._job:\n            self._job = None\n",
         "        elif True:\n            self._job = None\n",
+        "S8",
     ),
     Mutant(
         "does not promise to stand still",
         "tapping_cell.logic.arm",
         "        self._promise_end = max(self._promise_end, end)\n",
         "",
+        "S1",
     ),
     Mutant(
         "promises while it moves",
@@ -175,16 +194,71 @@ MUTANTS: tuple[Mutant, ...] = (
         "self._let_arm_go(0.0)",
     ),
     Mutant(
+        "moves for a withdrawal of no tap",
+        "tapping_cell.logic.arm",
+        "            elif command.tap_id != 0 and command.tap_id == self._last_tap_id:\n",
+        "            elif True:\n",
+        "S6",
+    ),
+    Mutant(
+        "a read under way overwrites the state",
+        "tapping_cell.logic.tapper",
+        "        self._hear_switch(result.reply, now)\n        self._see_stop(result.reply)\n",
+        "        if result.reply.state.value == 'SAFE':\n"
+        "            self._machine._state = S.SAFE\n",
+        "S7",
+        Mutant(
+            "takes a read in while a job is under way",
+            "tapping_cell.logic.device",
+            "            if self._job is None and not self._stops.stopped:\n",
+            "            if not self._stops.stopped:\n",
+        ),
+    ),
+    Mutant(
+        "the board homes without moving",
+        "tapping_cell.simulation.spring_drive",
+        "        self._begin(Phase.LEAVING, now, wake)\n",
+        "        self._count = 0\n        self._begin(Phase.HOLDING, now, wake)\n",
+        "S2",
+    ),
+    Mutant(
+        "fires where another tap with its id stands",
+        "tapping_cell.logic.tapper_peers",
+        "        if not _above(arm, strike):\n",
+        "        if False:\n",
+    ),
+    Mutant(
+        "does not know what its board has used",
+        "tapping_cell.logic.tapper",
+        "max(self._last_tap_id, self._used)",
+        "self._last_tap_id",
+        "",
+        Mutant(
+            "tells a spent number as not fired",
+            "tapping_cell.logic.tapper",
+            "        spent = why is not None and why[0] == ErrorCode.TAPPER_SPENT\n",
+            "        spent = False\n",
+        ),
+    ),
+    Mutant(
+        "blames the arm for an open guard",
+        "tapping_cell.hardware.tapper",
+        "                FaultReason.INTERLOCK,\n",
+        "                FaultReason.REJECTED,\n",
+    ),
+    Mutant(
         "leaves before its promise is over",
         "tapping_cell.logic.arm",
         "partial(arm_jobs.withdraw, plan=plan, not_before=self._promise_end)",
         "partial(arm_jobs.withdraw, plan=plan, not_before=0.0)",
+        "S1",
     ),
     Mutant(
         "lets anybody end the arm's promise",
         "tapping_cell.logic.arm",
         "if request.key and asker == self._promised_to and now",
         "if now",
+        "R9",
     ),
     Mutant(
         "takes a trajectory while a tap is pending",
@@ -198,6 +272,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.arm",
         "alone = self._options.home_on_activate and not",
         "alone = not",
+        "S5",
     ),
     Mutant(
         "believes an arm that was not homed",
@@ -255,6 +330,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "        sampled_at = self._transport.now()\n"
         "        still_allowed = lambda _: allowed  # noqa: E731\n"
         "        if sample",
+        "S1",
     ),
     Mutant(
         "a missing reply to FIRE counts as not fired",
@@ -294,29 +370,29 @@ class MutantError(Exception):
 class _Loader(importlib.machinery.SourceFileLoader):
     """Loads a module with a mutant in it."""
 
-    def __init__(self, name: str, path: str, mutant: Mutant) -> None:
+    def __init__(self, name: str, path: str, mutants: Sequence[Mutant]) -> None:
         super().__init__(name, path)
-        self._mutant = mutant
+        self._mutants = mutants
 
     def get_code(self, fullname: str):  # type: ignore[no-untyped-def]
         """The code of the changed source; never from a cache."""
-        return compile(mutated(self._mutant), self.path, "exec", dont_inherit=True)
+        return compile(_changed(self._mutants), self.path, "exec", dont_inherit=True)
 
 
 class _Finder(importlib.abc.MetaPathFinder):
     """Finds the module of a mutant before anybody else does."""
 
-    def __init__(self, mutant: Mutant) -> None:
-        self._mutant = mutant
+    def __init__(self, mutants: Sequence[Mutant]) -> None:
+        self._mutants = mutants
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
         """The specification of the module with the mutant; None for every other."""
-        if name != self._mutant.module:
+        here = [mutant for mutant in self._mutants if mutant.module == name]
+        if not here:
             return None
-        source = str(_source_of(self._mutant.module))
-        loader = _Loader(name, source, self._mutant)
+        loader = _Loader(name, str(_source_of(name)), here)
         return importlib.util.spec_from_loader(name, loader)
 
 
@@ -325,20 +401,32 @@ def _source_of(module: str) -> Path:
     return package.joinpath(*module.split(".")[1:]).with_suffix(".py")
 
 
+def parts_of(mutant: Mutant) -> tuple[Mutant, ...]:
+    """A mutant and what is changed with it."""
+    return (mutant,) if mutant.also is None else (mutant, *parts_of(mutant.also))
+
+
 def mutated(mutant: Mutant) -> str:
     """The changed source of a mutant's module.
 
     Raises:
         MutantError: what is to be replaced does not stand in it exactly once.
     """
-    source = _source_of(mutant.module).read_text(encoding="utf-8")
-    count = source.count(mutant.old)
-    if count != 1:
-        raise MutantError(
-            f"mutant '{mutant.name}': its text stands {count} times in {mutant.module}; it must"
-            " stand there once"
-        )
-    return source.replace(mutant.old, mutant.new)
+    return _changed([mutant])
+
+
+def _changed(mutants: Sequence[Mutant]) -> str:
+    """The source of the one module of these mutants, with all of them in it."""
+    source = _source_of(mutants[0].module).read_text(encoding="utf-8")
+    for mutant in mutants:
+        count = source.count(mutant.old)
+        if count != 1:
+            raise MutantError(
+                f"mutant '{mutant.name}': its text stands {count} times in {mutant.module}; it"
+                " must stand there once"
+            )
+        source = source.replace(mutant.old, mutant.new)
+    return source
 
 
 def plant(mutant: Mutant) -> None:
@@ -347,7 +435,9 @@ def plant(mutant: Mutant) -> None:
     Raises:
         MutantError: the module was imported already, or the mutant no longer fits.
     """
-    mutated(mutant)
-    if mutant.module in sys.modules:
-        raise MutantError(f"{mutant.module} was imported before mutant '{mutant.name}' was planted")
-    sys.meta_path.insert(0, _Finder(mutant))
+    parts = parts_of(mutant)
+    for part in parts:
+        mutated(part)
+        if part.module in sys.modules:
+            raise MutantError(f"{part.module} was imported before mutant '{part.name}' was planted")
+    sys.meta_path.insert(0, _Finder(parts))

@@ -77,14 +77,16 @@ class Network:
             for message in self._last.get(topic, {}).values():
                 self._send(link, topic, message)
 
-    def publish(self, node: str, topic: str, message: Any) -> None:
-        """Send a message to everybody who hears the topic."""
+    def publish(self, node: str, topic: str, message: Any, only: str = "") -> None:
+        """Send a message to everybody who hears the topic; ``only``: it is lost but for this
+        node, as where it is published as best effort."""
         self.on_publish(node, topic, message)
         self.history.setdefault(topic, deque(maxlen=20)).append(message)
         if self._quality(topic).latched:
             self._last.setdefault(topic, {})[node] = message
         for link in self._links.get(topic, ()):
-            self._send(link, topic, message)
+            if only in ("", link.subscriber):
+                self._send(link, topic, message)
 
     def hasten(self, topic: str, towards: str) -> None:
         """A link is no longer slow."""

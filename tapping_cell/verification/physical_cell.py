@@ -14,7 +14,8 @@ from tapping_cell.se2 import Pose
 from tapping_cell.simulation.arm_picture import arm_solids
 from tapping_cell.simulation.devices import arm_emulator
 from tapping_cell.simulation.fault_layer import FaultLayer
-from tapping_cell.simulation.tapper_emulator import TapperEmulator
+from tapping_cell.simulation.spring_drive import SpringMechanism
+from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.simulation.world import World
 from tapping_cell.verification.scheduler import Scheduler
@@ -53,7 +54,11 @@ class PhysicalCell:
             cell.object, cell.file.tapper.striker(), cell.file.tapper.stroke, truth, seed
         )
         self.arm_board = arm_emulator(cell.arm, truth.arm, seed, scheduler.now)
-        self.tapper_board = TapperEmulator(on_fire=self._release, boot=1, now=scheduler.now)
+        # Half of the boards have a screw that the spring cannot push back while its motor is off.
+        spring = SpringMechanism(back_drive=4000.0 if seed % 2 else 0.0)
+        self.tapper_board = TapperEmulator(
+            TapperMachine(spring=spring), self._release, boot=1, now=scheduler.now
+        )
         self.arm_line = SerialLine(scheduler, FaultLayer(self.arm_board), "arm")
         self.tapper_line = SerialLine(scheduler, FaultLayer(self.tapper_board), "tapper")
 

@@ -44,6 +44,7 @@ from tapping_cell.messages import (
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.camera import Camera
+from tapping_cell.verification.causes import COVERED, LASTING_S, explains
 from tapping_cell.verification.faults import (
     ARM_ASKED,
     ARM_PROMISED,
@@ -54,7 +55,7 @@ from tapping_cell.verification.faults import (
     draw_faults,
     told,
 )
-from tapping_cell.verification.host import HostClock, Process, Program
+from tapping_cell.verification.host import HostClock, Process, Program, copy_of
 from tapping_cell.verification.invariants import Violation, Witness
 from tapping_cell.verification.network import Network, Quality
 from tapping_cell.verification.physical_cell import PhysicalCell
@@ -108,8 +109,10 @@ NOTICED_S = 0.7
 """From when the limit has passed to when no release comes any more: delayed messages and the
 board's window."""
 GOAL_TIME_LIMIT_S = 120.0
-SHARE_OF_PROGRAMS = 0.5
-"""After so many of the goals a program commands a tap of its own."""
+PROGRAM_TAPS = 1.0
+"""After a goal a program commands so many taps of its own, on average."""
+SHARE_OF_RIVALS = 0.1
+"""Of these taps, those of which two programs each have one with the same id."""
 PROGRAM_PATIENCE_S, PROGRAM_EXPIRY_S = 12.0, 10.0
 """How long such a program waits for its tap's outcome, and how long the tap is valid."""
 GOAL_SLACK_S = 5.0
@@ -233,6 +236,9 @@ class Trial:
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
         self._waiting_faults: list[Fault] = []
+        self._taken: set[int] = set()
+        """Taps whose command the tapper's process has handled."""
+        self._struck: list[tuple[float, str]] = []
         self._struck_before = False
         """Whether faults struck the goal or tap before: they may last into the next."""
         self._moments: Counter[str] = Counter()
@@ -312,9 +318,10 @@ class Trial:
             self.bring_up()
             for number in range(goals):
                 self._work_on_a_goal(number)
-                if self.rng.random() < SHARE_OF_PROGRAMS and not self.report.violations:
-                    self._work_on_a_tap()
-                if self.report.violations:
+                for _ in range(int(self.rng.poisson(PROGRAM_TAPS))):
+                    if not self.witness.violations:
+                        self._work_on_a_tap()
+                if self.witness.violations:
                     break
         except HangError as hang:
             self.witness.violate("hang", str(hang))
@@ -387,6 +394,15 @@ class Trial:
         quiet = not (faults or self._struck_before)
         self._struck_before = bool(faults)
         quiet = quiet and began > self.disturbed_until
+        struck = {kind for at, kind in self._struck if at > began - LASTING_S}
+        if self._look(self.scheduler.now) is None:
+            struck.add(COVERED)
+        if result.error_code > 0 and not explains(result.error_code, struck):
+            self.witness.violate(
+                "untrue cause",
+                f"goal {number} ended with code {result.error_code} ({result.error_msg}), which"
+                f" none of {', '.join(sorted(struck)) or 'no fault'} explains",
+            )
         if quiet and result.error_code:
             self.witness.violate(
                 "failed without a fault", f"code {result.error_code}: {result.error_msg}"
@@ -416,8 +432,16 @@ class Trial:
         self._note(f"a program's tap {command.tap_id}")
         self._waiting_faults, self._result = list(faults), None
         self._moments.clear()
-        self.witness.commands[command.tap_id] = command
-        self.network.publish("program", "tap_command", command)
+        if self._faulty and self.rng.random() < SHARE_OF_RIVALS:
+            # A second program takes the same id for another tap; each is heard by one alone.
+            rival = copy_of(command)
+            rival.strike_pose.position.x += float(self.rng.choice((-1.0, 1.0))) * 0.02
+            self._note("a second program's tap with the same id")
+            self.note_kind("second client")
+            self.network.publish("second program", "tap_command", rival, only="tapper_trigger")
+            self.network.publish("program", "tap_command", command, only="scara_arm")
+        else:
+            self.network.publish("program", "tap_command", command)
 
         def over() -> bool:
             told = self._last("tapper_state")
@@ -458,8 +482,13 @@ class Trial:
         command.header.stamp = to_stamp(now)
         return command
 
+    def note_kind(self, kind: str) -> None:
+        """A fault of this kind strikes now."""
+        self._struck.append((self.scheduler.now, kind))
+
     def _strike(self, fault: Fault) -> None:
         self._note(f"FAULT {fault.words}")
+        self.note_kind(fault.kind)
         fault.strike(self)
 
     # What people do
@@ -618,6 +647,23 @@ class Trial:
         self.physical.tapper_board.power_cycle(self.scheduler.now)
         self.physical.tapper_line.schedule()
 
+    def turn_arm_motors_off(self) -> None:
+        """The arm's motors lose their power, as by somebody's sleep command: the quill sinks."""
+        self.physical.arm_board.fall_asleep(self.scheduler.now)
+        self.physical.arm_line.schedule()
+        self.witness.word_given = False
+
+    def turn_tapper_motor_off(self, duration: float) -> None:
+        """The tapper's motor has no power for so long: its steps move nothing."""
+
+        def switch(on: bool) -> None:
+            self.physical.tapper_board.set_motor_power(on, self.scheduler.now)
+            self.physical.tapper_line.schedule()
+
+        switch(False)
+        self.witness.motor_weak_until = math.inf
+        self.scheduler.after(duration, lambda: switch(True))
+
     def call_stop(self, node: str) -> None:
         """Call a node's service ``stop``."""
         process = self.processes[node]
@@ -629,6 +675,8 @@ class Trial:
 
     def _call(self, node: str, service: str) -> None:
         process = self.processes[node]
+        if service == "~/home":
+            self.witness.ask_to_move()
         if process.alive and process.logic is not None:
             self._token += 1
             process.request(service, Trigger.Request(), ("person", self._token), lambda _: None)
@@ -715,15 +763,29 @@ class Trial:
 
     def _on_handled(self, process: str, topic: str, message: Any) -> None:
         now = self.scheduler.now
+        if process == "scara_arm" and self._may_move_arm(topic, message):
+            self.witness.ask_to_move()
         if topic == "emergency_stop" and message.data:
             self.witness.stopped_at.setdefault(process, now)
             if process == "tapper_trigger":
                 self._expect_stop_on_wire()
             if process == "scara_arm":
                 self.witness.word_given = False
+        if (
+            topic == "tap_command"
+            and process == "tapper_trigger"
+            and message.request == TapCommand.TAP
+        ):
+            self._taken.add(message.tap_id)
         withdrawn = topic == "tap_command" and message.request == TapCommand.WITHDRAW
-        if withdrawn and process == "tapper_trigger" and message.tap_id:
+        if withdrawn and process == "tapper_trigger" and message.tap_id in self._taken:
             self.witness.ended_taps.setdefault(message.tap_id, now)
+
+    def _may_move_arm(self, topic: str, message: Any) -> bool:
+        """Whether a message is one that asks the arm to move: not the withdrawal of no tap."""
+        if topic == "tap_command":
+            return bool(message.request == TapCommand.TAP or message.tap_id)
+        return topic == "joint_trajectory"
 
     def _expect_stop_on_wire(self) -> None:
         """A stop that the tapper's process has heard reaches its board at once."""

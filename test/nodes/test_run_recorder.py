@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -175,6 +178,27 @@ def test_the_end_of_the_recorder_leaves_the_tables_of_the_goal_under_way(tmp_pat
         fake.see(START)
         fake.plan(fake.goal(), PlanState.PLACING)
         fake.bench.wait(lambda: list((tmp_path / "runs").glob("*/bag")), "it records")
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert read_run(folder).outcome == "unfinished"
+    assert read_bag(folder / "bag").whole
+
+
+def test_ctrl_c_in_mid_goal_leaves_the_tables_and_no_traceback(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tapping_cell.nodes.recorder.run_recorder", "--ros-args"]
+    for value in (f"folder:={tmp_path / 'runs'}", "pictures:=false", "least_free:=0.0"):
+        command += ["-p", value]
+    with bench(lambda: [], {}) as made:
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        try:
+            fake = FakeCell(made)
+            fake.see(START)
+            fake.plan(fake.goal(), PlanState.PLACING)
+            fake.bench.wait(lambda: list((tmp_path / "runs").glob("*/bag")), "it records")
+            process.send_signal(signal.SIGINT)
+            _, said = process.communicate(timeout=40)
+        finally:
+            process.kill()
+    assert process.returncode == 0 and "Traceback" not in said, said
     (folder,) = (tmp_path / "runs").iterdir()
     assert read_run(folder).outcome == "unfinished"
     assert read_bag(folder / "bag").whole

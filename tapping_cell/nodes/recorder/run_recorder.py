@@ -515,7 +515,12 @@ class RunRecorder(CellNode[Parameters]):
         if pictures:
             self._tell(recording, pictures=True)
         self._runs += 1
-        self._last_run.publish(String(data=str(recording.folder)))
+        try:
+            self._last_run.publish(String(data=str(recording.folder)))
+        except RuntimeError:
+            # Ctrl-C has ended the context: nobody hears it, and the folder is complete.
+            if self.context.ok():
+                raise
         self.get_logger().info(f"recorded {recording.folder}")
 
     def _complain(self, sentence: str, expected: bool = False) -> None:

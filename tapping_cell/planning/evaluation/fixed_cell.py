@@ -11,7 +11,8 @@ import numpy as np
 from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.evaluation.task import End, Results
-from tapping_cell.planning.fixed_session import FixedTapperSession, GoalSolver
+from tapping_cell.planning.fixed_session import FixedTapperSession
+from tapping_cell.planning.fixed_solver import GoalSolver
 from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.session import Decision, Done, LookAgain, Strike

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from hypothesis import given
 from hypothesis import strategies as st
 from test_permit import CELL, TAP, Pair, at, jobs, messages
@@ -10,8 +12,8 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic import arm as arms
 from tapping_cell.logic.arm_jobs import Reading
-from tapping_cell.logic.effects import JobEnded, RunJob
-from tapping_cell.messages import ArmState, Bool, ErrorCode, TapCommand, Trigger
+from tapping_cell.logic.effects import Effect, JobEnded, RunJob
+from tapping_cell.messages import ArmState, Bool, ErrorCode, TapCommand, TapperState, Trigger
 
 START = 1000.0
 
@@ -85,3 +87,42 @@ def test_a_stop_overtakes_whatever_is_under_way() -> None:
     arm.on_job(JobEnded(number, here), at(START + 1.2))
     assert arm.state is arms.State.STOPPED
     assert jobs(arm.on_tick(at(START + 2.0))) == []
+
+
+def withdraws(made: Sequence[Effect]) -> bool:
+    return any(isinstance(e, RunJob) and e.job.name == "withdraw" for e in made)
+
+
+def leaving_with_a_charged_striker() -> Pair:
+    """The tap is withdrawn, the tapper still says that the striker is charged."""
+    pair = in_position()
+    tell(pair, TapperState.CHARGED, START + 1.0)
+    command = pair.command(TapCommand.WITHDRAW, at(START + 1.0))
+    assert not withdraws(pair.arm.on_message("tap_command", command, at(START + 1.0)))
+    return pair
+
+
+def tell(pair: Pair, state: int, steady: float) -> Sequence[Effect]:
+    message = TapperState(state=state, tap_id=TAP)
+    return pair.arm.on_message("tapper_state", message, at(steady))
+
+
+def test_the_arm_leaves_once_the_striker_is_discharged() -> None:
+    pair = leaving_with_a_charged_striker()
+    assert not withdraws(pair.arm.on_tick(at(START + 1.5)))
+    assert withdraws(tell(pair, TapperState.SAFE, START + 1.55))
+
+
+@given(st.floats(0.0, arms.DISCHARGED_S - 0.01))
+def test_a_silent_tapper_holds_the_arm_until_its_board_has_discharged(wait: float) -> None:
+    pair = leaving_with_a_charged_striker()
+    assert not withdraws(pair.arm.on_tick(at(START + 1.0 + wait)))
+    assert withdraws(pair.arm.on_tick(at(START + 1.0 + arms.DISCHARGED_S + 0.01)))
+
+
+def test_who_always_says_charged_holds_the_arm_for_a_limited_time() -> None:
+    pair = leaving_with_a_charged_striker()
+    steady = START + 1.0
+    while not withdraws(tell(pair, TapperState.CHARGED, steady)):
+        steady += 0.05
+        assert steady < START + 1.1 + arms.LONGEST_WAIT_S

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 
 from tapping_cell.configuration.cell import load_cell
@@ -68,7 +69,8 @@ def test_the_record_of_a_tap_holds_what_it_taught(goals: GoalHandling) -> None:
     assert isinstance(strike, Strike)
     asked = strike.commanded
     after = Pose(2.5 * asked.x, 2.5 * asked.y, 2.5 * asked.theta)
-    task.take_in(Shot(7, task.object_id, strike, before, outcome=TapperState.FIRED), seen_at(after))
+    shot = Shot(7, task.object_id, 1, strike, before, np.zeros((3, 3)), outcome=TapperState.FIRED)
+    task.take_in(shot, seen_at(after))
     learnt = task.records[0].learnt
     assert learnt == to_message(task.session.gains)
     assert learnt.distance == pytest.approx(2.5, rel=0.1)

@@ -401,7 +401,7 @@ def test_deactivating_in_mid_draw_lets_the_striker_down() -> None:
     cell.process.lifecycle(Deactivated())
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
     # Not for want of anybody's word, nor because the draw took too long.
-    assert cell.last.error_code == ErrorCode.NONE
+    assert cell.last.error_code == ErrorCode.NOT_ACTIVE
     assert cell.device.state in LET_DOWN and cell.shots() == []
 
 

@@ -18,8 +18,9 @@ from tapping_cell.planning import CircleArea, Refusal, RefusalReason, Strike
 from tapping_cell.planning.coverage import coverage
 from tapping_cell.planning.evaluation.fixed_cell import FixedEvaluation, evaluate_fixed
 from tapping_cell.planning.evaluation.task import End
-from tapping_cell.planning.fixed_policy import Solution, scatter_points, solve_goal
-from tapping_cell.planning.fixed_session import FixedTapperSession, GoalSolver
+from tapping_cell.planning.fixed_policy import scatter_points
+from tapping_cell.planning.fixed_session import FixedTapperSession
+from tapping_cell.planning.fixed_solver import GoalSolver
 from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
 from tapping_cell.planning.mounts import MountBelief
 from tapping_cell.planning.settings import CameraNoise
@@ -37,15 +38,7 @@ TIP = CELL.file.tapper.tip_radius
 @cache
 def solver() -> GoalSolver:
     """Goals solved on the coarse grid alone: a third of a second each, a tap more."""
-
-    class Coarse(GoalSolver):
-        def solution(self, space: FixedStrikeSpace, plan, goal) -> Solution:
-            key = f"{space.key()}{plan.key()}{np.round(goal, 6).tolist()}"
-            if key not in self._kept:
-                self._kept[key] = solve_goal(space, plan, goal, step=0.5)
-            return self._kept[key]
-
-    return Coarse()
+    return GoalSolver(step=0.5)
 
 
 def session(goal=(0.0, 0.0, 0.0), space: FixedStrikeSpace = SPACE) -> FixedTapperSession:

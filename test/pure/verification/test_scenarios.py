@@ -94,7 +94,9 @@ def test_an_emergency_stop_ends_the_goal_and_latches_both_devices(cell: Told) ->
     cell.begin()
     cell.trial.press_emergency_stop(60.0)
     stopped = (ArmState.STOPPED, TapperState.STOPPED)
-    assert cell.run(1.0, lambda: (cell.arm.state, cell.tapper.state) == stopped)
+    assert cell.run(
+        1.0, lambda: (cell.arm.state, cell.tapper.state) == stopped and bool(cell.ends())
+    )
     assert cell.ends() == [ErrorCode.EMERGENCY_STOP]
     taps = {command.tap_id for command in cell.commands}
     cell.trial.send_goal(GOAL)

@@ -1,0 +1,109 @@
+"""Which injected faults explain how a goal ended: a code must name a true cause.
+
+A goal that ends with a code of which none of the explaining faults has struck lately is a
+violation: the cell blamed what nothing was wrong with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from tapping_cell.messages import ErrorCode
+
+LASTING_S = 45.0
+"""A fault explains what ends within so long after it: the longest lasts 30 s, and the cell is
+brought back after it."""
+
+FREEZES = frozenset(
+    {
+        "freeze",
+        "freeze at a shot",
+        "freeze before a write",
+        "freeze at a write",
+        "freeze after the last check",
+    }
+)
+ENDS = frozenset({"kill", "restart"})
+LINKS = frozenset({"slow topic", "slow answer", "heard by one", "duplicates"})
+FOREIGN = frozenset(
+    {
+        "replay",
+        "foreign command",
+        "foreign withdrawal",
+        "foreign outcome",
+        "foreign state",
+        "repeated command",
+        "second node",
+    }
+)
+LINES = frozenset({"serial line", "line at a shot", "cable at a shot"})
+POWER = frozenset({"loss of power", "power at a shot", "motors off"})
+STOPS = frozenset({"emergency stop", "stop service"})
+DELAYS = FREEZES | ENDS | LINKS | LINES | {"deactivate", "second node"}
+"""What makes something late or silent."""
+COVERED = "the arm covers the object"
+"""A condition of the world that explains a code as a fault does."""
+CAMERA = frozenset({"camera", "object moved"})
+
+EXPLAINED_BY: dict[int, frozenset[str]] = {
+    ErrorCode.GOAL_REPLACED: frozenset({"second client", "second node"}),
+    ErrorCode.GOAL_CANCELED: frozenset({"cancel"}),
+    ErrorCode.NOT_ACTIVE: frozenset({"deactivate", "restart"}),
+    ErrorCode.EMERGENCY_STOP: frozenset({"emergency stop"}),
+    ErrorCode.ARM_STOPPED: STOPS | LINES,
+    ErrorCode.TAPPER_STOPPED: STOPS | LINES,
+    ErrorCode.ARM_NOT_HOMED: STOPS | LINES | POWER | ENDS | FREEZES,
+    ErrorCode.ARM_NOT_CONNECTED: LINES | POWER | ENDS | {"second node"},
+    ErrorCode.ARM_FIRMWARE_UNKNOWN: LINES | POWER | ENDS,
+    ErrorCode.ARM_ALARM: LINES | POWER | FREEZES,
+    ErrorCode.ARM_REPLY_GARBLED: LINES,
+    ErrorCode.ARM_TIMEOUT: DELAYS | POWER,
+    ErrorCode.ARM_POSITION_MISMATCH: LINES | POWER | FREEZES,
+    ErrorCode.ARM_SILENT: DELAYS,
+    ErrorCode.ARM_BUSY: DELAYS | FOREIGN | {"foreign trajectory"},
+    ErrorCode.ARM_COMMAND_EXPIRED: DELAYS | FOREIGN | {"clock step"},
+    ErrorCode.TAPPER_NOT_CONNECTED: LINES | POWER | ENDS | {"second node"},
+    ErrorCode.TAPPER_FIRMWARE_UNKNOWN: LINES | POWER | ENDS,
+    ErrorCode.TAPPER_REPLY_GARBLED: LINES,
+    ErrorCode.TAPPER_TIMEOUT: LINES | POWER | FREEZES | {"slow topic"},
+    ErrorCode.TAPPER_RESET: LINES | POWER,
+    ErrorCode.TAPPER_FAULT: LINES | POWER,
+    ErrorCode.TAPPER_INTERLOCK_OPEN: frozenset({"guard"}),
+    ErrorCode.TAPPER_SILENT: DELAYS,
+    ErrorCode.TAPPER_SPENT: FOREIGN | ENDS | {"clock step"},
+    ErrorCode.TAPPER_COMMAND_EXPIRED: DELAYS | FOREIGN | {"clock step"},
+    ErrorCode.TAPPER_ARM_NOT_IN_POSITION: DELAYS | FOREIGN | POWER,
+    ErrorCode.TAPPER_BUSY: DELAYS | FOREIGN,
+    ErrorCode.COMMAND_REPEATED: FOREIGN | {"clock step"},
+    ErrorCode.STAMP_INVALID: frozenset({"clock step", "second node"}),
+    ErrorCode.CLOCKS_DIFFER: frozenset({"clock step"}) | LINKS | FREEZES,
+    ErrorCode.OBJECT_NOT_SEEN: CAMERA | {COVERED},
+    ErrorCode.OBJECT_MOVED: CAMERA,
+    ErrorCode.OBJECT_NOT_AT_REST: CAMERA,
+    ErrorCode.TOO_FEW_FRAMES: CAMERA | FREEZES | LINKS | ENDS,
+    ErrorCode.CAMERA_SILENT: DELAYS | {"camera", "clock step"},
+    ErrorCode.NOT_READY: DELAYS | FOREIGN,
+    ErrorCode.DEADLINE_EXCEEDED: DELAYS | FOREIGN | POWER | CAMERA | {"clock step", "guard"},
+    ErrorCode.TAP_WITHOUT_EFFECT: CAMERA | POWER,
+    ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN,
+}
+"""Code of a goal's end: the kinds of faults of which one must have struck."""
+CONDITIONS = frozenset(
+    {
+        ErrorCode.NONE,
+        ErrorCode.NO_TAP_FOUND,
+        ErrorCode.NO_CONTACT_FOUND,
+        ErrorCode.PROBE_NEEDED,
+        ErrorCode.OBJECT_OFF_TABLE,
+        ErrorCode.GOAL_OFF_TABLE,
+        ErrorCode.GOAL_OUT_OF_REACH,
+    }
+)
+"""Codes of which the cause is where object and goal lie."""
+
+
+def explains(code: int, struck: Iterable[str]) -> bool:
+    """Whether one of the faults that have struck is a true cause of this end."""
+    if code in CONDITIONS:
+        return True
+    return not EXPLAINED_BY.get(code, frozenset()).isdisjoint(struck)
