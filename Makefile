@@ -4,6 +4,7 @@
 # make lint                     style and types
 # make clean                    remove everything that was made here
 # make reference                write what is made from declarations: messages, reference pages, figures
+# make docs                     the documents and the API as a site: build/site/index.html
 # make lock                     choose the versions in requirements.lock again
 #
 # Each sets up what it needs first (see env.sh); there is nothing else to install or to call before.
@@ -12,7 +13,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -e -u -o pipefail -c
 ARGS ?=
 
-.PHONY: demo test oldest lint clean lock reference
+.PHONY: demo test oldest lint clean lock reference docs
 
 demo:
 	@. ./env.sh; python -m tapping_cell demo $(ARGS)
@@ -32,6 +33,9 @@ clean:
 
 reference:
 	@. ./env.sh; python environment/generate_messages.py; ruff format -q tapping_cell/messages; python environment/reference_pages.py; python environment/build_figures.py
+
+docs:
+	@. ./env.sh; python environment/build_site.py
 
 lock:
 	@python3 environment/lock.py

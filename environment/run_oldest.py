@@ -12,22 +12,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import overlay
+
 ROOT = Path(__file__).resolve().parent.parent
 VERSIONS = ROOT / "environment" / "oldest.txt"
 OVERLAY = ROOT / "build" / "oldest"
 RINGS = ("test/pure", "test/pty")
-
-
-def install() -> None:
-    """Put the versions into a folder of their own, unless they are there."""
-    stamp = OVERLAY / "versions.txt"
-    wanted = f"{sys.version}\n{VERSIONS.read_text(encoding='utf-8')}"
-    if stamp.is_file() and stamp.read_text(encoding="utf-8") == wanted:
-        return
-    shutil.rmtree(OVERLAY, ignore_errors=True)
-    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--only-binary", ":all:"]
-    subprocess.run([*pip, "--target", str(OVERLAY), "-r", str(VERSIONS)], check=True)
-    stamp.write_text(wanted, encoding="utf-8")
 
 
 def main() -> int:
@@ -35,9 +25,8 @@ def main() -> int:
     if not (3, 10) <= sys.version_info[:2] <= (3, 12):
         print(f"{VERSIONS} needs Python 3.10 to 3.12; this is {sys.version.split()[0]}")
         return 2
-    install()
-    path = os.pathsep.join(filter(None, (str(OVERLAY), os.environ.get("PYTHONPATH"))))
-    environment = {**os.environ, "PYTHONPATH": path}
+    overlay.install(VERSIONS, OVERLAY)
+    environment = {**os.environ, "PYTHONPATH": overlay.path(OVERLAY)}
     calls = [["pytest", "-q", *(sys.argv[1:] or RINGS)]]
     if not sys.argv[1:]:
         calls.append(["tapping_cell", "demo", "--out", str(OVERLAY.parent / "oldest_demo")])

@@ -6,9 +6,8 @@ compared is what was measured: samples of the track, or initial velocities and d
 velocity is formed by differences of noisy poses, frames between which the object stops cost
 nothing, and a small displacement has the weight that its noise leaves it.
 
-The solution is the least squares of all residuals over their standard deviations (Levenberg and
-Marquardt); the parameters of a trial are eliminated trial by trial, so that the work grows with the
-number of trials only.
+The solution is the least squares of all residuals over their standard deviations
+(``shared_least_squares.py``); this file says what the residuals are and how they change.
 
 No object presses evenly. Where the pressure is centred a little beside the centre of mass, friction
 turns the object to one side or the other, by the direction in which it slides: half a millimetre
@@ -26,12 +25,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.calibration.slide_curves import COARSE, TORQUE_FACTORS, SlideCurves, Slopes, State
+from tapping_cell.calibration.shared_least_squares import (
+    Array,
+    Estimate,
+    NormalEquations,
+    Rows,
+    eliminated,
+    normal_equations,
+    solve,
+    sum_by_trial,
+)
+from tapping_cell.calibration.slide_curves import COARSE, TORQUE_FACTORS, SlideCurves
 from tapping_cell.calibration.track import Slide
 from tapping_cell.mechanics import Body
-
-Array = NDArray[np.float64]
-Rows = NDArray[np.intp]
 
 # Parameters of a trial, in this order: time of impact, speed, spin, offset of the starting
 # position and angle, and ln of its friction over that of all.
@@ -42,7 +48,6 @@ _SHARED = 4
 _LOWEST = (math.log(0.003), math.log(TORQUE_FACTORS[0]), -0.3, -0.3)
 _HIGHEST = (math.log(5.0), math.log(TORQUE_FACTORS[1]), 0.3, 0.3)
 _CENTRE_STD = 0.05  # prior of the centre of pressure: uneven by more an object is worn or tilted
-_STEPS = 60
 _STARTS = (0.6, 1.5, 3.5)
 _FREE = 0.3  # prior of a trial's own friction where it is to be found from that trial alone
 _LEAST_SCATTER = 1e-4
@@ -125,29 +130,6 @@ class _Given(NamedTuple):
     spin_std: Array
 
 
-class _Point(NamedTuple):
-    """The problem linearised: cost, residuals of samples, and the blocks of the normal equations
-    (n, 6, 6), (n, 6, 4), (n, 4, 4), (n, 6) and (n, 4)."""
-
-    cost: float
-    distance: Array
-    rotation: Array
-    h_local: Array
-    h_mixed: Array
-    h_shared: Array
-    g_local: Array
-    g_shared: Array
-
-
-class _Solution(NamedTuple):
-    """Parameters: ``shared`` (4,) and ``local`` (n, 6)."""
-
-    shared: Array
-    local: Array
-    cost: float
-    evaluations: int
-
-
 def fit_slides(motions: Sequence[Motion], body: Body, gravity: float) -> SlideFit:
     """Friction and torque factor of a body from its slides.
 
@@ -159,15 +141,15 @@ def fit_slides(motions: Sequence[Motion], body: Body, gravity: float) -> SlideFi
     fine, coarse = problem.curves, problem.curves.on(COARSE)
     problem = problem._replace(curves=coarse)
     start = min(
-        (_solve(problem, _first_guess(problem, motions, k), _LEAST_SCATTER) for k in _STARTS),
-        key=lambda solution: solution.cost,
+        (_fitted(problem, _first_guess(problem, motions, k), _LEAST_SCATTER) for k in _STARTS),
+        key=lambda estimate: estimate.cost,
     )
     problem = _weighted(_unblurred(problem, motions, start), start)._replace(curves=fine)
-    start = _solve(problem, start, _LEAST_SCATTER)
+    start = _fitted(problem, start, _LEAST_SCATTER)
     problem = _weighted(problem, start)
-    own, own_std = _own_friction(problem, _solve(problem, start, _FREE, shared=False))
+    own, own_std = _own_friction(problem, _fitted(problem, start, _FREE, local_only=True))
     scatter = _between(own, own_std)
-    best = _solve(problem, start, max(scatter, _LEAST_SCATTER))
+    best = _fitted(problem, start, max(scatter, _LEAST_SCATTER))
     return _result(problem, best, scatter)
 
 
@@ -211,7 +193,7 @@ def _problem(motions: Sequence[Motion], body: Body, gravity: float) -> _Problem:
     )
 
 
-def _first_guess(problem: _Problem, motions: Sequence[Motion], torque_factor: float) -> _Solution:
+def _first_guess(problem: _Problem, motions: Sequence[Motion], torque_factor: float) -> Estimate:
     """From displacements and the tracks' decelerations."""
     distance = np.array([m.displacement for m in motions])
     rotation = np.array([m.rotation for m in motions])
@@ -225,10 +207,10 @@ def _first_guess(problem: _Problem, motions: Sequence[Motion], torque_factor: fl
     local = np.zeros((len(motions), _LOCAL))
     local[:, _IMPACT] = [0.0 if m.slide is None else m.slide.impact for m in motions]
     local[:, _SPEED], local[:, _SPIN] = speed, spin
-    return _Solution(shared, local, math.inf, 0)
+    return Estimate(shared, local)
 
 
-def _unblurred(problem: _Problem, motions: Sequence[Motion], at: _Solution) -> _Problem:
+def _unblurred(problem: _Problem, motions: Sequence[Motion], at: Estimate) -> _Problem:
     """Without samples whose exposure saw the impact: their pose is no pose at one time."""
     samples = problem.samples
     exposure = np.array([0.0 if m.slide is None else m.slide.exposure for m in motions])
@@ -237,16 +219,16 @@ def _unblurred(problem: _Problem, motions: Sequence[Motion], at: _Solution) -> _
     return problem._replace(samples=_Samples(*(column[keep] for column in samples)))
 
 
-def _weighted(problem: _Problem, at: _Solution) -> _Problem:
+def _weighted(problem: _Problem, at: Estimate) -> _Problem:
     """With standard deviations scaled to what the fit leaves."""
-    point = _linearise(problem, at, _LEAST_SCATTER)
+    misses = _misses(problem, at)
     samples, given = problem.samples, problem.given
     sampled = np.isfinite(samples.time)
     if sampled.any():
         count = 2.0 * sampled.sum()
         used = 5.0 * problem.tracked.sum()
         lost = math.sqrt(count / max(count - used, 0.1 * count))
-        scale = [max(lost * _rms(r[sampled]), 0.05) for r in (point.distance, point.rotation)]
+        scale = [max(lost * _rms(r[sampled]), 0.05) for r in (misses.distance, misses.rotation)]
         samples = samples._replace(
             distance_std=np.where(sampled, scale[0], 1.0) * samples.distance_std,
             rotation_std=np.where(sampled, scale[1], 1.0) * samples.rotation_std,
@@ -280,54 +262,66 @@ def _between(values: Array, deviations: Array) -> float:
     return math.sqrt(max(spread**2 - float(np.median(deviations[known] ** 2)), 0.0))
 
 
-def _linearise(problem: _Problem, at: _Solution, prior: float) -> _Point:
-    samples, rows = problem.samples, problem.samples.rows
-    local, count = at.local, at.local.shape[0]
+class _Misses(NamedTuple):
+    """By how many standard deviations the samples are missed, (N,) each, and the derivatives of
+    these, (N, 10) each."""
+
+    distance: Array
+    rotation: Array
+    by_distance: Array
+    by_rotation: Array
+
+
+def _misses(problem: _Problem, at: Estimate) -> _Misses:
+    samples, rows, local = problem.samples, problem.samples.rows, at.local
     resting = np.isinf(samples.time)
     since = np.maximum(samples.time - local[rows, _IMPACT], 0.0)
     friction = np.exp(at.shared[0] + local[:, _FRICTION])
-    launch = (local[:, _SPEED], local[:, _SPIN])
-
-    def states(speed: Array, spin: Array) -> tuple[State, Slopes]:
-        return problem.curves.at((speed, spin), since, rows, friction, float(at.shared[1]))
-
-    state, slopes = states(*launch)
-    bump = 1e-4 * launch[0] / problem.radius
-    other, _ = states(launch[0], launch[1] + bump)
+    speed, spin = local[:, _SPEED], local[:, _SPIN]
+    torque_factor = float(at.shared[1])
+    state, slopes = problem.curves.at((speed, spin), since, rows, friction, torque_factor)
+    bump = 1e-4 * speed / problem.radius
+    other, _ = problem.curves.at((speed, spin + bump), since, rows, friction, torque_factor)
     moving = (since > 0) & ~resting
     finite_since = np.where(moving, since, 0.0)
-    by_centre = _turned_by_centre(problem, at, since, friction)
-    aside = by_centre @ at.shared[2:]
-    weights = (1 / samples.distance_std, 1 / samples.rotation_std)
-    nothing = np.zeros(rows.size)
-    kinds = (
-        (state.distance, other.distance, state.speed, slopes.distance, nothing, _START),
-        (state.rotation, other.rotation, state.spin, slopes.rotation, aside, _ANGLE),
-    )
-    columns, residuals = [], []
-    for seen, weight, kind in zip(
-        (samples.distance, samples.rotation), weights, kinds, strict=True
-    ):
-        value, bumped, rate, by_torque, added, offset = kind
+
+    def derivatives(value: Array, bumped: Array, rate: Array, by_torque: Array) -> Array:
+        """Those that distance and rotation have alike, (N, 10)."""
         derivative = np.zeros((rows.size, _LOCAL + _SHARED))
         by_spin = (bumped - value) / bump[rows]
         # Twice the launch goes four times as far in twice the time (Euler's theorem), and the
         # friction enters with the time only.
-        by_speed = (2 * value - finite_since * rate - launch[1][rows] * by_spin) / launch[0][rows]
-        by_friction = finite_since * rate - value
+        by_speed = (2 * value - finite_since * rate - spin[rows] * by_spin) / speed[rows]
         derivative[:, _IMPACT] = np.where(moving, -rate, 0.0)
         derivative[:, _SPEED], derivative[:, _SPIN] = by_speed, by_spin
-        derivative[:, offset] = np.where(resting, 0.0, 1.0)
-        derivative[:, _FRICTION] = derivative[:, _LOCAL] = by_friction
+        derivative[:, _FRICTION] = derivative[:, _LOCAL] = finite_since * rate - value
         derivative[:, _LOCAL + 1] = by_torque
-        if offset == _ANGLE:
-            derivative[:, _LOCAL + 2 :] = by_centre
-        begun = np.where(resting, 0.0, local[rows, offset])
-        residuals.append((seen - begun - value - added) * weight)
-        columns.append(-derivative * weight[:, None])
-    jacobian = np.concatenate(columns)
-    off = np.concatenate(residuals)
-    hessian, gradient = _sum_by_row(jacobian, off, np.concatenate([rows, rows]), count)
+        return derivative
+
+    begun = np.where(resting, 0.0, 1.0)
+    by_centre = _turned_by_centre(problem, at, since, friction)
+    along = derivatives(state.distance, other.distance, state.speed, slopes.distance)
+    along[:, _START] = begun
+    turned = derivatives(state.rotation, other.rotation, state.spin, slopes.rotation)
+    turned[:, _ANGLE] = begun
+    turned[:, _LOCAL + 2 :] = by_centre
+    distance = state.distance + begun * local[rows, _START]
+    rotation = state.rotation + begun * local[rows, _ANGLE] + by_centre @ at.shared[2:]
+    return _Misses(
+        (samples.distance - distance) / samples.distance_std,
+        (samples.rotation - rotation) / samples.rotation_std,
+        -along / samples.distance_std[:, None],
+        -turned / samples.rotation_std[:, None],
+    )
+
+
+def _linearised(problem: _Problem, at: Estimate, prior: float) -> NormalEquations:
+    """With a standard deviation ``prior`` of a trial's ln friction from that of all."""
+    misses, rows, local = _misses(problem, at), problem.samples.rows, at.local
+    count = local.shape[0]
+    off = np.concatenate([misses.distance, misses.rotation])
+    jacobian = np.concatenate([misses.by_distance, misses.by_rotation])
+    hessian, gradient = sum_by_trial(jacobian, off, np.concatenate([rows, rows]), count)
     cost = float(off @ off)
     cost += _add_given(problem, local, hessian, gradient)
     hessian[:, _FRICTION, _FRICTION] += prior**-2
@@ -340,19 +334,10 @@ def _linearise(problem: _Problem, at: _Solution, prior: float) -> _Point:
         hessian[:, _LOCAL + index, _LOCAL + index] += _CENTRE_STD**-2 / count
         gradient[:, _LOCAL + index] += at.shared[index] * _CENTRE_STD**-2 / count
         cost += float(at.shared[index] / _CENTRE_STD) ** 2
-    return _Point(
-        cost / 2,
-        residuals[0],
-        residuals[1],
-        hessian[:, :_LOCAL, :_LOCAL],
-        hessian[:, :_LOCAL, _LOCAL:],
-        hessian[:, _LOCAL:, _LOCAL:],
-        gradient[:, :_LOCAL],
-        gradient[:, _LOCAL:],
-    )
+    return normal_equations(cost / 2, hessian, gradient, _LOCAL)
 
 
-def _turned_by_centre(problem: _Problem, at: _Solution, since: Array, friction: Array) -> Array:
+def _turned_by_centre(problem: _Problem, at: Estimate, since: Array, friction: Array) -> Array:
     """Derivatives (N, 2) of the rotations by the centre of pressure over the radius.
 
     Friction at the centre c turns the object by d omega / dt = - kappa gamma (mu g / R) (c x v) / v
@@ -377,16 +362,6 @@ def _turned_by_centre(problem: _Problem, at: _Solution, since: Array, friction: 
     )
 
 
-def _sum_by_row(jacobian: Array, off: Array, rows: Rows, count: int) -> tuple[Array, Array]:
-    """Sums of J^T J (n, p, p) and J^T r (n, p) over the rows of each trial."""
-    order = np.argsort(rows, kind="stable")
-    starts = np.searchsorted(rows[order], np.arange(count))
-    j = jacobian[order]
-    hessian = np.add.reduceat(j[:, :, None] * j[:, None, :], starts, axis=0)
-    gradient = np.add.reduceat(j * off[order][:, None], starts, axis=0)
-    return hessian, gradient
-
-
 def _add_given(problem: _Problem, local: Array, hessian: Array, gradient: Array) -> float:
     """The measured initial velocities, added in place; returns twice their cost."""
     known, given, cost = ~problem.tracked, problem.given, 0.0
@@ -399,71 +374,36 @@ def _add_given(problem: _Problem, local: Array, hessian: Array, gradient: Array)
     return cost
 
 
-def _solve(problem: _Problem, start: _Solution, prior: float, shared: bool = True) -> _Solution:
-    """Levenberg and Marquardt's method from ``start``; ``shared`` False keeps what is of all."""
-    at, damping, evaluations = start, 1e-4, start.evaluations
-    point = _linearise(problem, at, prior)
-    for _ in range(_STEPS):
-        step_local, step_shared = _step(point, damping, shared)
-        trial = _Solution(
-            np.clip(at.shared + step_shared, _LOWEST, _HIGHEST),
-            at.local + step_local,
-            math.inf,
-            0,
-        )
-        trial.local[:, _SPEED] = np.maximum(trial.local[:, _SPEED], 0.3 * at.local[:, _SPEED])
-        np.clip(trial.local[:, _FRICTION], -1.0, 1.0, out=trial.local[:, _FRICTION])
-        following = _linearise(problem, trial, prior)
-        evaluations += 1
-        if following.cost <= point.cost:
-            gained = point.cost - following.cost
-            at, point, damping = trial, following, max(damping / 5, 1e-9)
-            if gained <= 1e-9 * (1.0 + point.cost):
-                break
-        elif damping > 1e6:
-            break
-        else:
-            damping *= 8
-    return at._replace(cost=point.cost, evaluations=evaluations)
+def _limited(trial: Estimate, before: Estimate) -> Estimate:
+    """A step that stays where the model holds: no launch backwards, no friction out of range."""
+    local = trial.local
+    local[:, _SPEED] = np.maximum(local[:, _SPEED], 0.3 * before.local[:, _SPEED])
+    np.clip(local[:, _FRICTION], -1.0, 1.0, out=local[:, _FRICTION])
+    return trial._replace(shared=np.clip(trial.shared, _LOWEST, _HIGHEST))
 
 
-def _step(point: _Point, damping: float, shared: bool) -> tuple[Array, Array]:
-    diagonal = np.einsum("nii->ni", point.h_local)
-    damped = point.h_local + damping * diagonal[:, :, None] * np.eye(_LOCAL)
-    right = np.concatenate([point.h_mixed, point.g_local[:, :, None]], axis=2)
-    solved = np.linalg.solve(damped, right)
-    by_shared, by_gradient = solved[:, :, :_SHARED], solved[:, :, _SHARED]
-    if not shared:
-        return -by_gradient, np.zeros(_SHARED)
-    h = (point.h_shared - np.einsum("nps,npq->nsq", point.h_mixed, by_shared)).sum(axis=0)
-    g = (point.g_shared - np.einsum("nps,np->ns", point.h_mixed, by_gradient)).sum(axis=0)
-    h += damping * np.diag(np.diag(h)) + 1e-12 * np.eye(_SHARED)
-    step_shared = np.clip(-np.linalg.solve(h, g), -0.5, 0.5)
-    return -by_gradient - by_shared @ step_shared, step_shared
+def _fitted(
+    problem: _Problem, start: Estimate, prior: float, *, local_only: bool = False
+) -> Estimate:
+    """The least squares; ``prior`` as in ``_linearised``."""
+    return solve(lambda at: _linearised(problem, at, prior), start, _limited, local_only=local_only)
 
 
-def _own_friction(problem: _Problem, at: _Solution) -> tuple[Array, Array]:
+def _own_friction(problem: _Problem, at: Estimate) -> tuple[Array, Array]:
     """ln of each trial's friction over that of all, and its standard deviation, from it alone."""
-    point = _linearise(problem, at, _FREE)
-    covariance = np.linalg.inv(point.h_local)
+    covariance = np.linalg.inv(_linearised(problem, at, _FREE).h_local)
     return at.local[:, _FRICTION], np.sqrt(covariance[:, _FRICTION, _FRICTION])
 
 
-def _result(problem: _Problem, best: _Solution, scatter: float) -> SlideFit:
-    prior = max(scatter, _LEAST_SCATTER)
-    point = _linearise(problem, best, prior)
-    by_shared = np.linalg.solve(point.h_local, point.h_mixed)
-    by_gradient = np.linalg.solve(point.h_local, point.g_local[:, :, None])[:, :, 0]
-    score = point.g_shared - np.einsum("nps,np->ns", point.h_mixed, by_gradient)
-    information = point.h_shared - np.einsum("nps,npq->nsq", point.h_mixed, by_shared)
-
-    alone = _solve(problem, best, _FREE, shared=False)
+def _result(problem: _Problem, best: Estimate, scatter: float) -> SlideFit:
+    score, information = eliminated(_linearised(problem, best, max(scatter, _LEAST_SCATTER)))
+    alone = _fitted(problem, best, _FREE, local_only=True)
     own, own_std = _own_friction(problem, alone)
-    covariance = np.linalg.inv(_linearise(problem, alone, _FREE).h_local)
+    covariance = np.linalg.inv(_linearised(problem, alone, _FREE).h_local)
     tracked, given = problem.tracked, problem.given
-    samples = problem.samples
+    samples, misses = problem.samples, _misses(problem, best)
     sampled = np.isfinite(samples.time)
-    squares = np.where(sampled, point.distance**2 + point.rotation**2, 0.0)
+    squares = np.where(sampled, misses.distance**2 + misses.rotation**2, 0.0)
     total = np.bincount(samples.rows, squares, minlength=tracked.size)
     count = np.bincount(samples.rows, 2.0 * sampled, minlength=tracked.size)
     speed_off = (given.speed - best.local[:, _SPEED]) / given.speed_std
@@ -488,8 +428,8 @@ def _result(problem: _Problem, best: _Solution, scatter: float) -> SlideFit:
         own_friction=np.exp(own),
         own_friction_std=own_std,
         friction_scatter=scatter,
-        position_rms=_rms(point.distance[sampled] * samples.distance_std[sampled]),
-        rotation_rms=_rms(point.rotation[sampled] * samples.rotation_std[sampled]),
+        position_rms=_rms(misses.distance[sampled] * samples.distance_std[sampled]),
+        rotation_rms=_rms(misses.rotation[sampled] * samples.rotation_std[sampled]),
         misfit=np.where(tracked, by_track, launch_off / math.sqrt(2.0)),
         evaluations=best.evaluations,
     )

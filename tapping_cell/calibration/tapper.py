@@ -427,5 +427,7 @@ def _notes(
     if used < 20:
         said.append(f"{used} taps are few: 30 over the range are good")
     if ratio < 4.0:
-        said.append("the energies span less than a factor of 4: the curve ends where they end")
+        said.append(
+            "the largest energy is less than 4 times the smallest: the curve covers this range only"
+        )
     return tuple(said)

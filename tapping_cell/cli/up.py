@@ -219,7 +219,7 @@ class _Running:
                 if self._console.is_terminal:
                     live.update(start_up.table(start.lines))
                 for line in start.lines:
-                    # A figure that changes is no news.
+                    # A value that changes is not worth a new line.
                     news = re.sub(r"\d", "", str(line))
                     if told.get(line.node) != news and not self._console.is_terminal:
                         self._console.print(str(line), markup=False)

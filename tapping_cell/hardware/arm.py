@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from itertools import pairwise
 
 from tapping_cell.hardware.arm_settings import (
@@ -53,6 +54,20 @@ UNHOMING = frozenset(
 
 OF_A_STOP = (FaultReason.STOPPED, FaultReason.ALARM, FaultReason.BOARD_RESET)
 """What a call can end with because somebody stopped the arm."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Path:
+    """Places that the arm passes, the first where it stands, and the speed of each leg as a share
+    of the joints' largest speeds."""
+
+    places: tuple[Joints, ...]
+    speeds: tuple[float, ...]
+
+    def legs(self) -> Iterator[tuple[Joints, Joints, float]]:
+        """Start, end and speed of each leg."""
+        for (start, end), speed in zip(pairwise(self.places), self.speeds, strict=True):
+            yield start, end, speed
 
 
 class ArmDriver:
@@ -275,7 +290,35 @@ class ArmDriver:
     def _move(
         self, legs: tuple[Joints, ...], speeds: tuple[float, ...], deadline: float | None
     ) -> ArmReading:
-        goal = legs[-1]
+        path = _Path((self._start().joints, *legs), speeds)
+        duration, began = self._duration(path), self._transport.now()
+        if deadline is None:
+            deadline = began + self.settings.move_factor * duration + self.settings.move_margin
+        try:
+            reading, failure = self._follow(path, deadline)
+        except HardwareFault as fault:
+            if fault.reason is FaultReason.TIMEOUT:
+                raise self._halted(
+                    HardwareFault(
+                        FaultReason.TIMEOUT,
+                        f"a move that takes {duration:.2f} s had not ended"
+                        f" {self._transport.now() - began:.2f} s after it was sent ({fault})",
+                    )
+                ) from fault
+            if fault.reason is FaultReason.REJECTED:
+                raise self._halted(fault) from fault
+            raise
+        if failure is not None and reading.moving:
+            raise self._halted(failure)
+        self._confirmed = reading.joints
+        if failure is not None:
+            raise failure
+        self._fresh = reading
+        self.counters.moves += 1
+        return reading
+
+    def _start(self) -> ArmReading:
+        """Where the arm stands before a move: where the last one left it."""
         start = self._recent() or self._read()
         self._fresh = None
         if start.alarm:
@@ -296,75 +339,42 @@ class ArmDriver:
                 f" {in_words(self._confirmed)}: it was moved or its controller restarted; clear"
                 " the fault and home again",
             )
-        places = (start.joints, *legs)
-        duration = self._duration(places, speeds)
-        if deadline is None:
-            deadline = (
-                self._transport.now()
-                + self.settings.move_factor * duration
-                + self.settings.move_margin
-            )
-        reading = start
-        began = self._transport.now()
-        try:
-            for attempt in range(MOVE_ATTEMPTS):
-                self.counters.retries += attempt > 0
-                # From here on the arm may be anywhere between start and goal.
-                self._confirmed = None
-                refusal = self._send(places, speeds, deadline)
-                if refusal is None:
-                    end = self._transport.now() + self._duration(places, speeds)
-                    reading = self._arrive(end, deadline)
-                if refusal is not None or not self._agrees(goal, reading.joints):
-                    if refusal is not None and len(places) > 2:
-                        # The line before the refused one may be under way.
-                        self._arrive(self._transport.now(), deadline)
-                    # One garbled report must not count: this asks until two agree.
-                    reading = self._read()
-                if not reading.moving and self._agrees(goal, reading.joints):
-                    self._confirmed = reading.joints
-                    self._fresh = reading
-                    self.counters.moves += 1
-                    return reading
-                # A garbled line was refused or lost: from where the arm stands, if that is a place
-                # of the path, what is left of it may be sent again.
-                stands = [n for n, p in enumerate(places[:-1]) if self._agrees(p, reading.joints)]
-                if reading.moving or not stands:
-                    break
-                places, speeds = places[stands[-1] :], speeds[stands[-1] :]
-        except HardwareFault as fault:
-            if fault.reason is FaultReason.TIMEOUT:
-                raise self._halted(
-                    HardwareFault(
-                        FaultReason.TIMEOUT,
-                        f"a move that takes {duration:.2f} s had not ended"
-                        f" {self._transport.now() - began:.2f} s after it was sent ({fault})",
-                    )
-                ) from fault
-            if fault.reason is FaultReason.REJECTED:
-                raise self._halted(fault) from fault
-            if fault.reason is FaultReason.UNREACHABLE:
-                # Found before anything was sent.
-                self._confirmed = reading.joints
-            raise
-        outcome = refusal or self._mismatch(goal, reading.joints)
-        if reading.moving:
-            raise self._halted(outcome)
-        self._confirmed = reading.joints
-        raise outcome
+        return start
 
-    def _duration(self, places: Sequence[Joints], speeds: Sequence[float]) -> float:
-        return sum(
-            move_duration(self.geometry, a, b, speed)
-            for (a, b), speed in zip(pairwise(places), speeds, strict=True)
-        )
+    def _follow(self, path: _Path, deadline: float) -> tuple[ArmReading, HardwareFault | None]:
+        """Send a path, and what is left of it again where a garbled line was refused or lost.
 
-    def _send(
-        self, places: Sequence[Joints], speeds: Sequence[float], deadline: float
-    ) -> HardwareFault | None:
+        Returns the last reading, and why the arm is not at the path's end; None where it is.
+        """
+        goal = path.places[-1]
+        for attempt in range(MOVE_ATTEMPTS):
+            self.counters.retries += attempt > 0
+            # From here on the arm may be anywhere on the path.
+            self._confirmed = None
+            refusal = self._send(path, deadline)
+            if refusal is None:
+                reading = self._arrive(self._transport.now() + self._duration(path), deadline)
+            elif len(path.places) > 2:
+                # The line before the refused one may be under way.
+                self._arrive(self._transport.now(), deadline)
+            if refusal is not None or not self._agrees(goal, reading.joints):
+                # One garbled report must not count: this asks until two agree.
+                reading = self._read()
+            if not reading.moving and self._agrees(goal, reading.joints):
+                return reading, None
+            stands = [n for n, p in enumerate(path.places[:-1]) if self._agrees(p, reading.joints)]
+            if reading.moving or not stands:
+                break
+            path = _Path(path.places[stands[-1] :], path.speeds[stands[-1] :])
+        return reading, refusal or self._mismatch(goal, reading.joints)
+
+    def _duration(self, path: _Path) -> float:
+        return sum(move_duration(self.geometry, a, b, speed) for a, b, speed in path.legs())
+
+    def _send(self, path: _Path, deadline: float) -> HardwareFault | None:
         """Send what leads from place to place; returns the controller's refusal of a step."""
         moves: list[StraightMove] = []
-        for (start, goal), speed in zip(pairwise(places), speeds, strict=True):
+        for start, goal, speed in path.legs():
             target = self._to_axes(goal)
             length = math.dist(self._to_axes(start), target)
             time = max(
@@ -377,6 +387,9 @@ class ArmDriver:
         try:
             self._dialect.start_moves(moves, deadline)
         except HardwareFault as fault:
+            if fault.reason is FaultReason.UNREACHABLE:
+                # Found before anything was sent.
+                self._confirmed = path.places[0]
             if fault.reason is not FaultReason.REJECTED:
                 raise
             return fault

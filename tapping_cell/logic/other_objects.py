@@ -39,6 +39,11 @@ class OtherObjects:
         self._moved = moved
         self._known: dict[str, _Known] = {}
 
+    @property
+    def files(self) -> tuple[ObjectFile, ...]:
+        """The files of these objects."""
+        return self._files
+
     def on_object(self, message: ObjectState, clock: PeerClock, now: Now) -> None:
         """Take in one observation of one of the objects; ``clock``: of the camera's computer."""
         shape = next((file.shape for file in self._files if file.name == message.object_id), None)
@@ -67,7 +72,8 @@ class OtherObjects:
         return any(area is not None and area not in areas for area in self.areas(now))
 
     def unobserved(self, since: float) -> str:
-        """Names of those that the camera has not looked for since a steady time; "" for none."""
+        """Names of the objects that the camera has not observed since ``since``, a time on the
+        steady clock in s; empty for none."""
         return ", ".join(
             f"'{file.name}'"
             for file in self._files

@@ -49,7 +49,8 @@ class SlideTable:
             _hermite(v, s) for v, s in zip(solution.values, solution.slopes, strict=True)
         )
         self._forward = np.ascontiguousarray(np.concatenate([x, theta, duration], axis=1).T)
-        # Inverse: rim travel over travel (translating) or its inverse (spinning) grows with p.
+        # The inverse looks p up from the smaller travel over the larger one, which grows with p:
+        # rim over centre where the slide is mostly translation, else centre over rim.
         translating = np.arange(2 * PIECES)[:, None] < PIECES
         self._minor = np.ascontiguousarray(np.where(translating, theta, x).T)
         self._major = np.ascontiguousarray(np.where(translating, x, theta).T)

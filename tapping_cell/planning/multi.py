@@ -39,7 +39,8 @@ ROWS = 2048
 
 
 class MultiPlanner:
-    """Follows the cones: each tap leads into a lower cone, whatever its error within the line.
+    """Each tap leads to a state from which fewer taps are needed (a lower cone), wherever on its
+    error line it ends.
 
     Of the taps that keep this guarantee the one is taken whose expected end lies in the lowest
     cone, and of those the shortest.

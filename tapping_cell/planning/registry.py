@@ -75,7 +75,7 @@ def make_planner(
     registered = _registered()
     try:
         planner = registered[name].load()(settings)
-    except Exception as error:  # whatever a foreign package raises must become one worded error
+    except Exception as error:  # a plug-in may raise anything; users see one sentence
         raise PlanningError(
             f"the registered planning method {name!r} ({registered[name].value}) cannot be made: "
             f"{error}"

@@ -3,7 +3,7 @@
 (Bertsekas, *Dynamic Programming and Optimal Control*, 2012, vol. 2, ch. 3.)
 
 State: distance r >= 0 and rotation theta >= 0 to the goal (the other sense is its mirror image). A
-tap (d, turn) moves the state to
+tap (d, turn) moves the state to ::
 
     r'     = hypot(r - d (1 + a), |d| c)     a, c scatter of distance and direction, plus the camera
     theta' = |theta - turn (1 + b)|          b scatter of rotation, plus the camera

@@ -32,7 +32,7 @@ def main() -> int:
     """Serve until standard input ends."""
     # The page's node ends this process; a Ctrl-C in the terminal reaches both.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    logging.getLogger("tornado").setLevel(logging.CRITICAL)  # what hostile clients send is no news
+    logging.getLogger("tornado").setLevel(logging.CRITICAL)  # malformed requests are not logged
     configuration = json.loads(sys.stdin.readline())
     choose_transport(pictures=False)
     enclave = ["--ros-args", "--enclave", security.enclave_of(NODE)]

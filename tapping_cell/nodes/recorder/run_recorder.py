@@ -508,7 +508,7 @@ class RunRecorder(CellNode[Parameters]):
         try:
             recording.tell(pictures)
         except (OSError, BagError, ValueError) as error:
-            self._complain(f"the run in {recording.folder} is not told in full: {error}")
+            self._complain(f"the summary of the run in {recording.folder} is incomplete: {error}")
 
     def _announce(self, recording: Recording, pictures: bool) -> None:
         """Say that a run folder is complete, once it is."""

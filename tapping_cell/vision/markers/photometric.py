@@ -253,7 +253,7 @@ def _pixels(
     dx, dy = x - start[0], y - start[1]
     inside = np.maximum(np.abs(cos * dx + sin * dy), np.abs(cos * dy - sin * dx)) < reach
     chosen = np.flatnonzero(inside)
-    # The textures are sampled in rows of 64: a few pixels less.
+    # The textures are sampled in rows of 64, so the last few pixels are left out.
     chosen = chosen[: len(chosen) // 64 * 64]
     if len(chosen) < 256:
         return None
