@@ -23,6 +23,7 @@ VERBS = {
     "up": "start the nodes, simulated or on hardware, and keep them running",
     "commission": "from nothing configured to the first goal, step by step",
     "goal": "send a goal pose to a running graph",
+    "arrange": "bring several objects of a running cell to their places",
     "status": "show the state of a running cell, and what it waits for",
     "watch": "watch a running cell in the terminal",
     "home": "home the arm of a running cell",

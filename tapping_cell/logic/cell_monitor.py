@@ -9,7 +9,7 @@ from tapping_cell.logic import enabling
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock
 from tapping_cell.logic.poses import from_message
-from tapping_cell.messages import ArmState, ErrorCode, ObjectState, TapperState
+from tapping_cell.messages import ArmState, ErrorCode, ObjectState, ObjectStates, TapperState
 from tapping_cell.se2 import Pose
 
 Trouble = tuple[int, str]
@@ -33,7 +33,9 @@ class CellMonitor:
 
     def __init__(self, silence_limit: float) -> None:
         self._silence_limit = silence_limit
-        self.object: ObjectState | None = None
+        self._own: ObjectState | None = None
+        self._states: dict[str, ObjectState] = {}
+        self._watched = ""
         self.arm: ArmState | None = None
         self._boards: dict[tuple[str, ...], TapperState] = {}
         self._boards_heard: dict[tuple[str, ...], float] = {}
@@ -42,7 +44,17 @@ class CellMonitor:
         self._arm_expected: bool | None = None
         self.camera_clock = PeerClock()
         self._heard = {name: -math.inf for name in NAMES}
-        self._seen_at = -math.inf
+        self._seen_at: dict[str, float] = {}
+
+    @property
+    def object(self) -> ObjectState | None:
+        """What is known of the object that is watched."""
+        return self._states.get(self._watched) if self._watched else self._own
+
+    def watch(self, name: str) -> None:
+        """From now on every question about the object is about the one of that name, as
+        ``object_states`` tells of it; empty for the cell's own, as ``object_state`` does."""
+        self._watched = name
 
     def expect(self, has_arm: bool, boards: Sequence[Sequence[str]]) -> None:
         """What the cell consists of: an arm or none, and the tappers' names of each board. Whoever
@@ -70,11 +82,21 @@ class CellMonitor:
 
     def on_object(self, message: ObjectState, now: Now) -> None:
         """Take in ``object_state``."""
-        self.object = message
+        self._own = message
         self._heard["object"] = now.steady
         self.camera_clock.hear(message.header.stamp, now)
-        if message.visible and not message.error_code:
-            self._seen_at = max(self._seen_at, self.observed_at(now))
+        self._note_seen("", message, now)
+
+    def on_objects(self, message: ObjectStates, now: Now) -> None:
+        """Take in ``object_states``."""
+        for state in message.objects:
+            self._states[state.object_id] = state
+            self._note_seen(state.object_id, state, now)
+
+    def _note_seen(self, name: str, state: ObjectState, now: Now) -> None:
+        if state.visible and not state.error_code:
+            seen = self.camera_clock.to_steady(state.header.stamp, now)
+            self._seen_at[name] = max(self._seen_at.get(name, -math.inf), seen)
 
     def on_arm(self, message: ArmState, now: Now) -> None:
         """Take in ``arm_state``."""
@@ -120,7 +142,7 @@ class CellMonitor:
 
     def unseen_for(self, now: Now) -> float:
         """How long ago the object was last seen, s."""
-        return now.steady - self._seen_at
+        return now.steady - self._seen_at.get(self._watched, -math.inf)
 
     @property
     def pose(self) -> Pose | None:
@@ -159,7 +181,7 @@ class CellMonitor:
                 return code, board.error_msg or "the mounts of the tappers are not proven yet"
         if not all(board.interlock_closed for board in self._boards.values()):
             return ErrorCode.TAPPER_INTERLOCK_OPEN, "the tapper's interlock is open; close it"
-        if self.object is None or self.silent("object", now):
+        if self._own is None or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)
         skew = self.camera_clock.skew(now)
         if abs(skew) > SKEW_LIMIT_S:
@@ -243,19 +265,26 @@ class CellMonitor:
     def seen_away_from(self, pose: Pose, distance: float, angle: float) -> bool:
         """True when the object is seen farther than ``distance`` m or turned by more than
         ``angle`` rad from a pose."""
-        seen = self.object
-        if seen is None or not seen.visible or seen.error_code:
-            return False
-        found = from_message(seen.pose.pose)
-        return pose.distance_to(found) > distance or abs(pose.rotation_to(found)) > angle
+        return _away(self.object, pose, distance, angle)
+
+    def moved(self, name: str, pose: Pose, distance: float, angle: float) -> bool:
+        """The same of any object that ``object_states`` tells of."""
+        return _away(self._states.get(name), pose, distance, angle)
 
     def blind(self, waited: float, frames: int, now: Now) -> Trouble:
         """Why no usable observation was made within ``waited`` s."""
-        seen = self.object
-        if seen is None or self.silent("object", now):
+        seen, name = self.object, f"'{self._watched}'" if self._watched else "the object"
+        if self._own is None or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)
+        if seen is None:
+            return (
+                ErrorCode.OBJECT_NOT_SEEN,
+                f"nothing is heard of {name} on object_states; give camera_pose the same cell file"
+                " and other_object_files as tap_planner",
+            )
         if seen.error_code:
-            return int(seen.error_code), str(seen.error_msg)
+            told = str(seen.error_msg)
+            return int(seen.error_code), f"{name}: {told}" if self._watched else told
         if not seen.visible:
             covers = self.arm is not None and not self.arm.clear_of_camera
             way = (
@@ -263,7 +292,7 @@ class CellMonitor:
                 if covers
                 else "uncover its marker"
             )
-            return ErrorCode.OBJECT_NOT_SEEN, f"the object is not seen; {way}"
+            return ErrorCode.OBJECT_NOT_SEEN, f"{name} is not seen; {way}"
         age = now.steady - self.observed_at(now)
         if age > self._silence_limit:
             return (
@@ -274,13 +303,13 @@ class CellMonitor:
         if seen.at_rest and seen.frames_fused < frames:
             return (
                 ErrorCode.TOO_FEW_FRAMES,
-                f"only {seen.frames_fused} images of the object at rest were fused within"
+                f"only {seen.frames_fused} images of {name} at rest were fused within"
                 f" {waited:.0f} s, {frames} are needed (parameter frames_needed); check the"
                 " camera's rate",
             )
         return (
             ErrorCode.OBJECT_NOT_AT_REST,
-            f"the object was not at rest within {waited:.0f} s; see that nothing moves it and send"
+            f"{name} was not at rest within {waited:.0f} s; see that nothing moves it and send"
             " the goal again",
         )
 
@@ -293,3 +322,11 @@ class CellMonitor:
             f"{node} was last heard {heard:.1f} s ago (limit {self._silence_limit:.1f} s); check"
             " that it is running"
         )
+
+
+def _away(seen: ObjectState | None, pose: Pose, distance: float, angle: float) -> bool:
+    """Whether an object is seen farther or turned by more than that from a pose."""
+    if seen is None or not seen.visible or seen.error_code:
+        return False
+    found = from_message(seen.pose.pose)
+    return pose.distance_to(found) > distance or abs(pose.rotation_to(found)) > angle

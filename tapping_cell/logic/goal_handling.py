@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.logic import tap_commands
+from tapping_cell.logic.arrangement import ArrangementTask, Wanted
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Token
 from tapping_cell.logic.frames import TABLE, Frames, TableOnly
@@ -16,8 +17,9 @@ from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.task import SingleTapTask, Task
-from tapping_cell.messages import ErrorCode, Header, PoseStamped, SingleTap
+from tapping_cell.messages import ArrangeObjects, ErrorCode, Header, PoseStamped, SingleTap
 from tapping_cell.planning import (
+    FreeSpace,
     Gains,
     Planner,
     PlanningError,
@@ -30,10 +32,14 @@ from tapping_cell.planning import (
     load_gains,
     make_planner,
 )
+from tapping_cell.planning.arrangement import Body
 from tapping_cell.planning.gains import NAMES
 from tapping_cell.planning.precision_limit import precision_limit
 from tapping_cell.planning.session import GoalSession
 from tapping_cell.se2 import Array, Pose
+
+LOOKS = ("name", "marker", "outline", "calibration")
+"""Fields of an object file that say nothing of how it slides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +106,35 @@ class GoalHandling:
         self._use_map()
         # Made now, so that a method that must be solved first begins before the first goal.
         self._use_method(cell.tolerance)
+        self._cells = {
+            file.name: replace(cell, object=file) for file in (cell.object, *other_objects.files)
+        }
+        self._known = {cell.object.name: self._gains} | {
+            file.name: load_gains(file.name, keep_for) if keep_for else Gains.start()
+            for file in other_objects.files
+        }
+        self._free = (
+            self._maps_of_objects() if other_objects.files and cell.file.arm is not None else {}
+        )
+
+    def _maps_of_objects(self) -> dict[str, FreeSpace]:
+        """Where each object can be worked on, on the table without the others; objects that differ
+        in name and look alone share a map."""
+        made: dict[str, FreeSpace] = {}
+        maps = {}
+        for name, cell in self._cells.items():
+            key = repr(
+                [
+                    getattr(cell.object, entry.name)
+                    for entry in fields(cell.object)
+                    if entry.name not in LOOKS
+                ]
+            )
+            if key not in made:
+                made[key] = FreeSpace(assembly.make_strike_space(cell))
+                self._planner_for(cell, cell.tolerance)
+            maps[name] = made[key]
+        return maps
 
     # What another kind of cell does otherwise
 
@@ -114,7 +149,7 @@ class GoalHandling:
 
     def _use_method(self, tolerance: tuple[float, float]) -> None:
         """See that there is the planning method (PlanningError)."""
-        self._planner_for(tolerance)
+        self._planner_for(self.cell, tolerance)
 
     def _update(self, task: Task) -> None:
         """Let a task work with the present map."""
@@ -135,7 +170,7 @@ class GoalHandling:
         """What decides on the taps of a goal."""
         return PositioningSession(
             goal,
-            self._planner_for(tolerance),
+            self._planner_for(self.cell, tolerance),
             self.map.space,
             self.map.free,
             self._gains,
@@ -153,6 +188,8 @@ class GoalHandling:
     def update_free_space(self, task: Task, since: float, now: Now) -> tuple[int, str] | None:
         """Let a task work in the space that the other objects leave; or why that is not known: the
         camera has not looked for one of them since the steady time ``since``."""
+        if isinstance(task, ArrangementTask):
+            return None  # it keeps count of every object by itself
         names = self.other_objects.unobserved(since)
         if names:
             return (
@@ -203,9 +240,13 @@ class GoalHandling:
 
     def learn(self, task: Task) -> None:
         """Remember what a goal's taps taught about the object, for the goals that follow."""
-        self._gains = task.session.gains
+        own = self.cell.object.name
+        learnt = task.learnt() if isinstance(task, ArrangementTask) else {own: task.session.gains}
+        self._known |= learnt
+        self._gains = self._known[own]
         if self._keep_for and task.records:
-            keep_gains(self.cell.object.name, self._keep_for, self._gains)
+            for name, gains in learnt.items():
+                keep_gains(name, self._keep_for, gains)
 
     def accept(self, request: Request, now: Now) -> Task | Refused:
         """A task for a request, or why there is none."""
@@ -303,9 +344,108 @@ class GoalHandling:
             references=self.cell.references,
         )
 
-    def _planner_for(self, tolerance: tuple[float, float]) -> Planner:
-        """The planning method for a tolerance, made once and kept."""
-        settings = assembly.make_planner_settings(self.cell, tolerance)
+    def accept_arrangement(
+        self, asked: ArrangeObjects.Goal, token: Token, now: Now
+    ) -> ArrangementTask | Refused:
+        """A task for an arrangement, or why there is none. Whether its layout can be reached shows
+        when every object is seen."""
+        if self.cell.file.arm is None:
+            return Refused(
+                ErrorCode.NO_ARRANGEMENT,
+                "this cell has fixed tappers, which arrange no several objects; use a cell with an"
+                " arm",
+            )
+        wanted = self._wanted(asked, now)
+        if isinstance(wanted, Refused):
+            return wanted
+        limit = self.cell.file.goal.max_taps * len(wanted)
+        if asked.max_taps > limit:
+            return Refused(
+                ErrorCode.GOAL_BAD_TAP_LIMIT,
+                f"max_taps is {asked.max_taps}, the cell allows {limit} for {len(wanted)} objects;"
+                " ask for at most that many",
+            )
+        if not math.isfinite(asked.time_limit) or asked.time_limit < 0:
+            return Refused(
+                ErrorCode.COMMAND_INVALID,
+                f"the time limit is {asked.time_limit:g} s; it must be above 0, or 0 for the"
+                " cell's own",
+            )
+        bodies = [
+            Body(
+                name,
+                self._free_of(name),
+                self._planner_for(
+                    cell, wanted[name].tolerance if name in wanted else cell.tolerance
+                ),
+                wanted[name].goal if name in wanted else None,
+                movable=name in wanted or name in asked.may_move,
+            )
+            for name, cell in self._cells.items()
+        ]
+        first, one = next(iter(wanted.items()))
+        body = next(body for body in bodies if body.name == first)
+        session = PositioningSession(
+            one.goal, body.planner, body.free.space, body.free, self._known[first]
+        )
+        return ArrangementTask(
+            object_id=first,
+            message=one.message,
+            goal=one.goal,
+            tolerance=one.tolerance,
+            max_taps=asked.max_taps or limit,
+            session=session,
+            token=token,
+            expires=now.steady + (asked.time_limit or self._time_limit * len(wanted)),
+            wanted=wanted,
+            bodies=bodies,
+            known=dict(self._known),
+            adapt=self._adapt,
+            in_order=asked.in_order,
+        )
+
+    def _wanted(self, asked: ArrangeObjects.Goal, now: Now) -> dict[str, Wanted] | Refused:
+        """The goals of an arrangement by object, or why they are not taken."""
+        if not asked.goals:
+            return Refused(
+                ErrorCode.COMMAND_INVALID, "the arrangement has no goals; give at least one"
+            )
+        known = ", ".join(f"'{name}'" for name in self._cells)
+        wanted: dict[str, Wanted] = {}
+        for name in (*(one.object_id for one in asked.goals), *asked.may_move):
+            if name not in self._cells:
+                return Refused(
+                    ErrorCode.GOAL_UNKNOWN_OBJECT,
+                    f"the cell has no object '{name}'; name one of {known}",
+                )
+        for one in asked.goals:
+            if one.object_id in wanted:
+                return Refused(
+                    ErrorCode.GOAL_UNKNOWN_OBJECT,
+                    f"'{one.object_id}' has two goals; give each object one",
+                )
+            goal = read_goal(one.goal_pose, 1e-9 * now.ros, self._frames)
+            tolerance = read_tolerance(
+                one.position_tolerance, one.angle_tolerance, self.cell.tolerance
+            )
+            for found in (goal, tolerance):
+                if isinstance(found, Refused):
+                    return Refused(found.code, f"'{one.object_id}': {found.sentence}")
+            assert isinstance(goal, Pose) and not isinstance(tolerance, Refused)
+            message = PoseStamped(
+                header=Header(stamp=one.goal_pose.header.stamp, frame_id=TABLE),
+                pose=to_message(goal),
+            )
+            wanted[one.object_id] = Wanted(message, goal, tolerance)
+        return wanted
+
+    def _free_of(self, name: str) -> FreeSpace:
+        """The map of the table without other objects for one of them."""
+        return self._free[name] if name in self._free else self._maps.among(()).free
+
+    def _planner_for(self, cell: Cell, tolerance: tuple[float, float]) -> Planner:
+        """The planning method for a cell's object and a tolerance, made once and kept."""
+        settings = assembly.make_planner_settings(cell, tolerance)
         key = f"{self._planner};{settings.key()}"
         if key not in self._planners:
             self._planners[key] = make_planner(

@@ -39,6 +39,11 @@ class OtherObjects:
         self._moved = moved
         self._known: dict[str, _Known] = {}
 
+    @property
+    def files(self) -> tuple[ObjectFile, ...]:
+        """The files of these objects."""
+        return self._files
+
     def on_object(self, message: ObjectState, clock: PeerClock, now: Now) -> None:
         """Take in one observation of one of the objects; ``clock``: of the camera's computer."""
         shape = next((file.shape for file in self._files if file.name == message.object_id), None)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
+from tapping_cell.logic.arrangement import ArrangementTask
 from tapping_cell.logic.cell_monitor import CellMonitor, Trouble
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.effects import (
@@ -38,6 +39,7 @@ from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.task import LEAST_EFFECT, Shot, SingleTapTask, Task
 from tapping_cell.logic.transitions import StateMachine, table
 from tapping_cell.messages import (
+    ArrangeObjects,
     ConfirmTap,
     ErrorCode,
     GoalReport,
@@ -247,6 +249,8 @@ class PlannerLogic:
             self._on_goal(Request(message), now)
         elif topic == "object_state":
             self._monitor.on_object(message, now)
+        elif topic == "object_states":
+            self._monitor.on_objects(message, now)
         elif topic == "other_objects":
             if self._configured:
                 clock = self._monitor.camera_clock
@@ -281,6 +285,8 @@ class PlannerLogic:
             self._effects.append(Answer(token, SetBool.Response(success=True)))
         elif isinstance(request, SingleTap.Goal):
             self._on_single_tap(request, token, now)
+        elif isinstance(request, ArrangeObjects.Goal):
+            self._on_arrangement(request, token, now)
         elif isinstance(request, PositionObject.Goal):
             asked = Request(
                 request.goal_pose,
@@ -354,6 +360,15 @@ class PlannerLogic:
         else:
             self._begin(task, now)
 
+    def _on_arrangement(self, asked: ArrangeObjects.Goal, token: Token, now: Now) -> None:
+        task = self._refusal(now) or self.goals.accept_arrangement(asked, token, now)
+        if isinstance(task, Refused):
+            self._log(LogLevel.ERROR, f"arrangement refused ({task.code}): {task.sentence}")
+            result = ArrangeObjects.Result(error_code=task.code, error_msg=task.sentence)
+            self._effects.append(Answer(token, result))
+        else:
+            self._begin(task, now)
+
     def _refusal(self, now: Now) -> Refused | None:
         """Why no goal is taken at present; None when one is."""
         if not self._active:
@@ -400,6 +415,7 @@ class PlannerLogic:
                 S.CANCELED, ErrorCode.GOAL_REPLACED, "a newer goal took this one's place", now
             )
         self._task = task
+        self._monitor.watch(task.object_id if isinstance(task, ArrangementTask) else "")
         self._keep_goal(task, now)
         self._log(LogLevel.INFO, task.description())
         self._enter(Event.GOAL_ACCEPTED, S.WAITING_FOR_CELL, now, self._settings.ready_deadline)
@@ -493,9 +509,10 @@ class PlannerLogic:
 
     def _look(self, task: Task, now: Now) -> None:
         """Observe the object at rest, take in the last tap, decide on the next."""
-        seen = self._monitor.object
         needed = self._settings.frames_needed
-        if seen is None or not self._monitor.usable(self._look_after, needed, now):
+        observed = task.observed(self._monitor, self._look_after, needed, now)
+        seen = self._monitor.object
+        if seen is None or not observed:
             if self._monitor.silent("object", now):
                 # Its node may be on the way back: it has as long as any part of the cell.
                 self._wait_again(now)
@@ -523,6 +540,8 @@ class PlannerLogic:
             if warning:
                 self._log(LogLevel.WARNING, warning)
         decision = task.decide(seen, 0 if self._late(now) else needed)
+        if isinstance(task, ArrangementTask):
+            self._turn_to_object(task)
         if isinstance(decision, LookAgain):
             return  # the observation gets longer with every image
         if isinstance(decision, Refusal):
@@ -542,7 +561,18 @@ class PlannerLogic:
         elif self._monitor.missing(now) is not None:
             self._wait_again(now)
         else:
-            self._plan(task, decision, from_message(seen.pose.pose), now)
+            self._plan(task, decision, task.before(seen), now)
+
+    def _turn_to_object(self, task: ArrangementTask) -> None:
+        """Watch the object in hand from now on; tell of one that another one has touched."""
+        self._monitor.watch(task.object_id)
+        names, task.touched = task.touched, []
+        if names:
+            self._log(
+                LogLevel.WARNING,
+                f"{', '.join(map(repr, names))} moved although another object was tapped; planning "
+                "anew",
+            )
 
     def _exhausted(self, task: Task) -> Trouble | None:
         """Why no further tap is tried; None when one is."""
@@ -636,7 +666,7 @@ class PlannerLogic:
         needed = self._settings.frames_needed
         if missing is not None:
             self._wait_again(now)
-        elif not self._monitor.usable(self._look_after, needed, now):
+        elif not task.observed(self._monitor, self._look_after, needed, now):
             missing = self._monitor.blind(0.0, needed, now)
             self._drop_proposal("the object is not seen at rest", now)
         else:
@@ -744,8 +774,11 @@ class PlannerLogic:
     def _disturbed(self, shot: Shot, now: Now) -> bool:
         """True when the object, or another one, was moved since the tap was planned."""
         limits = self._settings.moved_limit, self._settings.turned_limit
-        moved = self._monitor.seen_away_from(shot.before, *limits)
-        return moved or self.goals.others_moved(now)
+        if self._monitor.seen_away_from(shot.before, *limits):
+            return True
+        if isinstance(self._task, ArrangementTask):
+            return self._task.others_moved(self._monitor, *limits)
+        return self.goals.others_moved(now)
 
     def _give_up(self, outcome: int, now: Now) -> None:
         """Give up the tap under way and have the arm withdraw."""
@@ -818,8 +851,11 @@ class PlannerLogic:
         self._proposed = None
         if self._shot is not None:
             task.lose(self._shot)
+        task.end(code, sentence)
         self._report(now, code, sentence)
+        seen = self._monitor.object
         self._task = self._shot = None
+        self._monitor.watch("")
         self._park(now)
         self._effects.append(KeepGoal(None))
         try:
@@ -831,7 +867,7 @@ class PlannerLogic:
         else:
             self._log(LogLevel.INFO, f"goal done after {len(task.records)} taps")
         if task.token is not None:
-            result = task.result(code, sentence, self.last, self._monitor.object)
+            result = task.result(code, sentence, self.last, seen)
             self._effects.append(Answer(task.token, result))
 
     # Reports
@@ -861,6 +897,9 @@ class PlannerLogic:
                 setattr(state, name, getattr(self.last, name))
         self.last = state
         self._effects.append(Publish("plan_state", state))
+        if isinstance(task, ArrangementTask) and draw:
+            active = self.state not in FINAL
+            self._effects.append(Publish("arrangement_state", task.report(now, active)))
         if task is not None and self.state in FINAL and state.planner != PRESCRIBED:
             self._effects.append(Publish("goal_report", _final_report(state, task)))
         if draw:

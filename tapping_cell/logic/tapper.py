@@ -296,6 +296,8 @@ class TapperLogic(DeviceLogic[State, Event]):
                 self._give_up(gone)
         elif topic == "object_state":
             self._peers.hear_object(message, now)
+        elif topic == "object_states":
+            self._peers.hear_objects(message, now)
         elif topic == "tapper_state":
             self._peers.hear_tapper(message, now)
         elif topic == enabling.TOPIC:
@@ -338,7 +340,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         )
         self._given_up = self._permit = None
         self._key = 0
-        self._peers.begin_tap()
+        self._peers.begin_tap(command.object_id)
         self._trouble = (ErrorCode.NONE, "")
         self._tell_tap(command.tap_id, TapperState.NONE)
         if self._fixed:

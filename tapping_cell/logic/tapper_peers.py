@@ -13,7 +13,14 @@ from tapping_cell.logic.clock import Now
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock
 from tapping_cell.logic.poses import from_message
 from tapping_cell.logic.tap_commands import Trouble
-from tapping_cell.messages import ArmState, ErrorCode, ObjectState, PlanState, TapperState
+from tapping_cell.messages import (
+    ArmState,
+    ErrorCode,
+    ObjectState,
+    ObjectStates,
+    PlanState,
+    TapperState,
+)
 from tapping_cell.se2 import Pose
 
 TAPPING = (PlanState.PLACING, PlanState.FIRING)
@@ -108,8 +115,8 @@ class TapperPeers:
         self._phase = PlanState.IDLE
         self._planners_tap = False
         self._picture_at: float | None = None
-        self._seen: ObjectState | None = None
-        self._seen_at = -math.inf
+        self._object = ""
+        self._seen: dict[str, tuple[ObjectState, float]] = {}
         self._mounts: Mounts | None = None
         self._boards: dict[tuple[str, ...], tuple[TapperState, float]] = {}
         self._other_boards: frozenset[tuple[str, ...]] = frozenset()
@@ -126,9 +133,11 @@ class TapperPeers:
         if names in self._other_boards:
             self._boards[names] = message, now.steady
 
-    def begin_tap(self) -> None:
-        """A tap was commanded: whose it is shows in what the planner says from now on."""
+    def begin_tap(self, object_id: str) -> None:
+        """A tap of an object was commanded (empty: the cell's own): whose it is shows in what the
+        planner says from now on."""
         self._planners_tap = False
+        self._object = object_id
 
     def hear_arm(self, message: ArmState, now: Now) -> None:
         """Hear ``arm_state``."""
@@ -150,7 +159,15 @@ class TapperPeers:
         self._clocks["camera"].hear(message.header.stamp, now)
         self._picture_at = self._clocks["camera"].to_steady(message.header.stamp, now)
         if message.visible and message.error_code == ErrorCode.NONE:
-            self._seen, self._seen_at = message, self._picture_at
+            self._seen[""] = self._seen[message.object_id] = message, self._picture_at
+
+    def hear_objects(self, message: ObjectStates, now: Now) -> None:
+        """Hear ``object_states``: each state is as old as its own stamp."""
+        for state in message.objects:
+            seen_at = self._clocks["camera"].to_steady(state.header.stamp, now)
+            last = self._seen.get(state.object_id, (state, -math.inf))[1]
+            if state.visible and state.error_code == ErrorCode.NONE and seen_at > last:
+                self._seen[state.object_id] = state, seen_at
 
     def given_up(self) -> Trouble | None:
         """Why the tap under way is nobody's any more: its planner does something else."""
@@ -282,19 +299,20 @@ class TapperPeers:
         """The object must be seen where the tap was planned."""
         if self._picture_at is None:
             return None
-        limits, unseen = self._limits, now.steady - self._seen_at
-        if self._seen is None or unseen > limits.unseen:
+        seen, seen_at = self._seen.get(self._object, (None, -math.inf))
+        limits, unseen = self._limits, now.steady - seen_at
+        if seen is None or unseen > limits.unseen:
             return (
                 ErrorCode.OBJECT_NOT_SEEN,
                 f"the object has not been seen for {unseen:.2f} s (limit {limits.unseen:.2f} s);"
                 " uncover it, or raise unseen_limit where the arm itself covers it",
             )
-        if self._mounts is not None and not self._seen.at_rest:
+        if self._mounts is not None and not seen.at_rest:
             return (
                 ErrorCode.OBJECT_NOT_AT_REST,
                 "the object moves; a fixed tapper fires at an object at rest alone",
             )
-        pose = from_message(self._seen.pose.pose)
+        pose = from_message(seen.pose.pose)
         moved, turned = planned.distance_to(pose), abs(planned.rotation_to(pose))
         if moved <= limits.moved and turned <= limits.turned:
             return None

@@ -9,7 +9,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.logic.clock import to_stamp
+from tapping_cell.logic.cell_monitor import CellMonitor
+from tapping_cell.logic.clock import Now, to_stamp
 from tapping_cell.logic.effects import Token
 from tapping_cell.logic.learnt import to_message as learnt_message
 from tapping_cell.logic.poses import (
@@ -19,6 +20,7 @@ from tapping_cell.logic.poses import (
     to_message,
 )
 from tapping_cell.messages import (
+    ArrangeObjects,
     ObjectState,
     PlannedTap,
     PlanState,
@@ -185,22 +187,39 @@ class Task:
         """Learn from a tap that was, or may have been, fired."""
         pose = from_message(seen.pose.pose)
         covariance = covariance_from_message(seen.pose.covariance)
-        self.session.observe(shot.strike, shot.before, pose, covariance)
+        self.learn(shot, pose, covariance)
         self.records.append(shot.record(seen, self.session.gains))
         wanted = math.hypot(shot.strike.wanted.x, shot.strike.wanted.y)
         moved = shot.before.distance_to(pose) > LEAST_EFFECT * wanted
         self.without_effect = 0 if moved else self.without_effect + 1
 
+    def observed(self, monitor: CellMonitor, after: float, frames: int, now: Now) -> bool:
+        """Whether what a decision needs was seen at rest after a steady time, by so many images."""
+        return monitor.usable(after, frames, now)
+
+    def before(self, seen: ObjectState) -> Pose:
+        """Where the object lies that the decided tap is for."""
+        return from_message(seen.pose.pose)
+
+    def learn(self, shot: Shot, pose: Pose, covariance: Array) -> None:
+        """Learn from a tap and what is seen after it."""
+        self.session.observe(shot.strike, shot.before, pose, covariance)
+
     def lose(self, shot: Shot) -> None:
         """The goal ends with a tap under way."""
 
-    def feedback(self, state: PlanState) -> PositionObject.Feedback | SingleTap.Feedback:
+    def end(self, code: int, sentence: str) -> None:
+        """The goal ends, with NONE where it is reached."""
+
+    def feedback(
+        self, state: PlanState
+    ) -> PositionObject.Feedback | SingleTap.Feedback | ArrangeObjects.Feedback:
         """The action's feedback."""
         return PositionObject.Feedback(plan_state=state)
 
     def result(
         self, code: int, sentence: str, last: PlanState, seen: ObjectState | None
-    ) -> PositionObject.Result | SingleTap.Result:
+    ) -> PositionObject.Result | SingleTap.Result | ArrangeObjects.Result:
         """The action's result; ``last``: the last report of this goal."""
         result = PositionObject.Result(
             error_code=code,
@@ -264,13 +283,15 @@ class SingleTapTask(Task):
             self.message.pose = to_message(decision.predicted)
         return decision
 
-    def feedback(self, state: PlanState) -> PositionObject.Feedback | SingleTap.Feedback:
+    def feedback(
+        self, state: PlanState
+    ) -> PositionObject.Feedback | SingleTap.Feedback | ArrangeObjects.Feedback:
         """The action's feedback."""
         return SingleTap.Feedback(plan_state=state)
 
     def result(
         self, code: int, sentence: str, last: PlanState, seen: ObjectState | None
-    ) -> PositionObject.Result | SingleTap.Result:
+    ) -> PositionObject.Result | SingleTap.Result | ArrangeObjects.Result:
         """The action's result: the record of the tap."""
         record = self.records[-1] if self.records else TapRecord()
         return SingleTap.Result(error_code=code, error_msg=sentence, record=record)

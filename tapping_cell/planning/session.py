@@ -400,6 +400,8 @@ class PositioningSession(GoalSession):
                 if bool(self._space.tap.reachable(first, pose))
                 else "no contact of the object gives the tap along the line"
             )
+        if missed and self._skipped and "skipped" not in detour:
+            detour += "; another tap was skipped"
         allowed = struck = trusted = False
         for candidates in alternative_taps(
             pose, self.goal, first, self.gains, self.planner, self._paths, self._space.tap

@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 
 _STYLE = """
-:root{--ink:#1c2733;--muted:#66727f;--line:#e3e7ec;--good:#218a4c;--bad:#c8372d;--so:#9a6a00}
+:root{--ink:#1c2733;--muted:#66727f;--line:#e3e7ec;--good:#1a7440;--bad:#b82f26;--so:#8a5f00}
 *{box-sizing:border-box}
 body{font:16px/1.5 system-ui,-apple-system,"Segoe UI",Roboto,sans-serif;color:var(--ink);
 background:#f3f5f7;margin:0}
@@ -13,7 +13,7 @@ main{max-width:1080px;margin:0 auto;padding:0 16px 40px}
 header{margin:0 -16px 16px;padding:26px 24px 20px;color:#fff;background:var(--so)}
 header.good{background:var(--good)}header.bad{background:var(--bad)}
 header h1{margin:.1em 0 .15em;font-size:clamp(1.5rem,4.5vw,2.3rem);line-height:1.2}
-header p{margin:0;opacity:.95}
+header p{margin:0}
 .badge{display:inline-block;border:1px solid #ffffffaa;border-radius:99px;padding:0 .8em;
 font-size:.85rem}
 section{background:#fff;border:1px solid var(--line);border-radius:10px;padding:16px 18px;
@@ -27,6 +27,7 @@ h2{font-size:1.15rem;margin:0 0 .6em}small{color:var(--muted);font-weight:normal
 align-items:start}
 .three{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,290px),1fr));gap:18px;
 align-items:start}
+.quiet{color:var(--muted)}
 figure{margin:0;min-width:0}figcaption{color:var(--muted);font-size:.88rem;margin-top:4px}
 .chart figcaption{color:var(--ink);margin:0 0 4px;font-weight:600}
 img,svg{display:block;width:100%;height:auto}img{border-radius:6px}
@@ -46,6 +47,20 @@ tr+tr{border-top:1px solid var(--line)}
 pre{overflow-x:auto;background:#f6f8fa;padding:10px;border-radius:6px;font-size:.82rem}
 details{margin:4px 0}summary{cursor:pointer;overflow-wrap:anywhere}
 .good-word{color:var(--good)}.bad-word{color:var(--bad)}
+.film{max-width:620px;margin:0 auto}
+@media screen and (prefers-color-scheme:dark){
+:root{color-scheme:dark;--ink:#e8eef4;--muted:#a3b1be;--line:#33414d;--good:#4fd58a;
+--bad:#ff8078;--so:#e0a94a}
+body{background:#0e151b}section{background:#18222b}
+header{color:#08120c}header.bad{color:#1d0504}.badge{border-color:#0006}
+.plan{background:#111a21}pre{background:#101820}
+svg [fill="#faf8f2"]{fill:#1d2832}svg [stroke="#e3e7ec"]{stroke:#33414d}
+svg [fill="#1c2733"]{fill:#e8eef4}svg [stroke="#1c2733"]{stroke:#e8eef4}
+svg [fill="#66727f"]{fill:#a3b1be}svg [stroke="#66727f"]{stroke:#a3b1be}
+svg [fill="#5b6570"]{fill:#b4c0cb}svg [stroke="#5b6570"]{stroke:#b4c0cb}
+svg [fill="#1f6fb4"]{fill:#5fb0f2}svg [stroke="#1f6fb4"]{stroke:#5fb0f2}
+svg [fill="#218a4c"]{fill:#4fd58a}svg [stroke="#218a4c"]{stroke:#4fd58a}
+svg [fill="#c8372d"]{fill:#ff8078}svg [stroke="#c8372d"]{stroke:#ff8078}}
 @media print{body{background:#fff;font-size:11px}main{max-width:none}
 header{-webkit-print-color-adjust:exact;print-color-adjust:exact;margin:0 0 10px}
 section{break-inside:avoid;border-color:#ccc}

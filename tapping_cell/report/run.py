@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from tapping_cell.se2 import Pose
 
 Outline = tuple[tuple[float, float], ...]
+Covariance = tuple[
+    tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+]
 
 REACHED, NOT_TRULY_REACHED = "reached", "not truly reached"
 FAILED, CANCELED, REFUSED, UNFINISHED = "failed", "canceled", "refused", "unfinished"
@@ -60,11 +63,15 @@ class TapRow:
     fired_at: float = math.nan
     at_rest_at: float = math.nan
     learnt: Learnt = field(default_factory=Learnt)
+    reason: str = ""
+    """Why it was not a tap straight to the goal; empty where it was, or nobody said it."""
+    predicted_covariance: Covariance | None = None
+    """Of ``predicted`` in x, y, theta (m, rad); None where not known."""
 
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """What the planner did from ``began`` (s since the run began) on."""
+    """What the planner or the cell did from ``began`` (s since the run began) on."""
 
     began: float
     name: str
@@ -107,6 +114,8 @@ class Run:
     object_name: str = ""
     began: float = math.nan
     phases: tuple[Phase, ...] = ()
+    activities: tuple[Phase, ...] = ()
+    """What the devices did; empty where they were not recorded."""
     troubles: tuple[Trouble, ...] = ()
     files: dict[str, str] = field(default_factory=dict)
 

@@ -15,8 +15,20 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tapping_cell.report.bag import BagError
-from tapping_cell.report.run import FAILED, UNFINISHED, Learnt, Phase, Picture, Run, TapRow, Trouble
+from tapping_cell.report.run import (
+    FAILED,
+    UNFINISHED,
+    Covariance,
+    Learnt,
+    Phase,
+    Picture,
+    Run,
+    TapRow,
+    Trouble,
+)
 from tapping_cell.report.run_reader import Story, read_story
 from tapping_cell.report.versions import versions
 from tapping_cell.se2 import Pose
@@ -60,6 +72,18 @@ def for_people(pose: Pose | None) -> dict[str, float] | None:
     }
 
 
+_DEGREES = math.degrees(1.0)
+_COVARIANCE = (
+    ("predicted_variance_x_mm2", 0, 0, 1e6),
+    ("predicted_covariance_x_y_mm2", 0, 1, 1e6),
+    ("predicted_covariance_x_theta_mm_deg", 0, 2, 1e3 * _DEGREES),
+    ("predicted_variance_y_mm2", 1, 1, 1e6),
+    ("predicted_covariance_y_theta_mm_deg", 1, 2, 1e3 * _DEGREES),
+    ("predicted_variance_theta_deg2", 2, 2, _DEGREES**2),
+)
+"""Columns of the covariance of the predicted pose: name, row, column, and their unit."""
+
+
 def summary(run: Run) -> dict[str, Any]:
     """The content of ``summary.json``."""
     return {
@@ -86,6 +110,7 @@ def summary(run: Run) -> dict[str, Any]:
         "error_code": run.error_code,
         "error_msg": run.error_msg,
         "phases": [[phase.began, phase.name] for phase in run.phases],
+        "activities": [[step.began, step.name] for step in run.activities],
         "troubles": [[t.at, t.source, t.code, t.sentence] for t in run.troubles],
         "outline_mm": [[1000 * x, 1000 * y] for x, y in run.outline],
         "table_mm": [1000 * size for size in run.table_size],
@@ -119,7 +144,22 @@ def tap_columns(tap: TapRow) -> dict[str, object]:
         row[f"{name}_s"] = f"{getattr(tap, name):.3f}"
     for name, (column, unit) in _learnt_columns().items():
         row[column] = f"{unit * getattr(tap.learnt, name):.5f}"
+    for column, first, second, unit in _COVARIANCE:
+        known = tap.predicted_covariance
+        row[column] = f"{unit * (known[first][second] if known else math.nan):.6g}"
+    row["reason"] = tap.reason
     return row
+
+
+def _covariance(row: dict[str, str]) -> Covariance | None:
+    """Of the predicted pose; None where the table does not tell."""
+    matrix = np.zeros((3, 3))
+    for column, first, second, unit in _COVARIANCE:
+        matrix[first, second] = matrix[second, first] = float(row.get(column, "nan")) / unit
+    if not np.all(np.isfinite(matrix)):
+        return None
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = matrix.tolist()
+    return ((xx, xy, xt), (xy, yy, yt), (xt, yt, tt))
 
 
 def _learnt_columns() -> dict[str, tuple[str, float]]:
@@ -267,6 +307,7 @@ def _run(content: dict[str, Any], taps: tuple[TapRow, ...]) -> Run:
         object_name=content["object"],
         began=math.nan if content["began"] is None else content["began"],
         phases=tuple(Phase(*phase) for phase in content["phases"]),
+        activities=tuple(Phase(*step) for step in content.get("activities", ())),
         troubles=tuple(Trouble(*trouble) for trouble in content["troubles"]),
         files=content["files"],
     )
@@ -309,4 +350,6 @@ def _tap(row: dict[str, str]) -> TapRow:
                 for name, (column, unit) in _learnt_columns().items()
             }
         ),
+        reason=row.get("reason", ""),
+        predicted_covariance=_covariance(row),
     )

@@ -12,6 +12,17 @@ import cv2
 import numpy as np
 
 from tapping_cell.report import error_codes
+from tapping_cell.report.activities import (
+    ASKS,
+    CHARGES,
+    LOOKS,
+    LOWERS,
+    SLIDES,
+    THINKS,
+    TRAVELS,
+    WITHDRAWS,
+)
+from tapping_cell.report.animation import TAP_S, animation
 from tapping_cell.report.page_style import document
 from tapping_cell.report.run import (
     CANCELED,
@@ -24,7 +35,8 @@ from tapping_cell.report.run import (
     TapRow,
 )
 from tapping_cell.report.run_reader import Story
-from tapping_cell.report.svg import GOAL, GUESS, MUTED, REST, START, STRIKE, Plan, chart, window
+from tapping_cell.report.svg import GOAL, GUESS, REST, START, STRIKE, Plan, chart, window
+from tapping_cell.report.tap_words import tap_sentence
 from tapping_cell.se2 import Array, Pose
 
 PICTURE_WIDTH = 720
@@ -35,6 +47,17 @@ _HEADLINES = {
     CANCELED: "Goal canceled",
     REFUSED: "Goal refused",
 }
+ASKS_COLOUR = "#5a3d8a"
+_ACTIVITY_COLOURS = {
+    TRAVELS: GUESS,
+    LOWERS: "#f0b95a",
+    CHARGES: STRIKE,
+    SLIDES: "#4aa3a2",
+    WITHDRAWS: "#b98bd0",
+    LOOKS: REST,
+    THINKS: "#9aa5b1",
+    ASKS: ASKS_COLOUR,
+}
 _PHASE_COLOURS = {
     "waiting for the cell": "#9aa5b1",
     "looking": REST,
@@ -42,6 +65,7 @@ _PHASE_COLOURS = {
     "placing the striker": GUESS,
     "firing": STRIKE,
     "waiting for rest": "#4aa3a2",
+    "waiting for confirmation": ASKS_COLOUR,
 }
 
 
@@ -56,6 +80,7 @@ def page(story: Story) -> str:
         f"<figure>{overview(run)}<figcaption>{_legend(run)}</figcaption></figure>",
         _picture(story.pictures[-1], "the last look") if story.pictures else "",
         "</section>",
+        _film(run),
         _charts(run),
         _timeline(run),
         *(_tap(run, tap, story.pictures) for tap in run.taps),
@@ -143,8 +168,19 @@ def _outline(run: Run) -> Array:
     return np.asarray(run.outline, dtype=float).reshape(-1, 2)
 
 
-def overview(run: Run) -> str:
-    """The table from above: start, where the object came to rest, goal, strikes."""
+def _film(run: Run) -> str:
+    drawing = animation(run, _table_plan(run))
+    if not drawing:
+        return ""
+    return (
+        f'<section><h2>The run as a film</h2><figure class="film">{drawing}<figcaption>'
+        f"Every tap takes {TAP_S:g} s here; the run took {run.wall_time:.1f} s.</figcaption>"
+        "</figure></section>"
+    )
+
+
+def _table_plan(run: Run) -> Plan:
+    """The table, with room for everything that the run touched."""
     half = 500 * np.asarray(run.table_size)
     places = [pose for pose in (run.start, run.goal, *(t.measured for t in run.taps)) if pose]
     low, high = -half - 12, half + 12
@@ -159,7 +195,12 @@ def overview(run: Run) -> str:
     plan = Plan((low[0], low[1]), (high[0], high[1]))
     if half.any():
         plan.rectangle(-half, half, 'fill="#faf8f2" stroke="#a99" stroke-width="1"')
-    outline = _outline(run)
+    return plan
+
+
+def overview(run: Run) -> str:
+    """The table from above: start, where the object came to rest, goal, strikes."""
+    plan, outline = _table_plan(run), _outline(run)
     if run.start is not None:
         plan.outline(outline, run.start, START)
     for tap in run.taps:
@@ -169,6 +210,7 @@ def overview(run: Run) -> str:
     for tap in run.taps:
         _strike(plan, tap, 42.0)
     plan.scale_bar()
+    plan.axes()
     return plan.drawing("the table from above")
 
 
@@ -210,22 +252,24 @@ def _charts(run: Run) -> str:
 
 
 def _timeline(run: Run) -> str:
-    """What the planner did when, as a band."""
-    if len(run.phases) < 2 or run.wall_time <= 0:
+    """What the cell did when, as a band; what the planner did, where no device was heard."""
+    steps = run.activities or run.phases
+    colours = _ACTIVITY_COLOURS if run.activities else _PHASE_COLOURS
+    if len(steps) < 2 or run.wall_time <= 0:
         return ""
-    ends = [phase.began for phase in run.phases[1:]] + [run.wall_time]
+    ends = [step.began for step in steps[1:]] + [run.wall_time]
     total: dict[str, float] = {}
     pieces = []
-    for phase, end in zip(run.phases, ends, strict=True):
+    for phase, end in zip(steps, ends, strict=True):
         span = max(0.0, end - phase.began)
-        if phase.name not in _PHASE_COLOURS or span <= 0:
+        if phase.name not in colours or span <= 0:
             continue
         if span > SHORTEST_SHOWN_S:
             total[phase.name] = total.get(phase.name, 0.0) + span
         pieces.append(
             f'<rect x="{1000 * phase.began / run.wall_time:.1f}" y="0" height="46" '
             f'width="{max(1.0, 1000 * span / run.wall_time):.1f}" '
-            f'fill="{_PHASE_COLOURS[phase.name]}">'
+            f'fill="{colours[phase.name]}">'
             f"<title>{escape(phase.name)}: {span:.2f} s</title></rect>"
         )
     marks = "".join(
@@ -235,13 +279,13 @@ def _timeline(run: Run) -> str:
         if math.isfinite(tap.fired_at)
     )
     legend = " ".join(
-        f'<span class="key"><i style="background:{_PHASE_COLOURS[name]}"></i>'
+        f'<span class="key"><i style="background:{colours[name]}"></i>'
         f"{escape(name)} {seconds:.1f}&nbsp;s</span>"
         for name, seconds in total.items()
     )
     return (
         f"<section><h2>Time</h2><svg class='band' viewBox='0 0 1000 70' role='img' "
-        f"aria-label='what the planner did when'>{''.join(pieces)}{marks}</svg>"
+        f"aria-label='what the cell did when'>{''.join(pieces)}{marks}</svg>"
         f"<p>{legend}</p></section>"
     )
 
@@ -269,10 +313,11 @@ def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> str:
         at_rest = f", at rest at {tap.at_rest_at:.1f} s" if math.isfinite(tap.at_rest_at) else ""
         rows.append(("when", f"fired at {tap.fired_at:.1f} s{at_rest}"))
     if math.isfinite(tap.learnt.distance):
-        rows += [("learnt", _gains(tap.learnt)), ("", _aim(tap.learnt))]
+        rows += [("learnt", _gains(tap.learnt)), ("learnt of the aim", _aim(tap.learnt))]
     table = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in rows)
     return (
         f'<section class="tap"><h2>Tap {tap.number} <small>{escape(tap.method)}</small></h2>'
+        f"<p>{escape(tap_sentence(tap, run.goal))}</p>"
         f'<div class="three">{photo}<figure>{_close_up(run, tap)}<figcaption>'
         f"{_close_up_legend(run)}</figcaption></figure><table>{table}</table></div></section>"
     )
@@ -297,17 +342,25 @@ def _close_up(run: Run, tap: TapRow) -> str:
     if run.goal is not None:
         plan.outline(outline, run.goal, GOAL, dashed=True, fill=0.12)
     plan.outline(outline, tap.before, START)
+    if tap.predicted_covariance is not None:
+        plan.ellipse(np.array(tap.predicted_covariance)[:2, :2], tap.predicted, GUESS)
     plan.outline(outline, tap.predicted, GUESS, dashed=True)
     if math.isfinite(tap.measured.x):
         plan.outline(outline, tap.measured, REST)
         plan.arrow(middles[0], middles[-1], REST, 0.5)
     _strike(plan, tap, back)
     plan.scale_bar()
+    plan.axes()
     return plan.drawing(f"tap {tap.number} from above")
 
 
 def _close_up_legend(run: Run) -> str:
-    entries = [(START, "before"), (GUESS, "predicted"), (REST, "measured"), (STRIKE, "strike")]
+    entries = [
+        (START, "before"),
+        (GUESS, "predicted, its centre with 95 % in the ellipse"),
+        (REST, "measured"),
+        (STRIKE, "strike"),
+    ]
     entries += [(GOAL, "goal")] if run.goal is not None else []
     return " ".join(
         f'<span class="key"><i style="background:{colour}"></i>{words}</span>'
@@ -391,7 +444,7 @@ def _configuration(run: Run) -> str:
     seed = f"Seed of the simulated world: {run.seed}. " if run.seed is not None else ""
     return (
         f"<section><h2>Configuration</h2>{files}<p>{seed}Versions: {escape(versions)}.</p>"
-        f'<p style="color:{MUTED}">Every topic of this run is in the bag beside this page: open '
+        f'<p class="quiet">Every topic of this run is in the bag beside this page: open '
         "the <code>.mcap</code> file in Foxglove, or call <code>ros2 bag play bag</code>. This "
         "page is made again by <code>python -m tapping_cell report</code> and the folder's name."
         "</p></section>"

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tapping_cell.report import error_codes
+from tapping_cell.report.activities import activities
 from tapping_cell.report.bag import Bag, BagError, read_bag
 from tapping_cell.report.run import (
     CANCELED,
@@ -19,6 +20,7 @@ from tapping_cell.report.run import (
     REACHED,
     REFUSED,
     UNFINISHED,
+    Covariance,
     Learnt,
     Phase,
     Picture,
@@ -75,7 +77,9 @@ def story_of(bag: Bag, name: str) -> Story:
     plans = [message for _, message in bag.of("plan_state")]
     notes = _notes(bag)
     report = _own_report(reports, notes)
-    own = [plan for plan in plans if plan.goal.header.frame_id and plan.state in range(1, 10)]
+    own = [
+        plan for plan in plans if plan.goal.header.frame_id and plan.state in range(1, len(PHASES))
+    ]
     if report is None and not own:
         raise BagError(f"{bag.path}: no goal was recorded in it")
     last = report if report is not None else own[-1]
@@ -128,6 +132,7 @@ def story_of(bag: Bag, name: str) -> Story:
         object_name=str(notes.get("object", "")),
         began=began,
         phases=_phases(mine, began),
+        activities=activities(bag, began, ended),
         troubles=_troubles(bag, began, ended),
         files=notes.get("files", {}),
     )
@@ -196,9 +201,19 @@ def _taps(
                 fired_at=fired - began if fired else math.nan,
                 at_rest_at=at_rest - began if at_rest else math.nan,
                 learnt=_learnt(record),
+                reason=str(getattr(record, "reason", "")),
+                predicted_covariance=_covariance(record),
             )
         )
     return tuple(rows)
+
+
+def _covariance(record: Any) -> Covariance | None:
+    """Of the predicted pose; records of earlier versions do not tell."""
+    values = [float(value) for value in getattr(record, "predicted_covariance", ())]
+    if len(values) != 9 or not any(values) or not all(map(math.isfinite, values)):
+        return None
+    return (tuple(values[:3]), tuple(values[3:6]), tuple(values[6:]))  # type: ignore[return-value]
 
 
 def _learnt(record: Any) -> Learnt:

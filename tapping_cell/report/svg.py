@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
 
@@ -21,6 +22,10 @@ INK, MUTED, START, REST, GOAL, STRIKE, GUESS = (
     "#c8372d",
     "#d98a00",
 )
+
+
+_ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
+"""Standard deviations of a plane normal distribution that hold 95 % of it."""
 
 
 @dataclass
@@ -86,10 +91,45 @@ class Plan:
         self.polygon(points, style)
         self.polygon(1000 * transform_points(pose, [[0.0, 0.0], [reach, 0.0]]), style, closed=False)
 
+    def ellipse(self, covariance: ArrayLike, pose: Pose, colour: str) -> None:
+        """The ellipse about a pose's place that holds 95 % for a covariance (2, 2) in m^2."""
+        values, axes = np.linalg.eigh(np.asarray(covariance, dtype=float))
+        radii = 1000 * _ELLIPSE_95 * np.sqrt(np.maximum(values, 0.0))
+        around = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)
+        circle = np.column_stack([radii[0] * np.cos(around), radii[1] * np.sin(around)])
+        points = 1000 * np.array([pose.x, pose.y]) + circle @ axes.T
+        self.polygon(points, f'fill="{colour}" fill-opacity="0.25"')
+        self.polygon(points, stroke(colour, 0.35 * self.unit))
+
+    def axes(self) -> None:
+        """Marks of x and y of the table in mm, along the lower and the left edge."""
+        step = _round_length(max(self.width, self.height) / 5)
+        mark, low = 1.4 * self.unit, np.asarray(self.low, dtype=float)
+        line = stroke(MUTED, 0.25 * self.unit)
+        for index in range(math.ceil(low[0] / step), math.floor(self.high[0] / step) + 1):
+            x = step * index
+            self.polygon([(x, low[1]), (x, low[1] + mark)], line, closed=False)
+            if low[0] + 6 * self.unit < x < self.high[0] - 6 * self.unit:
+                self.text(x, low[1] + 2.6 * self.unit, f"{x:g}", MUTED, 2.0)
+        for index in range(math.ceil(low[1] / step), math.floor(self.high[1] / step) + 1):
+            y = step * index
+            self.polygon([(low[0], y), (low[0] + mark, y)], line, closed=False)
+            if low[1] + 6 * self.unit < y < self.high[1] - 4 * self.unit:
+                self.text(low[0] + 3.6 * self.unit, y, f"{y:g}", MUTED, 2.0)
+        self.text(self.high[0] - 4 * self.unit, low[1] + 2.6 * self.unit, "x mm", MUTED, 2.0)
+        self.text(low[0] + 3.6 * self.unit, self.high[1] - 2.2 * self.unit, "y mm", MUTED, 2.0)
+
+    @contextmanager
+    def group(self, attributes: str) -> Iterator[None]:
+        """What is drawn meanwhile belongs to one group."""
+        self._parts.append(f"<g {attributes}>")
+        yield
+        self._parts.append("</g>")
+
     def scale_bar(self) -> None:
         """A bar of a round length in the lower left corner."""
         length = _round_length(self.width / 4)
-        x, y = self.low[0] + 4 * self.unit, self.low[1] + 4 * self.unit
+        x, y = self.low[0] + 9 * self.unit, self.low[1] + 6 * self.unit
         self.polygon([(x, y), (x + length, y)], stroke(INK, 0.6 * self.unit), closed=False)
         self.text(x + length / 2, y + 2.6 * self.unit, f"{length:g} mm", INK, 2.8)
 

@@ -67,7 +67,8 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TAPPER_REPLY_GARBLED: LINES,
     ErrorCode.TAPPER_TIMEOUT: LINES | POWER | FREEZES | {"slow topic"},
     ErrorCode.TAPPER_RESET: LINES | POWER,
-    ErrorCode.TAPPER_FAULT: LINES | POWER,
+    # A board that hears nothing for 0.5 s discharges by itself.
+    ErrorCode.TAPPER_FAULT: LINES | POWER | FREEZES,
     ErrorCode.TAPPER_INTERLOCK_OPEN: frozenset({"guard"}),
     ErrorCode.TAPPER_SILENT: DELAYS,
     ErrorCode.TAPPER_SPENT: FOREIGN | ENDS | {"clock step"},

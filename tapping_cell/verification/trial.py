@@ -66,6 +66,7 @@ QUALITIES = {
     "arm_state": Quality(latched=True),
     "tapper_state": Quality(latched=True),
     "object_state": Quality(latched=True),
+    "object_states": Quality(latched=True),
     "plan_state": Quality(latched=True),
     "emergency_stop": Quality(latched=True),
     "markers": Quality(latched=True),
@@ -75,6 +76,7 @@ HEARS = {
     "tap_planner": (
         "goal_pose",
         "object_state",
+        "object_states",
         "arm_state",
         "tapper_state",
         "emergency_stop",
@@ -92,6 +94,7 @@ HEARS = {
         "tapper_state",
         "plan_state",
         "object_state",
+        "object_states",
         "emergency_stop",
     ),
 }

@@ -178,6 +178,19 @@ class MadeRun:
         set_pose(record.strike_pose, back)
         record.learnt.distance, record.learnt.distance_deviation = 1.25, 0.04
         record.learnt.direction = math.radians(2.0)
+        record.predicted_covariance = np.diag([4e-6, 1e-6, 4e-4]).reshape(-1)
+        record.reason = "a detour, with a comma"
+        for offset, arm_state, height in (
+            (2.0, 4, 0.05),
+            (3.2, 4, 0.01),
+            (4.0, 5, 0.01),
+            (5.6, 6, 0.01),
+            (6.5, 3, 0.05),
+        ):
+            arm = blank(KINDS["arm_state"])
+            set_stamp(arm.header.stamp, at + offset)
+            arm.state, arm.tip_pose.position.z = arm_state, height
+            self.say("arm_state", at + offset, arm)
         set_stamp(record.fired_at, at + 4.5)
         set_stamp(record.at_rest_at, at + 5.5)
         self.see(after, at + 5.5)

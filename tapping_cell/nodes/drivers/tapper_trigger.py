@@ -95,6 +95,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver | OutputTapperDriver]):
         self.host.subscribes(messages.TapperState, "tapper_state", LATCHED)
         self.host.subscribes(messages.PlanState, "plan_state", LATCHED)
         self.host.subscribes(messages.ObjectState, "object_state", LATCHED)
+        self.host.subscribes(messages.ObjectStates, "object_states", LATCHED)
         self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
         self.host.calls(messages.HoldStill, "hold_still")
 

@@ -12,6 +12,7 @@ from tapping_cell_msgs.msg import (
     ErrorCode,
     GoalReport,
     ObjectState,
+    PlannedTap,
     PlanState,
     TapperState,
     TapRecord,
@@ -20,6 +21,7 @@ from tapping_cell_msgs.msg import (
 from tapping_cell.logic.cell_monitor import CellMonitor
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.planner import FINAL_STATES
+from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.page.recovery import Recovery, Step
 from tapping_cell.report.error_codes import hint
@@ -77,7 +79,7 @@ def pose_text(pose: Pose) -> str:
 
 
 class Mode(NamedTuple):
-    """The whole cell in a word: stopped, fault, moving, not ready or ready."""
+    """The whole cell in a word: stopped, fault, waiting for a person, moving, not ready, ready."""
 
     word: str
     sentence: str
@@ -203,6 +205,9 @@ class CellView:
             return Mode("fault", fault[1], fault[0])
         if self.busy:
             assert self._plan is not None
+            if self._plan.state == PlanState.CONFIRMING:
+                number = self._plan.planned_tap.number
+                return Mode("waiting", f"tap {number} waits for your confirmation")
             return Mode("moving", f"tap {self._plan.taps + 1}: {PHASES[self._plan.state]}")
         if arm is not None and arm.state in ARM_BUSY and not self._monitor.silent("arm", _now()):
             return Mode("moving", f"the arm is {ARM_WORDS[arm.state]}")
@@ -287,7 +292,16 @@ class CellView:
     def _plan_state(self) -> dict[str, object]:
         plan = self._plan
         if plan is None:
-            return {"state": "", "busy": False, "goal": None, "taps": 0, "code": 0, "sentence": ""}
+            return {
+                "state": "",
+                "busy": False,
+                "goal": None,
+                "taps": 0,
+                "code": 0,
+                "sentence": "",
+                "ask": False,
+                "planned": None,
+            }
         has_goal = plan.state != PlanState.IDLE and bool(plan.goal.header.frame_id)
         return {
             "state": PHASES[plan.state],
@@ -302,7 +316,20 @@ class CellView:
             "taps": plan.taps,
             "code": plan.error_code,
             "sentence": plan.error_msg,
+            "ask": plan.ask,
+            "planned": planned_row(plan),
         }
+
+    @property
+    def planned(self) -> PlannedTap | None:
+        """The tap that is planned now, and not yet told how it ended."""
+        tap = self._plan.planned_tap if self._plan is not None else None
+        return tap if tap is not None and tap.tap_id else None
+
+    @property
+    def blocked(self) -> str:
+        """Why no goal can be sent now; empty where one can."""
+        return self._blocked(self.mode())
 
     def _device(self, who: str, words: dict[int, str]) -> dict[str, object]:
         state = getattr(self._monitor, who)
@@ -313,6 +340,35 @@ class CellView:
             "sentence": state.error_msg,
             "code": state.error_code,
         }
+
+
+def planned_row(plan: PlanState) -> dict[str, object] | None:
+    """The planned tap in mm and degrees, and whether it waits for confirmation; None for none."""
+    tap = plan.planned_tap
+    if not tap.tap_id:
+        return None
+    before, after = from_message(tap.object_pose), from_message(tap.predicted_pose.pose)
+    covariance = covariance_from_message(tap.predicted_pose.covariance)
+    deviation = math.sqrt(max(float(covariance[0, 0] + covariance[1, 1]), 0.0))
+    goal = from_message(plan.goal.pose)
+    left = seconds(tap.answer_by) - time.time()
+    return {
+        "tap_id": tap.tap_id,
+        "number": tap.number,
+        "waiting": plan.state == PlanState.CONFIRMING,
+        "speed": shown(1e3 * tap.striker_speed, 0),
+        "to": triple(after),
+        "distance": shown(1e3 * before.distance_to(after), 1),
+        "deviation": shown(1e3 * deviation, 1),
+        "turn": shown(math.degrees(before.rotation_to(after)), 1),
+        "turn_deviation": shown(math.degrees(math.sqrt(max(float(covariance[2, 2]), 0.0))), 1),
+        "remaining": [
+            shown(1e3 * after.distance_to(goal), 1),
+            shown(math.degrees(after.rotation_to(goal)), 1),
+        ],
+        "reason": tap.reason,
+        "seconds_left": max(0, round(left)) if plan.state == PlanState.CONFIRMING else None,
+    }
 
 
 def tap_row(tap: TapRecord, goal: Pose) -> dict[str, object]:

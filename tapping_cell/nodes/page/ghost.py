@@ -20,6 +20,10 @@ from tapping_cell.vision import View
 
 HANDLE_BEYOND = 0.03
 """m from the outline's farthest point to the handle that turns the ghost."""
+ARROW, ARROW_AHEAD = 0.06, 0.012
+"""m of the striker's line that is drawn behind and before the tip of the striker at rest."""
+ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
+"""Standard deviations of a plane normal distribution that hold 95 % of it."""
 FARTHEST = 5.0
 """m from the table's origin; a pixel that sees farther sees no table."""
 SIDE = 0.001
@@ -62,6 +66,25 @@ class Ghost:
             "handle": self._seen(handle)[0],
             "right": self._right(x, y),
             "refusal": self.refusal(pose),
+        }
+
+    def planned(
+        self, before: Pose, strike: Pose, predicted: Pose, covariance: Array
+    ) -> dict[str, object]:
+        """How a planned tap is drawn, in shares of the picture: the striker's ``arrow``, the
+        predicted ``outline``, the ``way`` of the centre, the ``ellipse`` that holds the centre with
+        95 %. ``covariance`` (2, 2) of the predicted centre, m^2."""
+        values, axes = np.linalg.eigh(covariance)
+        radii = ELLIPSE_95 * np.sqrt(np.maximum(values, 0.0))
+        around = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)
+        circle = np.column_stack([radii[0] * np.cos(around), radii[1] * np.sin(around)])
+        centre = np.array([predicted.x, predicted.y])
+        tip = [[-ARROW, 0.0], [ARROW_AHEAD, 0.0]]
+        return {
+            "arrow": self._seen(transform_points(strike, tip)),
+            "outline": self._seen(transform_points(predicted, self.outline)),
+            "way": self._seen([[before.x, before.y], [predicted.x, predicted.y]]),
+            "ellipse": self._seen(centre + circle @ axes.T),
         }
 
     def pose(self, request: Move | Turn | Place) -> Pose:

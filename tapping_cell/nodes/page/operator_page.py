@@ -7,8 +7,10 @@ to little more than the planner's states.
 
 from __future__ import annotations
 
+import math
 import socket
 import sys
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +19,10 @@ import numpy as np
 from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from rclpy.client import Client
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
@@ -36,39 +40,65 @@ from tapping_cell_msgs.msg import (
     StopState,
     TapperState,
 )
+from tapping_cell_msgs.srv import ConfirmTap
 
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.logic import enabling
 from tapping_cell.logic.goal_validation import REFUSALS
+from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, NotReady, run
-from tapping_cell.nodes.conversions import camera_from_message, is_finite, seconds, to_message
+from tapping_cell.nodes.conversions import (
+    camera_from_message,
+    from_message,
+    is_finite,
+    seconds,
+    to_message,
+)
+from tapping_cell.nodes.kept_content import KeptContent
 from tapping_cell.nodes.page import guard, server
-from tapping_cell.nodes.page.cell_view import CellView, counted, with_code
+from tapping_cell.nodes.page.cell_view import (
+    CellView,
+    counted,
+    shown,
+    triple,
+    with_code,
+)
 from tapping_cell.nodes.page.ghost import Ghost
+from tapping_cell.nodes.page.goal_queue import GoalQueue, NamedGoals, QueueFull, Wanted
 from tapping_cell.nodes.page.node_watch import ARM, NodeWatch
 from tapping_cell.nodes.page.pictures import to_jpeg
 from tapping_cell.nodes.page.previews import Previews
 from tapping_cell.nodes.page.requests import (
     BadRequest,
     Command,
+    Confirm,
+    ForgetGoal,
     Move,
+    NameGoal,
     Place,
+    QueueGoal,
     Request,
     SendGoal,
+    SetAsk,
+    SetPlanner,
     Turn,
+    Unqueue,
 )
 from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.page.stop_link import StopLink
-from tapping_cell.planning import FreeSpace, Refusal, check_goal
+from tapping_cell.planning import FreeSpace, Refusal, check_goal, planner_names
 from tapping_cell.planning.fixed_session import check_fixed_goal
 from tapping_cell.report.error_codes import hint
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraError, CameraModel, View
 
 STATE_PERIOD_S = 0.2
+ANSWER_S = 5.0
+"""Within which the planner answers a goal; later the queue counts it as lost."""
 LONGEST_PATH = 4096
 STOP_NOT_SENT = (
     "the stop was NOT sent: the process that serves it is starting; press again, or use the wired "
@@ -140,11 +170,20 @@ class OperatorPage(CellNode[Parameters]):
         self._home_client = self.create_client(Trigger, "scara_arm/home")
         self._button_client = self.create_client(Trigger, "sim_world/press_clear_button")
         self._enabling = self.create_publisher(Bool, enabling.TOPIC, COMMAND)
+        self._confirm_client = self.create_client(ConfirmTap, "confirm_tap")
+        self._set_client = self.create_client(SetParameters, "tap_planner/set_parameters")
+        self._queue = GoalQueue()
+        self._named_file = KeptContent(state_folder(key_of(self)) / "named_goals.json")
+        self._named = NamedGoals(self._named_file.recall())
+        self._answer_due = -math.inf
+        """Until then, on the steady clock, the planner may yet answer a goal that was sent."""
+        self._drawn: tuple[int, dict[str, object]] | None = None
         self._last_run = ""
         self._clearing: list[server.Answer] = []
         self.create_subscription(PlanState, "plan_state", self._view.on_plan, LATCHED)
-        self.create_subscription(GoalReport, "goal_report", self._view.on_report, LATCHED)
+        self.create_subscription(GoalReport, "goal_report", self._on_report, LATCHED)
         self.create_subscription(String, "last_run", self._on_last_run, LATCHED)
+        self.create_timer(STATE_PERIOD_S, self._advance_queue)
 
     # Life cycle
 
@@ -230,6 +269,23 @@ class OperatorPage(CellNode[Parameters]):
         """Show the level, too."""
         super().hear_stop(message)
         self._view.emergency_stop = message.data
+        if message.data:
+            self._queue.hold("The queue holds: the cell was stopped.")
+
+    def _on_report(self, message: GoalReport) -> None:
+        """A goal ended, whoever sent it: the queue goes on, or holds."""
+        self._view.on_report(message)
+        sentence = with_code(message.error_msg, message.error_code)
+        self._queue.ended(message.error_code == ErrorCode.NONE, sentence)
+
+    def _advance_queue(self) -> None:
+        """Send the next goal of a queue that runs."""
+        if not self._queue.running or not self._action.server_is_ready():
+            return
+        busy = self._view.busy or time.monotonic() < self._answer_due
+        goal = self._queue.next(busy, self._view.blocked)
+        if goal is not None:
+            self._send_goal(goal, "queue", lambda _: None)
 
     def _on_last_run(self, message: String) -> None:
         """A run was recorded. Where it is only tells where to look: nothing is read from there."""
@@ -332,7 +388,31 @@ class OperatorPage(CellNode[Parameters]):
         state["nodes"] = self._watch.rows()
         state["placeable"] = self._ghost is not None
         state["runs_hint"] = self._runs_hint()
+        state["planned_drawing"] = self._planned_drawing()
+        state["queue"] = {
+            "rows": [[number, *triple(goal.pose)] for number, goal in self._queue.rows()],
+            "running": self._queue.running,
+            "held": self._queue.held,
+        }
+        state["named"] = [[name, *triple(pose)] for name, pose in self._named.rows()]
         self._server.show(state)
+
+    def _planned_drawing(self) -> dict[str, object] | None:
+        """The planned tap in shares of the picture; made once for each."""
+        tap, ghost = self._view.planned, self._ghost
+        if tap is None or ghost is None:
+            self._drawn = None
+            return None
+        if self._drawn is None or self._drawn[0] != tap.tap_id:
+            covariance = covariance_from_message(tap.predicted_pose.covariance)
+            drawing = ghost.planned(
+                from_message(tap.object_pose),
+                from_message(tap.strike_pose),
+                from_message(tap.predicted_pose.pose),
+                covariance[:2, :2],
+            )
+            self._drawn = tap.tap_id, drawing
+        return self._drawn[1]
 
     def _runs_hint(self) -> str:
         """Why the list of runs may lack some; empty where it does not."""
@@ -354,6 +434,12 @@ class OperatorPage(CellNode[Parameters]):
             "cell": self._cell.file.name,
             "namespace": self.get_namespace(),
             "object": self._cell.object.name,
+            "planners": planner_names(),
+            "planner": self._cell.file.goal.planner,
+            "tolerance": [
+                shown(1e3 * self._cell.tolerance[0]),
+                shown(math.degrees(self._cell.tolerance[1])),
+            ],
         }
 
     def on_request(self, page: object, request: Request, who: str, answer: server.Answer) -> None:
@@ -362,7 +448,18 @@ class OperatorPage(CellNode[Parameters]):
             if self._previews is not None:
                 self._previews.ask(page, (request, answer))
         elif isinstance(request, SendGoal):
-            self._do(self._send_goal, request.pose, who, answer)
+            goal = Wanted(request.pose, request.tolerance)
+            self._do(self._send_goal, goal, who, answer)
+        elif isinstance(request, Confirm):
+            self._do(self._confirm, request, who, answer)
+        elif isinstance(request, SetAsk):
+            words = f"asking before every tap is {'on' if request.ask else 'off'}"
+            self._do(self._set_parameter, "ask", request.ask, words, who, answer)
+        elif isinstance(request, SetPlanner):
+            words = f"planning method {request.planner} from the next goal on"
+            self._do(self._set_parameter, "planner", request.planner, words, who, answer)
+        elif isinstance(request, (QueueGoal, Unqueue, NameGoal, ForgetGoal)):
+            self._do(self._change_lists, request, answer)
         elif isinstance(request, Command) and request.name == "stop":
             sent = self._stop is not None and self._stop.stop(who)
             text = "stop sent to arm, tapper and planner" if sent else STOP_NOT_SENT
@@ -375,6 +472,8 @@ class OperatorPage(CellNode[Parameters]):
                 "cancel": self._cancel,
                 "home": self._home,
                 "press_button": self._press_button,
+                "run_queue": self._run_queue,
+                "hold_queue": self._hold_queue,
             }[request.name]
             self._do(serve, who, answer)
 
@@ -404,16 +503,85 @@ class OperatorPage(CellNode[Parameters]):
         except BadRequest as error:
             answer({"type": "ghost", "number": request.number, "trouble": str(error)})
 
-    def _send_goal(self, pose: Pose, who: str, answer: server.Answer) -> None:
+    def _confirm(self, request: Confirm, who: str, answer: server.Answer) -> None:
+        def told(future: Future) -> None:
+            response: ConfirmTap.Response = future.result()
+            words = "tap confirmed" if request.confirm else "tap skipped; another one is planned"
+            sentence = with_code(response.error_msg, response.error_code)
+            answer(_answer("confirm", response.accepted, words if response.accepted else sentence))
+            if response.accepted:
+                self._view.note(f"{words} on the page ({who})")
+
+        question = ConfirmTap.Request(tap_id=request.tap_id, confirm=request.confirm)
+        self._call(self._confirm_client, question, "confirm", "the planner", answer, told)
+
+    def _set_parameter(
+        self, name: str, value: bool | str, words: str, who: str, answer: server.Answer
+    ) -> None:
+        """Change a parameter of the planner that may change while it runs."""
+
+        def told(future: Future) -> None:
+            result = future.result().results[0]
+            answer(_answer("settings", result.successful, result.reason or words))
+            if result.successful:
+                self._view.note(f"{words}: set on the page ({who})")
+
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
+        self._call(self._set_client, request, "settings", "the planner", answer, told)
+
+    def _change_lists(
+        self, request: QueueGoal | Unqueue | NameGoal | ForgetGoal, answer: server.Answer
+    ) -> None:
+        """Change the queue or the named goals."""
+        try:
+            if isinstance(request, QueueGoal):
+                refusal = self._refusal(request.pose)
+                if refusal:
+                    raise QueueFull(f"the planner would refuse this goal: {refusal}")
+                self._queue.add(Wanted(request.pose, request.tolerance))
+                words = "goal added to the queue"
+            elif isinstance(request, Unqueue):
+                found = self._queue.remove(request.number)
+                words = "goal removed" if found else "this goal has left the queue already"
+            elif isinstance(request, NameGoal):
+                self._named.keep(request.name, request.pose)
+                self._named_file.keep(self._named.as_content())
+                words = f"goal kept as '{request.name}'"
+            else:
+                found = self._named.forget(request.name)
+                self._named_file.keep(self._named.as_content())
+                words = f"'{request.name}' removed" if found else "there is no such name"
+        except (QueueFull, OSError) as error:
+            answer(_answer("queue", False, str(error)))
+            return
+        answer(_answer("queue", True, words))
+
+    def _run_queue(self, who: str, answer: server.Answer) -> None:
+        self._queue.run()
+        running = self._queue.running
+        answer(_answer("queue", running, "the queue runs" if running else "no goal waits"))
+        self._view.note(f"queue of goals started on the page ({who})")
+
+    def _hold_queue(self, who: str, answer: server.Answer) -> None:
+        self._queue.hold()
+        answer(_answer("queue", True, "the queue holds; the goal under way goes on"))
+        self._view.note(f"queue of goals held on the page ({who})")
+
+    def _send_goal(self, wanted: Wanted, who: str, answer: server.Answer) -> None:
         if not self._action.server_is_ready():
             answer(_answer("goal", False, "the planner is not up; start tap_planner"))
             return
         goal = PositionObject.Goal()
         goal.goal_pose.header.frame_id = "table"
         goal.goal_pose.header.stamp = self.get_clock().now().to_msg()
-        goal.goal_pose.pose = to_message(pose)
+        goal.goal_pose.pose = to_message(wanted.pose)
+        goal.position_tolerance, goal.angle_tolerance = wanted.tolerance
+        self._answer_due = time.monotonic() + ANSWER_S
 
         def taken(future: Future) -> None:
+            self._answer_due = time.monotonic() + STATE_PERIOD_S  # until plan_state tells of it
             handle = future.result()
             if not handle.accepted:
                 answer(_answer("goal", False, "the planner did not take the goal"))
@@ -429,7 +597,7 @@ class OperatorPage(CellNode[Parameters]):
             sentence = with_code(result.error_msg, result.error_code)
             answer({**_answer("goal", False, sentence), "hint": hint(result.error_code)})
 
-        self._view.note_own_goal(pose, who)
+        self._view.note_own_goal(wanted.pose, who)
         self._action.send_goal_async(goal).add_done_callback(taken)
 
     def _cancel(self, who: str, answer: server.Answer) -> None:

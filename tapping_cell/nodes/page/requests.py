@@ -66,9 +66,62 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class SendGoal:
-    """Bring the object to this pose."""
+    """Bring the object to this pose, within a tolerance in m and rad; 0 for the cell's own."""
 
     pose: Pose
+    tolerance: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class QueueGoal:
+    """Put a goal behind those that wait."""
+
+    pose: Pose
+    tolerance: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Unqueue:
+    """Take the goal with this number out of the queue."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class NameGoal:
+    """Keep a pose under a name."""
+
+    name: str
+    pose: Pose
+
+
+@dataclass(frozen=True, slots=True)
+class ForgetGoal:
+    """Remove a name."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Confirm:
+    """Make the tap with this id that waits for confirmation, or skip it."""
+
+    tap_id: int
+    confirm: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SetAsk:
+    """Ask before every tap from now on, or do not."""
+
+    ask: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SetPlanner:
+    """Use this planning method from the next goal on."""
+
+    planner: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +131,49 @@ class Command:
     name: str
 
 
-Request = Hello | Seen | Move | Turn | Place | SendGoal | Command
+Frequent = Hello | Seen | Move | Turn | Place
+"""What a page sends while somebody drags; only the newest of it counts."""
+Request = (
+    Frequent
+    | SendGoal
+    | QueueGoal
+    | Unqueue
+    | NameGoal
+    | ForgetGoal
+    | Confirm
+    | SetAsk
+    | SetPlanner
+    | Command
+)
 
-COMMANDS = ("stop", "clear", "cancel", "home", "press_button", "enable", "disable")
-KINDS = ("hello", "seen", "move", "turn", "place", "goal", *COMMANDS)
+COMMANDS = (
+    "stop",
+    "clear",
+    "cancel",
+    "home",
+    "press_button",
+    "enable",
+    "disable",
+    "run_queue",
+    "hold_queue",
+)
+KINDS = (
+    "hello",
+    "seen",
+    "move",
+    "turn",
+    "place",
+    "goal",
+    "queue_goal",
+    "unqueue",
+    "name_goal",
+    "forget_goal",
+    "confirm",
+    "set_ask",
+    "set_planner",
+    *COMMANDS,
+)
+LONGEST_NAME = 40
 
 
 def parse(text: str | bytes) -> Request:
@@ -112,7 +204,21 @@ def parse(text: str | bytes) -> Request:
     if kind == "place":
         return Place(_whole(content, "number"), _pose(content))
     if kind == "goal":
-        return SendGoal(_pose(content))
+        return SendGoal(_pose(content), _tolerance(content))
+    if kind == "queue_goal":
+        return QueueGoal(_pose(content), _tolerance(content))
+    if kind == "unqueue":
+        return Unqueue(_whole(content, "number"))
+    if kind == "name_goal":
+        return NameGoal(_name(content, "name"), _pose(content))
+    if kind == "forget_goal":
+        return ForgetGoal(_name(content, "name"))
+    if kind == "confirm":
+        return Confirm(_whole(content, "tap_id"), _truth(content, "confirm"))
+    if kind == "set_ask":
+        return SetAsk(_truth(content, "ask"))
+    if kind == "set_planner":
+        return SetPlanner(_name(content, "planner"))
     if kind in COMMANDS:
         return Command(str(kind))
     raise BadRequest(f"'do' is {_shown(kind)}; known are {', '.join(KINDS)}")
@@ -124,6 +230,30 @@ def _pose(content: dict[str, object]) -> Pose:
         1e-3 * _number(content, "y"),
         math.radians(_number(content, "angle")),
     )
+
+
+def _tolerance(content: dict[str, object]) -> tuple[float, float]:
+    """mm and degrees on the wire; what is left out is the cell's own."""
+    given = {"position_tolerance": 0.0, "angle_tolerance": 0.0, **content}
+    position, angle = (_number(given, name) for name in ("position_tolerance", "angle_tolerance"))
+    return 1e-3 * position, math.radians(angle)
+
+
+def _name(content: dict[str, object], name: str) -> str:
+    value = content.get(name)
+    shown = value.strip() if isinstance(value, str) else ""
+    if not shown or len(shown) > LONGEST_NAME or not shown.isprintable():
+        raise BadRequest(
+            f"{name} is {_shown(value)}; 1 to {LONGEST_NAME} printable characters are expected"
+        )
+    return shown
+
+
+def _truth(content: dict[str, object], name: str) -> bool:
+    value = content.get(name)
+    if not isinstance(value, bool):
+        raise BadRequest(f"{name} is {_shown(value)}; true or false is expected")
+    return value
 
 
 def _number(content: dict[str, object], name: str) -> float:

@@ -37,10 +37,10 @@ from tapping_cell.nodes.page.requests import (
     LARGEST_MESSAGE,
     BadRequest,
     Command,
+    Frequent,
     Hello,
     Request,
     Seen,
-    SendGoal,
     parse,
 )
 from tapping_cell.nodes.page.runs import Runs
@@ -443,7 +443,7 @@ class PageSocket(_Guarded, WebSocketHandler):
 
     def _is_too_much(self, request: Request) -> bool:
         """Whether a page asks for more than the node should be kept busy with."""
-        if request == Command("stop") or not isinstance(request, (Command, SendGoal)):
+        if request == Command("stop") or isinstance(request, Frequent):
             return False
         return self._commands.add() > MOST_COMMANDS
 

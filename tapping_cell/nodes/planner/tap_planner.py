@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from std_msgs.msg import Bool
-from tapping_cell_msgs.action import PositionObject, SingleTap
+from tapping_cell_msgs.action import ArrangeObjects, PositionObject, SingleTap
 from visualization_msgs.msg import MarkerArray
 
 from tapping_cell import messages
@@ -85,6 +85,7 @@ class TapPlanner(CellNode[Parameters]):
         self._tokens: dict[bytes, int] = {}
         host.publishes(messages.TapCommand, "tap_command", COMMAND)
         host.publishes(messages.PlanState, "plan_state", LATCHED)
+        host.publishes(messages.ArrangementState, "arrangement_state", LATCHED)
         host.publishes(messages.GoalReport, "goal_report", LATCHED)
         host.offers(MarkerArray, "markers", LATCHED)
         # A reliable subscription hears no best-effort publisher, and a best-effort one may miss
@@ -98,6 +99,7 @@ class TapPlanner(CellNode[Parameters]):
                 profile,
             )
         host.subscribes(messages.ObjectState, "object_state", LATCHED)
+        host.subscribes(messages.ObjectStates, "object_states", LATCHED)
         host.subscribes(messages.ObjectState, "other_objects", 10)
         host.subscribes(messages.ArmState, "arm_state", LATCHED)
         host.subscribes(messages.TapperState, "tapper_state", LATCHED)
@@ -106,6 +108,7 @@ class TapPlanner(CellNode[Parameters]):
         self._actions = DeferredActionServer(
             self,
             {
+                "arrange_objects": (ArrangeObjects, self._on_arrange_objects),
                 "position_object": (PositionObject, self._on_position_object),
                 "single_tap": (SingleTap, self._on_single_tap),
             },
@@ -189,6 +192,9 @@ class TapPlanner(CellNode[Parameters]):
             self.host.hear("goal_pose", from_ros(message, messages.PoseStamped))
 
     # Actions
+
+    def _on_arrange_objects(self, handle: ServerGoalHandle) -> None:
+        self._take("arrange_objects", handle, messages.ArrangeObjects.Goal)
 
     def _on_position_object(self, handle: ServerGoalHandle) -> None:
         self._take("position_object", handle, messages.PositionObject.Goal)

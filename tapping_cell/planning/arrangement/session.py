@@ -136,6 +136,11 @@ class ArrangementSession:
         self.touched: tuple[str, ...] = ()
         """Names of objects that moved with the last tap although another one was tapped."""
 
+    @property
+    def current(self) -> PositioningSession | None:
+        """The session of the move under way, or of the last one."""
+        return self._session
+
     def decide(
         self, seen: Mapping[str, Observation], *, look_again: bool = False
     ) -> ArrangementDecision:

@@ -100,7 +100,7 @@ def test_a_tapper_fires_whichever_clock_is_ahead(
     arm_ahead: float, camera_ahead: float, delays: list[float]
 ) -> None:
     peers = TapperPeers(PeerLimits())
-    peers.begin_tap()
+    peers.begin_tap("")
     heard = 0.0
     for number, delay in enumerate(delays):
         taken = number / 20
@@ -118,7 +118,7 @@ def test_a_tapper_fires_whichever_clock_is_ahead(
 @given(st.sampled_from(["arm", "camera"]), st.floats(0.65, 3600.0))
 def test_a_tapper_names_the_computer_whose_clock_is_off(who: str, ahead: float) -> None:
     peers = TapperPeers(PeerLimits())
-    peers.begin_tap()
+    peers.begin_tap("")
     for number in range(30):
         taken = number / 20
         arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)

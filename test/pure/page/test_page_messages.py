@@ -5,22 +5,29 @@ from __future__ import annotations
 import json
 import math
 
+import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tapping_cell.nodes.page.ghost import Ghost
 from tapping_cell.nodes.page.guard import Guard, is_loopback, urls
 from tapping_cell.nodes.page.requests import (
+    KINDS,
+    LONGEST_NAME,
     BadRequest,
     Command,
+    Confirm,
     Hello,
     Move,
+    NameGoal,
     Place,
+    QueueGoal,
     Seen,
     SendGoal,
     Turn,
+    Unqueue,
     parse,
 )
 from tapping_cell.se2 import Pose
@@ -33,6 +40,23 @@ JSON = st.recursive(
 )
 
 
+WORDS = (
+    "number",
+    "x",
+    "y",
+    "angle",
+    "u",
+    "v",
+    "token",
+    "tap_id",
+    "confirm",
+    "ask",
+    "planner",
+    "name",
+    "position_tolerance",
+    "angle_tolerance",
+)
+
 # ---- messages
 
 
@@ -44,10 +68,8 @@ def test_anything_else_than_a_request_is_refused_in_a_sentence(message: str | by
 
 
 @given(
-    st.sampled_from(["hello", "seen", "move", "turn", "place", "goal", "stop"]),
-    st.dictionaries(
-        st.sampled_from(["number", "x", "y", "angle", "u", "v", "token"]), JSON, max_size=7
-    ),
+    st.sampled_from(KINDS),
+    st.dictionaries(st.sampled_from(WORDS), JSON, max_size=7),
 )
 def test_a_request_with_any_content_is_read_or_refused_and_every_number_is_finite(
     kind: str, content: dict[str, object]
@@ -60,16 +82,26 @@ def test_a_request_with_any_content_is_read_or_refused_and_every_number_is_finit
         Move: lambda r: (r.u, r.v, r.angle),
         Turn: lambda r: (r.x, r.y, r.u, r.v),
         Place: lambda r: r.pose,
-        SendGoal: lambda r: r.pose,
+        SendGoal: lambda r: (*r.pose, *r.tolerance),
+        QueueGoal: lambda r: (*r.pose, *r.tolerance),
+        NameGoal: lambda r: r.pose,
+        Unqueue: lambda r: (r.number,),
+        Confirm: lambda r: (r.tap_id,),
         Seen: lambda r: (r.number,),
     }.get(type(request), lambda _: ())
     assert all(math.isfinite(number) for number in numbers(request))
+    for name in ("name", "planner"):
+        text = getattr(request, name, "x")
+        assert isinstance(text, str) and 0 < len(text) <= LONGEST_NAME
 
 
 def test_a_goal_is_in_millimetres_and_degrees() -> None:
     goal = parse('{"do": "goal", "x": 12.5, "y": -3, "angle": 90}')
     assert goal == SendGoal(Pose(0.0125, -0.003, math.radians(90)))
+    close = parse('{"do": "goal", "x": 0, "y": 0, "angle": 0, "position_tolerance": 0.5}')
+    assert close == SendGoal(Pose(0.0, 0.0, 0.0), (0.0005, 0.0))
     assert parse('{"do": "stop"}') == Command("stop")
+    assert parse('{"do": "confirm", "tap_id": 7, "confirm": true}') == Confirm(7, True)
     assert parse('{"do": "hello", "token": 5}') == Hello(5)
 
 
@@ -84,6 +116,11 @@ def test_a_goal_is_in_millimetres_and_degrees() -> None:
         ('{"do": "goal", "x": 2e6, "y": 0, "angle": 0}', "x is 2000000.0; a number between"),
         ('{"do": "goal", "x": 0, "angle": 0}', "y is null"),
         ('{"do": "seen", "number": -1}', "number is -1, not a whole number"),
+        ('{"do": "confirm", "tap_id": 7}', "confirm is null; true or false"),
+        ('{"do": "confirm", "tap_id": 7, "confirm": 1}', "confirm is 1; true or false"),
+        ('{"do": "confirm", "tap_id": "7", "confirm": true}', "not a whole number"),
+        ('{"do": "name_goal", "name": " ", "x": 0, "y": 0, "angle": 0}', "1 to 40 printable"),
+        ('{"do": "forget_goal", "name": "a\\u0000"}', "1 to 40 printable"),
         ('{"do": "fly"}', "'do' is \"fly\"; known are hello"),
         ("[1]", "not a JSON object"),
         ('{"do"', "not JSON"),
@@ -221,3 +258,36 @@ def test_the_arrow_keys_follow_the_picture(turns: int, right: int) -> None:
     du, dv = np.subtract(after["centre"], before["centre"])
     assert du > 0.01 and abs(dv) < du
     assert before["right"] == right
+
+
+@given(
+    places,
+    st.floats(0.0005, 0.01),
+    st.floats(0.0005, 0.01),
+    st.floats(-math.pi, math.pi),
+    st.integers(0, 2**32 - 1),
+)
+@settings(max_examples=20, deadline=None)
+def test_the_ellipse_holds_95_of_100_results(
+    predicted: Pose, along: float, across: float, turn: float, seed: int
+) -> None:
+    """Against samples, each seen by the camera as a point of its own."""
+    made = ghost()
+    axes = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    covariance = axes @ np.diag([along**2, across**2]) @ axes.T
+    drawing = made.planned(Pose(0, 0, 0), Pose(0, 0, 0), predicted, covariance)
+    draws = np.random.default_rng(seed).multivariate_normal(predicted[:2], covariance, 4000)
+    seen = np.array(made._seen(draws), dtype=np.float32)
+    edge = np.array(drawing["ellipse"], dtype=np.float32)[:, None, :]
+    inside = [cv2.pointPolygonTest(edge, point.tolist(), False) > 0 for point in seen]
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
+
+
+def test_the_arrow_points_along_the_striker_and_ends_at_its_ball() -> None:
+    made = ghost()
+    strike = Pose(0.05, 0.02, math.radians(90))
+    drawing = made.planned(Pose(0, 0, 0), strike, Pose(0.05, 0.1, 0), np.eye(2) * 1e-6)
+    (u0, v0), (u1, v1) = drawing["arrow"]
+    ends = [made.pose(Move(1, u, v, 0.0)) for u, v in ((u0, v0), (u1, v1))]
+    assert ends[0].x == pytest.approx(0.05, abs=1e-4) and ends[1].x == pytest.approx(0.05, abs=1e-4)
+    assert ends[0].y < 0.02 < ends[1].y < 0.04

@@ -111,12 +111,17 @@ def test_picture_and_page_are_made_again_from_summary_and_taps_alone(tmp_path: P
     assert set(summary(again)) == set(summary(first))
     for name in ("outcome", "planner", "seed", "files", "versions", "began", "error_code"):
         assert summary(again)[name] == summary(first)[name]
-    assert page(Story(again, ())).replace("data:", "").count("<svg") == 6
+    assert page(Story(again, ())).replace("data:", "").count("<svg") == 7
     assert again.phases == first.phases and again.troubles == first.troubles
+    assert again.activities == first.activities
     for one, other in zip(first.taps, again.taps, strict=True):
         assert one.measured.distance_to(other.measured) < 1e-7
         assert one.true_pose is not None and other.true_pose is not None
         assert one.fired_at == pytest.approx(other.fired_at, abs=1e-3)
+        assert one.reason == other.reason == "a detour, with a comma"
+        assert one.predicted_covariance is not None and other.predicted_covariance is not None
+        for before, after in zip(one.predicted_covariance, other.predicted_covariance, strict=True):
+            assert before == pytest.approx(after, rel=1e-5)
         assert astuple(one.learnt) == pytest.approx(astuple(other.learnt), abs=1e-6)
 
 
@@ -294,3 +299,16 @@ def test_a_run_of_any_taps_is_read_back_as_it_was(
         assert tap.measured.distance_to(stop) < 1e-12
         assert abs(tap.measured.rotation_to(stop)) < 1e-9
     assert re.fullmatch("reached|not truly reached", run.outcome)
+
+
+def test_the_time_is_told_by_what_the_devices_did(tmp_path: Path) -> None:
+    run = write_folder(make(tmp_path / "run", MadeRun(STOPS)), pictures=False)
+    assert [step.name for step in run.activities[:5]] == [
+        "the arm travels",
+        "the arm lowers the striker",
+        "the tapper charges and fires",
+        "the arm withdraws",
+        "the planner waits or plans",
+    ]
+    began = [step.began for step in run.activities[:5]]
+    assert began == pytest.approx([2.0, 3.2, 4.0, 5.6, 6.5], abs=1e-3)

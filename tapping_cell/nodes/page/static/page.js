@@ -6,12 +6,13 @@ const SILENCE_MS = 3000;        // without a word from the node the connection c
 const ANSWER_MS = 6000;         // after which a request without an answer is said to have none
 const STALE_S = 2;              // age of a picture beyond which it is greyed
 const MODE_WORDS = {
-  ready: "Ready", moving: "Moving", "not ready": "Not ready", fault: "Fault", stopped: "Stopped",
+  ready: "Ready", moving: "Moving", waiting: "Your turn", "not ready": "Not ready", fault: "Fault", stopped: "Stopped",
   lost: "Not connected",
 };
 const ANSWERS = {
   goal: "goal-answer", cancel: "goal-answer", stop: "attention-answer", clear: "attention-answer",
-  press_button: "attention-answer", home: "attention-answer",
+  press_button: "attention-answer", home: "attention-answer", confirm: "planned-answer",
+  queue: "queue-answer", settings: "settings-answer",
 };
 
 let socket = null, connected = false, refusedFor = "", attempts = 0, retryAt = 0;
@@ -95,10 +96,11 @@ function say(content) {
   return true;
 }
 
-function request(name, content = {}) {
-  show(name, "", "");
-  if (say({ do: name, ...content })) waiting.set(name, performance.now());
-  else show(name, "not sent: there is no connection", "bad");
+// Where the answer comes under another name than the request, `to` is that name.
+function request(name, content = {}, to = name) {
+  show(to, "", "");
+  if (say({ do: name, ...content })) waiting.set(to, performance.now());
+  else show(to, "not sent: there is no connection", "bad");
 }
 
 function hear(message) {
@@ -107,11 +109,13 @@ function hear(message) {
     connected = true;
     attempts = 0;
     followed = "";
+    planned.forget();
     if (state) state.placeable = false;  // what was known before the connection was lost is not known now
     const where = message.namespace === "/" ? "" : `${message.namespace} `;
     setText($("cell"), where + message.cell);
     setText($("object"), message.object);
     document.title = where + message.cell;
+    settings.welcome(message);
     render();
   } else if (message.type === "state") {
     state = message;
@@ -212,6 +216,8 @@ function render() {
     for (const id of ["cancel", "home-ghost"]) $(id).disabled = true;
     return;
   }
+  planned.render(connected ? state.plan.planned : null, connected ? state.planned_drawing : null);
+  settings.render(state, connected);
   renderAttention(mode);
   renderGoal();
   renderTaps();
@@ -436,11 +442,14 @@ function readField(name) {
 
 function readGoal() {
   const read = { x: readField("x"), y: readField("y"), angle: readField("angle") };
-  const trouble = Object.values(read).map((field) => field.trouble).find(Boolean) || "";
+  const tolerance = settings.tolerance();
+  const trouble = Object.values(read).map((field) => field.trouble).find(Boolean) || tolerance.trouble || "";
   setText($("goal-trouble"), trouble);
-  return trouble ? null : { x: read.x.value, y: read.y.value, angle: read.angle.value };
+  return trouble ? null : { x: read.x.value, y: read.y.value, angle: read.angle.value, ...tolerance.value };
 }
 
+const planned = new Planned();
+const settings = new Settings();
 const stop = new Stop(() => say({ do: "stop" }), (text, kind) => show("stop", text, kind), () => renderStop());
 const ghost = new Ghost(say, (pose, typed) => {
   if (pose.trouble) {
@@ -478,7 +487,7 @@ $("goal-form").addEventListener("submit", (event) => {
   event.preventDefault();
   const goal = readGoal();
   if (!goal) {
-    Object.values(FIELDS).find((field) => field.getAttribute("aria-invalid") === "true").focus();
+    document.querySelector('#goal-form [aria-invalid="true"]').focus();
     return;
   }
   if ($("send").disabled) return;
@@ -527,6 +536,7 @@ setInterval(() => {
   }
   renderBanner();
   renderPicture();
+  planned.tick();
 }, 250);
 addEventListener("online", () => { if (!socket && retryAt < Infinity) connect(); });
 document.addEventListener("visibilitychange", () => {

@@ -1,0 +1,157 @@
+"""Bring several objects of a running cell to the places of a layout file; Ctrl-C cancels.
+
+python -m tapping_cell arrange layout.yaml
+python -m tapping_cell arrange layout.yaml --json
+
+A layout file names objects of the cell and where each is to go, in m and rad:
+
+    goals:
+      - {object: red disk, pose: [0.10, -0.05, 0.0]}
+      - {object: blue square, pose: [-0.10, 0.05, 1.5708]}
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+
+from tapping_cell.cli import argument_types, session
+from tapping_cell.cli.errors import tell_error, tell_refusal
+from tapping_cell.configuration.layout_file import LayoutFile
+from tapping_cell.configuration.schema import ConfigurationError, load
+from tapping_cell.nodes.clients.arrange_client import (
+    ArrangeClient,
+    ArrangementEnded,
+    ObjectEnd,
+    ObjectTapped,
+)
+from tapping_cell.report.error_codes import hint
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of the verb."""
+    parser.add_argument("layout", type=Path, help="layout file")
+    parser.add_argument(
+        "--namespace", type=argument_types.namespace, default="", help="namespace of the nodes"
+    )
+    parser.add_argument(
+        "--wait",
+        type=argument_types.within(0, 3600),
+        default=20.0,
+        help="longest wait for the cell, in seconds",
+    )
+    session.add_output_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the verb; 0 every object reached, 1 not, 2 wrong input, 130 canceled."""
+    console = session.console_of(arguments)
+    session.end_on_signals()
+    try:
+        layout = load(LayoutFile, arguments.layout)
+    except ConfigurationError as error:
+        return tell_refusal(error)
+    with ArrangeClient("arrange", arguments.namespace) as client:
+        try:
+            wait_for(client, frozenset(), arguments.wait, lambda: None, console)
+            client.send(layout)
+            ended = follow(client, lambda: None, console)
+        except session.NotReadyInTime as error:
+            tell_error(str(error))
+            return 1
+        except KeyboardInterrupt:
+            client.cancel()
+            console.print("arrangement canceled")
+            return 130
+    if arguments.json:
+        print(json.dumps(result_of(ended), indent=2, allow_nan=False))
+    if ended.error_code:
+        tell_error(f"arrangement not reached: {ended.error_msg}", ended.error_code)
+        return 1
+    console.print(f"[green]arrangement reached[/green] in {ended.taps} taps", highlight=False)
+    return 0
+
+
+def wait_for(
+    client: ArrangeClient,
+    names: frozenset[str],
+    patience: float,
+    check: Callable[[], None],
+    console: Console,
+) -> None:
+    """Wait until the cell can arrange these objects.
+
+    Raises:
+        NotReadyInTime: names what is missing after ``patience`` seconds.
+    """
+    deadline = time.monotonic() + patience
+    with console.status("waiting for the cell") as status:
+        while missing := client.missing(names):
+            check()
+            if time.monotonic() > deadline:
+                raise session.NotReadyInTime(
+                    f"the cell was not ready after {patience:.0f} s: " + "; ".join(missing)
+                )
+            status.update("waiting for the cell: " + missing[0])
+            time.sleep(0.05)
+    # The planner must have found this client as well, or its answer goes nowhere.
+    time.sleep(session.MUTUAL_DISCOVERY_S)
+
+
+def follow(client: ArrangeClient, check: Callable[[], None], console: Console) -> ArrangementEnded:
+    """Show an arrangement's progress until it ends; ``check`` may raise to give up."""
+    with console.status("arrangement sent") as status:
+        for event in client.events():
+            check()
+            if isinstance(event, ObjectTapped):
+                one = next(each for each in event.objects if each.name == event.name)
+                console.print(f"tap {event.number}: {end_text(one)}", highlight=False)
+                reached = sum(each.state == "reached" for each in event.objects)
+                status.update(f"{reached} of {len(event.objects)} objects reached")
+            elif isinstance(event, ArrangementEnded):
+                for one in event.objects:
+                    console.print(f"  {end_text(one)}, {one.taps} taps", highlight=False)
+                return event
+    raise AssertionError("events end only with the arrangement")
+
+
+def end_text(one: ObjectEnd) -> str:
+    """How far an object is, for people."""
+    if not math.isfinite(one.residual_distance):
+        return f"'{one.name}' {one.state}"
+    return (
+        f"'{one.name}' {one.state}; {1000 * one.residual_distance:.2f} mm and "
+        f"{math.degrees(one.residual_rotation):.2f} deg from its goal"
+    )
+
+
+def result_of(ended: ArrangementEnded) -> dict[str, object]:
+    """The end of an arrangement for a program, in mm and degrees; None where nothing is known."""
+
+    def known(value: float, factor: float) -> float | None:
+        return factor * value if math.isfinite(value) else None
+
+    return {
+        "reached": ended.error_code == 0,
+        "taps": ended.taps,
+        "objects": [
+            {
+                "object": one.name,
+                "state": one.state,
+                "has_goal": one.has_goal,
+                "taps": one.taps,
+                "residual_mm": known(one.residual_distance, 1000.0),
+                "residual_deg": known(one.residual_rotation, math.degrees(1.0)),
+            }
+            for one in ended.objects
+        ],
+        "error_code": ended.error_code,
+        "error_msg": ended.error_msg,
+        "hint": hint(ended.error_code),
+    }

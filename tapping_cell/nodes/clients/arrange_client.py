@@ -1,0 +1,245 @@
+"""The client that sends an arrangement of several objects and follows it.
+
+Not an executable of its own: the verbs `arrange` and `demo --objects` use it.
+"""
+
+from __future__ import annotations
+
+import math
+import queue
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
+from tapping_cell_msgs.action import ArrangeObjects
+from tapping_cell_msgs.msg import (
+    ArmState,
+    ObjectContact,
+    ObjectGoal,
+    ObjectProgress,
+    ObjectStates,
+    PlanState,
+    TapperState,
+)
+
+from tapping_cell.configuration.layout_file import LayoutFile
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.clients.client_node import ClientNode
+from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.se2 import Pose
+
+STATES = {
+    ObjectProgress.WAITING: "waiting",
+    ObjectProgress.ACTIVE: "being tapped",
+    ObjectProgress.MAKING_WAY: "making way",
+    ObjectProgress.REACHED: "reached",
+    ObjectProgress.FAILED: "not reached",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectEnd:
+    """How far one object is. Residuals in m and rad, NaN where nothing is known."""
+
+    name: str
+    state: str
+    has_goal: bool
+    taps: int
+    residual_distance: float
+    residual_rotation: float
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectTapped:
+    """A tap was measured."""
+
+    number: int
+    name: str
+    objects: tuple[ObjectEnd, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ArrangementEnded:
+    """The end; error_code 0 is success."""
+
+    error_code: int
+    error_msg: str
+    taps: int
+    objects: tuple[ObjectEnd, ...] = field(default=())
+
+
+Event = ObjectTapped | ArrangementEnded
+
+
+class ArrangeClient(ClientNode):
+    """Hears what an arrangement needs, sends it and follows it; use as a context manager."""
+
+    def __init__(self, name: str = "arrange_client", namespace: str = "") -> None:
+        super().__init__(name, namespace)
+        self.poses: dict[str, Pose] = {}
+        """Where the objects are seen at rest, by name."""
+        self.true_poses: dict[str, Pose] = {}
+        """Where they truly are, in the simulated world."""
+        self.contacts: list[tuple[str, str]] = []
+        """Names of objects that truly met, in the simulated world."""
+        self.planner_active = False
+        self._arm: ArmState | None = None
+        self._tapper: TapperState | None = None
+        self._taps = 0
+        self._events: queue.Queue[Event] = queue.Queue()
+        self._handle: ClientGoalHandle | None = None
+        self._action = ActionClient(self.node, ArrangeObjects, "arrange_objects")
+        subscribe = self.node.create_subscription
+        subscribe(ObjectStates, "object_states", self._on_states, LATCHED)
+        subscribe(ArmState, "arm_state", self._on_arm, LATCHED)
+        subscribe(TapperState, "tapper_state", self._on_tapper, LATCHED)
+        subscribe(PlanState, "plan_state", self._on_plan, LATCHED)
+        subscribe(ObjectStates, "true_states", self._on_truth, 10)
+        subscribe(ObjectContact, "true_contacts", self._on_contact, 10)
+
+    def accepts_goals(self) -> bool:
+        """Whether the planner's action is there."""
+        return bool(self._action.server_is_ready())
+
+    def missing(self, names: frozenset[str] = frozenset()) -> list[str]:
+        """What still keeps the cell from arranging these objects, in words."""
+        reasons = []
+        if not self.accepts_goals() or not self.planner_active:
+            reasons.append("the planner is not up")
+        if self._arm is None or self._arm.state != ArmState.IDLE:
+            reasons.append("the arm is not idle")
+        if self._tapper is None or self._tapper.state != TapperState.SAFE:
+            reasons.append("the tapper is not safe")
+        reasons += [f"'{name}' is not seen at rest" for name in sorted(names - self.poses.keys())]
+        return reasons
+
+    @property
+    def answered(self) -> bool:
+        """Whether the planner has answered the arrangement sent last."""
+        return self._handle is not None
+
+    def send(self, layout: LayoutFile) -> None:
+        """Send an arrangement."""
+        message = ArrangeObjects.Goal(
+            in_order=layout.in_order,
+            may_move=list(layout.may_move),
+            max_taps=layout.max_taps,
+            time_limit=layout.time_limit,
+        )
+        for goal in layout.goals:
+            one = ObjectGoal(
+                object_id=goal.object,
+                position_tolerance=goal.position_tolerance,
+                angle_tolerance=goal.angle_tolerance,
+            )
+            one.goal_pose.header.frame_id = "table"
+            one.goal_pose.pose = to_message(Pose(*goal.pose))
+            message.goals.append(one)
+        self._taps, self._handle = 0, None
+        # Sent from the executor's thread, as in ``GoalClient``.
+        self._executor.create_task(self._send, message)
+
+    def cancel(self, patience: float = 5.0) -> bool:
+        """Cancel the arrangement; False where there is none."""
+        handle = self._handle
+        if handle is None:
+            return False
+        done = threading.Event()
+
+        def ask() -> None:
+            handle.cancel_goal_async().add_done_callback(lambda _: done.set())
+
+        self._executor.create_task(ask)
+        return done.wait(patience)
+
+    def events(self, poll: float = 0.2) -> Iterator[Event | None]:
+        """Events as they come, and None in between."""
+        while True:
+            try:
+                event = self._events.get(timeout=poll)
+            except queue.Empty:
+                yield None
+                continue
+            yield event
+            if isinstance(event, ArrangementEnded):
+                return
+
+    def _send(self, message: ArrangeObjects.Goal) -> None:
+        future = self._action.send_goal_async(message, feedback_callback=self._on_feedback)
+        future.add_done_callback(self._on_response)
+
+    def _on_response(self, future: object) -> None:
+        handle = future.result()  # type: ignore[attr-defined]
+        self._handle = handle
+        handle.get_result_async().add_done_callback(self._on_result)
+
+    def _on_feedback(self, message: object) -> None:
+        content = message.feedback  # type: ignore[attr-defined]
+        plan = content.plan_state
+        if plan.taps > self._taps:
+            self._taps = plan.taps
+            objects = _ends(content.objects)
+            self._events.put(ObjectTapped(plan.taps, plan.last_tap.object_id, objects))
+
+    def _on_result(self, future: object) -> None:
+        result = future.result().result  # type: ignore[attr-defined]
+        self._events.put(
+            ArrangementEnded(
+                result.error_code, result.error_msg, result.taps, _ends(result.objects)
+            )
+        )
+
+    def _on_states(self, message: ObjectStates) -> None:
+        self.poses = _poses(message, at_rest=True)
+
+    def _on_truth(self, message: ObjectStates) -> None:
+        self.true_poses = _poses(message, at_rest=False)
+
+    def _on_contact(self, message: ObjectContact) -> None:
+        self.contacts.append((message.object_id, message.other_id))
+
+    def _on_arm(self, message: ArmState) -> None:
+        self._arm = message
+
+    def _on_tapper(self, message: TapperState) -> None:
+        self._tapper = message
+
+    def _on_plan(self, message: PlanState) -> None:
+        self.planner_active = True
+
+
+def residuals(poses: Mapping[str, Pose], layout: LayoutFile) -> dict[str, tuple[float, float]]:
+    """Distance (m) and rotation (rad) of each object from its goal; NaN where it is not seen."""
+    found = {}
+    for goal in layout.goals:
+        pose, wanted = poses.get(goal.object), Pose(*goal.pose)
+        found[goal.object] = (
+            (math.nan, math.nan)
+            if pose is None
+            else (pose.distance_to(wanted), abs(pose.rotation_to(wanted)))
+        )
+    return found
+
+
+def _poses(message: ObjectStates, at_rest: bool) -> dict[str, Pose]:
+    return {
+        state.object_id: from_message(state.pose.pose)
+        for state in message.objects
+        if state.visible and (state.at_rest or not at_rest)
+    }
+
+
+def _ends(objects: list[ObjectProgress]) -> tuple[ObjectEnd, ...]:
+    return tuple(
+        ObjectEnd(
+            one.object_id,
+            STATES[one.state],
+            one.has_goal,
+            one.taps,
+            one.residual_distance,
+            one.residual_rotation,
+        )
+        for one in objects
+    )

@@ -1,0 +1,74 @@
+"use strict";
+// The tap that is planned: drawn on the picture before it is made, and confirmed where it waits for that.
+
+class Planned {
+  constructor() {
+    this.tap = null;
+    this.answerBy = 0;
+    for (const [id, confirm] of [["planned-yes", true], ["planned-no", false]]) {
+      document.getElementById(id).addEventListener("click", () => {
+        if (this.tap) request("confirm", { tap_id: this.tap.tap_id, confirm });
+      });
+    }
+  }
+
+  forget() {
+    this.tap = null;
+  }
+
+  // The buttons answer for the tap whose words are shown; another one is shown first, then asked for.
+  render(tap, drawing) {
+    this.draw(drawing);
+    const waiting = tap && tap.waiting ? tap : null, card = document.getElementById("planned");
+    const other = waiting && (!this.tap || this.tap.tap_id !== waiting.tap_id);
+    this.tap = waiting;
+    card.hidden = !waiting;
+    if (!waiting) return;
+    this.answerBy = performance.now() + 1000 * waiting.seconds_left;
+    this.tick();
+    if (!other) return;
+    card.dataset.tap = waiting.tap_id;
+    setText(document.getElementById("planned-answer"), "");
+    setText(document.getElementById("planned-title"), `Make tap ${waiting.number}?`);
+    setText(document.getElementById("planned-words"), this.words(waiting));
+    // A click meant for the tap before must not hit this one.
+    for (const id of ["planned-yes", "planned-no"]) {
+      const button = document.getElementById(id);
+      button.disabled = true;
+      setTimeout(() => { button.disabled = false; }, 400);
+    }
+  }
+
+  words(tap) {
+    const why = tap.reason ? ` Why this one: ${tap.reason}.` : "";
+    const [distance, angle] = tap.remaining;
+    const [x, y] = tap.to;
+    return `The striker at ${tap.speed.toFixed(0)} mm/s moves the object by ${tap.distance.toFixed(1)} \u00b1 ${tap.deviation.toFixed(1)} mm `
+      + `and turns it by ${signed(tap.turn)} \u00b1 ${tap.turn_deviation.toFixed(1)}\u00b0, to x ${signed(x)} mm, y ${signed(y)} mm; then ${distance.toFixed(1)} mm and `
+      + `${signed(angle)}\u00b0 are left to the goal.${why}`;
+  }
+
+  tick() {
+    if (!this.tap) return;
+    const left = Math.max(0, Math.ceil((this.answerBy - performance.now()) / 1000));
+    setText(document.getElementById("planned-clock"), `Without an answer the goal ends in ${left} s.`);
+  }
+
+  draw(drawing) {
+    const group = document.getElementById("planned-drawing");
+    group.toggleAttribute("hidden", !drawing);
+    if (!drawing) return;
+    const scale = ([u, v]) => [1000 * u, 1000 * ghost.aspect * v];
+    const points = (list) => list.map((p) => scale(p).map((n) => n.toFixed(1)).join(",")).join(" ");
+    const set = (id, list) => document.getElementById(id).setAttribute("points", points(list));
+    set("planned-ellipse", drawing.ellipse);
+    set("planned-outline", drawing.outline);
+    set("planned-way", drawing.way);
+    set("planned-arrow", drawing.arrow);
+    set("planned-shade", drawing.arrow);
+    const [from, to] = drawing.arrow.map(scale), length = Math.hypot(to[0] - from[0], to[1] - from[1]) || 1;
+    const [x, y] = [(to[0] - from[0]) / length, (to[1] - from[1]) / length];
+    const head = [[0, 0], [-22, 9], [-22, -9]].map(([a, b]) => [to[0] + a * x - b * y, to[1] + a * y + b * x]);
+    document.getElementById("planned-head").setAttribute("points", head.map((p) => p.map((n) => n.toFixed(1)).join(",")).join(" "));
+  }
+}

@@ -1,0 +1,124 @@
+"use strict";
+// Goals that wait, goals with names, and what may be set while the cell runs.
+
+class Settings {
+  constructor() {
+    this.rows = "";
+    this.names = "";
+    this.asked = null;  // what the box was set to, until the planner says so itself
+    this.on("ask", "change", (box) => {
+      this.asked = { value: box.checked, at: performance.now() };
+      request("set_ask", { ask: box.checked }, "settings");
+    });
+    this.on("planner", "change", (list) => request("set_planner", { planner: list.value }, "settings"));
+    this.on("queue-run", "click", () => request("run_queue", {}, "queue"));
+    this.on("queue-hold", "click", () => request("hold_queue", {}, "queue"));
+    this.on("enqueue", "click", () => {
+      const goal = readGoal();
+      if (goal) request("queue_goal", goal, "queue");
+    });
+    this.on("keep", "click", () => {
+      const goal = readGoal(), name = document.getElementById("new-name");
+      if (!name.value.trim()) {
+        show("goal", "Type a name for this goal first.", "bad");
+        name.focus();
+      } else if (goal) {
+        request("name_goal", { name: name.value.trim(), x: goal.x, y: goal.y, angle: goal.angle }, "queue");
+        name.value = "";
+      }
+    });
+    this.on("named", "change", (list) => {
+      const chosen = list.selectedOptions[0];
+      document.getElementById("forget").disabled = !list.value;
+      if (!list.value) return;
+      const [x, y, angle] = JSON.parse(chosen.dataset.pose);
+      ghost.touched = true;
+      ghost.place(x, y, angle);
+    });
+    this.on("forget", "click", () => request("forget_goal", { name: document.getElementById("named").value }, "queue"));
+    for (const id of ["tolerance-position", "tolerance-angle"]) this.on(id, "input", () => readGoal());
+  }
+
+  on(id, kind, act) {
+    const element = document.getElementById(id);
+    element.addEventListener(kind, () => act(element));
+  }
+
+  welcome(message) {
+    const list = document.getElementById("planner"), kept = list.value;
+    list.replaceChildren(...message.planners.map((name) => new Option(
+      name === message.planner ? `${name} (this cell's)` : name, name)));
+    list.value = kept || message.planner;
+    document.getElementById("tolerance-position").placeholder = `${message.tolerance[0]}`;
+    document.getElementById("tolerance-angle").placeholder = `${message.tolerance[1]}`;
+    document.getElementById("settings-answer").textContent = "";
+  }
+
+  // Empty fields mean the cell's own tolerance.
+  tolerance() {
+    const value = {};
+    let trouble = "";
+    for (const [id, name, unit] of [["tolerance-position", "position_tolerance", "mm"], ["tolerance-angle", "angle_tolerance", "degrees"]]) {
+      const field = document.getElementById(id), typed = field.value.trim().replace(",", ".");
+      const good = !typed || (/^(\d+\.?\d*|\.\d+)$/.test(typed) && Number(typed) > 0);
+      field.setAttribute("aria-invalid", String(!good));
+      if (!good) {
+        trouble = trouble || `The tolerance is '${typed}': type a number of ${unit} above 0, or leave it empty for the cell's own.`;
+        document.getElementById("more").open = true;
+      } else if (typed) {
+        value[name] = Number(typed);
+      }
+    }
+    return { value, trouble };
+  }
+
+  render(state, connected) {
+    const ask = document.getElementById("ask");
+    const waiting = this.asked && performance.now() - this.asked.at < 2000 && this.asked.value !== state.plan.ask;
+    if (!waiting) {
+      this.asked = null;
+      ask.checked = state.plan.ask;
+    }
+    for (const id of ["ask", "planner", "enqueue", "keep"]) document.getElementById(id).disabled = !connected;
+    this.renderQueue(state.queue, connected);
+    this.renderNames(state.named);
+  }
+
+  renderQueue(queue, connected) {
+    const count = queue.rows.length, run = document.getElementById("queue-run"), hold = document.getElementById("queue-hold");
+    run.hidden = !count || queue.running;
+    hold.hidden = !queue.running;
+    run.disabled = !connected || Boolean(state.blocked);
+    hold.disabled = !connected;
+    const words = count ? `${count} ${count === 1 ? "goal waits" : "goals wait"}. ${queue.running ? "The next one follows when this one is reached." : queue.held}`
+      : queue.running ? "The last goal of the queue is under way." : "No goal waits.";
+    setText(document.getElementById("queue-words"), words);
+    const key = JSON.stringify([queue.rows, connected]);
+    if (key === this.rows) return;
+    this.rows = key;
+    document.getElementById("queue").replaceChildren(...queue.rows.map(([number, x, y, angle]) => {
+      const row = document.createElement("li"), button = document.createElement("button");
+      button.type = "button";
+      button.textContent = "Remove";
+      button.disabled = !connected;
+      button.setAttribute("aria-label", `Remove the goal x ${x} mm, y ${y} mm, ${angle} degrees from the queue`);
+      button.addEventListener("click", () => request("unqueue", { number }, "queue"));
+      row.append(Object.assign(document.createElement("span"), { textContent: `${signed(x)}, ${signed(y)} mm, ${signed(angle)}\u00b0` }), button);
+      return row;
+    }));
+  }
+
+  renderNames(named) {
+    const key = JSON.stringify(named), list = document.getElementById("named");
+    if (key === this.names) return;
+    this.names = key;
+    const kept = list.value;
+    list.replaceChildren(new Option("choose", ""), ...named.map(([name, ...pose]) => {
+      const option = new Option(name, name);
+      option.dataset.pose = JSON.stringify(pose);
+      return option;
+    }));
+    list.value = named.some(([name]) => name === kept) ? kept : "";
+    document.getElementById("forget").disabled = !list.value;
+  }
+}

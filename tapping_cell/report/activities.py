@@ -1,0 +1,76 @@
+"""What the cell did when, as arm and camera said it: the arm travels, the object slides."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tapping_cell.report.bag import Bag
+from tapping_cell.report.run import Phase
+
+TRAVELS, LOWERS, CHARGES, SLIDES, WITHDRAWS, LOOKS, THINKS, ASKS = (
+    "the arm travels",
+    "the arm lowers the striker",
+    "the tapper charges and fires",
+    "the object slides",
+    "the arm withdraws",
+    "the camera looks",
+    "the planner waits or plans",
+    "a person is asked",
+)
+LOWERED_M = 0.003
+"""A tip that has come down by so much since the arm moved off is being lowered."""
+_ARM_MOVING, _ARM_IN_POSITION, _ARM_WITHDRAWING = 4, 5, 6
+_PLAN_CONFIRMING, _PLAN_LOOKING = 10, 2
+
+
+def activities(bag: Bag, began: float, ended: float) -> tuple[Phase, ...]:
+    """One after the other, from ``began`` to ``ended`` in s; empty without ``arm_state``."""
+    told: list[tuple[float, str, Any]] = []
+    for topic in ("arm_state", "object_state", "plan_state"):
+        told += [(_seconds(m.header.stamp), topic, m) for _, m in bag.of(topic)]
+    if not any(topic == "arm_state" for _, topic, _ in told):
+        return ()
+    latest: dict[str, Any] = {}
+    found: list[Phase] = []
+    highest = -math.inf
+    for at, topic, message in sorted(told, key=lambda entry: entry[0]):
+        if at > ended:
+            break
+        latest[topic] = message
+        if "arm_state" not in latest:
+            continue
+        if topic == "arm_state":
+            height = float(message.tip_pose.position.z)
+            highest = max(highest, height) if message.state == _ARM_MOVING else height
+        name = _activity(latest)
+        lowered = latest["arm_state"].tip_pose.position.z < highest - LOWERED_M
+        if name == TRAVELS and lowered:
+            name = LOWERS
+        if not found or found[-1].name != name:
+            found.append(Phase(max(0.0, at - began), name))
+        if at < began:
+            found = [Phase(0.0, name)]
+    return tuple(found)
+
+
+def _activity(latest: dict[str, Any]) -> str:
+    arm, seen, plan = (latest.get(name) for name in ("arm_state", "object_state", "plan_state"))
+    assert arm is not None
+    if plan is not None and plan.state == _PLAN_CONFIRMING:
+        return ASKS
+    if arm.state == _ARM_MOVING:
+        return TRAVELS
+    if arm.state == _ARM_IN_POSITION:
+        return CHARGES
+    if seen is not None and seen.visible and not seen.at_rest:
+        return SLIDES
+    if arm.state == _ARM_WITHDRAWING:
+        return WITHDRAWS
+    if plan is not None and plan.state == _PLAN_LOOKING:
+        return LOOKS
+    return THINKS
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec) if stamp is not None else math.nan

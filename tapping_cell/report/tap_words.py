@@ -1,0 +1,93 @@
+"""One tap in a sentence or two: what it was to do, what was expected and measured, and why it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tapping_cell.report.run import TapRow
+from tapping_cell.se2 import Pose, wrap_angle
+
+WITHIN_95 = 7.81
+"""95 % quantile of the chi-squared distribution with three degrees of freedom."""
+BESIDE = math.radians(25.0)
+"""A tap that points farther from the goal than this is not meant to go straight there."""
+FARTHER = 1.15
+"""A tap that is longer than this share of the way passes the goal on purpose."""
+SHORTER = 0.85
+"""A tap that is shorter than this share of the way stops before the goal on purpose."""
+
+
+def tap_sentence(tap: TapRow, goal: Pose | None) -> str:
+    """For people; in mm and degrees."""
+    parts = [_moved(tap)]
+    if goal is not None:
+        parts.append(_purpose(tap, goal))
+        if math.isfinite(tap.measured.x):
+            parts.append(
+                f"It brought the object from {_left(tap.before, goal)} to "
+                f"{_left(tap.measured, goal)} of the goal."
+            )
+    elif tap.reason:
+        parts.append(f"Chosen because {tap.reason}.")
+    return " ".join(part for part in parts if part)
+
+
+def _moved(tap: TapRow) -> str:
+    expected = f"Expected to move the object by {_move(tap.before, tap.predicted)}"
+    if not math.isfinite(tap.measured.x):
+        return f"{expected}; it was not seen afterwards."
+    return f"{expected}; measured {_move(tap.before, tap.measured)}{_agreement(tap)}."
+
+
+def _agreement(tap: TapRow) -> str:
+    """How well the measurement fits what was expected, where that is known."""
+    if tap.predicted_covariance is None:
+        return ""
+    covariance = np.array(tap.predicted_covariance)
+    off = np.array(tap.measured) - np.array(tap.predicted)
+    off[2] = wrap_angle(off[2])
+    distance = float(off @ np.linalg.pinv(covariance, hermitian=True) @ off)
+    if distance <= WITHIN_95:
+        return ", within the scatter of a tap"
+    return ", outside the range that holds 95 % of taps: the next taps take it into account"
+
+
+def _purpose(tap: TapRow, goal: Pose) -> str:
+    """Why it was not simply a tap to the goal; empty where it was one."""
+    if tap.reason:
+        return f"Not the tap straight to the goal, because {tap.reason}."
+    to_goal = np.array([goal.x - tap.before.x, goal.y - tap.before.y])
+    move = np.array([tap.predicted.x - tap.before.x, tap.predicted.y - tap.before.y])
+    away, length = float(np.hypot(*to_goal)), float(np.hypot(*move))
+    if away <= 0.0 or length <= 0.0:
+        return ""
+    turn = math.degrees(abs(tap.before.rotation_to(tap.predicted)))
+    needs = f"turning by {turn:.1f} deg takes a travel of {1000 * length:.1f} mm"
+    along = float(wrap_angle(math.atan2(move[1], move[0]) - math.atan2(to_goal[1], to_goal[0])))
+    if abs(along) > math.pi - BESIDE:
+        return f"It moves away from the goal on purpose: {needs}, and the next tap comes back."
+    if abs(along) > BESIDE:
+        return ""
+    if length > FARTHER * away:
+        return (
+            f"It passes the goal on purpose: {needs}, and the goal was {1000 * away:.1f} mm away; "
+            "the next tap comes back."
+        )
+    if length < SHORTER * away:
+        return (
+            f"It stops {1000 * (away - length):.1f} mm before the goal on purpose: a shorter tap "
+            "scatters less, and the last one can still turn the object."
+        )
+    return "It aims straight at the goal."
+
+
+def _move(before: Pose, after: Pose) -> str:
+    turn = math.degrees(before.rotation_to(after))
+    return f"{1000 * before.distance_to(after):.1f} mm and {turn:+.1f} deg"
+
+
+def _left(pose: Pose, goal: Pose) -> str:
+    turn = math.degrees(abs(pose.rotation_to(goal)))
+    return f"{1000 * pose.distance_to(goal):.1f} mm and {turn:.1f} deg"

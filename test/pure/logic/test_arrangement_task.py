@@ -1,0 +1,381 @@
+"""Arrangements in virtual time: several objects, each to its place, through the planner's machine
+with devices that are played; and the tapper that judges the object that is tapped."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import pytest
+from test_planner_with_played_devices import COVARIANCE, FAST, shipped
+from virtual_node import VirtualNode
+
+from tapping_cell.configuration.objects import ObjectFile
+from tapping_cell.logic.arrangement import FOLLOWS, OPEN, PROGRESS_TABLE, Change, Progress
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.goal_handling import GoalHandling
+from tapping_cell.logic.other_objects import OtherObjects
+from tapping_cell.logic.planner import PlannerLogic
+from tapping_cell.logic.poses import from_message, to_message
+from tapping_cell.logic.tapper_peers import PeerLimits, TapperPeers
+from tapping_cell.messages import (
+    ArmState,
+    ArrangementState,
+    ArrangeObjects,
+    Bool,
+    ErrorCode,
+    ObjectGoal,
+    ObjectProgress,
+    ObjectState,
+    ObjectStates,
+    PlanState,
+    PoseStamped,
+    TapCommand,
+    TapperState,
+)
+from tapping_cell.se2 import Pose
+
+PLACES = (Pose(-0.12, 0.03, 0.0), Pose(0.04, 0.05, 0.2), Pose(0.10, -0.12, 0.0))
+
+
+@cache
+def files() -> tuple[ObjectFile, ...]:
+    """Further disks like the cell's own, and so small that three have room."""
+    own = shipped()[0].object
+    return tuple(replace(own, name=f"disk {number}") for number in (2, 3))
+
+
+@cache
+def handling() -> GoalHandling:
+    cell, maps = shipped()
+    return GoalHandling(
+        cell,
+        "",
+        OtherObjects(files(), 5.0, 0.002),
+        Now(0.0, 0),
+        adapt=True,
+        probe=False,
+        keep_for="",
+        time_limit=600.0,
+        maps=maps,
+        solve_in_background=False,
+    )
+
+
+class Table(VirtualNode):
+    """Camera, arm and tapper of a table with three disks, played by hand."""
+
+    def __init__(self, places: tuple[Pose, ...] = PLACES) -> None:
+        cell = shipped()[0]
+        self.names = [cell.object.name, *(file.name for file in files())]
+        self.poses = dict(zip(self.names, places, strict=True))
+        self.hidden: set[str] = set()
+        self.tap: TapCommand | None = None
+        self.taps: list[TapCommand] = []
+        self.outcome = TapperState.NONE
+        self.arm_state = ArmState.IDLE
+        self.on_tap = lambda: None
+        self.results: list[ArrangeObjects.Result] = []
+        self.reports: list[ArrangementState] = []
+
+        def connect(_: Any, __: float, now: Now) -> GoalHandling:
+            return handling()
+
+        super().__init__(
+            "tap_planner",
+            None,
+            lambda _: (PlannerLogic(FAST), None),
+            connect,
+            "plan_state",
+            cell,
+            started=False,
+        )
+        self.network.subscribe("actors", "tap_command", lambda _, m: self._on_command(m))
+        self.network.subscribe("actors", "arrangement_state", lambda _, m: self.reports.append(m))
+        self.scheduler.after(0.0, self._say)
+        self.process.start()
+        self.wait(lambda: self.states, "the planner is up")
+        self.run(0.3)
+
+    def _on_command(self, command: TapCommand) -> None:
+        if command.request != TapCommand.TAP:
+            self.arm_state = ArmState.IDLE
+            return
+        self.taps.append(command)
+        self.tap, self.outcome, self.arm_state = command, TapperState.FIRED, ArmState.IN_POSITION
+        self.poses[command.object_id] = from_message(command.predicted_pose)
+        self.on_tap()
+
+    def _say(self) -> None:
+        stamp, states = self.stamp(), []
+        for name in self.names:
+            state = ObjectState(
+                visible=name not in self.hidden, at_rest=True, frames_fused=40, object_id=name
+            )
+            state.header.stamp, state.header.frame_id = stamp, "table"
+            state.pose.pose = to_message(self.poses[name])
+            state.pose.covariance = COVARIANCE.reshape(-1).tolist()
+            states.append(state)
+        self.publish("object_state", states[0])
+        self.publish("object_states", ObjectStates(objects=states))
+        idle = self.arm_state == ArmState.IDLE
+        tap_id = self.tap.tap_id if self.tap is not None else 0
+        arm = ArmState(
+            state=self.arm_state, tap_id=0 if idle else tap_id, homed=True, clear_of_camera=idle
+        )
+        arm.header.stamp = stamp
+        self.publish("arm_state", arm)
+        self.publish(
+            "tapper_state",
+            TapperState(
+                state=TapperState.SAFE,
+                tap_id=tap_id,
+                outcome=self.outcome,
+                interlock_closed=True,
+            ),
+        )
+        self.scheduler.after(0.03, self._say)
+
+    def send(self, goals: dict[str, Pose], **rest: Any) -> None:
+        asked = ArrangeObjects.Goal(
+            goals=[goal_of(name, pose) for name, pose in goals.items()], **rest
+        )
+        self.process.request("arrange_objects", asked, 1, self.results.append)
+
+    def end(self) -> ArrangeObjects.Result:
+        self.wait(lambda: self.results, "the end of the arrangement", 200.0)
+        self.run(0.1)
+        return self.results[0]
+
+
+def goal_of(name: str, pose: Pose) -> ObjectGoal:
+    message = PoseStamped(pose=to_message(pose))
+    message.header.frame_id = "table"
+    return ObjectGoal(object_id=name, goal_pose=message)
+
+
+@pytest.fixture
+def cell() -> Table:
+    return Table()
+
+
+def moved(pose: Pose, dx: float, dy: float, turn: float = 0.0) -> Pose:
+    return Pose(pose.x + dx, pose.y + dy, pose.theta + turn)
+
+
+def test_every_object_is_brought_to_its_goal_and_told_of(cell: Table) -> None:
+    goals = {
+        name: moved(cell.poses[name], *step)
+        for name, step in zip(
+            cell.names, ((0.01, -0.02, 0.1), (0.02, 0.0), (-0.02, 0.01)), strict=True
+        )
+    }
+    cell.send(goals)
+    result = cell.end()
+    assert result.error_code == ErrorCode.NONE, result.error_msg
+    assert [one.object_id for one in result.objects] == list(goals)
+    for one in result.objects:
+        assert one.state == ObjectProgress.REACHED and one.has_goal
+        assert from_message(one.goal_pose).distance_to(goals[one.object_id]) < 1e-9
+        assert one.residual_distance < 0.001
+        assert cell.poses[one.object_id].distance_to(goals[one.object_id]) < 0.001
+    # A tap names its object, starts where that lies, and is counted once.
+    assert {tap.object_id for tap in cell.taps} == set(goals)
+    assert len(cell.taps) == result.taps == len(result.records)
+    assert sum(one.taps for one in result.objects) == result.taps
+    assert [record.object_id for record in result.records] == [t.object_id for t in cell.taps]
+    assert not cell.reports[-1].active and cell.reports[-1].taps == result.taps
+    assert any(report.active for report in cell.reports)
+    # plan_state tells of the object that is being tapped.
+    placing = {state.object_id for state in cell.states if state.state == PlanState.PLACING}
+    assert placing == set(goals)
+
+
+def test_two_objects_change_places(cell: Table) -> None:
+    one, other = cell.names[:2]
+    goals = {one: cell.poses[other], other: cell.poses[one]}
+    cell.send(goals)
+    result = cell.end()
+    assert result.error_code == ErrorCode.NONE, result.error_msg
+    assert all(cell.poses[name].distance_to(goal) < 0.001 for name, goal in goals.items())
+    states = {one.state for report in cell.reports for one in report.objects}
+    assert ObjectProgress.MAKING_WAY in states and ObjectProgress.WAITING in states
+
+
+def test_the_order_of_the_list_is_kept_where_it_is_asked_for(cell: Table) -> None:
+    names = cell.names[::-1]
+    cell.send({name: moved(cell.poses[name], 0.015, 0.0) for name in names}, in_order=True)
+    assert cell.end().error_code == ErrorCode.NONE
+    tapped = list(dict.fromkeys(tap.object_id for tap in cell.taps))
+    assert tapped == names
+
+
+@pytest.mark.parametrize("code", ["unknown", "twice", "may move", "none", "overlap", "off table"])
+def test_a_bad_layout_is_refused_before_the_first_tap(cell: Table, code: str) -> None:
+    one, other = cell.names[:2]
+    near = Pose(0.0, 0.0, 0.0)
+    goals = [goal_of(one, near), goal_of(other, Pose(0.13, 0.0, 0.0))]
+    may_move: list[str] = []
+    if code == "unknown":
+        goals[1].object_id = "teapot"
+    elif code == "twice":
+        goals[1].object_id = one
+    elif code == "may move":
+        may_move = ["teapot"]
+    elif code == "none":
+        goals = []
+    elif code == "overlap":
+        goals[1] = goal_of(other, Pose(0.06, 0.0, 0.0))
+    else:
+        goals[1] = goal_of(other, Pose(0.5, 0.0, 0.0))
+    asked = ArrangeObjects.Goal(goals=goals, may_move=may_move)
+    cell.process.request("arrange_objects", asked, 1, cell.results.append)
+    result = cell.end()
+    expected = {
+        "unknown": ErrorCode.GOAL_UNKNOWN_OBJECT,
+        "twice": ErrorCode.GOAL_UNKNOWN_OBJECT,
+        "may move": ErrorCode.GOAL_UNKNOWN_OBJECT,
+        "none": ErrorCode.COMMAND_INVALID,
+        "overlap": ErrorCode.GOALS_OVERLAP,
+        "off table": ErrorCode.GOAL_OFF_TABLE,
+    }[code]
+    assert result.error_code == expected, result.error_msg
+    assert not cell.taps
+    if code in ("overlap", "off table"):
+        assert f"'{other}'" in result.error_msg
+        assert all(each.state == ObjectProgress.FAILED for each in result.objects)
+
+
+def test_an_object_that_was_touched_is_seen_and_planned_for_anew(cell: Table) -> None:
+    one, other = cell.names[:2]
+    goals = {name: moved(cell.poses[name], 0.02, 0.0) for name in (one, other)}
+
+    def touch() -> None:
+        cell.on_tap = lambda: None
+        struck = cell.taps[-1].object_id
+        pushed = other if struck == one else one
+        cell.poses[pushed] = moved(cell.poses[pushed], 0.0, -0.015)
+
+    cell.on_tap = touch
+    cell.send(goals)
+    result = cell.end()
+    assert result.error_code == ErrorCode.NONE, result.error_msg
+    assert all(cell.poses[name].distance_to(goal) < 0.001 for name, goal in goals.items())
+
+
+def test_an_object_moved_by_hand_before_the_tap_gives_it_up(cell: Table) -> None:
+    one, other = cell.names[:2]
+    cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
+    cell.wait(lambda: cell.states[-1].state == PlanState.LOOKING, "it looks")
+    # The arm goes to its place and stays there until the other object has been moved.
+    cell._on_command = lambda command: cell.taps.append(command)  # type: ignore[method-assign]
+    cell.wait(lambda: cell.taps, "a tap is commanded")
+    cell.poses[other] = moved(cell.poses[other], 0.01, 0.0)
+    cell.wait(lambda: cell.states[-1].state == PlanState.SETTLING, "it gives the tap up", 1.0)
+    withdrawals = [tap for tap in cell.taps if tap.request == TapCommand.WITHDRAW]
+    assert [tap.tap_id for tap in withdrawals] == [cell.taps[0].tap_id]
+
+
+def test_a_hidden_object_is_waited_for_and_named_in_the_end(cell: Table) -> None:
+    one, other = cell.names[:2]
+    cell.hidden = {other}
+    cell.send({name: moved(cell.poses[name], 0.02, 0.0) for name in (one, other)})
+    result = cell.end()
+    assert result.error_code == ErrorCode.OBJECT_NOT_SEEN and not cell.taps
+    assert f"'{other}' is not seen" in result.error_msg
+
+
+def test_an_object_without_goal_that_is_not_there_is_left_out(cell: Table) -> None:
+    one, _, third = cell.names
+    cell.hidden = {third}
+    cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
+    assert cell.end().error_code == ErrorCode.NONE
+
+
+def test_a_cancelled_arrangement_ends_its_tap(cell: Table) -> None:
+    one = cell.names[0]
+    cell.on_tap = lambda: setattr(cell, "outcome", TapperState.NONE)
+    cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
+    cell.wait(lambda: cell.taps, "a tap is commanded")
+    cell.process.request("cancel", None, 1, lambda _: None, waits=False)
+    result = cell.end()
+    assert result.error_code == ErrorCode.GOAL_CANCELED
+    assert cell.states[-1].state == PlanState.CANCELED and cell.arm_state == ArmState.IDLE
+
+
+def test_an_emergency_stop_and_the_time_limit_end_an_arrangement() -> None:
+    for code in (ErrorCode.EMERGENCY_STOP, ErrorCode.DEADLINE_EXCEEDED):
+        cell = Table()
+
+        def wait_for_tapper(cell: Table = cell) -> None:
+            cell.outcome, cell.poses[cell.names[0]] = TapperState.NONE, PLACES[0]
+
+        cell.on_tap = wait_for_tapper
+        limit = 0.5 if code == ErrorCode.DEADLINE_EXCEEDED else 0.0
+        one = cell.names[0]
+        cell.send({one: moved(cell.poses[one], 0.02, 0.0)}, time_limit=limit)
+        if code == ErrorCode.EMERGENCY_STOP:
+            cell.wait(lambda cell=cell: cell.taps, "a tap is commanded")  # type: ignore[misc]
+            cell.publish("emergency_stop", Bool(data=True))
+        result = cell.end()
+        assert result.error_code == code
+        assert result.objects[0].state == ObjectProgress.FAILED
+        assert result.objects[0].error_code == code
+
+
+def test_every_change_of_an_open_object_leads_where_it_says() -> None:
+    for progress in Progress:
+        for change in Change:
+            allowed = PROGRESS_TABLE.get((progress, change), frozenset())
+            assert allowed <= {FOLLOWS[change]}
+            if progress is Progress.FAILED:
+                assert not allowed
+            elif progress in OPEN and change is not Change.GIVEN_UP:
+                assert allowed
+
+
+# The tapper judges the object that is tapped
+
+
+def states_of(**poses: Pose) -> ObjectStates:
+    message = ObjectStates()
+    for name, pose in poses.items():
+        state = ObjectState(object_id=name, visible=True)
+        state.header.stamp.sec = 10
+        state.pose.pose = to_message(pose)
+        message.objects.append(state)
+    return message
+
+
+def test_the_last_check_is_of_the_tapped_object() -> None:
+    now = Now(10.0, 10_000_000_000)
+    here, there, away = Pose(0.0, 0.0, 0.0), Pose(0.1, 0.0, 0.0), Pose(0.15, 0.0, 0.0)
+    peers = TapperPeers(PeerLimits())
+    own = states_of(own=here).objects[0]
+    peers.hear_object(own, now)
+
+    def doubt(name: str, planned: Pose) -> int:
+        peers.begin_tap(name)
+        found = peers._disturbance(planned, now)
+        return found[0] if found is not None else ErrorCode.NONE
+
+    # One that was never seen is not tapped, wherever the cell's own object lies.
+    assert doubt("other", there) == ErrorCode.OBJECT_NOT_SEEN
+    assert doubt("other", here) == ErrorCode.OBJECT_NOT_SEEN
+    peers.hear_objects(states_of(own=here, other=there), now)
+    assert doubt("other", there) == ErrorCode.NONE
+    assert doubt("other", here) == ErrorCode.OBJECT_MOVED
+    assert doubt("own", here) == doubt("", here) == ErrorCode.NONE
+    assert doubt("own", there) == ErrorCode.OBJECT_MOVED
+    # It is as old as its own stamp, and an older state does not count for a newer one.
+    late = states_of(other=away)
+    late.objects[0].header.stamp.sec = 9
+    peers.hear_objects(late, now)
+    assert doubt("other", there) == ErrorCode.NONE
+    later = Now(10.0 + PeerLimits().unseen + 0.1, 10_600_000_000)
+    peers.hear_object(own, later)
+    peers.begin_tap("other")
+    assert peers._disturbance(there, later)[0] == ErrorCode.OBJECT_NOT_SEEN  # type: ignore[index]
+    assert math.isfinite(later.steady)

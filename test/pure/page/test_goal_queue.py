@@ -1,0 +1,103 @@
+"""The queue of goals: nothing is sent before a person runs it, nothing after a goal that failed."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tapping_cell.nodes.page.goal_queue import (
+    MOST_NAMES,
+    MOST_WAITING,
+    GoalQueue,
+    NamedGoals,
+    QueueFull,
+    Wanted,
+)
+from tapping_cell.se2 import Pose
+
+EVENTS = st.lists(
+    st.sampled_from(["add", "run", "hold", "reached", "failed", "blocked", "remove", "look"]),
+    max_size=60,
+)
+
+
+@given(EVENTS)
+def test_goals_leave_in_order_once_and_only_while_a_person_lets_them(events: list[str]) -> None:
+    queue, added, sent = GoalQueue(), 0, []
+    running = busy = False
+    removed: set[float] = set()
+    for event in events:
+        if event == "add":
+            added += 1
+            queue.add(Wanted(Pose(float(added), 0.0, 0.0)))
+        elif event == "run":
+            queue.run()
+            running = True
+        elif event == "hold":
+            queue.hold()
+            running = False
+        elif event in ("reached", "failed"):
+            queue.ended(event == "reached", "why")
+            busy = False
+            running = running and event == "reached"
+        elif event == "remove" and queue.rows():
+            number, goal = queue.rows()[0]
+            assert queue.remove(number) and not queue.remove(number)
+            removed.add(goal.pose.x)
+        goal_now = queue.next(busy, "stopped" if event == "blocked" else "")
+        running = running and event != "blocked"
+        if goal_now is not None:
+            assert running and not busy
+            sent.append(goal_now.pose.x)
+            busy = True
+    assert sent == sorted(set(sent)) and not removed & set(sent)
+    assert len(sent) + len(removed) + len(queue.rows()) == added
+
+
+def test_a_goal_that_failed_holds_the_queue_and_says_why() -> None:
+    queue = GoalQueue()
+    for x in (1.0, 2.0):
+        queue.add(Wanted(Pose(x, 0.0, 0.0)))
+    assert queue.next(False, "") is None, "nothing moves before it is run"
+    queue.run()
+    assert queue.next(False, "") is not None
+    queue.ended(False, "the arm is stopped (508)")
+    assert not queue.running and "508" in queue.held
+    assert queue.next(False, "") is None
+    queue.run()
+    assert queue.held == "" and queue.next(False, "") == Wanted(Pose(2.0, 0.0, 0.0))
+
+
+def test_what_does_not_fit_is_refused_in_words() -> None:
+    queue, names = GoalQueue(), NamedGoals()
+    for number in range(MOST_WAITING):
+        queue.add(Wanted(Pose(0.0, 0.0, 0.0)))
+        names.keep(f"place {number}", Pose(0.0, 0.0, 0.0))
+    with pytest.raises(QueueFull, match="50 goals wait already"):
+        queue.add(Wanted(Pose(0.0, 0.0, 0.0)))
+    assert MOST_NAMES == MOST_WAITING
+    with pytest.raises(QueueFull, match="50 goals have names"):
+        names.keep("one more", Pose(0.0, 0.0, 0.0))
+    names.keep("place 0", Pose(1.0, 0.0, 0.0))
+    assert names.rows()[0] == ("place 0", Pose(1.0, 0.0, 0.0))
+
+
+def test_names_are_kept_over_a_restart() -> None:
+    names = NamedGoals()
+    names.keep("home", Pose(0.01, -0.02, 0.5))
+    names.keep("Left", Pose(-0.1, 0.0, 0.0))
+    names.keep("gone", Pose(0.0, 0.0, 0.0))
+    assert names.forget("gone") and not names.forget("gone")
+    again = NamedGoals(json.loads(json.dumps(names.as_content())))
+    assert again.rows() == [("home", Pose(0.01, -0.02, 0.5)), ("Left", Pose(-0.1, 0.0, 0.0))]
+
+
+@pytest.mark.parametrize(
+    "content", [None, [], "x", {"a": None}, {"a": [1, 2]}, {"a": ["x", 0, 0]}, {"a": 5}]
+)
+def test_a_file_of_names_that_cannot_be_read_is_empty(content: Any) -> None:
+    assert NamedGoals(content).rows() == []

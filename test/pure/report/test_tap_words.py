@@ -1,0 +1,150 @@
+"""What the report says of one tap, and the film of a run."""
+
+from __future__ import annotations
+
+import math
+import re
+import xml.etree.ElementTree as ElementTree
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tapping_cell.report.animation import END_S, TAP_S, animation
+from tapping_cell.report.run import REACHED, Run, TapRow
+from tapping_cell.report.svg import Plan
+from tapping_cell.report.tap_words import tap_sentence
+from tapping_cell.se2 import Pose
+
+OUTLINE = ((0.03, 0.0), (-0.02, 0.02), (-0.02, -0.02))
+SPREAD = ((4e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 4e-4))
+
+
+def tap(number: int = 1, **changed: Any) -> TapRow:
+    """A tap of 40 mm along x with a turn of 0.2 rad, unless something else is said."""
+    plain: dict[str, Any] = {
+        "number": number,
+        "tap_id": number,
+        "method": "optimal",
+        "before": Pose(0.0, 0.0, 0.0),
+        "commanded": Pose(0.04, 0.0, 0.2),
+        "predicted": Pose(0.04, 0.0, 0.2),
+        "measured": Pose(0.041, 0.0, 0.21),
+        "true_pose": None,
+        "strike": Pose(-0.08, 0.0, 0.0),
+        "striker_speed": 0.7,
+        "contact_angle": math.pi,
+        "outcome": "fired",
+        "predicted_covariance": SPREAD,
+    }
+    return TapRow(**{**plain, **changed})
+
+
+@pytest.mark.parametrize(
+    ("goal", "words"),
+    [
+        (Pose(0.04, 0.0, 0.2), "It aims straight at the goal."),
+        (Pose(0.01, 0.0, 0.2), "It passes the goal on purpose: turning by 11.5 deg takes"),
+        (Pose(-0.01, 0.0, 0.2), "It moves away from the goal on purpose"),
+        (Pose(0.09, 0.0, 0.2), "It stops 50.0 mm before the goal on purpose"),
+    ],
+)
+def test_the_purpose_of_a_tap_is_told(goal: Pose, words: str) -> None:
+    told = tap_sentence(tap(), goal)
+    assert words in told
+    assert "Expected to move the object by 40.0 mm and +11.5 deg" in told
+    assert "measured 41.0 mm and +12.0 deg, within the scatter of a tap." in told
+
+
+def test_a_reason_that_the_planner_gave_is_told_in_its_words() -> None:
+    told = tap_sentence(tap(reason="a tap in this direction was skipped"), Pose(0.01, 0.0, 0.2))
+    assert "because a tap in this direction was skipped." in told and "on purpose" not in told
+
+
+def test_a_result_far_from_what_was_expected_is_called_so() -> None:
+    told = tap_sentence(tap(measured=Pose(0.02, 0.0, 0.1)), None)
+    assert "outside the range that holds 95 % of taps" in told
+    assert "within the scatter" not in told
+
+
+def test_the_word_for_scatter_holds_for_95_of_100_taps() -> None:
+    draws = np.random.default_rng(3).multivariate_normal([0.04, 0.0, 0.2], np.array(SPREAD), 1500)
+    told = [tap_sentence(tap(measured=Pose(*draw)), None) for draw in draws]
+    assert np.mean(["within the scatter" in each for each in told]) == pytest.approx(0.95, abs=0.02)
+
+
+def test_a_tap_that_was_never_seen_is_not_judged() -> None:
+    unseen = Pose(math.nan, math.nan, math.nan)
+    told = tap_sentence(tap(measured=unseen), Pose(0.1, 0.0, 0.0))
+    assert "it was not seen afterwards" in told and "nan" not in told
+
+
+angles = st.floats(-3.1, 3.1)
+places = st.builds(Pose, st.floats(-0.2, 0.2), st.floats(-0.15, 0.15), angles)
+
+
+@given(st.lists(places, min_size=2, max_size=6))
+@settings(max_examples=40, deadline=None)
+def test_the_film_shows_every_pose_and_turns_the_short_way(poses: list[Pose]) -> None:
+    taps = tuple(
+        tap(index + 1, before=before, measured=after)
+        for index, (before, after) in enumerate(pairwise(poses))
+    )
+    run = Run(
+        name="made",
+        goal=poses[-1],
+        start=poses[0],
+        tolerance=(0.001, 0.02),
+        taps=taps,
+        final_measured=poses[-1],
+        final_true=None,
+        outcome=REACHED,
+        wall_time=10.0,
+        seed=None,
+        versions={},
+        error_code=0,
+        error_msg="",
+        outline=OUTLINE,
+        table_size=(0.6, 0.44),
+    )
+    drawn = animation(run, Plan((-300.0, -220.0), (300.0, 220.0)))
+    style, _, picture = drawn.partition("</style>")
+    ElementTree.fromstring(picture)
+    frames = [
+        tuple(map(float, found))
+        for found in re.findall(
+            r"([\d.]+)%\{transform:translate\(([-\d.]+)px,([-\d.]+)px\) rotate\(([-\d.]+)deg", style
+        )
+    ]
+    shares = [share for share, *_ in frames]
+    assert shares == sorted(shares) and shares[-1] == 100.0
+    for pose in poses:
+        assert any(math.hypot(x - 1000 * pose.x, y + 1000 * pose.y) < 0.02 for _, x, y, _ in frames)
+    turns = np.diff([angle for *_, angle in frames])
+    assert np.all(np.abs(turns) <= 180.001)
+    assert f"{TAP_S * len(taps) + END_S:.1f}s" in style
+    assert len(drawn) < 20_000
+
+
+def test_a_run_without_a_tap_has_no_film() -> None:
+    empty = Run(
+        name="made",
+        goal=None,
+        start=Pose(0.0, 0.0, 0.0),
+        tolerance=(0.001, 0.02),
+        taps=(),
+        final_measured=None,
+        final_true=None,
+        outcome=REACHED,
+        wall_time=0.0,
+        seed=None,
+        versions={},
+        error_code=0,
+        error_msg="",
+        outline=OUTLINE,
+        table_size=(0.6, 0.44),
+    )
+    assert animation(empty, Plan((-1.0, -1.0), (1.0, 1.0))) == ""
