@@ -9,7 +9,7 @@ from tapping_cell.vision.markers.detection import (
     ReferenceMarker,
 )
 from tapping_cell.vision.observation import Observation, Problem
-from tapping_cell.vision.other_objects import OtherObjects, Sighting, marker_ids
+from tapping_cell.vision.other_objects import Turns, marker_ids
 from tapping_cell.vision.outline.shape import Dot, ObjectOutline, OutlineError
 from tapping_cell.vision.rest_detection import RestSettings
 from tapping_cell.vision.table.fit import TableSettings
@@ -24,16 +24,15 @@ __all__ = [
     "ObjectMarker",
     "ObjectOutline",
     "Observation",
-    "OtherObjects",
     "OutlineError",
     "PoseTracker",
     "Problem",
     "ReferenceMap",
     "ReferenceMarker",
     "RestSettings",
-    "Sighting",
     "TableSettings",
     "TrackerSettings",
+    "Turns",
     "View",
     "annotate",
     "marker_ids",

@@ -64,6 +64,7 @@ class Frame:
 class Search:
     """What was found in a whole image: markers by dictionary."""
 
+    stamp: float
     detections: Mapping[str, Detections]
     first: bool
     """Whether it is the first frame of all, which may be the only one."""
@@ -97,6 +98,10 @@ class ObjectFollower(ABC):
     @abstractmethod
     def outline(self, pose: Array) -> Array:
         """Points (N, 2) around what is seen of the object at a pose (3,), in ``table``."""
+
+    @abstractmethod
+    def detected(self, stamp: float) -> bool:
+        """Whether the search of the frame of this time found the object."""
 
     @abstractmethod
     def aim(self, stamp: float, view: View | None) -> Aim | None:

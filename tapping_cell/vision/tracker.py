@@ -4,6 +4,7 @@ handing both to the follower of the object."""
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -55,11 +56,11 @@ class TrackerSettings:
 
 
 class PoseTracker:
-    """Follows one object on the table.
+    """Follows one object on the table, and looks at others when asked.
 
     ``camera`` is the calibrated camera, ``table`` the map of reference markers, ``seen`` what to
-    look for: the object's marker, or its outline. Frames go to :meth:`update` in the order in
-    which they were taken.
+    look for: the object's marker, or its outline; ``others`` the same of further objects. Frames go
+    to :meth:`update` in the order in which they were taken.
     """
 
     def __init__(
@@ -68,16 +69,14 @@ class PoseTracker:
         table: ReferenceMap,
         seen: ObjectMarker | ObjectOutline,
         settings: TrackerSettings | None = None,
+        others: Sequence[ObjectMarker | ObjectOutline] = (),
     ) -> None:
         s = settings or TrackerSettings()
         self.camera = camera
         self.settings = s
         self.table = TableTracker(camera, table, s.table)
-        self._object: ObjectFollower
-        if isinstance(seen, ObjectOutline):
-            self._object = OutlineFollower(seen, table, s.rest)
-        else:
-            self._object = MarkerFollower(seen, s.rest, s.size_tolerance, s.other_ids)
+        self._object = _follower(seen, table, s)
+        self._others = [_follower(one, table, s) for one in others]
         self._references = ReferenceMarkers(table, s.references_each)
         self._gate = FrameValidator(camera, s.dark, s.bright)
         self._last_search = -math.inf
@@ -101,21 +100,32 @@ class PoseTracker:
 
         Never raises for what a camera may deliver: every trouble is a problem and a sentence.
         """
+        return self.update_several(image, stamp, ())[0]
+
+    def update_several(
+        self, image: Image, stamp: float, others: Collection[int]
+    ) -> tuple[Observation, dict[int, Observation]]:
+        """As :meth:`update`, and what the same frame says of some of the other objects.
+
+        ``others`` are their numbers, from 0; one that was lost and found again is added.
+        """
         refusal = self._gate.refuse(image, stamp)
         if refusal is not None:
-            return nothing(stamp, self.table, *refusal)
+            empty = nothing(stamp, self.table, *refusal)
+            return empty, dict.fromkeys(others, empty)
         last, period = self._last, self.settings.settled_period
         if (
             last is not None
+            and not others
             and stamp - self._measured_at < period
             and not self._wants_search
             and stamp - self._last_search < self.settings.audit_period
             and self._change.unchanged(image)
         ):
-            return replace(last, stamp=stamp)
-        observation = self._judge(image, stamp)
+            return replace(last, stamp=stamp), {}
+        observation, found = self._judge(image, stamp, others)
         self._watch_settled(image, observation)
-        return observation
+        return observation, found
 
     def _watch_settled(self, image: Image, observation: Observation) -> None:
         """Keep what the next frame is compared with; nothing while the object is not long at rest,
@@ -134,12 +144,20 @@ class PoseTracker:
             outline = self._object.outline(np.array(observation.pose))
             self._change.watch(image, [view.project(outline, self._object.height), *quads])
 
-    def _judge(self, image: Image, stamp: float) -> Observation:
-        """Find the table in a good frame, then the object."""
-        searched = self._search_due(stamp)
-        quads = self._search(image, stamp) if searched else self._references.next_group()
-        aim = self._object.aim(stamp, self._working)
-        edges, rows, aimed = self._references.measure(image, quads, searched, aim)
+    def _judge(
+        self, image: Image, stamp: float, others: Collection[int]
+    ) -> tuple[Observation, dict[int, Observation]]:
+        """Find the table in a good frame, then the objects."""
+        searched = self._search_due(stamp, others)
+        quads = self._search(image, stamp, others) if searched else self._references.next_group()
+        numbers = [
+            number
+            for number, follower in enumerate(self._others)
+            if number in others or (not follower.found and follower.detected(stamp))
+        ]
+        followers = [self._object, *(self._others[number] for number in numbers)]
+        aims = [follower.aim(stamp, self._working) for follower in followers]
+        edges, rows, aimed = self._references.measure(image, quads, searched, aims)
         self._references.count_missed(quads, rows)
         state = self._update_table(image, edges, rows, stamp)
         unseen = stamp - self._references_seen
@@ -149,14 +167,22 @@ class PoseTracker:
             refused = trouble
         if refused is not None:
             if state in (TableState.SUSPECT, TableState.TOO_FAR, TableState.CONTRADICTED):
-                self._object.track.clear()
-            return nothing(stamp, self.table, *refused)
+                self._clear_tracks()
+            empty = nothing(stamp, self.table, *refused)
+            return empty, dict.fromkeys(numbers, empty)
         view, working = self.view, self._working
         assert view is not None and working is not None, "an accepted table has a view"
         seen = self._references_seen == stamp
-        return self._object.observe(
-            Frame(image, stamp, working, view, self.table, seen, aimed, self._notice(stamp))
-        )
+        notice = self._notice(stamp)
+        observations = [
+            follower.observe(Frame(image, stamp, working, view, self.table, seen, marker, notice))
+            for follower, marker in zip(followers, aimed, strict=True)
+        ]
+        return observations[0], dict(zip(numbers, observations[1:], strict=True))
+
+    def _clear_tracks(self) -> None:
+        for follower in (self._object, *self._others):
+            follower.track.clear()
 
     # -- the whole image
 
@@ -164,12 +190,14 @@ class PoseTracker:
     def _wants_search(self) -> bool:
         return self._search_next or self._object.wants_search
 
-    def _search_due(self, stamp: float) -> bool:
+    def _search_due(self, stamp: float, others: Collection[int]) -> bool:
         lost = not self._object.found or self.view is None or self._wants_search
+        # A further object that was seen is missed at once; one that was never there can wait.
+        lost |= any(self._others[n].found and self._others[n].wants_search for n in others)
         period = self.settings.lost_period if lost else self.settings.audit_period
         return stamp - self._last_search >= period
 
-    def _search(self, image: Image, stamp: float) -> dict[int, Array]:
+    def _search(self, image: Image, stamp: float, others: Collection[int]) -> dict[int, Array]:
         """Look for all markers; corners of the reference markers found, by row of the map."""
         first = self._last_search == -math.inf
         self._last_search = stamp
@@ -179,19 +207,22 @@ class PoseTracker:
         since = stamp - self._last_thorough
         slow = self._object.lost(stamp) and since >= self.settings.audit_period
         of_table = self._references.dictionary
+        followers = (self._object, *self._others)
+        wanted = (self._object, *(self._others[number] for number in others))
         found = {of_table: Detections({}, ())}
-        if self._object.dictionary is not None:
-            found[self._object.dictionary] = Detections({}, ())
+        found |= {f.dictionary: Detections({}, ()) for f in followers if f.dictionary is not None}
         least = self.settings.table.least_references
         for effort in efforts(first, slow):
             if effort:
                 self._last_thorough = stamp
             found = {d: f.and_more(detect(image, d, effort)) for d, f in found.items()}
             enough = len(self._references.ids & found[of_table].single.keys()) >= least
-            if enough and self._object.complete(found):
+            if enough and all(follower.complete(found) for follower in wanted):
                 break
         expected = {of_table: self._references.ids}
-        self._object.searched(image, Search(found, first, slow, expected))
+        for follower in followers:
+            asked = slow and follower in wanted
+            follower.searched(image, Search(stamp, found, first, asked, expected))
         return self._references.found(found[of_table])
 
     # -- the table
@@ -216,7 +247,7 @@ class PoseTracker:
         elif self._working is None:
             self._working = view
         if state is TableState.MOVED:
-            self._object.track.clear()
+            self._clear_tracks()
             self._working = view
             self._warning = (
                 stamp,
@@ -240,3 +271,11 @@ class PoseTracker:
         if self.table.displaced:
             return table_notice(self.table, [], [])
         return sentence
+
+
+def _follower(
+    seen: ObjectMarker | ObjectOutline, table: ReferenceMap, settings: TrackerSettings
+) -> ObjectFollower:
+    if isinstance(seen, ObjectOutline):
+        return OutlineFollower(seen, table, settings.rest)
+    return MarkerFollower(seen, settings.rest, settings.size_tolerance, settings.other_ids)

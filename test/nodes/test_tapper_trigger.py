@@ -208,7 +208,7 @@ def test_deactivating_in_mid_draw_lets_the_striker_down(tmp_path: Path) -> None:
         nodes[0].trigger_deactivate()
         cell.bench.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
         # Not for want of anybody's word, nor because the draw took too long.
-        assert cell.states[-1].error_code == ErrorCode.NONE
+        assert cell.states[-1].error_code == ErrorCode.NOT_ACTIVE
         assert cell.device.state in LET_DOWN and cell.shots() == []
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -42,10 +42,10 @@ from tapping_cell.vision import (
     CameraError,
     CameraModel,
     Observation,
-    OtherObjects,
     PoseTracker,
     Problem,
     TrackerSettings,
+    Turns,
     annotate,
     marker_ids,
 )
@@ -125,7 +125,7 @@ class CameraPose(CellNode[Parameters]):
         super().__init__("camera_pose", Parameters)
         self._cell: Cell | None = None
         self._other_files: tuple[ObjectFile, ...] = ()
-        self._others: OtherObjects | None = None
+        self._turns = Turns(0)
         self._tracker: PoseTracker | None = None
         self._camera: CameraModel | None = None
         self._calibration: tuple[object, ...] = ()
@@ -180,7 +180,7 @@ class CameraPose(CellNode[Parameters]):
 
     def cleanup(self) -> None:
         """Forget the track."""
-        self._tracker = self._others = None
+        self._tracker = None
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Pictures seen and what is wrong with them."""
@@ -210,7 +210,7 @@ class CameraPose(CellNode[Parameters]):
             camera = images.from_camera_info(message)
         except CameraError as error:
             self._camera_problem = str(error)
-            self._tracker = self._camera = self._others = None
+            self._tracker = self._camera = None
             return
         if camera == self._cell.camera:
             camera = self._cell.camera  # the file knows the standard deviations, too
@@ -220,10 +220,10 @@ class CameraPose(CellNode[Parameters]):
 
     def _make_trackers(self, camera: CameraModel, cell: Cell) -> None:
         seen, others = cell.object.seen(), [file.seen() for file in self._other_files]
-        settings = TrackerSettings(other_ids=marker_ids(others))
+        settings = TrackerSettings(other_ids=marker_ids([seen, *others]))
         self._late = 0
-        self._tracker = PoseTracker(camera, cell.references, seen, settings)
-        self._others = OtherObjects(camera, cell.references, others, marker_ids([seen]))
+        self._tracker = PoseTracker(camera, cell.references, seen, settings, others)
+        self._turns = Turns(len(others))
 
     def _on_image(self, message: Image, info: dict[str, int]) -> None:
         self._heard = time.monotonic()
@@ -274,14 +274,16 @@ class CameraPose(CellNode[Parameters]):
         except images.ImageRefused as error:
             self._refuse(message, ErrorCode.IMAGE_INVALID, str(error))
             return
-        observation = self._tracker.update(grey, stamp)
+        tapped = [n for n, file in enumerate(self._other_files) if file.name == self._tapped]
+        due = self._turns.due(stamp, tapped)
+        observation, others = self._tracker.update_several(grey, stamp, due)
         self._publish(message, observation)
         self._count_late(observation)
         self._tell_camera(message)
         self._frames += 1
         self._busy_seconds += time.perf_counter() - began
         self._annotate(message, grey, observation)
-        self._look_at_others(message, grey, stamp)
+        self._publish_others(message, others)
 
     def _say_no_camera(self, picture: Image) -> None:
         """Pictures come, but nobody says what camera takes them."""
@@ -308,18 +310,10 @@ class CameraPose(CellNode[Parameters]):
             )
             self._make_trackers(self._camera, self._cell)
 
-    def _look_at_others(self, picture: Image, grey: NDArray[np.uint8], stamp: float) -> None:
-        """Look at the object that is being tapped, if it is one of them, and at one in its turn."""
-        others = self._others
-        if others is None:
-            return
-        tapped = [n for n, file in enumerate(self._other_files) if file.name == self._tapped]
-        sightings = [others.follow(number, grey, stamp) for number in tapped]
-        sightings += [one for one in (others.update(grey, stamp),) if one is not None]
-        for sighting in sightings:
-            name = self._other_files[sighting.number].name
-            state = _state_of(picture, name, sighting.observation)
-            self._other_states[sighting.number] = state
+    def _publish_others(self, picture: Image, others: Mapping[int, Observation]) -> None:
+        for number, observation in others.items():
+            state = _state_of(picture, self._other_files[number].name, observation)
+            self._other_states[number] = state
             self._others_publisher.publish(state)
         states = ObjectStates(objects=[self._last, *self._other_states])
         states.header = self._last.header

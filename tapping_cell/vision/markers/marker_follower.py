@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -52,7 +53,7 @@ class MarkerFollower(ObjectFollower):
         self.fixed = self._resting.fixed
         self._warnings = ShapeWarnings(marker)
         self._shape: ShapeDeviation | None = None
-        self._searched = False
+        self._searched_at = -math.inf
         self._detected: Array | None = None
 
     def outline(self, pose: Array) -> Array:
@@ -60,9 +61,13 @@ class MarkerFollower(ObjectFollower):
         square = UNIT_CORNERS * self.marker.size
         return np.asarray(transform_points(marker_pose(pose, self.marker), square))
 
+    def detected(self, stamp: float) -> bool:
+        """Whether the search of the frame of this time found the marker, once."""
+        return self._searched_at == stamp and self._detected is not None
+
     def aim(self, stamp: float, view: View | None) -> Aim | None:
         """The marker where the search of this frame found it, or where it should be."""
-        quad = self._detected if self._searched else self._where(stamp, view)
+        quad = self._detected if self._searched_at == stamp else self._where(stamp, view)
         return None if quad is None else (quad, self._pattern)
 
     def complete(self, detections: Mapping[str, Detections]) -> bool:
@@ -73,7 +78,7 @@ class MarkerFollower(ObjectFollower):
     def searched(self, image: Image, search: Search) -> None:
         """Take the marker's place, or find out why there is none."""
         found = search.detections[self.marker.dictionary]
-        self._searched, self.wants_search = True, False
+        self._searched_at, self.wants_search = search.stamp, False
         self._detected = found.single.get(self.marker.id)
         if self.marker.id in found.repeated:
             self.forget()
@@ -91,7 +96,7 @@ class MarkerFollower(ObjectFollower):
 
     def look(self, frame: Frame) -> tuple[Array, Array] | Trouble:
         """The marker where it was found or should be, or near there."""
-        searched, self._searched = self._searched, False
+        searched = self._searched_at == frame.stamp
         if searched and self._detected is None and self.trouble is not None:
             return self.trouble
         edges = frame.aimed if frame.aimed is not None else self._nearby(frame)

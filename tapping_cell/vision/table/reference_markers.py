@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,26 +70,33 @@ class ReferenceMarkers:
         return {row: self._quads[row] for row in range(self._group, count, groups)}
 
     def measure(
-        self, image: Image, quads: Mapping[int, Array], searched: bool, other: Aim | None = None
-    ) -> tuple[MarkerEdges, Rows, MarkerEdges | None]:
+        self,
+        image: Image,
+        quads: Mapping[int, Array],
+        searched: bool,
+        others: Sequence[Aim | None] = (),
+    ) -> tuple[MarkerEdges, Rows, list[MarkerEdges | None]]:
         """Edges of the markers that are where ``quads`` say, their rows of the map, and the edges
-        of the ``other`` marker, None where it is not there.
+        of each of the ``others``, None where it is not there.
 
         ``searched`` quads come from a search, whose corners may lie some pixels off.
         """
         rows = np.array(list(quads), dtype=np.intp)
         corners = list(quads.values())
         patterns = [self._patterns[row] for row in rows]
-        if other is not None:
-            corners.append(other[0])
-            patterns.append(other[1])
+        aims = [number for number, aim in enumerate(others) if aim is not None]
+        for aim in others:
+            if aim is not None:
+                corners.append(aim[0])
+                patterns.append(aim[1])
+        theirs: list[MarkerEdges | None] = [None] * len(others)
         if not corners:
-            return no_edges(), rows, None
+            return no_edges(), rows, theirs
         edges, right = measure(image, np.stack(corners), patterns, searched)
         kept = np.flatnonzero(right[: len(rows)])
-        theirs = None
-        if other is not None and right[-1]:
-            theirs = take(edges, np.array([len(rows)], dtype=np.intp))
+        for row, number in enumerate(aims, start=len(rows)):
+            if right[row]:
+                theirs[number] = take(edges, np.array([row], dtype=np.intp))
         return take(edges, kept), rows[kept], theirs
 
     def count_missed(self, looked_for: Mapping[int, Array], met: Rows) -> None:

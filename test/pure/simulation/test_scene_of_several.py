@@ -13,7 +13,7 @@ from tapping_cell.configuration.objects import load_object
 from tapping_cell.simulation.rendered_camera import SceneObject, SceneRenderer
 from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.truth import CameraTruth
-from tapping_cell.vision import OtherObjects
+from tapping_cell.vision import PoseTracker, TrackerSettings, marker_ids
 
 CELL = load_cell()
 SQUARE = load_object(shared_folder() / "objects" / "aluminium_square.yaml")
@@ -29,16 +29,14 @@ def scene(noise: float = 2.0) -> SceneRenderer:
 def test_every_object_is_found_where_it_lies() -> None:
     renderer = scene()
     seen = [CELL.object.seen(), SQUARE.seen()]
-    others = OtherObjects(CELL.camera, CELL.references, seen)
+    settings = TrackerSettings(other_ids=marker_ids(seen))
+    tracker = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
     for frame in range(12):
-        picture = renderer.render(POSES)
-        for number in range(len(POSES)):
-            sighting = others.follow(number, picture, 1.0 + frame / 30)
-    for number, true in enumerate(POSES):
-        sighting = others.follow(number, renderer.render(POSES), 2.0)
-        found = sighting.observation.pose
-        assert sighting.observation.visible and found is not None
-        assert np.hypot(*(np.array(found)[:2] - true[:2])) < 5e-4
+        tracker.update_several(renderer.render(POSES), 1.0 + frame / 30, [0])
+    first, others = tracker.update_several(renderer.render(POSES), 2.0, [0])
+    for observation, true in zip((first, others[0]), POSES, strict=True):
+        assert observation.visible and observation.at_rest and observation.pose is not None
+        assert np.hypot(*(np.array(observation.pose)[:2] - true[:2])) < 5e-4
 
 
 def test_what_has_moved_leaves_no_trace_and_the_rest_stays() -> None:
@@ -74,3 +72,35 @@ def test_objects_of_one_look_are_drawn_alike() -> None:
     other = renderer.render(np.array([[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]))
     assert np.array_equal(one, other)
     assert one.mean() != pytest.approx(renderer.render(np.array([[-0.1, 0.0, 0.0]])).mean())
+
+
+def test_a_further_object_is_found_again_where_somebody_put_it() -> None:
+    renderer = scene()
+    seen = [CELL.object.seen(), SQUARE.seen()]
+    settings = TrackerSettings(other_ids=marker_ids(seen))
+    tracker = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
+    for frame in range(6):
+        tracker.update_several(renderer.render(POSES), 1.0 + frame / 30, [0])
+    moved = POSES.copy()
+    moved[1] = [-0.2, -0.1, -2.0]
+    found = []
+    for frame in range(60):
+        # Looked at in its turn only, as the node does it.
+        due = [0] if frame % 6 == 0 else []
+        _, others = tracker.update_several(renderer.render(moved), 1.2 + frame / 30, due)
+        found += [one.pose for one in others.values() if one.visible]
+    assert found and np.hypot(*(np.array(found[-1])[:2] - moved[1][:2])) < 5e-4
+
+
+def test_looking_at_others_changes_nothing_of_the_first_object() -> None:
+    seen = [CELL.object.seen(), SQUARE.seen()]
+    settings = TrackerSettings(other_ids=marker_ids(seen))
+    renderer = scene()
+    pictures = [renderer.render(POSES) for _ in range(3)]
+    alone = PoseTracker(CELL.camera, CELL.references, seen[0], settings)
+    several = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
+    for number, picture in enumerate(pictures):
+        one = alone.update(picture, number / 30)
+        first, _ = several.update_several(picture, number / 30, [0])
+        assert one.pose is not None and first.pose is not None
+        assert np.hypot(*(np.array(one.pose)[:2] - np.array(first.pose)[:2])) < 1e-6
