@@ -201,14 +201,16 @@ def test_an_idle_cell_is_shown_with_its_picture_and_nodes(page: Page) -> None:
                     (f"active, {level}", "" if status.message == "ok" else status.message)
                 )
 
-    listener = page.client.node.create_subscription(
-        DiagnosticArray, "/diagnostics", on_diagnostics, 10
+    node = page.client.node
+    listener = page.client.in_executor(
+        lambda: node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
     )
     page.wait(
         lambda: all(page.node_row(name) in said[name] for name in names),
         "every node is active, with its own words",
     )
-    page.client.node.destroy_subscription(listener)
+    # In the client's own thread: another one destroys it under the hands of the executor.
+    page.client.in_executor(lambda: node.destroy_subscription(listener))
     page.wait(lambda: page.element("picture").get_attribute("data-number"), "a picture")
     width, height = (page.element("picture").get_property(n) for n in ("width", "height"))
     assert (width, height) == (1280, 1024)
