@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 import pytest
@@ -29,9 +30,11 @@ class CountingTracker(PoseTracker):
 
     measured = 0
 
-    def _judge(self, image: np.ndarray, stamp: float) -> Observation:
+    def _judge(
+        self, image: np.ndarray, stamp: float, others: Collection[int]
+    ) -> tuple[Observation, dict[int, Observation]]:
         self.measured += 1
-        return super()._judge(image, stamp)
+        return super()._judge(image, stamp, others)
 
 
 @pytest.fixture
