@@ -1,19 +1,13 @@
-"""The way to a digital output of a robot: a service or a topic out, guard and read-back in.
-
-It has a node and a thread of its own, so that the age of an input does not depend on what else the
-tapper's node does, and so that a driver's blocking call can wait for an answer.
-"""
+"""The way to a digital output of a robot: a service or a topic out, guard and read-back in."""
 
 from __future__ import annotations
 
 import math
-import threading
 import time
 from pathlib import Path
 from typing import Any
 
 from rclpy.client import Client
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -21,12 +15,11 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool
 
 from tapping_cell.configuration.cell import OutputSection
-from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.output_link import Answer, Heard
 from tapping_cell.nodes.cell_node import COMMAND
+from tapping_cell.nodes.drivers.ros_link import RosLink
 from tapping_cell.nodes.kept_content import KeptContent
 
-POLL_S = 0.05
 KEPT_REQUESTS = 100
 INPUT = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Hears reliable publishers too; a level that is lost is followed by the next."""
@@ -59,32 +52,17 @@ class KeptShot:
         self._content.keep({"shot": shot})
 
 
-class RosOutputLink:
-    """See :class:`~tapping_cell.hardware.output_link.OutputLink`.
-
-    The topics are open as long as the object: an output that comes later is found at the next
-    ``open``.
-    """
+class RosOutputLink(RosLink):
+    """See :class:`~tapping_cell.hardware.output_link.OutputLink`."""
 
     def __init__(self, parent: Node, section: OutputSection) -> None:
+        super().__init__(parent, "output")
         self._section = section
-        self._heard = threading.Condition()
         self._guard: Heard | None = None
         self._read_back: Heard | None = None
         self._last_on = -math.inf
-        self._open = False
-        self._stopped = False
-        self._lock = threading.Lock()
         self._number = 0
         self._futures: dict[int, Any] = {}
-        self._node = Node(
-            f"{parent.get_name()}_output",
-            namespace=parent.get_namespace(),
-            context=parent.context,
-            use_global_arguments=False,
-            start_parameter_services=False,
-            enable_rosout=False,
-        )
         self._client: Client | None = None
         self._publisher: Publisher | None = None
         if section.interface == "service":
@@ -95,11 +73,7 @@ class RosOutputLink:
         self._node.create_subscription(Bool, section.guard, self._hear_guard, INPUT)
         if section.read_back:
             self._node.create_subscription(Bool, section.read_back, self._hear_read_back, INPUT)
-        self._executor = SingleThreadedExecutor(context=parent.context)
-        self._executor.add_node(self._node)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._spin, name=self._node.get_name(), daemon=True)
-        self._thread.start()
+        self._start()
 
     # Connection
 
@@ -124,64 +98,15 @@ class RosOutputLink:
         return bool(self._section.read_back)
 
     @property
-    def is_open(self) -> bool:
-        """Whether the output was there at the last ``open``."""
-        return self._open
-
-    @property
     def rivals(self) -> tuple[str, ...]:
         """Other nodes that publish on the output's topic."""
         if self._publisher is None:
             return ()
-        own = self._node.get_name(), self._node.get_namespace()
-        return tuple(
-            sorted(
-                f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-                for info in self._node.get_publishers_info_by_topic(self.name)
-                if (info.node_name, info.node_namespace) != own
-            )
-        )
-
-    def now(self) -> float:
-        """The steady clock, s."""
-        return time.monotonic()
+        return tuple(self._publishers(self.name))
 
     def sleep(self, duration: float) -> None:
         """Let time pass."""
         time.sleep(max(duration, 0.0))
-
-    def open(self, timeout: float) -> None:
-        """Wait until somebody takes levels.
-
-        Raises HardwareFault: PORT_MISSING, STOPPED.
-        """
-        self._open = False
-        deadline = self.now() + timeout
-        while not self._present():
-            if self._stopped:
-                raise self._stop_fault()
-            if self.now() >= deadline:
-                what = "service" if self._client is not None else "topic"
-                raise HardwareFault(
-                    FaultReason.PORT_MISSING,
-                    f"nobody serves the {what} {self.name}: start the robot's driver, or correct"
-                    " tapper.output.name and .interface",
-                )
-            time.sleep(POLL_S)
-        self._open = True
-
-    def close(self) -> None:
-        """Use the output no more; the topics stay open."""
-        self._open = False
-
-    def destroy(self) -> None:
-        """Close the topics and end the thread."""
-        self.close()
-        self._ended.set()
-        self._executor.wake()
-        self._thread.join(5.0)
-        self._executor.shutdown()
-        self._node.destroy_node()
 
     def stop(self, data: bytes) -> bool:
         """From any thread: latch the stop, and switch off."""
@@ -191,10 +116,6 @@ class RosOutputLink:
         with self._heard:
             self._heard.notify_all()
         return self._present()
-
-    def release(self) -> None:
-        """End the latch of ``stop``."""
-        self._stopped = False
 
     # Inputs
 
@@ -215,13 +136,6 @@ class RosOutputLink:
         """When a read-back last told that the output is on, s."""
         with self._heard:
             return self._last_on
-
-    def wait(self, duration: float) -> None:
-        """Wait for news, for up to ``duration`` s."""
-        self._require()
-        with self._heard:
-            self._heard.wait(max(duration, 0.0))
-        self._require()
 
     def _hear_guard(self, message: Bool) -> None:
         with self._heard:
@@ -281,22 +195,9 @@ class RosOutputLink:
             return bool(self._client.service_is_ready())
         return self._publisher is not None and self._publisher.get_subscription_count() > 0
 
-    def _require(self) -> None:
-        if self._stopped:
-            raise self._stop_fault()
-        if not self._open:
-            raise HardwareFault(
-                FaultReason.DISCONNECTED, f"{self.name} is not connected: connect first"
-            )
-
-    def _stop_fault(self) -> HardwareFault:
-        return HardwareFault(
-            FaultReason.STOPPED, f"{self.name} was stopped: make the cell safe, clear the fault"
+    def _absence(self) -> str:
+        what = "service" if self._client is not None else "topic"
+        return (
+            f"nobody serves the {what} {self.name}: start the robot's driver, or correct"
+            " tapper.output.name and .interface"
         )
-
-    def _spin(self) -> None:
-        try:
-            while not self._ended.is_set():
-                self._executor.spin_once(timeout_sec=0.5)
-        except ExternalShutdownException:
-            return

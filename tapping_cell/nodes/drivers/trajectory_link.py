@@ -1,20 +1,13 @@
-"""The way to an arm's own ROS driver: joint states in, trajectories out, by topic or action.
-
-It has a node and a thread of its own, so that the age of a joint state does not depend on what else
-the arm's node does, and so that a driver's blocking call can wait for one.
-"""
+"""The way to an arm's own ROS driver: joint states in, trajectories out, by topic or action."""
 
 from __future__ import annotations
 
 import math
-import threading
-import time
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
 from rclpy.action import ActionClient
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.task import Future
@@ -33,6 +26,7 @@ from tapping_cell.hardware.trajectory_link import (
     braking_point,
 )
 from tapping_cell.nodes.cell_node import COMMAND
+from tapping_cell.nodes.drivers.ros_link import RosLink
 
 try:
     from control_msgs.action import FollowJointTrajectory
@@ -41,17 +35,13 @@ except ImportError:
 
 KEPT_S = 1.0
 """For how long samples are kept."""
-POLL_S = 0.05
 STATUS = {4: GoalState.SUCCEEDED}
 """Of an action's result; every other is a failure."""
 ENDINGS = {5: "cancelled, as by another program's trajectory", 6: "aborted"}
 
 
-class RosTrajectoryLink:
+class RosTrajectoryLink(RosLink):
     """See :class:`~tapping_cell.hardware.trajectory_link.TrajectoryLink`.
-
-    The topics are open as long as the object: an arm that comes later is found at the next
-    ``open``.
 
     Raises:
         ConfigurationError: the action is asked for and control_msgs is not installed.
@@ -68,27 +58,16 @@ class RosTrajectoryLink:
                 "key 'arm.ros2_control.interface' is action, which needs the package control_msgs"
                 " (apt install ros-jazzy-control-msgs): install it, or use topic"
             )
+        super().__init__(parent, "controller")
         self._section = section
         self._joints = section.joints
         self._max_acceleration = tuple(max_acceleration)
-        self._heard = threading.Condition()
         self._samples: deque[JointSample] = deque()
         self._other_names: tuple[str, ...] = ()
-        self._open = False
-        self._stopped = False
-        self._lock = threading.Lock()
         self._goal = 0
         self._course: Course | None = None
         self._handle: Any = None
         self._progress = Progress(GoalState.UNTOLD)
-        self._node = Node(
-            f"{parent.get_name()}_controller",
-            namespace=parent.get_namespace(),
-            context=parent.context,
-            use_global_arguments=False,
-            start_parameter_services=False,
-            enable_rosout=False,
-        )
         self._topic = f"{section.controller}/joint_trajectory"
         self._publisher = self._node.create_publisher(JointTrajectory, self._topic, COMMAND)
         # Best effort hears reliable publishers too, and a lost state is followed by the next.
@@ -100,11 +79,7 @@ class RosTrajectoryLink:
             self._action = ActionClient(
                 self._node, FollowJointTrajectory, f"{section.controller}/follow_joint_trajectory"
             )
-        self._executor = SingleThreadedExecutor(context=parent.context)
-        self._executor.add_node(self._node)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._spin, name=self._node.get_name(), daemon=True)
-        self._thread.start()
+        self._start()
 
     # Connection
 
@@ -112,52 +87,6 @@ class RosTrajectoryLink:
     def name(self) -> str:
         """The controller's name."""
         return self._section.controller
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the controller was there at the last ``open``."""
-        return self._open
-
-    def now(self) -> float:
-        """The steady clock, s."""
-        return time.monotonic()
-
-    def open(self, timeout: float) -> None:
-        """Wait until the controller takes trajectories.
-
-        Raises HardwareFault: PORT_MISSING, STOPPED.
-        """
-        self._open = False
-        deadline = self.now() + timeout
-        while not self._present():
-            if self._stopped:
-                raise self._stop_fault()
-            if self.now() >= deadline:
-                raise HardwareFault(
-                    FaultReason.PORT_MISSING,
-                    f"nobody takes trajectories on {self._way()}: start the arm's driver and"
-                    " activate its joint_trajectory_controller, or correct"
-                    " arm.ros2_control.controller",
-                )
-            time.sleep(POLL_S)
-        with self._heard:
-            self._samples.clear()
-        self._open = True
-
-    def close(self) -> None:
-        """Use the controller no more; the topics stay open."""
-        self._open = False
-
-    def destroy(self) -> None:
-        """Close the topics and end the thread."""
-        self.close()
-        self._ended.set()
-        self._executor.wake()
-        self._thread.join(5.0)
-        self._executor.shutdown()
-        if self._action is not None:
-            self._action.destroy()
-        self._node.destroy_node()
 
     def stop(self, data: bytes) -> bool:
         """From any thread: latch the stop, and brake."""
@@ -185,10 +114,6 @@ class RosTrajectoryLink:
             self._executor.create_task(handle.cancel_goal_async)
         return reached and point is not None
 
-    def release(self) -> None:
-        """End the latch of ``stop``."""
-        self._stopped = False
-
     # Joint states
 
     @property
@@ -205,20 +130,7 @@ class RosTrajectoryLink:
     @property
     def rivals(self) -> Sequence[str]:
         """Other nodes that publish on the controller's topic."""
-        own = self._node.get_name(), self._node.get_namespace()
-        found = self._node.get_publishers_info_by_topic(self._topic)
-        return sorted(
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            for info in found
-            if (info.node_name, info.node_namespace) != own
-        )
-
-    def wait(self, duration: float) -> None:
-        """Wait for the next sample, for up to ``duration`` s."""
-        self._require()
-        with self._heard:
-            self._heard.wait(max(duration, 0.0))
-        self._require()
+        return self._publishers(self._topic)
 
     def _hear(self, message: JointState) -> None:
         received = self.now()
@@ -348,22 +260,16 @@ class RosTrajectoryLink:
             return f"the action {self._section.controller}/follow_joint_trajectory"
         return f"the topic {self._topic}"
 
-    def _require(self) -> None:
-        if self._stopped:
-            raise self._stop_fault()
-        if not self._open:
-            raise HardwareFault(
-                FaultReason.DISCONNECTED, f"{self.name} is not connected: connect first"
-            )
-
-    def _stop_fault(self) -> HardwareFault:
-        return HardwareFault(
-            FaultReason.STOPPED, f"{self.name} was stopped: make the cell safe, clear the fault"
+    def _absence(self) -> str:
+        return (
+            f"nobody takes trajectories on {self._way()}: start the arm's driver and activate its"
+            " joint_trajectory_controller, or correct arm.ros2_control.controller"
         )
 
-    def _spin(self) -> None:
-        try:
-            while not self._ended.is_set():
-                self._executor.spin_once(timeout_sec=0.5)
-        except ExternalShutdownException:
-            return
+    def _found(self) -> None:
+        with self._heard:
+            self._samples.clear()
+
+    def _before_destruction(self) -> None:
+        if self._action is not None:
+            self._action.destroy()
