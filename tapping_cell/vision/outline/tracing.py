@@ -38,6 +38,8 @@ _LEAST_CONTRAST = 8.0
 """Grey levels by which an object must differ from the table."""
 _SHADOW = 0.4
 """Share of the object's contrast from which on a place belongs to it, and not to a soft shadow."""
+_EVERY = 8
+"""Pixels of the seen plane from one that is projected into the picture to the next."""
 _APART = 0.05
 """Share of the object's area from which on something else on the table is a second object."""
 _LEAST_REACH = 0.006
@@ -199,9 +201,13 @@ class _Plane:
     def look(self, image: Image) -> NDArray[np.float32]:
         """What the picture shows of the plane; NaN outside the picture."""
         columns, rows = self.size
-        grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
-        at = self.view.project(self.places(grid.astype(float)), self.height).astype(np.float32)
-        return _sampled(image.astype(np.float32), at)
+        # A lens is smooth: where every pixel looks follows from some of them, one row more around.
+        u, v = ((np.arange(-1, n // _EVERY + 2) + 0.5) * _EVERY - 0.5 for n in (columns, rows))
+        nodes = self.view.project(self.places(np.stack(np.meshgrid(u, v), axis=-1)), self.height)
+        size = (_EVERY * len(u), _EVERY * len(v))
+        at = cv2.resize(nodes.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+        own = at[_EVERY : _EVERY + rows, _EVERY : _EVERY + columns]
+        return _sampled(image.astype(np.float32), np.asarray(own, dtype=np.float32))
 
     def free(self, table: ReferenceMap) -> Mask:
         """255 where no reference marker lies."""
