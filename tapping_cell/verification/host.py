@@ -166,8 +166,8 @@ class Process:
         self._jobs: deque[Job] = deque()
         self._running: Job | None = None
         self._abandoned: set[int] = set()
-        self._inbox: deque[Callable[[], None]] = deque()
-        self._waiting: dict[str, int] = {}
+        self._inbox: deque[tuple[str, Callable[[], None]]] = deque()
+        """What arrived while the process was frozen, with its topic; of anything else with none."""
         self._answers: dict[Any, Callable[[Any], None]] = {}
         self._tick: Timer | None = None
         self._life = 0
@@ -276,11 +276,10 @@ class Process:
     def _deliver(self, topic: str, message: Any) -> None:
         if not self.alive:
             return
-        if self._scheduler.now < self.frozen_until:
-            self._waiting[topic] = self._waiting.get(topic, 0) + 1
-            if self._waiting[topic] > QUEUE:
-                return
-        self._when_awake(lambda: self._take(topic, message))
+        self._when_awake(lambda: self._take(topic, message), topic)
+        waiting = [place for place, (name, _) in enumerate(self._inbox) if name == topic]
+        if len(waiting) > QUEUE:
+            del self._inbox[waiting[0]]
 
     def _take(self, topic: str, message: Any) -> None:
         if topic == "emergency_stop" and isinstance(message, Bool) and message.data:
@@ -297,19 +296,18 @@ class Process:
 
         return handle
 
-    def _when_awake(self, action: Callable[[], None]) -> None:
+    def _when_awake(self, action: Callable[[], None], topic: str = "") -> None:
         if self._scheduler.now < self.frozen_until:
-            self._inbox.append(action)
+            self._inbox.append((topic, action))
         else:
             action()
 
     def _thaw(self) -> None:
         if not self.alive or self._scheduler.now < self.frozen_until:
             return
-        self._waiting.clear()
         waiting, self._inbox = self._inbox, deque()
-        for action in waiting:
-            self._when_awake(action)
+        for topic, action in waiting:
+            self._when_awake(action, topic)
 
     # The machine and its effects
 
