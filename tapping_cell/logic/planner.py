@@ -539,6 +539,7 @@ class PlannerLogic:
             warning = task.session.edge_warning(from_message(seen.pose.pose))
             if warning:
                 self._log(LogLevel.WARNING, warning)
+        task.arm = self._monitor.tip
         decision = task.decide(seen, 0 if self._late(now) else needed)
         if isinstance(task, ArrangementTask):
             self._turn_to_object(task)
