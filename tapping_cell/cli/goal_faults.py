@@ -97,7 +97,11 @@ def _hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]
         words = [sys.executable, "-m", "tapping_cell.verification.hunt", mutant.name]
         running = [
             subprocess.Popen(
-                [*words, "--goals", str(step), "--seed", str(seed + done + job)],
+                [
+                    *words,
+                    *("--goals", str(step), "--seed", str(seed + done + job)),
+                    *("--core", str(job)),
+                ],
                 stdout=subprocess.PIPE,
                 text=True,
             )

@@ -607,9 +607,19 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._log(LogLevel.ERROR, fault.sentence)
             self._discharge((of_tapper(fault), fault.sentence))
             return
+        if fault.reason in OF_THE_TAP and name == "charge" and self.state is S.DISCHARGING:
+            # Given up before, and now the board has refused to go on, such as after it discharged
+            # by itself while this process was frozen.
+            self._run("discharge", tapper_jobs.discharge)
+            return
         if self._tap is not None:
             self._tap = None
             self._told.outcome = TapperState.NOT_FIRED
+        if name == "connect" and fault.reason is FaultReason.UNKNOWN_FIRMWARE:
+            # A board that is mute for a while looks the same; it is tried again.
+            self._fail_to(S.DISCONNECTED)
+            self._say(of_tapper(fault), fault.sentence)
+            return
         self._meet(fault)
 
     def _meet(self, fault: HardwareFault) -> None:

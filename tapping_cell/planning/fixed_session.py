@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tapping_cell.planning.fixed_iteration import OUTER
 from tapping_cell.planning.fixed_policy import (
     LOST,
-    OUTER,
     expected_taps,
     scatter_points,
     states_after,
@@ -251,10 +251,11 @@ class FixedTapperSession(GoalSession):
         return usable[int(row)], commanded[row, column], float(length[row, column])
 
     def _ends_well(self, pose: Array, commanded: Array, expected: Array) -> BoolArray:
-        """Which displacements (..., 3) may be made: they end in the working area, and with all that
-        is not known of them where the object can be brought back from, off the keep-outs. From
-        outside the area: they bring the object nearer."""
-        spread = self.gains.spread(commanded, self.settings.scatter, DEVIATIONS)
+        """Which displacements (tappers, n, 3) may be made: they end in the working area, and with
+        all that is not known of them where the object can be brought back from, off the keep-outs.
+        From outside the area: they bring the object nearer."""
+        # It depends on the rotation per distance alone, which is one for all taps of a tapper.
+        spread = self.gains.spread(commanded[:, :1], self.settings.scatter, DEVIATIONS)
         size = np.hypot(expected[..., 0], expected[..., 1])
         heading = np.arctan2(expected[..., 1], expected[..., 0])
         longest = size * (spread.longest if self._adapt else 1.0)

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from tapping_cell.planning.errors import PlanningError
-from tapping_cell.planning.fixed_policy import FINE, Solution, solve_coarse, solve_finer
+from tapping_cell.planning.fixed_iteration import FINE, solve_coarse, solve_finer
+from tapping_cell.planning.fixed_policy import Solution
 from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.settings import PlannerSettings

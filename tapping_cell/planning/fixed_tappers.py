@@ -194,22 +194,41 @@ class FixedStrikeSpace:
 
     def lines(self, object_poses: ArrayLike) -> Lines:
         """What each tapper does with objects at rest at poses (..., 3)."""
-        poses = np.asarray(object_poses, dtype=float)
-        columns = [self._line(index, poses) for index in range(len(self.tappers))]
-        return Lines(*(np.stack(parts, axis=-1) for parts in zip(*columns, strict=True)))
+        poses = np.asarray(object_poses, dtype=float)[..., None, :]
+        groups = self._alike()
+        made = [self._lines_of(group, poses) for group in groups]
+        order = np.argsort(np.concatenate(groups))
+        return Lines(
+            *(np.concatenate(parts, axis=-1)[..., order] for parts in zip(*made, strict=True))
+        )
 
-    def _line(self, index: int, poses: Array) -> Lines:
-        tapper = self.tappers[index]
-        mount = np.array([tapper.mount.x, tapper.mount.y, tapper.mount.theta])
-        hit = tapper.tap.strike(poses, mount, 1.0)
+    def _alike(self) -> list[list[int]]:
+        """The tappers, those with the same mechanics together: they are worked out at once."""
+        groups: list[list[int]] = []
+        for index, tapper in enumerate(self.tappers):
+            for group in groups:
+                if self.tappers[group[0]].tap == tapper.tap:
+                    group.append(index)
+                    break
+            else:
+                groups.append([index])
+        return groups
+
+    def _lines_of(self, group: list[int], poses: Array) -> Lines:
+        """Of tappers that are alike but for their mounts, speeds and strokes; poses (..., 1, 3)."""
+        some = [self.tappers[index] for index in group]
+        mounts = np.array([[item.mount.x, item.mount.y, item.mount.theta] for item in some])
+        slowest, fastest = np.array([[item.slowest, item.fastest] for item in some]).T
+        stroke = np.array([item.stroke for item in some])
+        hit = some[0].tap.strike(poses, mounts, 1.0)
         moved = hit.displacement
         reach = np.hypot(moved[..., 0], moved[..., 1])
         slope = moved[..., 2] / np.maximum(reach, 1e-12)
-        most = reach * tapper.fastest**2
-        least = np.maximum(reach * tapper.slowest**2, self.smallest_distance)
+        most = reach * fastest**2
+        least = np.maximum(reach * slowest**2, self.smallest_distance)
         usable = ~hit.missed & (np.abs(hit.incidence) <= STEEPEST) & (most > least)
-        usable &= (hit.travel > 0.0) & (hit.travel <= tapper.stroke - STROKE_MARGIN)
-        usable &= bool(self._clear[index])
+        usable &= (hit.travel > 0.0) & (hit.travel <= stroke - STROKE_MARGIN)
+        usable &= self._clear[group]
         heading = np.arctan2(moved[..., 1], moved[..., 0])
         return Lines(usable, heading, slope, reach, least, most, hit.travel)
 

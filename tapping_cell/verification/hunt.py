@@ -18,12 +18,20 @@ def main() -> int:
     parser.add_argument("name", choices=[mutant.name for mutant in MUTANTS])
     parser.add_argument("--goals", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--core", type=int, default=0, help="the core to stay on")
     arguments = parser.parse_args()
     (mutant,) = (mutant for mutant in MUTANTS if mutant.name == arguments.name)
     plant(mutant)
-    from tapping_cell.verification.campaign import run_campaign  # with the mutant in it
+    from tapping_cell.verification.campaign import (  # with the mutant in it
+        run_campaign,
+        settle_on,
+    )
 
-    summary = run_campaign(arguments.goals, arguments.seed, 1, stop_at_violation=True)
+    settle_on(arguments.core)
+
+    summary = run_campaign(
+        arguments.goals, arguments.seed, 1, stop_at_violation=True, only=mutant.kinds
+    )
     caught = summary.violations[0][1].name if summary.violations else ""
     print(json.dumps({"goals": summary.goals, "caught by": caught}))
     return 0

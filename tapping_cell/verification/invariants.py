@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 
 from tapping_cell.logic.clock import to_nanoseconds
@@ -81,6 +82,10 @@ class Witness:
     unseen_limit: float = 0.0
     """A release may follow a change of the scene by so much: the limit of the object's being
     unseen, of the camera's silence, and what is on its way."""
+    seen_by_tapper: deque[tuple[float, Pose]] = field(default_factory=lambda: deque(maxlen=100))
+    """When the tapper's process heard where the object lies, and where that is."""
+    unseen_by_tapper: float = 0.0
+    """The tapper's own limit of the object's being unseen."""
     _variants: dict[int, list[TapCommand]] = field(default_factory=dict)
     """Every TAP that was published, by its id."""
     _asked_to_move: bool = True
@@ -218,6 +223,7 @@ class Witness:
                 " the camera last saw the object",
             )
         planned = from_message(command.object_pose)
+        self._check_knowledge(release, planned)
         off, turned = (
             planned.distance_to(release.object_pose),
             abs(planned.rotation_to(release.object_pose)),
@@ -230,6 +236,26 @@ class Witness:
                 "object elsewhere",
                 f"shot {release.shot} was released with the object {1e3 * off:.1f} mm and"
                 f" {math.degrees(turned):.1f} deg from where the tap was planned",
+            )
+
+    def _check_knowledge(self, release: Release, planned: Pose) -> None:
+        """What the tapper has heard without a break is known to it, whatever the truth is."""
+        since, last = math.inf, self.seen_by_tapper[-1][0] if self.seen_by_tapper else math.inf
+        if release.time > last + self.unseen_by_tapper + WINDOW_S:
+            self.violate(
+                "unseen by the tapper",
+                f"shot {release.shot} was released {release.time - last:.3f} s after the tapper"
+                " had last heard where the object lies",
+            )
+        for heard, pose in reversed(self.seen_by_tapper):
+            if planned.distance_to(pose) <= BUMP_M and abs(planned.rotation_to(pose)) <= BUMP_RAD:
+                break
+            since = heard
+        if release.time > since + WINDOW_S:
+            self.violate(
+                "against what it saw",
+                f"shot {release.shot} was released {release.time - since:.3f} s after the tapper"
+                " had heard that the object lies elsewhere",
             )
 
     # What goes on

@@ -28,6 +28,8 @@ class Mutant:
     """The finding of a review (S1 to S11, R9) whose repair this takes out, or a part of it."""
     also: Mutant | None = None
     """What must be changed besides, in another module, to take the repair out."""
+    kinds: tuple[str, ...] = ()
+    """The kinds of faults that the guard is there for: a hunt draws its faults from these."""
 
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -37,6 +39,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "if self.state is not S.FIRING or end > permit.until:",
         "if self.state is not S.FIRING:",
         "S1",
+        kinds=("freeze at a write", "freeze at a shot"),
     ),
     Mutant(
         "fires without asking the arm",
@@ -49,6 +52,7 @@ MUTANTS: tuple[Mutant, ...] = (
         '        self._run("fire", partial(tapper_jobs.fire, shot=shot, '
         "doubt=self.doubt_firing))\n",
         "S1",
+        kinds=("foreign withdrawal", "heard by one", "freeze at a shot"),
     ),
     Mutant(
         "counts the promise from its answer",
@@ -56,6 +60,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "until = self._asked_at + HOLD_S",
         "until = now.steady + HOLD_S",
         "S1",
+        kinds=("slow answer", "freeze at a write"),
     ),
     Mutant(
         "fires although the arm refuses to hold still",
@@ -63,24 +68,28 @@ MUTANTS: tuple[Mutant, ...] = (
         "if response is not None and not response.granted:",
         "if False:",
         "S1",
+        kinds=("foreign withdrawal", "heard by one"),
     ),
     Mutant(
         "tells an unknown outcome as not fired",
         "tapping_cell.logic.tapper",
         "FireOutcome.UNKNOWN: TapperState.UNKNOWN",
         "FireOutcome.UNKNOWN: TapperState.NOT_FIRED",
+        kinds=("cable at a shot", "line at a shot"),
     ),
     Mutant(
         "tells every shot as fired",
         "tapping_cell.logic.tapper",
         "FireOutcome.NOT_FIRED: TapperState.NOT_FIRED",
         "FireOutcome.NOT_FIRED: TapperState.FIRED",
+        kinds=("guard", "line at a shot", "cancel"),
     ),
     Mutant(
         "serves a tap id twice",
         "tapping_cell.logic.tap_commands",
         "if command.tap_id <= last_tap_id:",
         "if False:",
+        kinds=("repeated command",),
     ),
     Mutant(
         "takes a second tap while one is served",
@@ -88,12 +97,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "        if self.state is not S.SAFE:\n            serving =",
         "        if False:\n            serving =",
         "S7",
+        kinds=("foreign command",),
     ),
     Mutant(
         "fires at an object that was moved",
         "tapping_cell.logic.tapper_peers",
         "            or self._disturbance(planned, now)\n",
         "",
+        kinds=("object moved",),
     ),
     Mutant(
         "looks at the object's position only",
@@ -101,12 +112,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "if moved <= limits.moved and turned <= limits.turned:",
         "if moved <= limits.moved:",
         "S11",
+        kinds=("object moved",),
     ),
     Mutant(
         "fires without a planner",
         "tapping_cell.logic.tapper_peers",
         "            or self._silence(now)\n",
         "",
+        kinds=("kill", "freeze"),
     ),
     Mutant(
         "does not miss the object",
@@ -114,6 +127,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "if seen is None or unseen > limits.unseen:",
         "if seen is None:",
         "S11",
+        kinds=("camera",),
     ),
     Mutant(
         "fires whatever the last check says",
@@ -124,12 +138,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "        refusal = None\n"
         "        return True",
         "S1",
+        kinds=("freeze at a write", "freeze at a shot"),
     ),
     Mutant(
         "keeps the striker charged when the tap is given up",
         "tapping_cell.logic.tapper",
         "        elif self.state is S.CHARGED:\n            self._discharge(why)\n",
         "        elif self.state is S.CHARGED:\n            pass\n",
+        kinds=("cancel", "foreign withdrawal"),
     ),
     Mutant(
         "does not stop the wire",
@@ -138,6 +154,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "                self._effects.append(StopWire())\n",
         "                pass\n",
         "S4",
+        kinds=("emergency stop",),
     ),
     Mutant(
         "forgets a stop over a restart",
@@ -145,6 +162,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "            self._stops.recall(event.kept_stop)\n",
         "",
         "S5",
+        kinds=("emergency stop", "kill", "restart"),
     ),
     Mutant(
         "does not keep a stop on disk",
@@ -152,6 +170,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "self._effects.append(KeepStop(self._stops.content()))",
         "pass",
         "S5",
+        kinds=("emergency stop", "kill", "restart"),
     ),
     Mutant(
         "does not hear the emergency stop",
@@ -159,6 +178,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "            changed = self._add(TOPIC) or changed\n",
         "",
         "S4",
+        kinds=("emergency stop",),
     ),
     Mutant(
         "resets while the emergency stop is held",
@@ -166,6 +186,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "        if levels.asserted:\n            self._asserted = True\n",
         "        if False:\n            self._asserted = True\n",
         "S4",
+        kinds=("emergency stop",),
     ),
     Mutant(
         "a job that was overtaken changes the state",
@@ -173,6 +194,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "        elif event.job == self._job:\n            self._job = None\n",
         "        elif True:\n            self._job = None\n",
         "S8",
+        kinds=("emergency stop", "stop service", "freeze before a write"),
     ),
     Mutant(
         "does not promise to stand still",
@@ -180,18 +202,21 @@ MUTANTS: tuple[Mutant, ...] = (
         "        self._promise_end = max(self._promise_end, end)\n",
         "",
         "S1",
+        kinds=("foreign withdrawal", "cancel", "heard by one"),
     ),
     Mutant(
         "promises while it moves",
         "tapping_cell.logic.arm",
         "if not self._active or self.state is not S.IN_POSITION or request.tap_id != self._tap_id:",
         "if not self._active:",
+        kinds=("foreign state", "slow topic", "heard by one"),
     ),
     Mutant(
         "moves in the flight of the striker",
         "tapping_cell.logic.tapper",
         "self._let_arm_go(RELEASED_S if end.outcome is FireOutcome.FIRED else 0.0)",
         "self._let_arm_go(0.0)",
+        kinds=("foreign withdrawal", "cancel", "heard by one"),
     ),
     Mutant(
         "moves for a withdrawal of no tap",
@@ -199,6 +224,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "            elif command.tap_id != 0 and command.tap_id == self._last_tap_id:\n",
         "            elif True:\n",
         "S6",
+        kinds=("foreign command",),
     ),
     Mutant(
         "a read under way overwrites the state",
@@ -213,6 +239,7 @@ MUTANTS: tuple[Mutant, ...] = (
             "            if self._job is None and not self._stops.stopped:\n",
             "            if not self._stops.stopped:\n",
         ),
+        kinds=("freeze before a write", "foreign command"),
     ),
     Mutant(
         "the board homes without moving",
@@ -220,12 +247,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "        self._begin(Phase.LEAVING, now, wake)\n",
         "        self._count = 0\n        self._begin(Phase.HOLDING, now, wake)\n",
         "S2",
+        kinds=("power at a shot", "loss of power", "motors off"),
     ),
     Mutant(
         "fires where another tap with its id stands",
         "tapping_cell.logic.tapper_peers",
         "        if not _above(arm, strike):\n",
         "        if False:\n",
+        kinds=("second node",),
     ),
     Mutant(
         "does not know what its board has used",
@@ -239,12 +268,14 @@ MUTANTS: tuple[Mutant, ...] = (
             "        spent = why is not None and why[0] == ErrorCode.TAPPER_SPENT\n",
             "        spent = False\n",
         ),
+        kinds=("kill", "restart", "repeated command"),
     ),
     Mutant(
         "blames the arm for an open guard",
         "tapping_cell.hardware.tapper",
         "                FaultReason.INTERLOCK,\n",
         "                FaultReason.REJECTED,\n",
+        kinds=("guard",),
     ),
     Mutant(
         "leaves before its promise is over",
@@ -252,6 +283,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "partial(arm_jobs.withdraw, plan=plan, not_before=self._promise_end)",
         "partial(arm_jobs.withdraw, plan=plan, not_before=0.0)",
         "S1",
+        kinds=("foreign withdrawal", "cancel", "heard by one"),
     ),
     Mutant(
         "lets anybody end the arm's promise",
@@ -259,6 +291,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "if request.key and asker == self._promised_to and now",
         "if now",
         "R9",
+        kinds=("foreign outcome",),
     ),
     Mutant(
         "takes a trajectory while a tap is pending",
@@ -266,6 +299,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "        if not self._active or self.state is not S.IDLE:\n"
         "            code = ErrorCode.ARM_BUSY",
         "        if not self._active:\n            code = ErrorCode.ARM_BUSY",
+        kinds=("foreign trajectory",),
     ),
     Mutant(
         "homes by itself when activated",
@@ -273,42 +307,49 @@ MUTANTS: tuple[Mutant, ...] = (
         "alone = self._options.home_on_activate and not",
         "alone = not",
         "S5",
+        kinds=("kill", "restart", "deactivate"),
     ),
     Mutant(
         "believes an arm that was not homed",
         "tapping_cell.logic.arm",
         "        elif self._homed():\n            self._machine.move(event, S.IDLE)",
         "        elif True:\n            self._machine.move(event, S.IDLE)",
+        kinds=("loss of power", "motors off", "kill"),
     ),
     Mutant(
         "takes a tap while it is busy",
         "tapping_cell.logic.arm",
         "        if self.state is not S.IDLE:\n            return ErrorCode.ARM_BUSY",
         "        if False:\n            return ErrorCode.ARM_BUSY",
+        kinds=("foreign command",),
     ),
     Mutant(
         "never gives a goal up",
         "tapping_cell.logic.planner",
         "        if now.steady > task.expires:",
         "        if False:",
+        kinds=("kill", "guard", "camera"),
     ),
     Mutant(
         "waits for ever for the arm",
         "tapping_cell.logic.planner",
         "        elif self._late(now):\n            self._fail(code, sentence",
         "        elif False:\n            self._fail(code, sentence",
+        kinds=("kill", "freeze", "slow topic"),
     ),
     Mutant(
         "decides on an object that still slides",
         "tapping_cell.logic.cell_monitor",
         "            and seen.at_rest\n            and seen.error_code",
         "            and seen.error_code",
+        kinds=("object moved", "camera"),
     ),
     Mutant(
         "does not withdraw a tap after its outcome",
         "tapping_cell.logic.planner",
         "        self._withdraw(shot.tap_id, now)\n        task.not_fired =",
         "        task.not_fired =",
+        kinds=("camera",),
     ),
     Mutant(
         "commands the same tap id again",
@@ -317,6 +358,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "self._monitor.last_tap_id() + 1\n",
         "            self._last_tap_id, now.ros // (100 * NANOSECONDS), "
         "self._monitor.last_tap_id()\n",
+        kinds=("restart", "kill"),
     ),
     Mutant(
         "samples the board's time after the last check",
@@ -331,12 +373,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "        still_allowed = lambda _: allowed  # noqa: E731\n"
         "        if sample",
         "S1",
+        kinds=("freeze at a write", "cable at a shot"),
     ),
     Mutant(
         "a missing reply to FIRE counts as not fired",
         "tapping_cell.hardware.tapper",
         '            return self._unknown(shot, release_by, "the tapper does not answer")',
         '            return self._not_fired(shot, "the tapper does not answer")',
+        kinds=("cable at a shot", "line at a shot"),
     ),
     Mutant(
         "a restarted board's word counts for the shot",
@@ -347,18 +391,21 @@ MUTANTS: tuple[Mutant, ...] = (
         "        if False:\n"
         "            self._boot = None\n"
         "            return self._unknown(shot, release_by",
+        kinds=("power at a shot", "cable at a shot"),
     ),
     Mutant(
         "a move counts as done wherever it ended",
         "tapping_cell.hardware.arm",
         "            if not reading.moving and self._agrees(goal, reading.joints):",
         "            if True:",
+        kinds=("motors off", "serial line", "loss of power"),
     ),
     Mutant(
         "homing is kept over a reset of the board",
         "tapping_cell.hardware.arm",
         "if not (firmware.continued and held and not reading.alarm):",
         "if False:",
+        kinds=("loss of power", "serial line"),
     ),
 )
 

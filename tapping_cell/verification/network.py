@@ -143,7 +143,7 @@ class Network:
 
     def _delay(self, topic: str, towards: str) -> float:
         low, high = self.faults.usual_delay
-        return float(self._rng.uniform(low, high)) + self.faults.slow.get((topic, towards), 0.0)
+        return low + (high - low) * self._rng.random() + self.faults.slow.get((topic, towards), 0.0)
 
     def _send(self, link: _Link, topic: str, message: Any) -> None:
         times = 2 if self._rng.random() < self.faults.duplicates else 1

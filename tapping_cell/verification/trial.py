@@ -199,6 +199,7 @@ class Trial:
         }
         self.witness = Witness(self.scheduler, self.physical, self.clocks["tapper_trigger"])
         self.witness.unseen_limit = NOTICED_S + (COVERED_S if self.arm_covers else CLEAR_VIEW_S)
+        self.witness.unseen_by_tapper = COVERED_S if self.arm_covers else CLEAR_VIEW_S
         self.network.on_publish = self._on_publish
         self.network.on_call = self._on_call
         self.network.on_answer = self._on_answer
@@ -768,6 +769,8 @@ class Trial:
         now = self.scheduler.now
         if process == "scara_arm" and self._may_move_arm(topic, message):
             self.witness.ask_to_move()
+        if process == "tapper_trigger" and topic == "object_state" and message.visible:
+            self.witness.seen_by_tapper.append((now, from_message(message.pose.pose)))
         if topic == "emergency_stop" and message.data:
             self.witness.stopped_at.setdefault(process, now)
             if process == "tapper_trigger":

@@ -26,7 +26,7 @@ def fuse_information(p: Array, information: Array) -> tuple[Array, Array]:
     """The same of poses (N, 3) with the inverses (N, 3, 3) of their covariances."""
     relative = p - p[0]
     relative[:, 2] = wrap_angle(relative[:, 2])
-    mean = np.median(relative, axis=0)
+    mean = _median(relative)
     pulls = np.matmul(information, relative[..., None])[..., 0]
     rows = information.reshape(-1, 9)
     before: Array | None = None
@@ -42,3 +42,9 @@ def fuse_information(p: Array, information: Array) -> tuple[Array, Array]:
     fused = p[0] + mean
     fused[2] = wrap_angle(fused[2])
     return fused, np.linalg.inv(total)
+
+
+def _median(rows: Array) -> Array:
+    """Median (3,) of each column of (N, 3); numpy's own takes ten times as long for so few."""
+    ordered, half = np.sort(rows, axis=0), len(rows) // 2
+    return np.asarray(ordered[half] if len(rows) % 2 else (ordered[half - 1] + ordered[half]) / 2)

@@ -137,6 +137,7 @@ class TapPlanner(CellNode[Parameters]):
             )
         except PlanningError as error:
             raise ConfigurationError(f"{cell.path}: {error}") from error
+        self.host.start(None)
         kept = self.host.goal_file.recall()
         age = self.host.goal_file.age() if kept is not None else math.inf
         self.host.lifecycle(Configured(cell, goals, kept_goal=kept, kept_goal_age=age))
@@ -152,6 +153,7 @@ class TapPlanner(CellNode[Parameters]):
     def cleanup(self) -> None:
         """An orderly end is an end of the goal, too."""
         self.host.lifecycle(ShutDown())
+        self.host.close()
 
     def change(self, name: str, value: object) -> None:
         """Take another planning method, or begin or cease to ask before every tap."""

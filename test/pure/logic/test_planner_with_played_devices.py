@@ -272,6 +272,15 @@ def test_taps_that_are_not_fired_end_after_three_attempts(actors: Actors) -> Non
     assert len(actors.taps()) == 3 and end.taps == 0
 
 
+def test_taps_that_somebody_else_ended_are_told_as_such(actors: Actors) -> None:
+    """A tapper that fired nothing and complains of nothing was told so by another node."""
+    actors.tapper_answers = TapperState.NOT_FIRED
+    actors.send()
+    end = actors.end()
+    assert end.error_code == ErrorCode.NOT_READY
+    assert "not by this planner" in end.error_msg and "tap_command" in end.error_msg
+
+
 def test_taps_without_any_effect_end(actors: Actors) -> None:
     actors.moves_when_fired = False
     actors.send()

@@ -26,6 +26,7 @@ from tapping_cell.messages import (
     TapperState,
 )
 from tapping_cell.se2 import Pose
+from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault
 from tapping_cell.simulation.spring_drive import SpringMechanism
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 from tapping_cell.verification.serial_line import SerialLine
@@ -414,3 +415,89 @@ def test_a_stop_published_before_the_node_was_there_holds() -> None:
     cell.command(100)
     cell.keep_saying(0.5, tap_id=100)
     assert cell.shots() == [] and cell.last.state == TapperState.STOPPED
+
+
+@pytest.mark.parametrize("withdrawn", ["before", "meanwhile", "never"])
+@pytest.mark.parametrize("moment", range(0, 20, 2))
+def test_a_tapper_that_was_frozen_is_ready_again_by_itself(withdrawn: str, moment: int) -> None:
+    """The board has discharged by itself: nothing unsafe is unknown, so that nobody need clear."""
+    cell = Cell(SLOW)
+    cell.command(100)
+    cell.say_until(
+        lambda: cell.device.state == "CHARGING", "the draw begins", lambda: cell.say_arm(100), 0.04
+    )
+    cell.run(0.001 * moment)
+    if withdrawn == "before":
+        cell.withdraw(100)
+        cell.run(0.003)
+    cell.process.freeze(1.5)
+    cell.run(0.1)
+    if withdrawn == "meanwhile":
+        cell.withdraw(100)
+    told_before = len(cell.states)
+    cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "told")
+    cell.wait_state(TapperState.SAFE)
+    cell.run(2.0)
+    after = cell.states[told_before:]
+    assert TapperState.FAULT not in {state.state for state in after}
+    outcomes = [state.outcome for state in after if state.tap_id == 100]
+    assert outcomes == sorted(outcomes), "once told, an outcome stays"
+    assert cell.device.state in LET_DOWN and cell.shots() == []
+
+
+def test_a_tapper_that_was_frozen_in_a_shot_tells_unknown_once_and_is_ready_again() -> None:
+    """FIRE went out and the board's answer is lost: the next tap needs no person."""
+    cell = Cell()
+    assert cell.line is not None
+    layer = cell.line.layer
+
+    def fall_silent(process: str, job: str, answer: object) -> None:
+        if job == "fire" and answer is None:
+            here = layer.count(Direction.TO_HOST)
+            layer.add(LineFault(FaultKind.DROP, Direction.TO_HOST, here, 1000))
+
+    cell.process.on_asked = fall_silent
+    cell.command(100)
+    told_before = len(cell.states)
+    cell.say_until(
+        lambda: cell.outcome(100) != TapperState.NONE, "an outcome", lambda: cell.say_arm(100)
+    )
+    cell.wait_state(TapperState.SAFE)
+    cell.run(2.0)
+    after = [state for state in cell.states[told_before:] if state.tap_id == 100]
+    outcomes = [state.outcome for state in after if state.outcome != TapperState.NONE]
+    assert set(outcomes) == {TapperState.UNKNOWN}
+    assert TapperState.FAULT not in {state.state for state in after}
+    cell.process.on_asked = lambda process, job, answer: None
+    cell.fire(101)
+    assert cell.shots() == [100, 101]
+
+
+def test_a_restarted_tapper_does_not_tell_a_number_that_its_board_has_used_as_not_fired(
+    cell: Cell,
+) -> None:
+    """It may have been fired in the life before."""
+    cell.fire(100)
+    cell.process.kill()
+    cell.states.clear()
+    cell.process.start()
+    cell.wait_state(TapperState.SAFE)
+    cell.command(100)
+    cell.wait(lambda: cell.outcome(100) != TapperState.NONE, "an outcome")
+    assert cell.outcome(100) == TapperState.UNKNOWN
+    cell.keep_saying(0.5, tap_id=100)
+    assert cell.shots() == [100]
+
+
+def test_a_shot_that_the_board_refuses_carries_the_boards_reason(cell: Cell) -> None:
+    """The guard is opened between the last check and FIRE."""
+    cell.command(100)
+    cell.process.on_asked = lambda process, job, answer: (
+        cell.device.set_interlock(False, cell.now()) if job == "fire" else None
+    )
+    cell.say_until(
+        lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired", lambda: cell.say_arm(100)
+    )
+    assert cell.last.error_code == ErrorCode.TAPPER_INTERLOCK_OPEN
+    assert "close the guard" in cell.last.error_msg
+    assert cell.shots() == []

@@ -1,0 +1,365 @@
+"""Solving a goal of fixed tappers: value iteration over (x, y, theta) of the object.
+
+(Bertsekas, *Dynamic Programming and Optimal Control*, 2012, vol. 2, ch. 3: the stochastic shortest
+path.)
+
+A tap is a tapper and a length: lengths in a geometric row, the one that ends nearest to the goal
+and the one that ends the rotation. An improvement compares the taps of all states by their mean W
+over the scatter; W is looked up at the nearest point of a table with points halfway between the
+grid's, so that what a tap leads to is found once for a grid and is an index from then on. Between
+improvements the policy is evaluated by sweeps with its own sparse matrix, with linear
+interpolation. A coarse grid is solved first and starts the fine one, which compares the taps only
+that are promising by the coarse one.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
+
+from tapping_cell.planning.fixed_policy import LOST, Grid, Solution, scatter_points
+from tapping_cell.planning.fixed_tappers import FixedStrikeSpace, Lines
+from tapping_cell.planning.interface import Array
+from tapping_cell.planning.settings import PlannerSettings
+
+Singles = NDArray[np.float32]
+Indices = NDArray[np.int32]
+
+COARSE, FINE = 0.5, 0.22
+"""Steps of u on the two grids."""
+
+FINE_DISTANCE = 2.0
+"""Stopping boxes within which the steps of an axis are nearly even."""
+
+LENGTHS = 12
+"""Lengths of taps that a state tries in a geometric row."""
+
+OUTER = 0.020
+"""How far beyond the working area a state is still worth solving, m: objects that left it."""
+
+POINTS = 8
+"""Equally likely points of a tap's scatter while solving."""
+
+IMPROVEMENTS = (8, 4)
+"""At most, on the coarse grid and on the fine one."""
+
+SWEEPS = 20
+SETTLED = 0.01
+"""Mean change of W in taps below which an improvement is the last."""
+
+PROMISING = 20
+"""Taps of a state that are compared on the fine grid."""
+
+AROUND = (0.93, 1.07)
+"""Shares of the best length that are tried besides."""
+
+CHUNK = 200_000
+"""States after taps that are worked out at once: they fit in a processor's cache."""
+
+PER_HALF_STEP = 6
+"""Entries of an axis's table of indices for the smallest half step of its grid."""
+
+
+def solve_coarse(space: FixedStrikeSpace, settings: PlannerSettings, goal: ArrayLike) -> Solution:
+    """Solve for a goal on the coarse grid: good enough far from it, in a fraction of the time."""
+    place = np.asarray(goal, dtype=float)
+    return _solve_on(space, settings, place, COARSE, IMPROVEMENTS[0], None)
+
+
+def solve_finer(
+    space: FixedStrikeSpace, settings: PlannerSettings, start: Solution, step: float = FINE
+) -> Solution:
+    """Solve on a finer grid what was solved on a coarse one."""
+    place = np.asarray(start.goal, dtype=float)
+    return _solve_on(space, settings, place, step, IMPROVEMENTS[1], start)
+
+
+def _solve_on(
+    space: FixedStrikeSpace,
+    settings: PlannerSettings,
+    goal: Array,
+    step: float,
+    improvements: int,
+    start: Solution | None,
+) -> Solution:
+    problem = _Problem(space, settings, goal, step)
+    value = problem.start(start)
+    if start is not None:
+        problem.keep_promising(value)
+    for _ in range(improvements):
+        before = value
+        value = problem.evaluate(value, *problem.improve(value))
+        if float(np.mean(np.abs(value - before)[problem.rows])) < SETTLED:
+            break
+    place = (float(goal[0]), float(goal[1]), float(goal[2]))
+    return Solution(place, problem.grid, value.reshape(problem.grid.shape))
+
+
+class _Axis:
+    """Finds the nearest half index of a coordinate in a table: without a logarithm, ten times as
+    fast. ``stride``: of the axis in the flat table; beyond the axis the index is ``beyond``."""
+
+    def __init__(
+        self, fine: float, step: float, size: int, stride: int, beyond: int, most: float
+    ) -> None:
+        width = fine * math.sinh(step / 2.0) / PER_HALF_STEP
+        self.scale = np.float32(1.0 / width)
+        self.middle = math.ceil(most / width)
+        value = width * np.arange(-self.middle, self.middle + 1)
+        half = np.rint(2.0 * np.arcsinh(value / fine) / step).astype(np.int64) + 2 * size
+        outside = (half < 0) | (half > 4 * size)
+        self.table = np.where(outside, beyond, half * stride).astype(np.int32)
+
+    def index(self, value: Singles) -> Indices:
+        """Of values in m or rad."""
+        entry = (value * self.scale + np.float32(self.middle + 0.5)).astype(np.int32)
+        return np.asarray(np.take(self.table, entry, mode="clip"))
+
+
+class _Problem:
+    """States, the taps that each can try, and where they lead.
+
+    rows: (n,) of the grid's states from which some tap can be made. heading, slope, least, most:
+    of their taps, (n, tappers); a tap that cannot be made has least NaN.
+    """
+
+    def __init__(
+        self, space: FixedStrikeSpace, settings: PlannerSettings, goal: Array, step: float
+    ) -> None:
+        box = settings.stopping
+        self.box = box.distance, box.rotation
+        fine = FINE_DISTANCE * box.distance, FINE_DISTANCE * box.rotation
+        area = space.area
+        far = math.hypot(goal[0] - area.x, goal[1] - area.y) + area.radius + OUTER
+        sizes = [
+            math.ceil(math.asinh(most / width) / step)
+            for most, width in zip((far, math.pi), fine, strict=True)
+        ]
+        self.grid = Grid(step, fine, (sizes[0], sizes[1]))
+        self.states = self.grid.states().reshape(-1, 3)
+        places = self.states + goal
+        live = (area.room(places[:, :2]) >= -OUTER) & (
+            np.abs(self.states[:, 2]) <= math.pi * math.exp(step)
+        )
+        live &= space.workspace.object_room(places[:, :2]) >= space.object_radius
+        rows = np.flatnonzero(live)
+        lines = _lines_at(space, places, rows, self.grid.shape)
+        some = np.any(lines.usable, axis=1)
+        self.rows, lines = rows[some], lines.of(np.flatnonzero(some))
+        self.error = self.states[self.rows].astype(np.float32)
+        self.heading = lines.heading.astype(np.float32)
+        self.slope = lines.slope.astype(np.float32)
+        self.usable = lines.usable
+        self.least = lines.least.astype(np.float32)
+        most = np.minimum(lines.most, settings.largest_distance)
+        self.most = np.maximum(most, lines.least).astype(np.float32)
+        self.points = scatter_points(settings, POINTS).astype(np.float32)
+        self._make_axes(far + 2.0 * settings.largest_distance)
+        count = lines.usable.shape[1] * (LENGTHS + 2)
+        self.kept = np.broadcast_to(np.arange(count), (self.rows.size, count))
+        """The taps that are compared: tapper * (LENGTHS + 2) + length."""
+        self._after: Indices | None = None
+
+    def _make_axes(self, most: float) -> None:
+        wide, turn = (4 * size + 1 for size in self.grid.size)
+        self.entries = wide * wide * turn
+        step, fine, size = self.grid.step, self.grid.fine, self.grid.size
+        self._axes = (
+            _Axis(fine[0], step, size[0], wide * turn, self.entries, most),
+            _Axis(fine[0], step, size[0], turn, self.entries, most),
+            _Axis(fine[1], step, size[1], 1, self.entries, math.pi * 1.01),
+        )
+
+    def start(self, coarse: Solution | None) -> Array:
+        """A first guess of W: of a coarser grid, or the distance and rotation in taps."""
+        value = np.full(self.states.shape[0], LOST)
+        states = self.states[self.rows]
+        if coarse is not None:
+            guess = coarse.taps_to_go(states)
+        else:
+            error = np.hypot(states[:, 0], states[:, 1]) / self.box[0]
+            guess = 2.0 + np.log1p(error) + np.log1p(np.abs(states[:, 2]) / self.box[1])
+        value[self.rows] = np.minimum(guess, LOST)
+        return value
+
+    def _lengths(self, rows: slice) -> Singles:
+        """Of all taps of some states, (n, tappers, LENGTHS + 2), m."""
+        least, most = self.least[rows, :, None], self.most[rows, :, None]
+        heading, slope, error = self.heading[rows], self.slope[rows], self.error[rows]
+        row = least * (most / least) ** np.linspace(0.0, 1.0, LENGTHS, dtype=np.float32)
+        nearest = -(error[:, 0, None] * np.cos(heading) + error[:, 1, None] * np.sin(heading))
+        turned = -error[:, 2, None] / np.where(np.abs(slope) < 1e-3, np.float32(np.inf), slope)
+        own = np.stack([nearest, turned], axis=-1)
+        return np.concatenate([row, np.clip(own, least, most)], axis=-1)
+
+    def _taps(self, rows: slice) -> tuple[NDArray[np.intp], Singles]:
+        """Tapper and length of the compared taps of some states, (n, kept) each."""
+        lengths = self._lengths(rows)
+        kept = self.kept[rows]
+        flat = lengths.reshape(lengths.shape[0], -1)
+        return kept // (LENGTHS + 2), np.take_along_axis(flat, kept, axis=1)
+
+    def _leads_to(
+        self, rows: slice, tapper: NDArray[np.intp], length: Singles, points: Singles
+    ) -> Indices:
+        """Entries of the table where taps (n, k) of some states lead, (n, k, p)."""
+        error = self.error[rows]
+        heading = np.take_along_axis(self.heading[rows], tapper, axis=1)
+        slope = np.take_along_axis(self.slope[rows], tapper, axis=1)
+        size = length[..., None] * (1 + points[:, 0])
+        turned = heading[..., None] + points[:, 2]
+        x = error[:, 0, None, None] + size * np.cos(turned)
+        y = error[:, 1, None, None] + size * np.sin(turned)
+        turn = (length * slope)[..., None] * (1 + points[:, 1]) + error[:, 2, None, None]
+        turn -= np.float32(2.0 * math.pi) * np.rint(turn * np.float32(0.5 / math.pi))
+        entry = self._axes[0].index(x)
+        entry += self._axes[1].index(y)
+        entry += self._axes[2].index(turn)
+        np.minimum(entry, self.entries, out=entry)
+        inside = (x * x + y * y <= self.box[0] ** 2) & (np.abs(turn) <= self.box[1])
+        entry[inside] = self.entries + 1
+        entry[~np.take_along_axis(self.usable[rows], tapper, axis=1)] = self.entries + 2
+        return entry
+
+    def _table(self, value: Array) -> Singles:
+        """W with points halfway between the grid's, flat; then W beyond the grid, in the box, and
+        of a tap that cannot be made."""
+        table: Singles = value.reshape(self.grid.shape).astype(np.float32)
+        for axis in range(3):
+            table = _halved(table, axis)
+        return np.append(table.reshape(-1), np.array([LOST, 0.0, np.inf], dtype=np.float32))
+
+    def _chunks(self, taps: int) -> list[slice]:
+        size = max(1, CHUNK // taps)
+        return [slice(first, first + size) for first in range(0, self.rows.size, size)]
+
+    def keep_promising(self, value: Array) -> None:
+        """Compare from now on those taps only that lead to low W without scatter."""
+        table = self._table(value)
+        count = self.kept.shape[1]
+        if count <= PROMISING:
+            return
+        kept = np.empty((self.rows.size, PROMISING), dtype=np.intp)
+        few = self.points[: POINTS // 2]
+        for rows in self._chunks(count * few.shape[0]):
+            where = self._leads_to(rows, *self._taps(rows), few)
+            mean = table[where].mean(axis=-1)
+            kept[rows] = np.argpartition(mean, PROMISING, axis=1)[:, :PROMISING]
+        self.kept = kept
+
+    def improve(self, value: Array) -> tuple[NDArray[np.intp], Singles]:
+        """The best tap of every state by this W: its tapper (n,) and its length (n,), m."""
+        table = self._table(value)
+        chosen = np.empty(self.rows.size, dtype=np.intp)
+        length = np.empty(self.rows.size, dtype=np.float32)
+        first = self._after is None
+        count = self.kept.shape[1]
+        if self._after is None:
+            self._after = np.empty((self.rows.size, count, POINTS), dtype=np.int32)
+        for rows in self._chunks(count * POINTS):
+            tapper, lengths = self._taps(rows)
+            if first:
+                self._after[rows] = self._leads_to(rows, tapper, lengths, self.points)
+            mean = table[self._after[rows]].mean(axis=-1)
+            best = np.argmin(mean, axis=1)[:, None]
+            which = np.take_along_axis(tapper, best, axis=1)
+            long = np.take_along_axis(lengths, best, axis=1)
+            around = long * np.array((1.0, *AROUND), dtype=np.float32)
+            low, high = (np.take_along_axis(end[rows], which, 1) for end in (self.least, self.most))
+            around = np.clip(around, low, high)
+            beside = np.broadcast_to(which, around.shape)
+            mean = table[self._leads_to(rows, beside, around, self.points)].mean(axis=-1)
+            best = np.argmin(mean, axis=1)[:, None]
+            chosen[rows] = which[:, 0]
+            length[rows] = np.take_along_axis(around, best, axis=1)[:, 0]
+        return chosen, length
+
+    def evaluate(self, value: Array, tapper: NDArray[np.intp], length: Singles) -> Array:
+        """W of always following a policy, from a first guess."""
+        every = np.arange(self.rows.size)
+        heading, slope = self.heading[every, tapper], self.slope[every, tapper]
+        size = length[:, None] * (1 + self.points[:, 0])
+        turned = heading[:, None] + self.points[:, 2]
+        x = self.error[:, 0, None] + size * np.cos(turned)
+        y = self.error[:, 1, None] + size * np.sin(turned)
+        turn = self.error[:, 2, None] + (length * slope)[:, None] * (1 + self.points[:, 1])
+        turn -= np.float32(2.0 * math.pi) * np.rint(turn * np.float32(0.5 / math.pi))
+        corners, weights, beyond = self._corners(x, y, turn)
+        share = 1.0 / POINTS
+        count = POINTS * 8
+        matrix = csr_array(
+            (
+                (np.float32(share) * weights).reshape(-1).astype(float),
+                corners.reshape(-1),
+                np.arange(0, every.size * count + 1, count, dtype=np.int32),
+            ),
+            shape=(every.size, value.size),
+        )
+        fixed = 1.0 + share * LOST * beyond.sum(axis=1)
+        made = value.copy()
+        for _ in range(SWEEPS):
+            made[self.rows] = np.minimum(fixed + matrix @ made, LOST)
+        return made
+
+    def _corners(
+        self, x: Singles, y: Singles, turn: Singles
+    ) -> tuple[Indices, Singles, NDArray[np.bool_]]:
+        """Indices and weights of linear interpolation at states (n, p): (n, p, 8) each; and which
+        states lie beyond the grid."""
+        step, fine, size = self.grid.step, self.grid.fine, self.grid.size
+        inside = (x * x + y * y <= self.box[0] ** 2) & (np.abs(turn) <= self.box[1])
+        beyond = np.zeros(inside.shape, dtype=bool)
+        low, share = [], []
+        for part, wide, half in (
+            (x, fine[0], size[0]),
+            (y, fine[0], size[0]),
+            (turn, fine[1], size[1]),
+        ):
+            where = np.arcsinh(part / np.float32(wide)) / np.float32(step) + np.float32(half)
+            beyond |= (where < 0) | (where > 2 * half)
+            floor = np.clip(np.floor(where).astype(np.int32), 0, 2 * half - 1)
+            low.append(floor)
+            share.append(np.clip(where - floor, 0, 1).astype(np.float32))
+        beyond &= ~inside
+        counts = np.where(inside | beyond, np.float32(0), np.float32(1))
+        _, wide, deep = self.grid.shape
+        base = (low[0] * wide + low[1]) * deep + low[2]
+        corners = np.empty((*x.shape, 8), dtype=np.int32)
+        weights = np.empty((*x.shape, 8), dtype=np.float32)
+        for corner in range(8):
+            i, j, k = corner >> 2, (corner >> 1) & 1, corner & 1
+            corners[..., corner] = base + ((i * wide + j) * deep + k)
+            weights[..., corner] = (
+                counts
+                * (share[0] if i else 1 - share[0])
+                * (share[1] if j else 1 - share[1])
+                * (share[2] if k else 1 - share[2])
+            )
+        return corners, weights, beyond
+
+
+def _halved(table: Singles, axis: int) -> Singles:
+    """A table with the means of neighbours between them along an axis."""
+    moved = np.moveaxis(table, axis, 0)
+    made = np.empty((2 * moved.shape[0] - 1, *moved.shape[1:]), dtype=np.float32)
+    made[::2] = moved
+    made[1::2] = 0.5 * (moved[1:] + moved[:-1])
+    return np.moveaxis(made, 0, axis)
+
+
+def _lines_at(
+    space: FixedStrikeSpace,
+    places: Array,
+    rows: NDArray[np.intp],
+    shape: tuple[int, ...],
+) -> Lines:
+    """The lines at these states; of a round object once for every place."""
+    if not space.is_round:
+        return space.lines(places[rows])
+    column = rows // shape[2]
+    kept, back = np.unique(column, return_inverse=True)
+    lines = space.lines(places[kept * shape[2]])
+    return lines.of(back)
