@@ -24,7 +24,7 @@ from tapping_cell.planning.strike import StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
 from tapping_cell.se2 import wrap_angle
 
-DIRECTIONS = np.arange(24) * (2.0 * math.pi / 24)
+DIRECTIONS: Array = np.linspace(0.0, 2.0 * math.pi, 24, endpoint=False)
 SIZE_RATIO = 1.35
 SHARES = np.array([-1.0, -0.5, 0.5, 1.0])
 """Rotations that are tried, as shares of the most of each size."""
@@ -98,14 +98,15 @@ def quickest_first(
     next_way = times.between(strikes, _behind(pose + after, onwards, strikes, pose))
     seconds += np.minimum(follow, 1.0) * (next_way - times.mean_way)
     order = np.argsort(seconds, kind="stable")
-    return np.asarray(commanded[order[np.isfinite(seconds[order])]])
+    chosen: Array = commanded[order[np.isfinite(seconds[order])]]
+    return chosen
 
 
 def _sizes(settings: PlannerSettings, distance: float, own: float) -> Array:
     least, most = settings.smallest_distance, settings.largest_distance
     count = math.ceil(math.log(most / least) / math.log(SIZE_RATIO)) + 1
     grid = np.minimum(least * SIZE_RATIO ** np.arange(count), most)
-    return np.unique(np.clip([*grid, distance, own], least, most))
+    return np.asarray(np.unique(np.clip([*grid, distance, own], least, most)), dtype=float)
 
 
 def _behind(after: Array, heading: Array, strikes: Array, pose: Array) -> Array:

@@ -92,7 +92,8 @@ def _run_one(
     look = np.array([camera.position, camera.position, camera.angle])
     pose, over, seconds = start.copy(), False, math.nan
     if clock is not None:
-        session.arm, seconds = clock.parked, 0.0
+        tip, seconds = clock.parked, 0.0
+        session.arm = tip
     seen = pose + look * rng.standard_normal(3)
     decision, seen = _decide(session, pose, seen, evaluation, rng)
     while isinstance(decision, Strike):
@@ -103,7 +104,8 @@ def _run_one(
         pose[2] = wrap_angle(pose[2])
         over = over or float(space.workspace.edge_distance(pose[:2])) < space.object_radius
         if clock is not None:
-            spent, session.arm = clock.tap(session.arm, Pose(*seen.tolist()), decision)
+            spent, tip = clock.tap(tip, Pose(*seen.tolist()), decision)
+            session.arm = tip
             seconds += spent
         before, seen = seen, pose + look * rng.standard_normal(3)
         session.observe(decision, before, seen)
