@@ -24,7 +24,7 @@ from tapping_cell.planning.strike import StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
 from tapping_cell.se2 import wrap_angle
 
-DIRECTIONS: Array = np.linspace(0.0, 2.0 * math.pi, 24, endpoint=False)
+DIRECTIONS: Array = np.arange(24, dtype=np.float64) * (2.0 * math.pi / 24)
 SIZE_RATIO = 1.35
 SHARES = np.array([-1.0, -0.5, 0.5, 1.0])
 """Rotations that are tried, as shares of the most of each size."""
