@@ -37,6 +37,7 @@ LONG_SECTIONS = (
     "page-stop",
     "precision",
     "two-computers",
+    "unknown-objects",
     "unknown-worlds",
     "vision-calibrated",
     "vision-covariance",

@@ -8,8 +8,9 @@ and what is told of it.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import ClassVar
@@ -34,6 +35,7 @@ from tapping_cell.messages import (
 from tapping_cell.planning import Decision, Done, Gains, Refusal
 from tapping_cell.planning.arrangement import (
     AllDone,
+    ArrangementDecision,
     ArrangementSession,
     Body,
     LookLonger,
@@ -154,8 +156,8 @@ class ArrangementTask(Task):
         monitor.watch(self.object_id)
         return True
 
-    def decide(self, seen: ObjectState, frames: int) -> Decision:
-        """Which object is tapped next and how; see ``Task.decide``."""
+    def computation(self, frames: int) -> Callable[[], ArrangementDecision]:
+        """Which object is tapped next and how; see ``Task.computation``."""
         if self.arrangement is None:
             present = [body for body in self.bodies if body.name in self._seen]
             self.arrangement = ArrangementSession(
@@ -165,14 +167,24 @@ class ArrangementTask(Task):
                 order=tuple(self.wanted) if self.in_order else (),
                 most_taps=self.max_taps,
             )
-        decision = self.arrangement.decide(self._seen, look_again=True)
-        self.touched += self.arrangement.touched
+        return functools.partial(self._compute, self.arrangement, frames)
+
+    def _compute(self, arrangement: ArrangementSession, frames: int) -> ArrangementDecision:
+        decision = arrangement.decide(self._seen, look_again=True)
+        self.touched += arrangement.touched
         if isinstance(decision, LookLonger):
             state = self._states[decision.name]
-            if state.frames_fused < LONG_LOOK * frames:
-                self._turn_to(decision.name)
-                return decision.look
-            decision = self.arrangement.decide(self._seen, look_again=False)
+            if state.frames_fused >= LONG_LOOK * frames:
+                decision = arrangement.decide(self._seen, look_again=False)
+        return decision
+
+    def conclude(self, computed: ArrangementDecision) -> Decision:
+        """Take in what was decided; see ``Task.conclude``."""
+        assert self.arrangement is not None
+        decision = computed
+        if isinstance(decision, LookLonger):
+            self._turn_to(decision.name)
+            return decision.look
         self._take_progress(decision)
         if isinstance(decision, AllDone):
             return Done(decision.residuals[next(iter(self.wanted))], None)
@@ -277,7 +289,7 @@ class ArrangementTask(Task):
             self.goal, self.message = self.wanted[name].goal, self.wanted[name].message
             self.tolerance = self.wanted[name].tolerance
 
-    def _take_progress(self, decision: AllDone | LookLonger | TapOf | Refusal) -> None:
+    def _take_progress(self, decision: ArrangementDecision) -> None:
         assert self.arrangement is not None
         tapped = decision.name if isinstance(decision, TapOf) else ""
         for name in (*self.wanted, *(n for n in self._progress if n not in self.wanted), tapped):

@@ -20,6 +20,7 @@ from tapping_cell.logic.effects import (
     Answer,
     Effect,
     Feedback,
+    Job,
     JobEnded,
     JobProgress,
     KeepGoal,
@@ -27,6 +28,7 @@ from tapping_cell.logic.effects import (
     LogLevel,
     Message,
     Publish,
+    RunJob,
     Token,
     TouchGoal,
 )
@@ -44,6 +46,7 @@ from tapping_cell.messages import (
     ErrorCode,
     GoalReport,
     LearntGains,
+    ObjectState,
     PlanState,
     PoseStamped,
     PositionObject,
@@ -52,7 +55,16 @@ from tapping_cell.messages import (
     TapCommand,
     TapperState,
 )
-from tapping_cell.planning import Done, Gains, KeepOut, LookAgain, Refusal, RefusalReason, Strike
+from tapping_cell.planning import (
+    Decision,
+    Done,
+    Gains,
+    KeepOut,
+    LookAgain,
+    Refusal,
+    RefusalReason,
+    Strike,
+)
 from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.se2 import Pose
 
@@ -103,6 +115,7 @@ class Event(Enum):
     GIVEN_UP = "tap given up"
     WITHDRAWN = "arm withdrawn"
     HIDDEN = "object hidden"
+    LOOK_WANTED = "longer look wanted"
     GOAL_MET = "goal met"
     GOAL_FAILED = "goal failed"
     GOAL_CANCELED = "goal canceled"
@@ -132,6 +145,7 @@ TABLE = table(
             (S.WAITING_FOR_CELL,),
         ),
         ((S.LOOKING,), Event.OBSERVED, (S.PLANNING,)),
+        ((S.PLANNING,), Event.LOOK_WANTED, (S.LOOKING,)),
         ((S.PLANNING,), Event.TAP_PROPOSED, (S.CONFIRMING,)),
         ((S.CONFIRMING,), Event.TAP_DROPPED, (S.LOOKING,)),
         # Nothing must be placed before a tapper at a fixed mount fires.
@@ -199,6 +213,7 @@ class PlannerLogic:
         self._answer_by = 0
         self._ask = settings.ask
         self._deadline = math.inf
+        self._computation = 0
         self._look_after = -math.inf
         self._last_tap_id = 0
         self._withdrawn_tap_id = 0
@@ -307,8 +322,16 @@ class PlannerLogic:
         return ()
 
     def on_job(self, event: JobProgress | JobEnded, now: Now) -> Sequence[Effect]:
-        """The planner has no jobs."""
-        return ()
+        """What a decision needed is computed."""
+        task, seen = self._task, self._monitor.object
+        awaited = isinstance(event, JobEnded) and event.job == self._computation
+        if task is None or seen is None or self.state is not S.PLANNING or not awaited:
+            return ()  # of a goal that has ended meanwhile
+        assert isinstance(event, JobEnded)
+        if event.fault is not None:
+            raise event.fault
+        self._act(task, task.conclude(event.result), seen, now)
+        return self._drain()
 
     def on_tick(self, now: Now) -> Sequence[Effect]:
         """Time has passed."""
@@ -487,6 +510,7 @@ class PlannerLogic:
         {
             S.WAITING_FOR_CELL: self._wait_for_cell,
             S.LOOKING: self._look,
+            S.PLANNING: self._wait_for_computation,
             S.CONFIRMING: self._wait_for_person,
             S.PLACING: self._wait_for_arm,
             S.FIRING: self._wait_for_tapper,
@@ -539,17 +563,44 @@ class PlannerLogic:
             warning = task.session.edge_warning(from_message(seen.pose.pose))
             if warning:
                 self._log(LogLevel.WARNING, warning)
-        decision = task.decide(seen, 0 if self._late(now) else needed)
+        task.arm = self._monitor.tip
+        frames = 0 if self._late(now) else needed
+        computation = task.computation(frames)
+        if computation is None:
+            self._act(task, task.decide(seen, frames), seen, now)
+            return
+        # Beside the machine, which goes on telling that it is there.
+        self._computation += 1
+        self._effects.append(RunJob(Job(self._computation, "plan", lambda _: computation())))
+        self._enter(Event.OBSERVED, S.PLANNING, now, self._deadline - now.steady)
+
+    def _wait_for_computation(self, task: Task, now: Now) -> None:
+        """The goal's own time limit ends this, if nothing does."""
+        fault = self._monitor.fault()
+        if fault is not None:
+            self._fail(*fault, now)
+
+    def _look_on(self, now: Now) -> None:
+        """The observation gets longer with every image."""
+        if self.state is S.PLANNING:
+            self._enter(Event.LOOK_WANTED, S.LOOKING, now, self._deadline - now.steady)
+
+    def _act(self, task: Task, decision: Decision, seen: ObjectState, now: Now) -> None:
+        """Do what was decided on what was seen."""
         if isinstance(task, ArrangementTask):
             self._turn_to_object(task)
         if isinstance(decision, LookAgain):
-            return  # the observation gets longer with every image
+            self._look_on(now)
+            return
         if isinstance(decision, Refusal):
             # An observation that is too uncertain gets better with every image.
             if decision.reason is not RefusalReason.CAMERA_TOO_COARSE or self._late(now):
                 self._fail(REFUSALS[decision.reason], decision.sentence, now)
+            else:
+                self._look_on(now)
             return
-        self._enter(Event.OBSERVED, S.PLANNING, now)
+        if self.state is S.LOOKING:
+            self._enter(Event.OBSERVED, S.PLANNING, now)
         if isinstance(decision, Done):
             self._finish(
                 S.IDLE if isinstance(task, SingleTapTask) else S.REACHED, ErrorCode.NONE, "", now

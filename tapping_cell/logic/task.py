@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,6 +160,8 @@ class Task:
     without_effect: int = 0
     free_space: object | None = None
     """The map that the session was last told to work in."""
+    arm: tuple[float, float, float, float] | None = None
+    """Where the arm's tip stands before a decision: x, y, height and yaw in ``table``."""
 
     def description(self) -> str:
         """The goal for people."""
@@ -172,10 +175,20 @@ class Task:
         """Whether a decision can be made: a goal may have to be solved first."""
         return not isinstance(self.session, GoalSession) or self.session.ready
 
+    def computation(self, frames: int) -> Callable[[], Any] | None:
+        """What takes so long to decide on what was ``observed`` that it is computed beside the
+        machine, for ``conclude``; None where ``decide`` answers at once. ``frames`` as there."""
+        return None
+
+    def conclude(self, computed: Any) -> Decision:
+        """The decision that follows from what was computed."""
+        raise NotImplementedError
+
     def decide(self, seen: ObjectState, frames: int) -> Decision:
         """What to do with the object at rest as it is seen; a look is ``frames`` long, a long one
         ``LONG_LOOK`` times that; 0 where there is no time left for a long one."""
         assert isinstance(self.session, GoalSession)
+        self.session.arm = self.arm
         pose = from_message(seen.pose.pose)
         return self.session.decide(
             pose,

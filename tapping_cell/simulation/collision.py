@@ -8,7 +8,7 @@ levers are those of the objects, so that a hit off the middle turns both.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +32,13 @@ class Solid:
     radius: float
     mass: float
     inertia: float
+    reach: float = field(init=False)
+    """Greatest distance of the outline from the centre of mass, m."""
+
+    def __post_init__(self) -> None:
+        """Asked for in every step of a slide."""
+        reach = float(np.hypot(*self.corners.T).max()) + self.radius
+        object.__setattr__(self, "reach", reach)
 
     @classmethod
     def of(cls, body: Disk | Ring | Polygon, centre: tuple[float, float], inertia: float) -> Solid:
@@ -39,11 +46,6 @@ class Solid:
         if isinstance(body, Polygon):
             return cls(np.asarray(body.points) - np.array(centre), 0.0, body.mass, inertia)
         return cls(-np.array([centre]), body.radius, body.mass, inertia)
-
-    @property
-    def reach(self) -> float:
-        """Greatest distance of the outline from the centre of mass, m."""
-        return float(np.hypot(*self.corners.T).max()) + self.radius
 
     def at(self, motion: Motion) -> Array:
         """The corners in table, (n, 2)."""

@@ -93,10 +93,12 @@ class Tabletop:
         if math.isinf(self._now):
             self._advance_all(now)
         while self._now < now:
-            alone = len(self.worlds) == 1 or self.at_rest
-            self._advance_all(now if alone else min(now, self._now + self._step_length()))
-            if not alone:
-                self._collide()
+            if len(self.worlds) == 1 or self.at_rest:
+                self._advance_all(now)
+                continue
+            pairs = self._pairs()
+            self._advance_all(min(now, self._now + self._step_length(pairs)))
+            self._collide(self._pairs())
 
     def strike(self, tip: Pose, tip_height: float, speed: float, now: float) -> bool:
         """Release the striker, see ``World.strike``: the first object on its way is struck."""
@@ -210,10 +212,12 @@ class Tabletop:
             if speeds[first] + speeds[second] > 0.0
         ]
 
-    def _step_length(self) -> float:
+    def _step_length(self, pairs: Sequence[tuple[str, str, float]]) -> float:
         """So long nothing can meet, s."""
-        longest = LONGEST_STEP_S
-        for first, second, speed in self._pairs():
+        # Nobody knows how fast an object is that a striker is about to hit; others only slow down.
+        struck = any(world.struck for world in self.worlds.values())
+        longest = LONGEST_STEP_S if struck else math.inf
+        for first, second, speed in pairs:
             one, other = self.worlds[first], self.worlds[second]
             apart = _clearance(one, other)
             if apart <= longest * speed:
@@ -221,8 +225,8 @@ class Tabletop:
             longest = min(longest, max(apart / speed, SHORTEST_STEP_S))
         return longest
 
-    def _collide(self) -> None:
-        for first, second, speed in self._pairs():
+    def _collide(self, pairs: Sequence[tuple[str, str, float]]) -> None:
+        for first, second, speed in pairs:
             one, other = self.worlds[first], self.worlds[second]
             apart = _clearance(one, other)
             if apart > TOUCHING_M + speed * SHORTEST_STEP_S:

@@ -126,6 +126,11 @@ class World:
         return self._tap is None and self._after.at_rest and self._done <= self._now
 
     @property
+    def struck(self) -> bool:
+        """True while a striker is out that may hit the object."""
+        return self._tap is not None
+
+    @property
     def pose(self) -> Pose:
         """Where the object is at the time that the world was last advanced to."""
         motion = self._motion()

@@ -326,9 +326,7 @@ class Process:
             if isinstance(effect, Publish):
                 self._network.publish(self.name, effect.topic, copy_of(effect.message))
             elif isinstance(effect, RunJob):
-                self._jobs.append(effect.job)
-                if self._worker is not None and self._running is None:
-                    self._worker.wake()
+                self._queue(effect.job)
             elif isinstance(effect, AbandonJob):
                 self._abandoned.add(effect.job)
             elif isinstance(effect, StopWire):
@@ -343,6 +341,30 @@ class Process:
                     answer(effect.response)
             else:
                 self._carry_out_other(effect)
+
+    def _queue(self, job: Job) -> None:
+        if self._worker is None:
+            # Without a device a job only computes, which takes no time here.
+            life = self._life
+            self._scheduler.after(0.0, lambda: self._compute(job, life))
+            return
+        self._jobs.append(job)
+        if self._running is None:
+            self._worker.wake()
+
+    def _compute(self, job: Job, life: int) -> None:
+        if life == self._life:
+            ended = self._run(job, None)
+            self._when_awake(lambda: self._tell_end(ended))
+
+    def _run(self, job: Job, worker: Fiber | None) -> JobEnded:
+        try:
+            return JobEnded(job.number, result=job.run(_Context(self, job, worker)))
+        except HardwareFault as fault:
+            return JobEnded(job.number, fault=fault)
+        except Exception as defect:
+            self.defects.append(f"{self.name}, job {job.name}: {defect!r}")
+            return JobEnded(job.number, fault=defect)
 
     def _carry_out_other(self, effect: Effect) -> None:
         life = self._life
@@ -432,14 +454,7 @@ class Process:
                 worker.wait_until(math.inf)
                 continue
             job = self._running = self._jobs.popleft()
-            ended = JobEnded(job.number)
-            try:
-                ended = JobEnded(job.number, result=job.run(_Context(self, job, worker)))
-            except HardwareFault as fault:
-                ended = JobEnded(job.number, fault=fault)
-            except Exception as defect:
-                self.defects.append(f"{self.name}, job {job.name}: {defect!r}")
-                ended = JobEnded(job.number, fault=defect)
+            ended = self._run(job, worker)
             self._running = None
             self._abandoned.discard(job.number)
             self._pause(worker)
@@ -473,7 +488,7 @@ class _Context:
 
     process: Process
     job: Job
-    worker: Fiber
+    worker: Fiber | None
     driver: Any = field(init=False)
 
     def __post_init__(self) -> None:
@@ -485,6 +500,7 @@ class _Context:
 
     def sleep(self, duration: float) -> None:
         """Let ``duration`` s pass."""
+        assert self.worker is not None, "only a device's job waits"
         until = self.process._scheduler.now + duration
         while self.process._scheduler.now < until:
             self.worker.wait_until(until)
@@ -506,5 +522,6 @@ class _Context:
         if duration > 0:
             self.process.freeze_after_check = 0.0
             self.process.freeze(duration)
+            assert self.worker is not None
             self.process._pause(self.worker)
         return answer

@@ -37,7 +37,8 @@ _JUDGED_AGAIN = 0.003, 0.03
 _UNSEEN = 0.1
 """Time (s) for which an object that is not seen is believed to go on moving."""
 _LOST = 0.2
-"""Time (s) without a pose after which the object is searched for thoroughly."""
+"""Time (s) of looks in vain after which the object is searched for thoroughly; a machine that takes
+so long for a picture has not lost it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +92,7 @@ class ObjectFollower(ABC):
         self.trouble: Trouble | None = None
         self.track = Track(rest)
         self._last: tuple[float, Array, Array] | None = None
+        self._vain_since: float | None = None
         self._judged: tuple[int, Array, Array, Array] | None = None
 
     # -- what differs
@@ -132,8 +134,9 @@ class ObjectFollower(ABC):
         return self._last is not None
 
     def lost(self, stamp: float) -> bool:
-        """Whether the object was not measured for a while."""
-        return self._last is None or stamp - self._last[0] > _LOST
+        """Whether the object was looked for in vain for a while."""
+        vain = self._vain_since is not None and stamp - self._vain_since > _LOST
+        return self._last is None or vain
 
     def expected(self, stamp: float) -> Array | None:
         """Where the object (3,) should be, from its last pose and velocity."""
@@ -152,6 +155,8 @@ class ObjectFollower(ABC):
         """Measure and judge the object in this frame."""
         answer = self.look(frame)
         if isinstance(answer[0], Problem):
+            if self._vain_since is None:
+                self._vain_since = frame.stamp
             return nothing(frame.stamp, frame.table, answer[0], str(answer[1]))
         pose, covariance = answer[0], np.asarray(answer[1])
         if not frame.references_seen and not self.track.stays(pose, covariance):
@@ -162,6 +167,7 @@ class ObjectFollower(ABC):
                 "no reference markers are seen in this frame and the object seems to have moved: "
                 "it may be the camera that did",
             )
+        self._vain_since = None
         motion = self.track.add(frame.stamp, pose, covariance)
         self._last = (frame.stamp, pose, self.track.heading(frame.stamp, pose, motion))
         return self._good(frame, motion)

@@ -88,7 +88,8 @@ class PoseTracker:
         self._change = SceneChange()
         self._last: Observation | None = None
         self._measured_at = -math.inf
-        self._resting_since: float | None = None
+        self._resting_since: tuple[float | None, ...] = ()
+        self._seen: dict[int, Observation] = {}
 
     @property
     def view(self) -> View | None:
@@ -113,36 +114,51 @@ class PoseTracker:
         if refusal is not None:
             empty = nothing(stamp, self.table, *refusal)
             return empty, dict.fromkeys(others, empty)
-        last, period = self._last, self.settings.settled_period
-        if (
-            last is not None
-            and not others
-            and stamp - self._measured_at < period
-            and not self._wants_search
-            and stamp - self._last_search < self.settings.audit_period
-            and self._change.unchanged(image)
-        ):
-            return replace(last, stamp=stamp), {}
+        last = self._last
+        if last is not None and self._settled(stamp, others) and self._change.unchanged(image):
+            known = {number: replace(self._seen[number], stamp=stamp) for number in others}
+            return replace(last, stamp=stamp), known
         observation, found = self._judge(image, stamp, others)
+        self._seen.update(found)
         self._watch_settled(image, observation)
         return observation, found
+
+    def _settled(self, stamp: float, others: Collection[int]) -> bool:
+        """Whether a frame without change need not be measured, as far as these are asked for."""
+        enough = self.settings.settled_frames
+        return (
+            stamp - self._measured_at < self.settings.settled_period
+            and not self._search_due(stamp, others)
+            and not self._wants_search
+            and all(
+                number in self._seen
+                and (not self._others[number].found or self._seen[number].frames_fused >= enough)
+                for number in others
+            )
+        )
 
     def _watch_settled(self, image: Image, observation: Observation) -> None:
         """Keep what the next frame is compared with; nothing while the object is not long at rest,
         or while it is being found out whether a reference marker is covered."""
         self._measured_at = observation.stamp
-        view, since = self.view, observation.at_rest_since
+        view = self.view
         settled = observation.frames_fused >= self.settings.settled_frames
         self._last = observation if settled and not self._references.doubtful else None
-        if since is None or observation.pose is None or view is None:
-            self._resting_since = None
+        lying = [(self._object, observation)]
+        lying += [(self._others[n], seen) for n, seen in self._seen.items() if seen.visible]
+        since = tuple(seen.at_rest_since for _, seen in lying)
+        if view is None or observation.pose is None or None in since:
+            self._resting_since = ()
         elif since == self._resting_since:
             self._change.learn(image)
         else:
             self._resting_since = since
-            quads = view.project(self.table.points)
-            outline = self._object.outline(np.array(observation.pose))
-            self._change.watch(image, [view.project(outline, self._object.height), *quads])
+            regions = [*view.project(self.table.points)]
+            for follower, seen in lying:
+                assert seen.pose is not None, "what is seen at rest has a pose"
+                outline = follower.outline(np.array(seen.pose))
+                regions.append(view.project(outline, follower.height))
+            self._change.watch(image, regions)
 
     def _judge(
         self, image: Image, stamp: float, others: Collection[int]
@@ -181,6 +197,7 @@ class PoseTracker:
         return observations[0], dict(zip(numbers, observations[1:], strict=True))
 
     def _clear_tracks(self) -> None:
+        self._seen.clear()
         for follower in (self._object, *self._others):
             follower.track.clear()
 

@@ -128,6 +128,7 @@ class TapPlanner(CellNode[Parameters]):
                 settings.planner,
                 OtherObjects(others, settings.others_memory, settings.moved_limit),
                 self.host.now(),
+                objective=settings.objective,
                 adapt=settings.adapt,
                 probe=settings.probe,
                 keep_for=key_of(self) if settings.keep_gains else "",
@@ -136,6 +137,7 @@ class TapPlanner(CellNode[Parameters]):
             )
         except PlanningError as error:
             raise ConfigurationError(f"{cell.path}: {error}") from error
+        self.host.start(None)
         kept = self.host.goal_file.recall()
         age = self.host.goal_file.age() if kept is not None else math.inf
         self.host.lifecycle(Configured(cell, goals, kept_goal=kept, kept_goal_age=age))
@@ -151,6 +153,7 @@ class TapPlanner(CellNode[Parameters]):
     def cleanup(self) -> None:
         """An orderly end is an end of the goal, too."""
         self.host.lifecycle(ShutDown())
+        self.host.close()
 
     def change(self, name: str, value: object) -> None:
         """Take another planning method, or begin or cease to ask before every tap."""

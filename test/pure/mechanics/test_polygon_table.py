@@ -57,14 +57,22 @@ def test_the_inverse_undoes_it_and_nothing_moves_without_a_launch() -> None:
     assert np.all(table.displace(np.zeros((2, 3))) == 0.0)
 
 
-def test_a_launch_beyond_the_table_is_integrated() -> None:
-    exact = Sliding(SQUARE, MU, 2.0, G)
-    twist = launches(SQUARE, 20, 6 * LARGEST_SIZE)
-    size = (twist[:, :2] ** 2).sum(axis=1) + (SQUARE.radius_of_gyration * twist[:, 2]) ** 2
-    beyond = size > LARGEST_SIZE * MU * G * SQUARE.radius_of_gyration
-    assert 2 < beyond.sum() < 20
-    told = exact.tabulated().displace(twist)
-    assert told[beyond] == pytest.approx(exact.displace(twist[beyond]), rel=1e-9)
+@pytest.mark.parametrize("body", [SQUARE, PLANK, TRIANGLE], ids=["square", "plank", "triangle"])
+def test_a_launch_beyond_the_table_slides_into_it(body: Polygon) -> None:
+    exact = Sliding(body, MU, 2.0, G)
+    twist = launches(body, 100, 2 * LARGEST_SIZE)
+    rho = body.radius_of_gyration
+    size = (twist[:, :2] ** 2).sum(axis=1) + (rho * twist[:, 2]) ** 2
+    beyond = size > LARGEST_SIZE * MU * G * rho
+    assert 10 < beyond.sum() < 90
+    true, told = exact.displace(twist), exact.tabulated().displace(twist)
+    scale = np.array([1.0, 1.0, rho])
+    error = np.linalg.norm((told - true) * scale, axis=1) / np.linalg.norm(true * scale, axis=1)
+    assert error.max() < 1.5e-3
+    # Nothing jumps where the table ends.
+    edge = math.sqrt(LARGEST_SIZE * MU * G * rho) * np.array([[0.8, 0.0, 0.6 / rho]])
+    below, above = (exact.tabulated().displace(edge * (1.0 + e)) for e in (-1e-9, 1e-9))
+    assert above == pytest.approx(below, rel=1e-6)
 
 
 def test_one_shape_has_one_table_at_every_scale_and_friction() -> None:
