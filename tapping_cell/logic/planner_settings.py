@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.configuration.schema import choice, quantity, text
 
 
 @dataclass(frozen=True, slots=True)
@@ -13,6 +13,13 @@ class PlannerSettings:
     """Limits and choices of the planner's machine."""
 
     planner: str = text("planning method; if empty, the one named in the cell file", default="")
+    objective: str = choice(
+        "quantity to minimise: taps or time; if empty, the one in the cell file",
+        "",
+        "taps",
+        "time",
+        default="",
+    )
     adapt: bool = text("learn from every tap how the object responds", default=True)
     keep_gains: bool = text("keep the gains learnt for an object between runs", default=False)
     probe: bool = text(
