@@ -150,11 +150,11 @@ def draw_scene(
     """
     for _ in range(100):
         chosen = [kinds[int(index)] for index in rng.integers(len(kinds), size=task.count)]
-        starts = _draw_places(chosen, task.gap, rng)
+        starts = draw_places(chosen, task.gap, rng)
         if starts is None:
             continue
         if task.goals == "random":
-            goals = _draw_places(chosen, task.gap, rng)
+            goals = draw_places(chosen, task.gap, rng)
         elif task.goals == "swap":
             goals = [
                 Pose(*starts[index ^ 1][:2], rng.uniform(-math.pi, math.pi))
@@ -336,9 +336,7 @@ def _draw_gains(task: ArrangementTask, rng: np.random.Generator) -> Array:
     return np.concatenate([gains, np.zeros((task.count, 2))], axis=1)
 
 
-def _draw_places(
-    kinds: Sequence[Kind], least: float, rng: np.random.Generator
-) -> list[Pose] | None:
+def draw_places(kinds: Sequence[Kind], least: float, rng: np.random.Generator) -> list[Pose] | None:
     """A workable place for each, at least so far apart; None where the draws do not suffice."""
     placed: list[tuple[Pose, float]] = []
     for kind in kinds:
