@@ -38,6 +38,7 @@ LONG_SECTIONS = (
     "page-stop",
     "precision",
     "two-computers",
+    "unknown-objects",
     "unknown-worlds",
     "vision-calibrated",
     "vision-covariance",

@@ -78,14 +78,16 @@ def fit_record(fit: ObjectFit, inputs: Sequence[Path]) -> Provenance:
     )
 
 
-def object_yaml(content: ObjectFile, record: Provenance) -> str:
+FITTED = "Fitted to single taps (tapping_cell fit)."
+"""Heading of a file that the verb fit writes."""
+
+
+def object_yaml(content: ObjectFile, record: Provenance | None, heading: str = FITTED) -> str:
     """The file's text."""
     keys = plain(asdict(replace(content, calibration=None)))
     text = yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    title = (
-        "# Fitted to single taps (tapping_cell fit). Lengths in m, masses in kg, angles in rad.\n"
-    )
-    return title + text + provenance_yaml(record)
+    title = f"# {heading}\n# Lengths in m, masses in kg, angles in rad.\n"
+    return title + text + (provenance_yaml(record) if record is not None else "")
 
 
 def _rounded(value: float) -> float:

@@ -1,9 +1,14 @@
-"""Learn an object's friction, torque factor and scatter from the taps of goals that were recorded.
+"""Learn an object's friction, torque factor, smallest tap and scatter by tapping it.
 
-For an object without a file: copy one, give it the new object's name, shape, mass (a guess will do)
-and marker or outline, start the cell with it, and send a few goals with goal --probe. RUNS are the
-run folders of these goals; --object is the file that was in use. Writes an object file with what
-was learnt; the rest stays as it was.
+Starts the simulated cell (or the hardware with --hardware, or joins a running cell with --attach)
+with the object file, sends goals about where the object lies, the first with a probe of tiny taps,
+until the values are known well enough or --goals are made, and fits the taps. `new-object` makes
+the object file from a picture.
+
+  python -m tapping_cell learn-object --object bracket.yaml --output bracket_learnt.yaml
+
+With RUNS it learns from run folders of earlier goals instead, and moves nothing; --object is the
+file that was in use in them. What was learnt is written to --output; the rest stays as it was.
 
   python -m tapping_cell learn-object runs/* --object guess.yaml --output my_disk.yaml
 """
@@ -17,28 +22,62 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tapping_cell.cli import argument_types
+from tapping_cell.cli.errors import tell_error
+
 if TYPE_CHECKING:
     from tapping_cell.calibration.estimates import Estimate
+    from tapping_cell.configuration.objects import ObjectFile
+
+MOST_GOALS = 9
+LEAST_TAPS = 15
+FRICTION_KNOWN, FACTOR_KNOWN = 0.02, 0.1
+"""Relative standard deviations of friction and torque factor that are good enough: well below a
+tap's own scatter, which is then what limits the next goals."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     from tapping_cell.cli.output_arguments import add_output_arguments
+    from tapping_cell.cli.up import add_truth_arguments
 
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUNS", help="run folders")
+    parser.add_argument("runs", nargs="*", type=Path, metavar="RUNS", help="run folders")
     parser.add_argument(
-        "--object",
-        type=Path,
-        required=True,
-        metavar="FILE",
-        help="the object file that was in use in the runs",
+        "--object", type=Path, required=True, metavar="FILE", help="the object file in use"
+    )
+    parser.add_argument(
+        "--goals",
+        type=argument_types.whole(1, 200),
+        default=MOST_GOALS,
+        help=f"most goals to send ({MOST_GOALS})",
+    )
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--hardware", action="store_true", help="start the nodes of the real cell")
+    how.add_argument("--attach", action="store_true", help="join a cell that is running")
+    parser.add_argument(
+        "--namespace",
+        type=argument_types.namespace,
+        default="",
+        help="with --attach: namespace of the nodes",
+    )
+    parser.add_argument(
+        "--camera", default="/dev/video0", help="with --hardware: device, video file or folder"
+    )
+    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
+    add_truth_arguments(parser)
+    parser.add_argument(
+        "--seed", type=argument_types.seed, default=1, help="simulated: of noise and scatter (1)"
+    )
+    parser.add_argument(
+        "--runs-folder", type=Path, default=Path("runs"), help="where the runs are kept (runs)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser, required=False)
+    parser.set_defaults(planner=None)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Learn; 0 done, 2 runs or files that cannot be used."""
+    """Learn; 0 done, 1 the cell stopped it, 2 runs or files that cannot be used."""
     from dataclasses import replace
 
     from tapping_cell.calibration.csv_table import RecordError
@@ -56,14 +95,18 @@ def run(arguments: argparse.Namespace) -> int:
             refuse_existing(output)
         content = load_object(arguments.object.expanduser())
         folders = [folder.expanduser() for folder in arguments.runs]
+        if not folders:
+            folders, status = _probed(arguments, content)
+            if status:
+                return status
         commanded, measured = _taps(folders, content.name)
         learnt = learn_object(content, commanded, measured)
         record = learning_record(learnt, [folder / TAPS for folder in folders])
         if output is not None:
             made = replace(learnt.content, calibration=record)
-            write_kept(output, object_yaml(made, record), record, load_object)
+            write_kept(output, object_yaml(made, record, LEARNT), record, load_object)
     except (RecordError, RunError, KeptFile, ConfigurationError, OSError) as error:
-        print(f"learn-object: {error}", file=sys.stderr)
+        tell_error(str(error))
         return 2
     if arguments.json:
         values = {entry.name: _numbers(entry) for entry in learnt.estimates}
@@ -75,6 +118,68 @@ def run(arguments: argparse.Namespace) -> int:
     if output is not None:
         print(f"wrote {arguments.output}; check it with  python -m tapping_cell check-config")
     return 0
+
+
+LEARNT = "Learnt from taps (tapping_cell learn-object)."
+
+
+def _probed(arguments: argparse.Namespace, content: ObjectFile) -> tuple[list[Path], int]:
+    """The folders of goals that are made now, and the exit status if that failed.
+
+    Raises:
+        ConfigurationError: the cell's files cannot be used.
+    """
+    from rich.console import Console
+
+    from tapping_cell.cli import session
+    from tapping_cell.cli.graph import GraphError
+    from tapping_cell.cli.object_probing import ProbingStopped, probe
+
+    console = Console(stderr=arguments.json)
+    session.end_on_signals()
+    folders: list[Path] = []
+    try:
+        for folder in probe(arguments, lambda made: _known(made, content), console):
+            folders.append(folder)
+    except (GraphError, session.NotReadyInTime, session.NotRecorded, ProbingStopped) as error:
+        tell_error(str(error))
+        if folders:
+            print(_resume(arguments, folders), file=sys.stderr)
+        return folders, 1
+    except KeyboardInterrupt:
+        if folders:
+            print(f"interrupted; {_resume(arguments, folders)}", file=sys.stderr)
+        return folders, 130
+    return folders, 0
+
+
+def _resume(arguments: argparse.Namespace, folders: list[Path]) -> str:
+    """How to learn from what is there."""
+    runs = " ".join(str(folder) for folder in folders)
+    return (
+        f"what is recorded is kept: python -m tapping_cell learn-object {runs} --object "
+        f"{arguments.object}"
+    )
+
+
+def _known(folders: list[Path], content: ObjectFile) -> bool:
+    """Whether friction and torque factor are known well enough from these runs."""
+    from tapping_cell.calibration.csv_table import RecordError
+    from tapping_cell.calibration.learnt_object import learn_object
+
+    try:
+        learnt = learn_object(content, *_taps(folders, content.name)) if folders else None
+    except RecordError:
+        return False  # too few taps so far
+    if learnt is None or learnt.used < LEAST_TAPS:
+        return False
+    known = {entry.name: entry for entry in learnt.estimates}
+    friction, factor = known["friction"], known["torque_factor"]
+    return (
+        factor.fitted
+        and friction.std < FRICTION_KNOWN * friction.value
+        and factor.std < FACTOR_KNOWN * factor.value
+    )
 
 
 def _taps(folders: list[Path], name: str) -> tuple[Any, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from tapping_cell.configuration.schema import quantity, text
+from tapping_cell.configuration.schema import choice, quantity, text
 
 
 @dataclass(frozen=True, slots=True)
@@ -13,6 +13,13 @@ class PlannerSettings:
     """Limits and choices of the planner's machine."""
 
     planner: str = text("planning method; empty for the cell file's", default="")
+    objective: str = choice(
+        "what goals are reached with the fewest of; empty for the cell file's",
+        "",
+        "taps",
+        "time",
+        default="",
+    )
     adapt: bool = text("learn from every tap how the object responds", default=True)
     keep_gains: bool = text("remember what was learnt of an object between runs", default=False)
     probe: bool = text(

@@ -48,7 +48,11 @@ POINTS = 24
 """Equally likely points of the scatter that a decision compares taps with."""
 
 DEVIATIONS = 3.0
-"""Of all that is not known of a slide that must stay in the working area."""
+"""Of all that is not known of a slide that must stay on the table and off the keep-outs."""
+
+RETRIEVABLE = 1.5
+"""Of all that is not known of a slide that must end where a tap can bring the object back: else a
+person does. An object that was never tapped may slide 1.4 times as far as its file says."""
 
 WAY = np.linspace(0.25, 1.0, 4)
 """Shares of a slide at which it is held against keep-outs."""
@@ -251,39 +255,41 @@ class FixedTapperSession(GoalSession):
         return usable[int(row)], commanded[row, column], float(length[row, column])
 
     def _ends_well(self, pose: Array, commanded: Array, expected: Array) -> BoolArray:
-        """Which displacements (tappers, n, 3) may be made: they end in the working area, and with
-        all that is not known of them where the object can be brought back from, off the keep-outs.
-        From outside the area: they bring the object nearer."""
+        """Which displacements (tappers, n, 3) may be made: with all that is not known of them they
+        stay on the table, off the keep-outs, and where the object can be brought back from. From
+        outside the area: they bring the object nearer."""
+        far = self._way(pose, commanded, expected, DEVIATIONS)
+        here = float(self._space.area.room(pose[:2]))
+        needed = min(
+            self._space.object_radius,
+            float(self._space.workspace.object_room(pose[:2])),
+        )
+        safe = np.all(self._space.workspace.object_room(far) >= needed - 1e-9, axis=(-2, -1))
+        room = self._space.area.room(self._way(pose, commanded, expected, RETRIEVABLE))
+        if here >= 0.0:
+            safe &= np.all(room >= -OUTER, axis=(-2, -1))
+        else:
+            safe &= np.all(room[..., -1] > here, axis=-1)
+        return np.asarray(safe)
+
+    def _way(self, pose: Array, commanded: Array, expected: Array, deviations: float) -> Array:
+        """Points of slides (tappers, n, 3) that may go too far or aside by so many deviations of
+        all that is not known: (tappers, n, 3 directions, points, 2), m in `table`."""
         # It depends on the rotation per distance alone, which is one for all taps of a tapper.
-        spread = self.gains.spread(commanded[:, :1], self.settings.scatter, DEVIATIONS)
+        spread = self.gains.spread(commanded[:, :1], self.settings.scatter, deviations)
         size = np.hypot(expected[..., 0], expected[..., 1])
         heading = np.arctan2(expected[..., 1], expected[..., 0])
         longest = size * (spread.longest if self._adapt else 1.0)
         aside = np.concatenate([spread.aside, np.zeros_like(spread.aside[..., :1])], axis=-1)
         rays = heading[..., None] + aside
         way = longest[..., None, None] * WAY
-        points = np.stack(
+        return np.stack(
             [
                 pose[0] + way * np.cos(rays)[..., None],
                 pose[1] + way * np.sin(rays)[..., None],
             ],
             axis=-1,
         )
-        here = float(self._space.area.room(pose[:2]))
-        room = self._space.area.room(points)
-        object_room = self._space.workspace.object_room(points)
-        needed = min(
-            self._space.object_radius,
-            float(self._space.workspace.object_room(pose[:2])),
-        )
-        safe = np.all(object_room >= needed - 1e-9, axis=(-2, -1))
-        if here >= 0.0:
-            end = pose[:2] + expected[..., :2]
-            safe &= self._space.area.room(end) >= 0.0
-            safe &= np.all(room >= -OUTER, axis=(-2, -1))
-        else:
-            safe &= np.all(room[..., -1] > here, axis=-1)
-        return np.asarray(safe)
 
 
 def check_fixed_goal(goal_pose: ArrayLike, space: FixedStrikeSpace) -> Refusal | None:

@@ -235,6 +235,16 @@ class StrikeSpace:
             axis=-1,
         )
 
+    def strike_poses(self, object_pose: Array, displacements: Array) -> tuple[BoolArray, Array]:
+        """Which displacements (n, 3) a contact of the object gives, (n,), and the strike poses of
+        the tip at rest, (n, 3); NaN for the others. Whether there is room is not looked at here."""
+        possible = np.asarray(self.tap.reachable(displacements, object_pose))
+        poses = np.full(displacements.shape, math.nan)
+        if np.any(possible):
+            plan = self.tap.plan(displacements[possible], object_pose)
+            poses[possible] = self.rest_pose(plan.strike_pose)
+        return possible, poses
+
     def first_strike(
         self, object_pose: Pose, displacements: Array
     ) -> tuple[int, StrikePlan] | None:

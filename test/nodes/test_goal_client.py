@@ -70,6 +70,15 @@ def test_a_goal_that_is_cancelled_in_the_terminal_makes_no_tap() -> None:
         assert actors.commands == []
 
 
+def test_a_goal_that_is_sent_again_does_not_end_the_wait_for_it() -> None:
+    with acted(), client_of_a_cell() as client:
+        # As session.send does where the answer to the first is late.
+        client.send(GOAL)
+        session.send(client, GOAL, (0.0, 0.0), Console(quiet=True))
+        finished = session.follow(client, lambda: None, Console(quiet=True))
+        assert finished.error_code == 0, finished.error_msg
+
+
 def test_a_planner_that_is_killed_in_mid_goal_ends_the_wait() -> None:
     words = io.StringIO()
     command = [sys.executable, "-m", "tapping_cell.nodes.planner.tap_planner"]

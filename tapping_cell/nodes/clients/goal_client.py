@@ -19,6 +19,7 @@ from std_msgs.msg import String
 from tapping_cell_msgs.action import PositionObject
 from tapping_cell_msgs.msg import (
     ArmState,
+    ErrorCode,
     ObjectState,
     PlannedTap,
     PlanState,
@@ -104,6 +105,8 @@ class GoalClient(ClientNode):
         self._plan: tuple[PlanState, float] | None = None
         self._confirm = self.node.create_client(ConfirmTap, "confirm_tap")
         self._handle: ClientGoalHandle | None = None
+        self._sent = 0
+        """Goals sent so far; the latest one's number."""
         self._action = ActionClient(self.node, PositionObject, "position_object")
         subscribe = self.node.create_subscription
         subscribe(ObjectState, "object_state", self._on_object_state, 10)
@@ -176,8 +179,10 @@ class GoalClient(ClientNode):
         self._executor.create_task(self._send, message)
 
     def _send(self, message: PositionObject.Goal) -> None:
+        self._sent += 1
+        number = self._sent
         future = self._action.send_goal_async(message, feedback_callback=self._on_feedback)
-        future.add_done_callback(self._on_response)
+        future.add_done_callback(lambda done: self._on_response(done, number))
 
     @property
     def answered(self) -> bool:
@@ -291,10 +296,10 @@ class GoalClient(ClientNode):
         self.true_pose = from_message(message.pose)
         self._true_pose_heard = time.monotonic()
 
-    def _on_response(self, future: object) -> None:
+    def _on_response(self, future: object, number: int) -> None:
         handle = future.result()  # type: ignore[attr-defined]
         self._handle = handle
-        handle.get_result_async().add_done_callback(self._on_result)
+        handle.get_result_async().add_done_callback(lambda done: self._on_result(done, number))
 
     def _on_feedback(self, message: object) -> None:
         self._follow(message.feedback.plan_state)  # type: ignore[attr-defined]
@@ -315,8 +320,10 @@ class GoalClient(ClientNode):
             self._taps_heard = record.number
             self._events.put(TapDone(record, distance, rotation, self.true_pose))
 
-    def _on_result(self, future: object) -> None:
+    def _on_result(self, future: object, number: int) -> None:
         result: PositionObject.Result = future.result().result  # type: ignore[attr-defined]
+        if number < self._sent and result.error_code == ErrorCode.GOAL_REPLACED:
+            return  # a goal that was sent again, unanswered, took its own place
         if result.records:
             self._hear(
                 result.records[-1],

@@ -128,6 +128,7 @@ class TapPlanner(CellNode[Parameters]):
                 settings.planner,
                 OtherObjects(others, settings.others_memory, settings.moved_limit),
                 self.host.now(),
+                objective=settings.objective,
                 adapt=settings.adapt,
                 probe=settings.probe,
                 keep_for=key_of(self) if settings.keep_gains else "",

@@ -1,0 +1,166 @@
+"""Objects without a file: what nine goals teach, and what the tenth then takes.
+
+Ten objects of the simulated world are drawn at random (disks, rings, polygons; friction 0.05 to
+0.6, torque factor 0.8 to 4, restitution, contact friction and density unknown too). Each begins
+with the file that the verb `new-object` makes of its true shape and height. Nine goals with
+learning from tap to tap give the taps from which `learn-object` makes a file; further goals are
+then made with that file and, with the same draws, with the true one. A perfect camera looks.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.calibration.learnt_object import learn_object
+from tapping_cell.calibration.new_object import new_object
+from tapping_cell.configuration.assembly import make_planner_settings
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.objects import MarkerSection, ObjectFile, ShapeSection
+from tapping_cell.planning import CameraNoise
+from tapping_cell.planning.evaluation import Evaluation, evaluate, summarise
+from tapping_cell.se2 import Array
+from tapping_cell.simulation.tap_trials import SimulatedTaps
+from tapping_cell.simulation.truth import ScatterTruth, TruthFile
+
+DEFAULT_COUNT = 100
+"""Goals with each of the two files of each object."""
+
+OBJECTS = 10
+GOALS = 9
+TASKS = (0.040, math.radians(20.0))
+CAMERA = CameraNoise(0.00005, math.radians(0.05))
+TOLERANCE = (0.001, math.radians(1.0))
+TRUTH = TruthFile((0.0, 0.0, 0.0), scatter=ScatterTruth(0.025, 0.15, math.radians(1.0)))
+MARKER = MarkerSection("APRILTAG_36h11", 7, 0.03)
+
+
+@dataclass(slots=True)
+class Recorded:
+    """A world whose taps are kept, in the object's axes before each: commanded and measured."""
+
+    world: SimulatedTaps
+    commanded: list[Array] = field(default_factory=list)
+    measured: list[Array] = field(default_factory=list)
+
+    @property
+    def model(self) -> Any:
+        """The mechanics by which the planner makes its taps."""
+        return self.world.model
+
+    def answer(
+        self, poses: Array, seen: Array, commanded: Array, gains: Array, rng: np.random.Generator
+    ) -> Array:
+        """As the world answers."""
+        moved = self.world.answer(poses, seen, commanded, gains, rng)
+        self.commanded.append(turned(commanded, -seen[:, 2]))
+        self.measured.append(turned(moved, -seen[:, 2]))
+        return moved
+
+
+def turned(moves: Array, angles: Array) -> Array:
+    """Displacements (n, 3) in axes turned back by ``angles`` (n,)."""
+    cos, sin = np.cos(angles), np.sin(angles)
+    x, y = moves[:, 0], moves[:, 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y, moves[:, 2]], axis=1)
+
+
+def drawn_object(seed: int) -> tuple[ObjectFile, ObjectFile]:
+    """An object as it is, and the file with which it begins."""
+    random = np.random.default_rng(seed)
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(random.uniform(math.log(low), math.log(high))))
+
+    kind = ("disk", "ring", "polygon")[seed % 3]
+    size = float(random.uniform(0.03, 0.06))
+    if kind == "polygon":
+        corners = int(random.integers(3, 7))
+        angles = np.arange(corners) * 2 * math.pi / corners
+        angles += random.uniform(-0.8, 0.8, corners) / corners
+        points = size * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        shape = ShapeSection(kind, vertices=tuple((float(x), float(y)) for x, y in points))
+    else:
+        shape = ShapeSection(kind, radius=size)
+    begun = new_object(f"object {seed}", shape, 0.012, MARKER, None)
+    true = replace(
+        begun,
+        mass=begun.mass * between(0.5, 2.0),
+        friction=between(0.05, 0.6),
+        torque_factor=between(0.8, 4.0),
+        restitution=float(random.uniform(0.4, 0.9)),
+        contact_friction=float(random.uniform(0.1, 0.35)),
+    )
+    return true, begun
+
+
+def learnt_file(true: ObjectFile, begun: ObjectFile, seed: int) -> ObjectFile:
+    """The file after nine goals that began with ``begun``."""
+    evaluation, world = _evaluation(true, begun, GOALS)
+    evaluate(evaluation, seed)
+    return learn_object(
+        begun, np.concatenate(world.commanded), np.concatenate(world.measured)
+    ).content
+
+
+def _evaluation(true: ObjectFile, told: ObjectFile, goals: int) -> tuple[Evaluation, Recorded]:
+    cell = replace(load_cell(), object=told)
+    tap = told.tap(cell.file.tapper.striker())
+    model = replace(tap, smallest_distance=0.0)
+    world = Recorded(SimulatedTaps(model, true, TRUTH, cell.file.tapper.standoff))
+    settings = make_planner_settings(cell, TOLERANCE, camera=CAMERA)
+    made = Evaluation(
+        planner="optimal",
+        settings=settings,
+        trials=goals,
+        random_tasks=TASKS,
+        world=world,
+        adapt=True,
+        most_taps=30,
+    )
+    return made, world
+
+
+def measure(count: int) -> dict[str, Any]:
+    """Each object: what was learnt, and the taps of further goals with both files."""
+    report: dict[str, Any] = {}
+    for seed in range(OBJECTS):
+        true, begun = drawn_object(seed)
+        learnt = learnt_file(true, begun, 100 + seed)
+        taps = {}
+        for name, told in (("begun", begun), ("learnt", learnt), ("true", true)):
+            summary = summarise(evaluate(_evaluation(true, told, count)[0], 200 + seed))
+            taps[name] = summary["taps"]["mean"]
+        report[f"object {seed} ({true.shape.kind})"] = {
+            "friction": {"true": true.friction, "learnt": learnt.friction},
+            "torque_factor": {"true": true.torque_factor, "learnt": learnt.torque_factor},
+            "taps": taps,
+        }
+    rows = [row["taps"] for row in report.values()]
+    report["mean"] = {
+        name: float(np.mean([row[name] for row in rows])) for name in ("begun", "learnt", "true")
+    }
+    return report
+
+
+def lines(report: dict[str, Any]) -> list[str]:
+    """The report for people."""
+    text = []
+    for name, row in report.items():
+        taps = row if name == "mean" else row["taps"]
+        said = (
+            f"taps {taps['learnt']:.2f} with the learnt file, {taps['true']:.2f} with the true "
+            f"one ({100 * (taps['learnt'] / taps['true'] - 1):+.0f} %), {taps['begun']:.2f} with "
+            "that of new-object"
+        )
+        if name != "mean":
+            friction, factor = row["friction"], row["torque_factor"]
+            said += (
+                f"; friction {friction['learnt']:.3f} ({friction['true']:.3f} true), torque factor "
+                f"{factor['learnt']:.2f} ({factor['true']:.2f} true)"
+            )
+        text.append(f"{name}: {said}")
+    return text

@@ -1,0 +1,95 @@
+"""The first file of an object of which only shape, height and looks are known."""
+
+from __future__ import annotations
+
+import math
+
+from tapping_cell.configuration.objects import (
+    MarkerSection,
+    ObjectFile,
+    OutlineSection,
+    ShapeSection,
+)
+from tapping_cell.vision.outline.tracing import TracedObject
+
+FRICTION = 0.17
+"""In the middle (geometric) of 0.05, plastic on glass, and 0.6, rubber feet."""
+TORQUE_FACTOR = 1.8
+"""In the middle (geometric) of 0.8, weight towards the centre, and 4.0, the heaviest rim of the
+publication's objects being 3.64."""
+RESTITUTION, CONTACT_FRICTION = 0.6, 0.2
+"""A hard tip on plastic or soft metal. What they are wrong by, learning puts into the friction."""
+DENSITY = 1500.0
+"""kg/m^3, between wood and aluminium, where the mass is not given: an error of the mass is one of
+the launch speed, which learning corrects with the friction."""
+
+
+def new_object(
+    name: str,
+    shape: ShapeSection,
+    height: float,
+    marker: MarkerSection | None,
+    outline: OutlineSection | None,
+    mass: float | None = None,
+) -> ObjectFile:
+    """An object file with values in the middle of what objects have, m and kg.
+
+    Raises:
+        ValueError: the body is impossible, or nothing shows its place and angle.
+    """
+    weight = mass if mass is not None else max(0.001, DENSITY * height * _area(shape))
+    made = ObjectFile(
+        name=name,
+        shape=shape,
+        mass=float(f"{weight:.3g}"),
+        height=height,
+        friction=FRICTION,
+        torque_factor=TORQUE_FACTOR,
+        restitution=RESTITUTION,
+        contact_friction=CONTACT_FRICTION,
+        marker=marker,
+        outline=outline,
+    )
+    made.body()
+    made.seen()
+    return made
+
+
+def traced_shape(traced: TracedObject) -> ShapeSection:
+    """The shape that a picture shows, to a hundredth of a millimetre."""
+    if traced.radius is not None:
+        return ShapeSection("disk", radius=_rounded(traced.radius))
+    assert traced.vertices is not None
+    corners = tuple((_rounded(x), _rounded(y)) for x, y in traced.vertices)
+    return ShapeSection("polygon", vertices=corners)
+
+
+def traced_marker(traced: TracedObject) -> MarkerSection | None:
+    """The marker that a picture shows on the object; None where there is none."""
+    marker = traced.marker
+    if marker is None:
+        return None
+    x, y, angle = marker.offset
+    offset = (_rounded(x), _rounded(y), angle)
+    return MarkerSection(marker.dictionary, marker.id, _rounded(marker.size), offset)
+
+
+def traced_outline(traced: TracedObject) -> OutlineSection | None:
+    """How an object without a marker is seen; None where it has a marker."""
+    if traced.marker is not None:
+        return None
+    return OutlineSection("brighter" if traced.brighter else "darker")
+
+
+def _area(shape: ShapeSection) -> float:
+    """Area of the top in m^2."""
+    if shape.vertices is None:
+        assert shape.radius is not None
+        return math.pi * shape.radius**2
+    following = (*shape.vertices[1:], shape.vertices[0])
+    pairs = zip(shape.vertices, following, strict=True)
+    return 0.5 * abs(sum(x * v - u * y for (x, y), (u, v) in pairs))
+
+
+def _rounded(length: float) -> float:
+    return round(length, 5)

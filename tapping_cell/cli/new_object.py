@@ -1,0 +1,146 @@
+"""Write the first file of an object that has none, from one picture of it.
+
+Put the object alone on the table, below the camera, and take a picture that shows the table's
+reference markers. Its outline, and the marker on it if it has one, are read from the picture; only
+the height has to be measured. Friction and torque factor are values in the middle of what objects
+have: `learn-object` measures them with the cell.
+
+  python -m tapping_cell new-object shot.png --name bracket --height 12 --output bracket.yaml
+  python -m tapping_cell learn-object --object bracket.yaml --output bracket_learnt.yaml
+
+Without a marker, an outline that looks the same after a turn (a disk, a square) does not show the
+object's angle: stick a marker on it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tapping_cell.cli import argument_types
+from tapping_cell.cli.errors import tell_error
+
+if TYPE_CHECKING:
+    from tapping_cell.configuration.objects import ObjectFile
+    from tapping_cell.vision.outline.tracing import TracedObject
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument("image", type=Path, metavar="IMAGE", help="picture of the object")
+    parser.add_argument("--name", required=True, help="display name of the object")
+    parser.add_argument(
+        "--height",
+        type=argument_types.within(0.5, 500.0),
+        required=True,
+        metavar="MM",
+        help="height of the top above the table",
+    )
+    parser.add_argument(
+        "--mass",
+        type=argument_types.within(1.0, 100_000.0),
+        metavar="G",
+        help="mass in g (default: from the volume, as of plastic)",
+    )
+    parser.add_argument("--ring", action="store_true", help="the object is a ring, not a disk")
+    parser.add_argument(
+        "--dictionary", help="of the object's marker (default: that of the table's markers)"
+    )
+    parser.add_argument("--camera", type=Path, help="ROS camera_info file (default: the package's)")
+    parser.add_argument(
+        "--table", type=Path, help="reference markers (default: the package's table.yaml)"
+    )
+    parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="file to write")
+    parser.add_argument("--force", action="store_true", help="replace the file if it is there")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Trace and write; 0 written, 2 a picture or values that cannot be used."""
+    from tapping_cell.calibration.object_file import object_yaml
+    from tapping_cell.cli.locate import read_photograph
+    from tapping_cell.configuration.files import shared_folder
+    from tapping_cell.configuration.table import load_camera_model, load_reference_map
+    from tapping_cell.vision.outline.tracing import trace_object
+
+    output: Path = arguments.output.expanduser()
+    if output.exists() and not arguments.force:
+        tell_error(f"{output} is there already; choose another name, or give --force")
+        return 2
+    try:
+        camera = load_camera_model(arguments.camera or shared_folder() / "camera_info.yaml")
+        table = load_reference_map(arguments.table or shared_folder() / "table.yaml")
+        image = read_photograph(arguments.image, (camera.width, camera.height))
+        if isinstance(image, str):
+            tell_error(image)
+            return 2
+        traced = trace_object(image, camera, table, arguments.height / 1000, arguments.dictionary)
+        made = _object(arguments, traced)
+        output.parent.mkdir(parents=True, exist_ok=True)
+        output.write_text(object_yaml(made, None, HEADING))
+    except (ValueError, OSError) as error:
+        tell_error(str(error))
+        return 2
+    print("\n".join(told(made, traced)))
+    print(
+        f"wrote {output}; measure friction and torque factor with  python -m tapping_cell "
+        f"learn-object --object {output} --output FILE"
+    )
+    return 0
+
+
+HEADING = "Shape and looks from a picture (tapping_cell new-object); friction and impact assumed."
+
+
+def _object(arguments: argparse.Namespace, traced: TracedObject) -> ObjectFile:
+    """The file's content.
+
+    Raises:
+        ValueError: it is impossible, or cannot be seen.
+    """
+    from dataclasses import replace
+
+    from tapping_cell.calibration.new_object import (
+        new_object,
+        traced_marker,
+        traced_outline,
+        traced_shape,
+    )
+
+    shape = traced_shape(traced)
+    if arguments.ring:
+        if shape.radius is None:
+            raise ValueError("--ring is given, but the picture shows a polygon")
+        shape = replace(shape, kind="ring")
+    return new_object(
+        arguments.name,
+        shape,
+        arguments.height / 1000,
+        traced_marker(traced),
+        traced_outline(traced),
+        None if arguments.mass is None else arguments.mass / 1000,
+    )
+
+
+def told(made: ObjectFile, traced: TracedObject) -> list[str]:
+    """What was seen, for people, in mm."""
+    shape = made.shape
+    if shape.radius is not None:
+        text = f"{shape.kind} of {2e3 * shape.radius:.2f} mm in diameter"
+    else:
+        assert shape.vertices is not None
+        corners = ", ".join(f"({1e3 * x:.2f}, {1e3 * y:.2f})" for x, y in shape.vertices)
+        text = f"polygon with the corners {corners} mm"
+    lines = [f"{text}; the rim is within {1e3 * traced.deviation:.2f} mm (rms) of it"]
+    if made.marker is not None:
+        marker = made.marker
+        x, y, _ = marker.offset
+        lines.append(
+            f"marker {marker.id} of {marker.dictionary}, {1e3 * marker.size:.2f} mm, "
+            f"({1e3 * x:.2f}, {1e3 * y:.2f}) mm from the middle"
+        )
+    else:
+        assert made.outline is not None
+        lines.append(f"no marker; the top is {made.outline.shade} than the table")
+    lines.append(f"mass {1e3 * made.mass:.0f} g")
+    return lines

@@ -1,0 +1,125 @@
+"""Goals that make the cell tap an object of which little is known, and their runs' folders."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+
+from tapping_cell.cli import session
+from tapping_cell.cli.graph import RECORDER, Graph, nodes_of, own_domain, with_own_ports
+from tapping_cell.cli.up import node_parameters
+from tapping_cell.configuration.cell import (
+    Cell,
+    load_cell,
+    refuse_own_drivers,
+    refuse_simulated_ports,
+)
+from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.nodes.clients.goal_client import GoalClient
+from tapping_cell.se2 import Pose, wrap_angle
+
+READY_PATIENCE_S = 60.0
+RECORD_PATIENCE_S = 60.0
+REACH, TURN = 0.025, math.radians(20.0)
+"""Goals lie on a circle of this radius (m) about where the object lay first, turned by so much
+either way: far enough that friction shows, near enough that a place with room stays one."""
+BETWEEN = math.radians(137.5)
+"""From one goal's direction to the next: however many there are, they are spread evenly."""
+IN_A_ROW = 3
+"""So many goals that end without a tap end the session."""
+
+
+class ProbingStopped(RuntimeError):
+    """No further goal can be made; the sentence says why. What is recorded is kept."""
+
+
+def probe(
+    arguments: argparse.Namespace, enough: Callable[[list[Path]], bool], console: Console
+) -> Iterator[Path]:
+    """Send goals until ``enough`` of the folders so far, or ``arguments.goals`` are made; gives the
+    folder of each run.
+
+    Raises:
+        ConfigurationError: the cell's files cannot be used, or another object is in the cell.
+        GraphError, NotReadyInTime, NotRecorded, ProbingStopped: the cell does not work.
+    """
+    cell = load_cell(arguments.cell, object_path=arguments.object)
+    if arguments.hardware:
+        refuse_simulated_ports(cell)
+    elif not arguments.attach:
+        refuse_own_drivers(cell)
+    with (
+        _graph(arguments, cell, console) as check,
+        GoalClient("learn_object", arguments.namespace) as client,
+    ):
+        session.wait_until_ready(client, READY_PATIENCE_S, check, console)
+        assert client.object_state is not None
+        if client.object_state.object_id != cell.object.name:
+            raise ConfigurationError(
+                f"the cell looks for '{client.object_state.object_id}', but --object is of "
+                f"'{cell.object.name}': start the cell with this object file"
+            )
+        middle, folders, barren = client.object_pose(), list[Path](), 0
+        while len(folders) < arguments.goals and not enough(folders):
+            goal = goal_of(middle, client.object_pose(), len(folders))
+            console.print(f"goal {len(folders) + 1}: {session.pose_text(goal)}")
+            client.last_run = ""
+            session.send(client, goal, (0.0, 0.0), console, probe=not folders)
+            try:
+                finished = session.follow(client, check, console)
+            except BaseException:
+                client.cancel()
+                raise
+            folders.append(session.wait_for_record(client, RECORD_PATIENCE_S, check, console))
+            yield folders[-1]
+            if finished.error_code:
+                console.print(f"goal not reached: {finished.error_msg}")
+            barren = barren + 1 if finished.taps == 0 and finished.error_code else 0
+            if barren == IN_A_ROW:
+                raise ProbingStopped(
+                    f"{IN_A_ROW} goals in a row ended without a tap: {finished.error_msg}"
+                )
+            session.wait_until_ready(client, READY_PATIENCE_S, check, console)
+
+
+def goal_of(middle: Pose, here: Pose, number: int) -> Pose:
+    """The goal of this number (from 0) about ``middle``; the object turns from where it is, back
+    and forth."""
+    heading = number * BETWEEN
+    turn = TURN if number % 2 == 0 else -TURN
+    return Pose(
+        middle.x + REACH * math.cos(heading),
+        middle.y + REACH * math.sin(heading),
+        float(wrap_angle(here.theta + turn)),
+    )
+
+
+@contextmanager
+def _graph(
+    arguments: argparse.Namespace, cell: Cell, console: Console
+) -> Iterator[Callable[[], None]]:
+    """The graph, started here or joined; gives what raises once a node of it died."""
+    if arguments.attach:
+        yield lambda: None
+        return
+    domain = own_domain()
+    # The client of this process must meet the nodes, and nobody else.
+    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    runs: Path = arguments.runs_folder.resolve()
+    console.print(f"runs in {runs}; watch with ROS_DOMAIN_ID={domain.number}")
+    parameters = node_parameters(arguments, cell)
+    parameters[RECORDER]["folder"] = runs
+    nodes = (*nodes_of(cell, hardware=arguments.hardware), RECORDER)
+    with tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports:
+        if not arguments.hardware:
+            parameters = with_own_ports(parameters, Path(ports))
+        with Graph(nodes, parameters, runs / "learn-object_logs") as graph:
+            yield graph.check

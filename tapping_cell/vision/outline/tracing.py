@@ -1,0 +1,449 @@
+"""Shape and marker of an unknown flat object, traced in one picture.
+
+The picture is seen from straight above in the plane of the object's top, in equal steps, so that
+lens and perspective are gone. What differs from the table's light is the object; its rim is then
+found to a fraction of a pixel, and a circle or a convex polygon is fitted to it. Near the edge of
+the picture a side wall shows beside the top: the object should lie below the camera.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tapping_cell.se2 import inverse, transform_points
+from tapping_cell.vision.camera import Array, CameraModel, Image, View
+from tapping_cell.vision.markers.detection import (
+    Effort,
+    MarkerError,
+    ObjectMarker,
+    ReferenceMap,
+    find_markers,
+    marker_pattern,
+)
+from tapping_cell.vision.markers.measurement import measure
+from tapping_cell.vision.tracker import PoseTracker
+
+Mask = NDArray[np.uint8]
+
+_AROUND = 0.04
+"""How far (m) beyond the reference markers' middles an object may reach."""
+_FREE_RIM = 1.4
+"""Size of the part that a reference marker covers with its white border, in sides of the marker."""
+_LEAST_CONTRAST = 8.0
+"""Grey levels by which an object must differ from the table."""
+_SHADOW = 0.4
+"""Share of the object's contrast from which on a place belongs to it, and not to a soft shadow."""
+_EVERY = 8
+"""Pixels of the seen plane from one that is projected into the picture to the next."""
+_APART = 0.05
+"""Share of the object's area from which on something else on the table is a second object."""
+_LEAST_REACH = 0.006
+"""Least radius (m) of an object; less is dirt."""
+_ACROSS = np.arange(-6.0, 6.01, 0.25)
+"""Steps across the rim, in steps of the seen plane, at which its brightness is read."""
+_HOLLOW = 1.04
+"""Area of the convex hull over that of the outline above which an object is not convex."""
+_ROUND = 0.012
+"""Deviation (rms) of the rim from a circle, as a share of the radius, up to which it is one."""
+_CORNER = 0.025
+"""Largest distance of the rim from the polygon's sides while corners are sought, as a share of the
+outline's mean radius."""
+_BESIDE_CORNER = 0.12
+"""Share at each end of a side that is left out of its line: corners are rounded in a picture."""
+_MOST_CORNERS = 12
+
+
+class NotTraced(ValueError):
+    """No object's shape can be read from the picture; the text says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class TracedObject:
+    """What one picture says of an object, in m and rad.
+
+    The shape is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise) about
+    the middle of its area, turned as its marker is, or as its longest side where it has none.
+    ``pose`` is where it lies in ``table``; ``brighter``: than the table; ``deviation`` the root
+    mean square distance of the rim from the shape.
+    """
+
+    radius: float | None
+    vertices: tuple[tuple[float, float], ...] | None
+    pose: tuple[float, float, float]
+    brighter: bool
+    deviation: float
+    marker: ObjectMarker | None
+
+
+def trace_object(
+    image: Image,
+    camera: CameraModel,
+    table: ReferenceMap,
+    height: float,
+    dictionary: str | None = None,
+) -> TracedObject:
+    """The one object in a picture whose top is ``height`` (m) over the table.
+
+    Its marker may be any of ``dictionary`` (the table's, if None) that is no reference marker.
+
+    Raises:
+        NotTraced: the picture shows no table, no object, several, or one without a simple shape.
+    """
+    view = _view(image, camera, table)
+    marker, marker_pose = _marker(image, view, table, height, dictionary or table.dictionary)
+    plane = _Plane.over(view, table, height)
+    seen = plane.look(image)
+    excess = _excess(seen, plane.free(table))
+    mask, brighter = _object(excess, plane, marker_pose)
+    rim = plane.places(_rim(excess if brighter else -excess, mask))
+    radius, corners, middle, deviation = _shape(rim)
+    angle = marker_pose[2] if marker_pose is not None else _direction(corners)
+    pose = (float(middle[0]), float(middle[1]), angle)
+    vertices = None
+    if corners is not None:
+        own = transform_points(inverse(pose), corners)
+        vertices = tuple((float(x), float(y)) for x, y in own)
+    if marker is not None and marker_pose is not None:
+        x, y = transform_points(inverse(pose), np.array([marker_pose[:2]]))[0]
+        marker = ObjectMarker(
+            marker.dictionary, marker.id, marker.size, height, (float(x), float(y), 0.0)
+        )
+    return TracedObject(radius, vertices, pose, brighter, deviation, marker)
+
+
+def _view(image: Image, camera: CameraModel, table: ReferenceMap) -> View:
+    """The camera over the table, from the reference markers."""
+    size = table.markers[0].size
+    others = {marker.id for marker in table.markers}
+    free = next(number for number in range(len(others) + 1) if number not in others)
+    # Any object will do: only the table is asked for.
+    tracker = PoseTracker(camera, table, ObjectMarker(table.dictionary, free, size, 0.001))
+    observation = tracker.update(image, 0.0)
+    if tracker.view is None:
+        raise NotTraced(f"the table is not seen: {observation.sentence}")
+    return tracker.view
+
+
+def _marker(
+    image: Image, view: View, table: ReferenceMap, height: float, dictionary: str
+) -> tuple[ObjectMarker | None, tuple[float, float, float] | None]:
+    """The marker on the object and its pose in ``table``; None where there is none."""
+    references = {marker.id for marker in table.markers}
+    if dictionary != table.dictionary:
+        references = set()
+    found = [
+        one
+        for one in find_markers(image, dictionary, effort=Effort.THOROUGH)
+        if one.id not in references
+    ]
+    if not found:
+        return None, None
+    if len(found) > 1:
+        raise NotTraced(
+            f"{len(found)} markers besides the table's are seen (ids "
+            f"{', '.join(str(one.id) for one in found)}): leave one object on the table"
+        )
+    number = found[0].id
+    edges, sure = measure(
+        image, found[0].corners[None], [marker_pattern(dictionary, number)], searched=True
+    )
+    if not (edges.good[0] and sure[0]):
+        raise NotTraced(f"marker {number} on the object is not sharp: mend focus and light")
+    corners = view.on_plane(edges.corners[0], height)
+    sides = np.roll(corners, -1, axis=0) - corners
+    size = float(np.hypot(sides[:, 0], sides[:, 1]).mean())
+    # Corners go clockwise from the upper left one: the first and third sides lie along x.
+    along = sides[0] - sides[2]
+    x, y = corners.mean(axis=0)
+    try:
+        marker = ObjectMarker(dictionary, number, size, height)
+    except MarkerError as error:
+        raise NotTraced(str(error)) from error
+    return marker, (float(x), float(y), math.atan2(along[1], along[0]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plane:
+    """The plane of the top as an image: ``step`` m a pixel, ``origin`` (m) at pixel (0, 0)."""
+
+    view: View
+    height: float
+    origin: Array
+    step: float
+    size: tuple[int, int]
+
+    @classmethod
+    def over(cls, view: View, table: ReferenceMap, height: float) -> _Plane:
+        """The part of the plane that the reference markers enclose."""
+        middles = np.array([[marker.x, marker.y] for marker in table.markers])
+        low, high = middles.min(axis=0) - _AROUND, middles.max(axis=0) + _AROUND
+        camera = view.camera
+        corners = np.array([[0, 0], [camera.width - 1, 0], [0, camera.height - 1]], dtype=float)
+        seen = view.on_plane(corners, height)
+        # A little finer than the picture, so that nothing of it is lost.
+        step = 0.7 * float(np.linalg.norm(seen[1] - seen[0])) / (camera.width - 1)
+        columns, rows = (int(n) for n in np.ceil((high - low) / step))
+        return cls(view, height, low, step, (columns, rows))
+
+    def places(self, pixels: Array) -> Array:
+        """Places (N, 2) in m of pixels (N, 2) of this image."""
+        return self.origin + self.step * pixels
+
+    def pixels(self, places: Array) -> Array:
+        """Pixels (N, 2) of places (N, 2) in m."""
+        return np.asarray((places - self.origin) / self.step)
+
+    def look(self, image: Image) -> NDArray[np.float32]:
+        """What the picture shows of the plane; NaN outside the picture."""
+        columns, rows = self.size
+        # A lens is smooth: where every pixel looks follows from some of them, one row more around.
+        u, v = ((np.arange(-1, n // _EVERY + 2) + 0.5) * _EVERY - 0.5 for n in (columns, rows))
+        nodes = self.view.project(self.places(np.stack(np.meshgrid(u, v), axis=-1)), self.height)
+        size = (_EVERY * len(u), _EVERY * len(v))
+        at = cv2.resize(nodes.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+        own = at[_EVERY : _EVERY + rows, _EVERY : _EVERY + columns]
+        return _sampled(image.astype(np.float32), np.asarray(own, dtype=np.float32))
+
+    def free(self, table: ReferenceMap) -> Mask:
+        """255 where no reference marker lies."""
+        columns, rows = self.size
+        mask = np.full((rows, columns), 255, dtype=np.uint8)
+        corners = table.corners()
+        middles = corners.mean(axis=1, keepdims=True)
+        # Markers lie on the table, below the plane: where they are seen in it.
+        places = self.view.on_plane(
+            self.view.project(middles + _FREE_RIM * (corners - middles)), self.height
+        )
+        for place in places:
+            cv2.fillConvexPoly(mask, np.rint(self.pixels(place)).astype(np.int32), (0,))
+        return mask
+
+
+def _excess(seen: NDArray[np.float32], free: Mask) -> NDArray[np.float32]:
+    """By how much every place is brighter than the table beside it; 0 where nothing is seen.
+
+    The table's light is a quadratic surface, fitted again and again to what lies near it.
+    """
+    rows, columns = seen.shape
+    v, u = (2.0 * np.arange(n, dtype=np.float32) / max(n - 1, 1) - 1.0 for n in (rows, columns))
+    one = np.ones_like(seen)
+    x, y = one * u[None, :], one * v[:, None]
+    terms = np.stack([one, x, y, x * x, x * y, y * y], axis=-1)
+    known = (free > 0) & np.isfinite(seen)
+    if not known.any():
+        raise NotTraced("nothing of the table lies within the picture")
+    every = max(1, int(known.sum()) // 40_000)
+    a, b = terms[known][::every].astype(float), seen[known][::every].astype(float)
+    # The table is what there is most of: begin at the commonest grey level.
+    counts, edges = np.histogram(b, bins=64)
+    near = np.abs(b - edges[int(counts.argmax())]) < 0.3 * np.ptp(edges)
+    for _ in range(8):
+        light, *_ = np.linalg.lstsq(a[near], b[near], rcond=None)
+        off = np.abs(b - a @ light)
+        near = off < max(3.0 * float(np.median(off[near])), 3.0)
+    excess = seen - (terms @ light.astype(np.float32))
+    return np.asarray(np.where(known, excess, 0.0), dtype=np.float32)
+
+
+def _object(
+    excess: NDArray[np.float32], plane: _Plane, marker: tuple[float, float, float] | None
+) -> tuple[Mask, bool]:
+    """Where the object is (255), its holes filled, and whether it is brighter than the table.
+
+    Looked for among what is darker and among what is brighter; the larger is the object, the other
+    its shadow, or what is printed on it.
+    """
+    least = math.pi * (_LEAST_REACH / plane.step) ** 2
+    found = [
+        (cv2.contourArea(outline), outline, brighter)
+        for brighter in (False, True)
+        for outline in _things(excess if brighter else -excess, least)
+        if marker is None or _encloses(outline, plane.pixels(np.array([marker[:2]]))[0])
+    ]
+    if not found:
+        raise NotTraced(
+            f"nothing on the table differs from it by {_LEAST_CONTRAST:.0f} grey levels over "
+            f"{2e3 * _LEAST_REACH:.0f} mm: put the object on it, or a plain sheet that it stands "
+            "out from below both"
+        )
+    area, outline, brighter = max(found, key=lambda one: one[0])
+    apart = [
+        one
+        for _, one, other in found
+        if other == brighter and one is not outline and cv2.contourArea(one) > _APART * area
+    ]
+    if apart:
+        raise NotTraced(f"{len(apart) + 1} things lie on the table: leave one object on it")
+    x, y, width, height = cv2.boundingRect(outline)
+    if x <= 0 or y <= 0 or x + width >= plane.size[0] or y + height >= plane.size[1]:
+        raise NotTraced("the object reaches the edge of what is seen: put it below the camera")
+    filled = np.zeros(excess.shape, dtype=np.uint8)
+    cv2.drawContours(filled, [outline], 0, (255,), cv2.FILLED)
+    return filled, brighter
+
+
+def _things(excess: NDArray[np.float32], least: float) -> list[NDArray[np.int32]]:
+    """Outlines of what is brighter than the table and larger than ``least`` pixels."""
+    strong = excess[excess > _LEAST_CONTRAST]
+    if strong.size < least:
+        return []
+    threshold = max(_LEAST_CONTRAST, _SHADOW * float(np.median(strong)))
+    mask = np.asarray(255 * (cv2.GaussianBlur(excess, (0, 0), 1.5) > threshold), dtype=np.uint8)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel), dtype=np.uint8)
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return [np.asarray(one, dtype=np.int32) for one in contours if cv2.contourArea(one) >= least]
+
+
+def _encloses(outline: NDArray[np.int32], pixel: Array) -> bool:
+    return cv2.pointPolygonTest(outline, (float(pixel[0]), float(pixel[1])), False) > 0
+
+
+def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
+    """Points (N, 2) of the rim in pixels, to a fraction of one.
+
+    At each point of the coarse rim the brightness is read across it; the rim is where that passes
+    half of what it is inside.
+    """
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    rough = max(contours, key=cv2.contourArea)[:, 0].astype(float)
+    count = len(rough)
+    wide = 4
+    ahead = np.roll(rough, -wide, axis=0) - np.roll(rough, wide, axis=0)
+    length = np.maximum(np.hypot(ahead[:, 0], ahead[:, 1]), 1e-9)
+    outward = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1) / length[:, None]
+    if _signed_area(rough) < 0.0:
+        outward = -outward
+    at = (rough[:, None, :] + _ACROSS[:, None] * outward[:, None, :]).astype(np.float32)
+    read = _sampled(excess, at).astype(float)
+    inside = np.median(read[:, _ACROSS <= -4.0], axis=1, keepdims=True)
+    beside = np.median(read[:, _ACROSS >= 4.0], axis=1, keepdims=True)
+    share = (read - beside) / np.where(np.abs(inside - beside) < 1.0, np.nan, inside - beside)
+    # The outermost crossing of one half.
+    above = share > 0.5
+    last = above.shape[1] - 1 - above[:, ::-1].argmax(axis=1)
+    good = above.any(axis=1) & (last > 0) & (last < above.shape[1] - 1)
+    rows = np.arange(count)[good]
+    last = last[good]
+    one, two = share[rows, last], share[rows, last + 1]
+    place = _ACROSS[last] + (one - 0.5) / np.maximum(one - two, 1e-9) * (_ACROSS[1] - _ACROSS[0])
+    if len(place) < 0.5 * count:
+        raise NotTraced(
+            "the object's rim is not sharp: mend focus and light, so that it casts no hard shadow"
+        )
+    return np.asarray(rough[good] + place[:, None] * outward[good])
+
+
+def _sampled(image: NDArray[np.float32], at: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The image at pixels (..., 2), linear between them; NaN outside."""
+    x, y = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
+    border = cv2.BORDER_CONSTANT
+    read = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=border, borderValue=(math.nan,))
+    return np.asarray(read, dtype=np.float32)
+
+
+def _signed_area(points: Array) -> float:
+    """Area of a closed line; positive where it goes from x to y."""
+    following = np.roll(points, -1, axis=0)
+    return 0.5 * float((points[:, 0] * following[:, 1] - points[:, 1] * following[:, 0]).sum())
+
+
+def _shape(rim: Array) -> tuple[float | None, Array | None, Array, float]:
+    """Radius or corners (n, 2), middle (2,), and how far (rms) the rim (N, 2) is from them; m."""
+    if _signed_area(rim) < 0.0:
+        rim = rim[::-1]
+    hull = cv2.convexHull(rim.astype(np.float32))[:, 0].astype(float)
+    hollow = abs(_signed_area(hull)) / abs(_signed_area(rim))
+    if hollow > _HOLLOW:
+        raise NotTraced(
+            f"the object's outline is not convex (its hull is {100 * (hollow - 1):.0f} % larger): "
+            "the cell taps disks, rings and convex polygons; give the corners of its hull by hand"
+        )
+    middle, radius = _circle(rim)
+    off = np.hypot(*(rim - middle).T) - radius
+    round_by = float(np.sqrt(np.mean(off**2)))
+    corners = _corners(rim, radius) if round_by > 0.3 * _ROUND * radius else None
+    if corners is not None:
+        polygon_by = float(np.sqrt(np.mean(_distances(rim, corners) ** 2)))
+        if polygon_by < round_by:
+            return None, corners, _centroid(corners), polygon_by
+    if round_by > _ROUND * radius:
+        raise NotTraced(
+            f"the outline is neither a disk (off by {1e3 * round_by:.1f} mm) nor a convex polygon "
+            f"of at most {_MOST_CORNERS} corners; give its corners by hand"
+        )
+    return radius, None, middle, round_by
+
+
+def _circle(points: Array) -> tuple[Array, float]:
+    """Middle and radius of the circle through points (N, 2) by least squares."""
+    centre = points.mean(axis=0)
+    p = points - centre
+    a = np.column_stack([2.0 * p, np.ones(len(p))])
+    found, *_ = np.linalg.lstsq(a, (p * p).sum(axis=1), rcond=None)
+    middle = found[:2]
+    return centre + middle, math.sqrt(float(found[2] + middle @ middle))
+
+
+def _corners(rim: Array, radius: float) -> Array | None:
+    """Corners of the convex polygon along the rim, each the meeting of two fitted sides."""
+    line = rim.astype(np.float32)[:, None, :]
+    rough = cv2.approxPolyDP(line, _CORNER * radius, True)[:, 0].astype(float)
+    if not 3 <= len(rough) <= _MOST_CORNERS:
+        return None
+    start = [int(np.argmin(np.hypot(*(rim - corner).T))) for corner in rough]
+    middles, normals = [], []
+    for first, last in zip(start, [*start[1:], start[0]], strict=True):
+        indices = np.arange(first, last if last > first else last + len(rim)) % len(rim)
+        cut = int(_BESIDE_CORNER * len(indices))
+        side = rim[indices[cut : len(indices) - cut]]
+        if len(side) < 5:
+            return None
+        middle = side.mean(axis=0)
+        # The direction in which the side is thinnest is its normal.
+        _, _, directions = np.linalg.svd(side - middle, full_matrices=False)
+        middles.append(middle)
+        normals.append(directions[1])
+    corners = []
+    for number in range(len(start)):
+        n = np.stack([normals[number - 1], normals[number]])
+        if abs(np.linalg.det(n)) < 0.05:
+            return None
+        right = [normals[k] @ middles[k] for k in (number - 1, number)]
+        corners.append(np.linalg.solve(n, right))
+    made = np.array(corners)
+    following = np.roll(made, -1, axis=0)
+    sides = following - made
+    turns = sides[:, 0] * np.roll(sides, -1, axis=0)[:, 1]
+    turns -= sides[:, 1] * np.roll(sides, -1, axis=0)[:, 0]
+    return made if bool(np.all(turns > 0.0)) else None
+
+
+def _distances(points: Array, corners: Array) -> Array:
+    """Distance of each point (N, 2) from the nearest side of a polygon (n, 2)."""
+    begin, end = corners, np.roll(corners, -1, axis=0)
+    along = end - begin
+    share = ((points[:, None] - begin) * along).sum(axis=-1) / (along * along).sum(axis=-1)
+    nearest = begin + np.clip(share, 0.0, 1.0)[..., None] * along
+    return np.asarray(np.linalg.norm(points[:, None] - nearest, axis=-1).min(axis=1))
+
+
+def _centroid(corners: Array) -> Array:
+    """Middle (2,) of a polygon's area."""
+    p, q = corners, np.roll(corners, -1, axis=0)
+    cross = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
+    return np.asarray(((p + q) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
+
+
+def _direction(corners: Array | None) -> float:
+    """Angle of a polygon's longest side; 0 for a disk."""
+    if corners is None:
+        return 0.0
+    sides = np.roll(corners, -1, axis=0) - corners
+    longest = sides[int(np.hypot(sides[:, 0], sides[:, 1]).argmax())]
+    return math.atan2(longest[1], longest[0])
