@@ -54,8 +54,8 @@ class Body:
         return self.mass * self.support_radius**2 / self.inertia
 
     def boundary(self, angle: ArrayLike) -> Array:
-        """Points (..., 2) on the boundary, in m, in the directions ``angle`` (rad) from the centre
-        of mass."""
+        """Points (..., 2) on the boundary, in m, at the angles ``angle`` (rad) about the centre of
+        mass."""
         raise NotImplementedError
 
     def normal(self, angle: ArrayLike) -> Array:
@@ -210,15 +210,14 @@ class Polygon(Body):
         return Disk(self.support_radius, self.mass, self.height)
 
     def boundary(self, angle: ArrayLike) -> Array:
-        """Points at which rays from the centre of mass in the directions ``angle`` (rad) leave the
+        """Points at which rays from the centre of mass at the angles ``angle`` (rad) leave the
         face."""
         a = np.asarray(angle, dtype=float)
         ray = np.stack([np.cos(a), np.sin(a)], axis=-1)
         return np.asarray(self._exit(ray)[0][..., None] * ray)
 
     def normal(self, angle: ArrayLike) -> Array:
-        """Outward unit normals of the edges at the points of :meth:`boundary` for the same
-        angles."""
+        """Outward unit normals of the edges at the points of :meth:`boundary`."""
         a = np.asarray(angle, dtype=float)
         edge = self._exit(np.stack([np.cos(a), np.sin(a)], axis=-1))[1]
         return np.asarray(self.edge_normals[edge])

@@ -17,8 +17,7 @@ class MechanicsError(ValueError):
 
 
 class InvalidBodyError(MechanicsError):
-    """A body that cannot exist, for example with a negative mass or a polygon that is not
-    convex."""
+    """A body that cannot exist, for example with negative mass or a nonconvex polygon."""
 
 
 class InvalidParameterError(MechanicsError):
@@ -37,8 +36,7 @@ def positive(
 
 
 def fraction(name: str, value: float) -> float:
-    """Return ``value`` as a float if it is in [0, 1]; raise :class:`InvalidParameterError`
-    otherwise."""
+    """Return ``value`` as a float if it is in [0, 1]; else raise :class:`InvalidParameterError`."""
     number = _number(name, value, InvalidParameterError)
     if not 0.0 <= number <= 1.0:
         raise InvalidParameterError(f"{name} is {number!r}; it must lie from 0 to 1.")
@@ -54,8 +52,8 @@ def not_negative(name: str, value: float, unit: str = "") -> float:
 
 
 def finite(name: str, values: ArrayLike, unit: str = "") -> NDArray[np.float64]:
-    """Return ``values`` as an array of floats if all are finite; raise
-    :class:`InvalidParameterError` otherwise."""
+    """Return ``values`` as a float array if all are finite; else raise
+    :class:`InvalidParameterError`."""
     array = np.asarray(values, dtype=float)
     wrong = ~np.isfinite(array)
     if wrong.any():

@@ -209,11 +209,10 @@ class Impact:
         )
 
     def incidence_for(self, impulse_slope: ArrayLike, contact: ArrayLike) -> Array:
-        """Incidence (rad) whose impulse has P_t / P_n = ``impulse_slope``, within the friction
-        cone.
+        """Incidence (rad) at which the impulse has P_t / P_n = ``impulse_slope``.
 
-        ``contact`` as for :meth:`strike`. NaN if no incidence within ``LARGEST_INCIDENCE`` gives
-        the slope.
+        The slope must be within the friction cone. ``contact`` as for :meth:`strike`. NaN if no
+        incidence within ``LARGEST_INCIDENCE`` gives the slope.
         """
         bracket = self._bracket(impulse_slope, contact)
         root = np.full(bracket.found.shape, np.nan)
@@ -298,9 +297,12 @@ class Impact:
 
 
 class _Bracket(NamedTuple):
-    """Brackets as flat arrays: two incidences on opposite sides of the root, the errors of the
-    slope there, and whether there is a root between them. ``error`` is the function of incidence
-    and rows."""
+    """Brackets as flat arrays.
+
+    ``low`` and ``high`` are incidences on opposite sides of the root, ``e_low`` and ``e_high`` the
+    errors of the slope there, and ``found`` states whether there is a root between them. ``error``
+    is the function of incidence and rows.
+    """
 
     shape: tuple[int, ...]
     found: NDArray[np.bool_]

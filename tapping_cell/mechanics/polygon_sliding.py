@@ -39,18 +39,17 @@ _FAR_POINTS = 4
 _TINY = 1e-300
 _INVERSE_STEPS = 40
 _INVERSE_TOLERANCE = 5e-11
-# The tolerance is relative to each component, down to this share of the largest one.
+# The tolerance is relative to each component, down to this fraction of the largest component.
 _SMALLEST_SHARE = 1e-3
 
 
 class PolygonSlide:
-    """Slides of one polygon. ``deceleration`` is mu g in m/s^2; all frames are those at the
-    launch."""
+    """Slides of one polygon, in the frame at launch. ``deceleration`` is mu g in m/s^2."""
 
     def __init__(
         self, polygon: Polygon, deceleration: float, torque_factor: float, disk: RoundSlide
     ) -> None:
-        """Prepare the edges and the moments of the face; ``disk`` is the slide of the equivalent
+        """Prepare the edges and the moments of the face; ``disk`` slides like the equivalent
         disk."""
         self._disk = disk
         self._deceleration = deceleration
@@ -107,8 +106,8 @@ class PolygonSlide:
         return self._disk.twist_for(nearby)
 
     def profile(self, speed: Array, spin: Array, direction: Array, times: Array) -> Profile:
-        """Compute the motion of launches (n,) at times (k,); results (n, k), along the
-        directions."""
+        """Compute the motion of launches (n,) along the directions at times (k,); results (n,
+        k)."""
         velocity, moved = self._path(_twists(speed, spin, direction), times)
         return Profile(
             times=times,
@@ -213,11 +212,10 @@ class PolygonSlide:
         return ex * (1 + loss) - ey * turn, ey * (1 + loss) + ex * turn, moment
 
     def rates(self, unit: Array, angle: Array) -> tuple[Array, Array]:
-        """Friction (3, n) on a body rotated by ``angle`` since the launch, and its component along
-        the velocity.
+        """Friction (3, n) on a body, and its component along the velocity.
 
         The velocity ``unit`` is (vx, vy, gyration * omega), of unit length and in the axes of the
-        launch.
+        launch. The body has rotated by ``angle`` since the launch.
         """
         cos, sin = np.cos(angle), np.sin(angle)
         mean_x, mean_y, moment = self.friction(
@@ -259,7 +257,7 @@ class PolygonSlide:
             unit = unit + _STEP / 6 * (a + 2 * b + 2 * c + d)
             unit /= np.sqrt((unit**2).sum(axis=0))
             state = state + _STEP / 6 * (p + 2 * q + 2 * r + s)
-        # The remaining share of the motion, 1e-6, is computed with the last friction.
+        # The remaining fraction of the motion, 1e-6, is computed with the last friction.
         size = np.exp(-_STEPS * _STEP)
         _, loss = self.rates(unit, state[2])
         time = per_size * size / loss

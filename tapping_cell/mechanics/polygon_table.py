@@ -1,5 +1,4 @@
-"""Sliding of a polygon from a table: a million slides per second, where integration computes
-thousands.
+"""Sliding of a polygon from a table, at a million slides per second instead of thousands.
 
 In units of the radius of gyration rho and of the deceleration mu g, a slide depends on three
 numbers: the direction alpha of the launch in the body, the angle phi = atan(rho omega / v) of spin
@@ -65,7 +64,7 @@ class PolygonTable:
     """Displacements of launches of one polygon shape at one torque factor, rho = mu g = 1."""
 
     def __init__(self, points: Array, torque_factor: float) -> None:
-        """Create the table; ``points`` (n, 2) are the vertices in units of the radius of
+        """Create the table from the vertices ``points`` (n, 2) in units of the radius of
         gyration."""
         unit = Polygon(tuple(map(tuple, points.tolist())), 1.0, 1.0)
         self._disk = RoundSlide(
@@ -239,8 +238,7 @@ class PolygonTable:
         return np.asarray(np.stack(found) + self._disk_factors(phi))
 
     def _finer(self, table: Array) -> Array:
-        """Interpolate the coarse table to the grid that is read; its last direction repeats the
-        first."""
+        """Interpolate the coarse table to the finer grid; its last direction repeats the first."""
         _, ratios, directions = self._shape
         grid = np.meshgrid(
             np.linspace(0, _RATIOS - 1, ratios),

@@ -14,7 +14,7 @@ from tapping_cell.mechanics.slide_table import SlideTable
 Array = NDArray[np.float64]
 
 _PROFILE_STEP = 0.04
-# Logarithm of the share of the duration below which the motion is lost in rounding errors.
+# Logarithm of the fraction of the duration below which the motion is lost in rounding errors.
 _PROFILE_END = -20.0
 
 
@@ -105,9 +105,9 @@ def _slow_down(
 ) -> tuple[Array, Array]:
     """Speed and rim speed, each (launches, times), of launches (n,) at reduced times (k,).
 
-    The ratio of spin to speed is a function of the remaining share of the duration. It follows from
-    one autonomous equation in its logarithm, integrated by the classic Runge-Kutta method. The
-    magnitude then follows from the remaining time.
+    The ratio of spin to speed is a function of the remaining fraction of the duration. It follows
+    from an autonomous differential equation in its logarithm, integrated by the classic Runge-Kutta
+    method. The magnitude then follows from the remaining time.
     """
     total = table.rest_many(speed, rim_speed)[2]
     left = np.maximum(total[:, None] - time, 0.0)
@@ -133,8 +133,8 @@ def _slow_down(
 
 
 def _ratio_at(table: SlideTable, start: Array, log_left: Array) -> Array:
-    """ln(R omega / v) at ln(share of the remaining time), (n, k), of launches that start at
-    (n,)."""
+    """ln(R omega / v), (n, k), of launches that start at (n,), at ln(fraction of time
+    remaining)."""
     steps = max(1, math.ceil(-float(log_left.min(initial=0.0)) / _PROFILE_STEP))
     values = np.empty((steps + 1, start.size))
     rates = np.empty_like(values)

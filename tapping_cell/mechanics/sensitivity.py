@@ -90,6 +90,5 @@ def sensitivity(tap: Tap, displacement: ArrayLike) -> Sensitivity:
 
 
 def norm(jacobian: ArrayLike) -> Array:
-    """Spectral norm (...,): the largest gain of an error vector, with mm and degrees weighted
-    equally."""
+    """Spectral norm (...,): the largest gain of an error vector, treating mm and degrees alike."""
     return np.asarray(np.linalg.norm(np.asarray(jacobian), ord=2, axis=(-2, -1)))

@@ -90,7 +90,7 @@ class SlideSolution:
         self.terminal_ratio = self._terminal(path_p, flow, first)
 
     def _terms(self, p: Array, spinning: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """psi / tau, and the three factors a, at values of p."""
+        """Compute psi / tau, and the three factors a, at values of p."""
         square = p * p + (1 - p) ** 2
         tau = p * p / square
         complement = (1 - p) ** 2 / square * (1 + tau)
@@ -167,7 +167,7 @@ class SlideSolution:
             slopes[kind, before] = last[before, 0] * values[kind, before + 1] + last[before, 1]
 
     def _terminal(self, path_p: Array, flow: Array, first: int) -> float:
-        """Limit of v / (R omega) at the end: inf if the spin vanishes first, 0 if the travel
+        """Limit of v / (R omega) at the end: inf if the spin vanishes first, 0 if the speed
         does."""
         if first == 0 and flow[0] <= 0:
             return math.inf
@@ -185,6 +185,6 @@ class SlideSolution:
 
 
 def grade_inverse(p: Array) -> Array:
-    """tau of the graded variable p, both in [0, 1]."""
+    """Compute tau from the graded variable p, both in [0, 1]."""
     square: Array = p * p
     return square / (square + (1 - p) ** 2)

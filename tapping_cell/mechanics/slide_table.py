@@ -350,7 +350,7 @@ def _cubic(rows: Array, index: NDArray[np.intp], t: Array, value: Array, gathere
 def _cubic_and_slope(
     rows: Array, index: NDArray[np.intp], t: Array, value: Array, slope: Array, gathered: Array
 ) -> None:
-    """Value and derivative by p of one cubic piece."""
+    """Value and derivative with respect to p of one cubic piece."""
     np.take(rows[3], index, out=value, mode="clip")
     np.copyto(slope, value)
     for k in (2, 1, 0):
@@ -364,7 +364,7 @@ def _cubic_and_slope(
 
 
 def _hermite(values: Array, slopes: Array) -> Array:
-    """Cubic coefficients, one row per piece, of values and p-slopes at (halves, PIECES + 1)
+    """Cubic coefficients, one row per piece, from values and p-slopes at (halves, PIECES + 1)
     knots."""
     y0, y1 = values[:, :-1], values[:, 1:]
     s0, s1 = slopes[:, :-1] / PIECES, slopes[:, 1:] / PIECES

@@ -75,22 +75,21 @@ class Sliding:
         return self._axisymmetric
 
     def approximated(self) -> Sliding:
-        """Return a copy in which a polygon slides like its equivalent disk: error 1 to 2 %, much
-        faster.
+        """Return a copy in which a polygon slides like its equivalent disk.
 
-        It is intended for planners, which evaluate hundreds of taps per decision. A round body is
-        unaffected.
+        It is much faster, with an error of 1 to 2 %. It is intended for planners, which evaluate
+        hundreds of taps per decision. A round body is unaffected.
         """
         rough = copy.copy(self)
         object.__setattr__(rough, "_model", self._axisymmetric)
         return rough
 
     def tabulated(self) -> Sliding:
-        """Return a copy that computes a polygon's slides from a table: error 1e-3, a few hundred
-        times faster.
+        """Return a copy that computes a polygon's slides from a table.
 
-        The table of a new shape or torque factor takes a second or two to create, and is cached. A
-        round body's slides always come from a table.
+        It is hundreds of times faster, with an error of 1e-3. The table of a new shape or torque
+        factor takes a second or two to create, and is cached. A round body's slides always come
+        from a table.
         """
         if not isinstance(self.body, Polygon):
             return self
@@ -115,8 +114,7 @@ class Sliding:
     def launch(
         self, distance: ArrayLike, rotation: ArrayLike, direction: ArrayLike = 0.0
     ) -> Launch:
-        """Compute the launch that ends after ``distance`` (m) and ``rotation`` (rad), of either
-        sign.
+        """Compute the launch that ends after ``distance`` (m) and ``rotation`` (rad), of any sign.
 
         This is the inverse of :meth:`rest` with the same ``direction``; every pair is reachable by
         sliding. Raises :class:`InvalidParameterError` for values that are not finite.

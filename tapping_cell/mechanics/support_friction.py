@@ -34,12 +34,11 @@ _SMALLEST_COMPLEMENT = 1e-12
 
 
 class SupportFriction(NamedTuple):
-    """Friction factors of one regime, without the factor tau, which vanishes with the smaller
-    motion.
+    """Friction factors of one regime, without the factor tau.
 
-    ``leading`` belongs to the larger motion and ``trailing``, divided by tau, to the smaller one.
-    If translating, F = leading and T = tau * trailing; if spinning, T = leading and F = tau *
-    trailing.
+    ``leading`` belongs to the larger motion and ``trailing``, divided by tau, to the smaller
+    motion. If translating, F = leading and T = tau * trailing; if spinning, T = leading and F = tau
+    * trailing.
     """
 
     leading: Array

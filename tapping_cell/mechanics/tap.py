@@ -206,8 +206,7 @@ class Tap:
     def reachable(
         self, displacement: ArrayLike, object_pose: ArrayLike = _ORIGIN
     ) -> NDArray[np.bool_]:
-        """Return whether one tap can produce ``displacement`` (..., 3), in table axes, m and
-        rad."""
+        """Return whether one tap can produce ``displacement`` (..., 3), in table axes (m, rad)."""
         wanted = _poses("displacement", displacement)
         inside = np.asarray(self._inside(wanted))
         if not isinstance(self.body, Polygon):
@@ -222,7 +221,8 @@ class Tap:
         return found
 
     def jacobian(self, displacement: ArrayLike) -> Array:
-        """Derivative (..., 3, 3) of the tap's result by the striker's pose, in m and rad.
+        """Derivative (..., 3, 3) of the tap's result with respect to the striker's pose, in m and
+        rad.
 
         The rows are the displacement x along the planned travel, y to its left, and the rotation.
         The columns, as in section 5.1 of the paper, are a displacement of the ball's centre at the

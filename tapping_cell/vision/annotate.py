@@ -83,8 +83,7 @@ def _references(
 
 
 def _scale(picture: NDArray[np.uint8]) -> float:
-    """Scale of lines and letters: 1 for an image 1280 pixels wide, with a minimum for
-    legibility."""
+    """Scale of lines and letters: 1 for an image 1280 pixels wide, at least 0.6 for legibility."""
     return max(picture.shape[1] / 1280.0, 0.6)
 
 

@@ -1,10 +1,9 @@
-"""Camera model: pinhole with lens distortion, camera pose over the table, and ray-plane
-intersection.
+"""Camera model, camera pose over the table, and intersection of rays with planes.
 
-Model and coefficients are those of OpenCV and of ROS's ``camera_info`` (``plumb_bob``: k1 k2 p1 p2
-k3; ``rational_polynomial``: k1 k2 p1 p2 k3 k4 k5 k6 and, if present, thin prism and tilt). Pixel
-coordinates are measured from the centre of the top left pixel, x to the right, y down. In the
-optical frame, z points forward (REP-103).
+The model is a pinhole with lens distortion. Model and coefficients are those of OpenCV and of ROS's
+``camera_info`` (``plumb_bob``: k1 k2 p1 p2 k3; ``rational_polynomial``: k1 k2 p1 p2 k3 k4 k5 k6
+and, if present, thin prism and tilt). Pixel coordinates are measured from the centre of the top
+left pixel, x to the right, y down. In the optical frame, z points forward (REP-103).
 """
 
 from __future__ import annotations
@@ -145,8 +144,7 @@ class CameraModel:
         return np.array(padded)
 
     def project(self, points: ArrayLike) -> Array:
-        """Project points of shape (..., 3) in the optical frame, in m, to pixels of shape (...,
-        2)."""
+        """Project points (..., 3) in the optical frame, in m, to pixels (..., 2)."""
         p = np.asarray(points, dtype=float)
         flat = np.ascontiguousarray(p.reshape(-1, 1, 3))
         if flat.size == 0:
@@ -156,8 +154,8 @@ class CameraModel:
         return np.asarray(pixels, dtype=float).reshape(*p.shape[:-1], 2)
 
     def rays(self, pixels: ArrayLike) -> Array:
-        """Return the undistorted directions (x / z, y / z), shape (..., 2), of pixels of shape
-        (..., 2). The result is NaN if the lens model projects no direction to a pixel."""
+        """Return the undistorted directions (x / z, y / z), shape (..., 2), of pixels (..., 2). The
+        result is NaN if the lens model projects no direction to a pixel."""
         p = np.asarray(pixels, dtype=float)
         flat = np.ascontiguousarray(p.reshape(-1, 2))
         if flat.size == 0:
@@ -191,7 +189,8 @@ class CameraModel:
         for _ in range(_NEWTON_STEPS):
             points = np.column_stack([rays[left], np.ones(len(left))])
             seen, slopes = cv2.projectPoints(points, zero, zero, self.matrix, self.coefficients)
-            # Columns 3 and 4 are the derivatives by the point's x and y, here at a depth of 1.
+            # Columns 3 and 4: derivatives with respect to the point's x and y, here at a depth of
+            # 1.
             matrix = np.asarray(slopes, dtype=float)[:, 3:5].reshape(-1, 2, 2)
             error = pixels[left] - seen.reshape(-1, 2)
             forward = np.linalg.det(matrix) > 0
@@ -220,8 +219,7 @@ class CameraModel:
             )
 
     def check_image(self, image: NDArray[np.generic]) -> str | None:
-        """Return None if the image matches this camera (uint8, height x width), else an
-        explanation."""
+        """Return None if the image matches this camera (uint8, height x width), else the reason."""
         if image.ndim != 2 or image.dtype != np.uint8:
             return (
                 f"the image has type {image.dtype} and shape {image.shape}; expected is uint8, "
@@ -249,10 +247,10 @@ class CameraPose:
         aim: Sequence[float] = (0.0, 0.0),
         spin: float = 0.0,
     ) -> CameraPose:
-        """Return the pose of a camera at ``position`` (x, y, z in m) aimed at the point ``aim`` (x,
-        y) of the table.
+        """Return the pose of a camera at ``position`` (x, y, z in m) aimed at a point of the table.
 
-        With ``spin`` (rad) 0, the image's x axis is parallel to the table's x axis.
+        ``aim`` is the point (x, y). With ``spin`` (rad) 0, the image's x axis is parallel to the
+        table's x axis.
         """
         place = np.asarray(position, dtype=float)
         forward = np.array([aim[0], aim[1], 0.0]) - place
@@ -273,14 +271,13 @@ class CameraPose:
         return np.asarray(np.asarray(points, dtype=float) @ self.rotation.T + self.translation)
 
     def plane(self, height: float) -> Array:
-        """Matrix (3, 3) that transforms (x, y, 1) of the plane at ``height`` over the table to the
-        camera."""
+        """Matrix (3, 3) from (x, y, 1) on the plane at ``height`` over the table to the camera."""
         third = self.rotation[:, 2] * height + self.translation
         return np.column_stack([self.rotation[:, 0], self.rotation[:, 1], third])
 
     def moved(self, step: ArrayLike) -> CameraPose:
-        """Return this pose after a small motion (rotation vector in rad, translation in m; camera
-        axes)."""
+        """Return this pose after a small motion: rotation vector in rad and translation in m, in
+        camera axes."""
         s = np.asarray(step, dtype=float)
         turn, _ = cv2.Rodrigues(s[:3])
         return CameraPose(turn @ self.rotation, turn @ self.translation + s[3:])
@@ -301,8 +298,8 @@ class View:
         return self.camera.project(self.pose.apply(p))
 
     def on_plane(self, pixels: ArrayLike, height: float = 0.0) -> Array:
-        """Intersect the rays of pixels (..., 2) with the plane at ``height`` (m): points (..., 2)
-        in m."""
+        """Intersect the rays of pixels (..., 2) with the plane at ``height`` (m); points (...,
+        2)."""
         return self.rays_on_plane(self.camera.rays(pixels), height)
 
     def rays_on_plane(self, rays: ArrayLike, height: float = 0.0) -> Array:

@@ -12,8 +12,7 @@ from tapping_cell.vision.camera import CameraModel, Image
 from tapping_cell.vision.observation import Problem
 
 _REPEATED = 4
-"""Number of recent frames that an image must differ from, as many as a camera usually has
-buffers."""
+"""Number of recent frames that an image must differ from; cameras usually have as many buffers."""
 _GLOW = 12.0
 """Grey levels above ``dark`` that noise and lamps on the camera may reach in a dark image."""
 
@@ -31,8 +30,8 @@ class FrameValidator:
         self._seen: deque[int] = deque(maxlen=_REPEATED)
 
     def refuse(self, image: Image, stamp: float) -> tuple[Problem, str] | None:
-        """Return why the frame captured at ``stamp`` (s) cannot be used, with a sentence; None if
-        it can."""
+        """Return the problem of the frame captured at ``stamp`` (s), with a sentence; None if it is
+        valid."""
         sentence = self._camera.check_image(image)
         if sentence is not None:
             return Problem.WRONG_IMAGE, sentence

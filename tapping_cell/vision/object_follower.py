@@ -31,16 +31,15 @@ Aim = tuple[Array, NDArray[np.bool_]]
 
 _INSTANT = 1.5e-4
 """Standard deviation (s) of the time to which a motion-blurred frame corresponds. Measured: 0.05 to
-0.13 ms in the middle of a slide, and up to 0.6 ms if the slide begins or ends within an
-exposure."""
+0.13 ms in the middle of a slide, up to 0.6 ms if it begins or ends within an exposure."""
 _JUDGED_AGAIN = 0.003, 0.03
 """Displacement (m) of an object at rest, and of a moving object, after which the systematic error
 is computed again."""
 _UNSEEN = 0.1
 """Time (s) for which an unseen object is assumed to continue its motion."""
 _LOST = 0.2
-"""Time (s) of failed measurements after which a thorough search is made. It must be longer than a
-slow computer takes for one frame."""
+"""Time (s) of failed measurements after which a thorough search is made. It must exceed the time
+that a slow computer takes for one frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +55,7 @@ class Frame:
     """View in which poses are published."""
     table: TableTracker
     references_seen: bool
-    """Whether reference markers were measured in this frame."""
+    """True if reference markers were measured in this frame."""
     aimed: MarkerEdges | None
     """Edges of the marker that the follower aimed at; None if it was not found."""
     notice: str
@@ -70,9 +69,9 @@ class Search:
     stamp: float
     detections: Mapping[str, Detections]
     first: bool
-    """Whether this is the first frame, which may also be the only one."""
+    """True for the first frame, which may also be the only frame."""
     slow: bool
-    """Whether there is time to diagnose why the object was not found."""
+    """True if there is time to diagnose why the object was not found."""
     expected_ids: Mapping[str, frozenset[int]]
     """Ids of the reference markers, by dictionary."""
 
@@ -86,7 +85,8 @@ class ObjectFollower(ABC):
     dictionary: str | None = None
     """Dictionary of the object's marker; None if it has no marker."""
     fixed: float = 0.0
-    """Share of the variance of a frame's pose that averaging over more frames does not reduce."""
+    """Fraction of the variance of a frame's pose that averaging over more frames does not
+    reduce."""
 
     def __init__(self, height: float, rest: RestSettings) -> None:
         self.height = height
@@ -101,8 +101,7 @@ class ObjectFollower(ABC):
 
     @abstractmethod
     def outline(self, pose: Array) -> Array:
-        """Return points (N, 2) around the visible part of the object at a pose (3,), in
-        ``table``."""
+        """Return points (N, 2) around the object's visible part at a pose (3,), in ``table``."""
 
     @abstractmethod
     def detected(self, stamp: float) -> bool:
@@ -126,19 +125,18 @@ class ObjectFollower(ABC):
 
     @abstractmethod
     def look(self, frame: Frame) -> tuple[Array, Array] | Trouble:
-        """Return the pose (3,) and covariance (3, 3) in the working view, or the reason for
-        none."""
+        """Return pose (3,) and covariance (3, 3) in the working view, or the reason for none."""
 
     @abstractmethod
     def doubt(self, frame: Frame) -> tuple[Array, str]:
-        """Return the error of the last measurement that is common to all frames: its covariance (3,
-        3) and a warning."""
+        """Return the uncertainty of the last measurement that is common to all frames: covariance
+        (3, 3), and a warning."""
 
     # -- common to all followers
 
     @property
     def found(self) -> bool:
-        """Whether the object has been located, even if it is not visible now."""
+        """True if the object has been located, even if it is not visible now."""
         return self._last is not None
 
     def lost(self, stamp: float) -> bool:
@@ -185,16 +183,14 @@ class ObjectFollower(ABC):
         self._last = None
 
     def stop(self, stamp: float, pose: Array | None = None) -> None:
-        """Set the velocity to zero, so that the object is expected at this pose or where it was
-        last seen."""
+        """Set the velocity to zero, so that the object is expected at this or its last pose."""
         if pose is not None:
             self._last = (stamp, pose, np.zeros(3))
         elif self._last is not None and stamp - self._last[0] > _UNSEEN:
             self._last = (self._last[0], self._last[1], np.zeros(3))
 
     def step_from_last(self, pose: Array) -> tuple[float, float] | None:
-        """Distance (m) and rotation (rad) from the last pose to this one; None without a last
-        pose."""
+        """Distance (m) and rotation (rad) from the last pose to this one; None if there is none."""
         if self._last is None:
             return None
         step = pose - self._last[1]
@@ -206,7 +202,7 @@ class ObjectFollower(ABC):
         error, shared = self._calibration(frame.table, pose, again)
         pose = pose - error
         doubt, sentence = self.doubt(frame)
-        # A share of the variance of one frame remains however many frames are fused.
+        # A fraction of the variance of a frame remains, however many frames are fused.
         spread = motion.covariance * (1.0 + self.fixed * (motion.frames - 1))
         instant = _INSTANT * motion.velocity
         return Observation(
@@ -232,7 +228,7 @@ class ObjectFollower(ABC):
         return moved
 
     def _calibration(self, table: TableTracker, pose: Array, again: float) -> tuple[Array, Array]:
-        """Error common to all frames, due to table and lens: expected value (3,) and covariance (3,
+        """Expected error (3,) common to all frames, due to table and lens, and its covariance (3,
         3)."""
         key = table.field_number
         known = self._judged

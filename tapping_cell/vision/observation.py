@@ -10,8 +10,7 @@ from tapping_cell.vision.camera import Array
 
 
 class Problem(enum.Enum):
-    """Reason for which a frame gives no pose; the observation's sentence explains it with
-    values."""
+    """Reason for a missing pose; the observation's sentence explains it with values."""
 
     NONE = 0
     WRONG_IMAGE = 1

@@ -9,8 +9,8 @@ from tapping_cell.vision.markers.detection import MarkerError, ObjectMarker
 from tapping_cell.vision.outline.shape import ObjectOutline
 
 PERIOD = 0.2
-"""Time (s) between two measurements of one stationary object; the moving object needs the computing
-time."""
+"""Time (s) between measurements of a stationary object, so that computing time is left for the
+moving object."""
 
 
 def marker_ids(seen: Sequence[ObjectMarker | ObjectOutline]) -> frozenset[int]:

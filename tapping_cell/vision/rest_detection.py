@@ -17,8 +17,8 @@ from tapping_cell.vision.camera import Array
 from tapping_cell.vision.fusion import fuse_information
 
 _BEGINNING, _LARGEST_BEGINNING = 0.25, 0.002
-"""Standard deviation of the first pose after a rest, as a share of the displacement from the rest
-pose, and the displacement (m) beyond which it no longer grows.
+"""Standard deviation of the first pose after a rest, as a fraction of the displacement from the
+rest pose, and the displacement (m) beyond which it no longer grows.
 
 If the motion begins within the exposure, the blurred image does not correspond to the middle of the
 exposure. The resulting error is at most the whole displacement, and zero if the displacement
@@ -54,9 +54,12 @@ class RestSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """State of the track: ``pose`` (3,) and ``covariance`` (3, 3) from ``frames`` measurements,
-    ``velocity`` (3,) in m/s and rad/s, and the time (s) since which the object is at rest (None
-    while moving)."""
+    """State of the track.
+
+    ``pose`` (3,) and ``covariance`` (3, 3) come from ``frames`` measurements. ``velocity`` (3,) is
+    in m/s and rad/s. ``rest_since`` is the time (s) since which the object is at rest, None while
+    it moves.
+    """
 
     pose: Array
     covariance: Array
@@ -130,7 +133,7 @@ class Track:
             fused, spread = self._fuse()
             return Motion(fused, spread, len(self._resting), np.zeros(3), self._rest_since)
         if self._rest_since is not None:
-            # A single frame off the rest pose is neither fused nor accepted; a second one ends the
+            # A single frame off the rest pose is neither fused nor accepted; a second ends the
             # rest.
             self._strayed += 1
             if self._strayed == 1:
@@ -209,8 +212,8 @@ class Track:
         return _slope(*self._stacked(window))
 
     def _stacked(self, window: int) -> tuple[Array, Array, Array]:
-        """Stamps (N,) of the last frames, their poses (N, 3) relative to the newest, and variances
-        (N, 3)."""
+        """Stamps (N,) of the last frames, their poses (N, 3) relative to the newest, variances (N,
+        3)."""
         chosen = list(self._recent)[-window:]
         stamps = np.array([stamp for stamp, _, _ in chosen])
         poses = np.array([pose for _, pose, _ in chosen])
@@ -226,8 +229,7 @@ class Track:
         return np.asarray(step / (stamp - last_stamp))
 
     def _beginning(self, pose: Array) -> Array:
-        """Covariance (3, 3) due to the unknown start of the motion, for a pose just after a
-        rest."""
+        """Covariance (3, 3) of a pose just after a rest, due to the unknown start of the motion."""
         step = pose - self._fused[0]
         step[2] = wrap_angle(step[2])
         way = float(np.hypot(step[0], step[1]))

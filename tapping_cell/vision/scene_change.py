@@ -1,5 +1,4 @@
-"""Detect whether a frame differs from the last measured frame, at much lower cost than measuring
-it.
+"""Detect cheaply whether a frame differs from the last measured frame.
 
 Windows around the reference markers and the object are compared pixel by pixel. Between two frames
 of a static scene, the mean squared difference is twice the variance of the noise, and its scatter
@@ -28,7 +27,7 @@ _CONFIDENCE = 6.0
 _NOISY = 100.0
 """Mean squared difference above which a window is too noisy to detect a change."""
 _MARGIN = 0.25
-"""Margin added on each side, as a share of a window's size."""
+"""Margin added on each side, relative to a window's size."""
 
 
 class SceneChange:
@@ -44,7 +43,7 @@ class SceneChange:
         self._noise: list[deque[float]] = []
 
     def watch(self, image: Image, regions: list[NDArray[np.float64]]) -> None:
-        """Start from a measured frame, with a window around each of ``regions``: points (N, 2) in
+        """Start from a measured frame, with a window around each region, points (N, 2) in
         pixels."""
         self._windows = tuple(_window(points, image) for points in regions)
         self._noise = [deque(maxlen=4 * _LEARNT) for _ in self._windows]

@@ -1,5 +1,4 @@
-"""Pose tracker: validates each camera frame, locates the table in it, and measures the object's
-pose."""
+"""Pose tracker: validates camera frames, locates the table, and measures the object's pose."""
 
 from __future__ import annotations
 
@@ -96,8 +95,8 @@ class PoseTracker:
 
     @property
     def view(self) -> View | None:
-        """The camera with its current pose over the table; None before reference markers were
-        seen."""
+        """The camera with its current pose over the table; None before the first reference
+        markers."""
         return None if self.table.pose is None else View(self.camera, self.table.pose)
 
     def update(self, image: Image, stamp: float) -> Observation:
@@ -144,7 +143,7 @@ class PoseTracker:
         )
 
     def _watch_settled(self, image: Image, observation: Observation) -> None:
-        """Keep this frame to compare the next one with.
+        """Keep this frame for comparison with the next frame.
 
         Nothing is kept until the object has been at rest long enough, or while a reference marker
         may be occluded.
@@ -218,13 +217,13 @@ class PoseTracker:
 
     def _search_due(self, stamp: float, others: Collection[int]) -> bool:
         lost = not self._object.found or self.view is None or self._wants_search
-        # Search immediately for another object that disappears; one never seen can wait.
+        # Search immediately for an object that disappeared; one that was never found can wait.
         lost |= any(self._others[n].found and self._others[n].wants_search for n in others)
         period = self.settings.lost_period if lost else self.settings.audit_period
         return stamp - self._last_search >= period
 
     def _search(self, image: Image, stamp: float, others: Collection[int]) -> dict[int, Array]:
-        """Search for all markers. Return the corners of the reference markers found, by row of the
+        """Search for all markers; return the corners of the reference markers, by row of the
         map."""
         first = self._last_search == -math.inf
         self._last_search = stamp
@@ -285,8 +284,7 @@ class PoseTracker:
         return state
 
     def _add_references(self, image: Image, known: Rows) -> TableState:
-        """Measure the reference markers that the first search missed, at their predicted
-        positions."""
+        """Measure reference markers that the first search missed, at their predicted positions."""
         assert self.view is not None
         quads = self.view.project(self.table.points)
         missing = set(range(len(quads))) - set(known.tolist())

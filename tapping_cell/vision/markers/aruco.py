@@ -18,7 +18,7 @@ _aruco: Any = cv2.aruco
 _CLASSES = hasattr(_aruco, "ArucoDetector")
 
 LEGACY_BOARDS = _CLASSES
-"""Whether legacy ChArUco boards can be detected: those with an even number of rows drawn before
+"""True if legacy ChArUco boards can be detected: those with an even number of rows drawn before
 OpenCV 4.6, which begin with a marker."""
 
 
@@ -31,8 +31,7 @@ def draw_marker(book: cv2.aruco.Dictionary, marker_id: int, side: int) -> Image:
 def draw_board(
     book: cv2.aruco.Dictionary, grid: tuple[int, int], square: float, marker: float, side: int
 ) -> Image:
-    """Draw a ChArUco board of ``grid`` (columns, rows), each square ``side`` pixels wide and
-    high."""
+    """Draw a ChArUco board of ``grid`` (columns, rows) with squares of ``side`` pixels."""
     board = _board(book, grid, square, marker, legacy=False)
     size = (grid[0] * side, grid[1] * side)
     drawn = board.generateImage(size) if _CLASSES else board.draw(size)
@@ -79,7 +78,7 @@ def _detect_with_functions(image: Image, book: cv2.aruco.Dictionary, parameters:
 
 def _without_repeats(found: list[tuple[int, Quad]], rate: float) -> list[tuple[int, Quad]]:
     """Keep one of the quads that decode to the same marker at the same position; ``rate`` is their
-    maximum distance as a share of the perimeter."""
+    maximum distance as a fraction of the perimeter."""
     kept: list[tuple[int, Quad]] = []
     # The largest quad is the marker's rim itself; a smaller one is within the rim.
     for number, corners in sorted(found, key=lambda each: -_perimeter(each[1])):
@@ -105,9 +104,9 @@ def detect_board(
     marker: float,
     legacy: bool = False,
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], int]:
-    """Detect a ChArUco board: indices and pixels (N, 2) of its inner corners, and number of markers
-    seen.
+    """Detect a ChArUco board.
 
+    Returns indices and pixels (N, 2) of its inner corners, and the number of markers detected.
     ``legacy``: the board begins with a marker; supported only if ``LEGACY_BOARDS``.
     """
     board = _board(book, grid, square, marker, legacy)

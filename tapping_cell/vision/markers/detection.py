@@ -25,8 +25,7 @@ UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 
 
 _ENLARGED = 2_200_000
-"""Number of pixels above which an image is not enlarged, because markers are larger in such
-images."""
+"""Number of pixels above which an image is not enlarged; such images show larger markers."""
 
 
 class Effort(enum.IntEnum):
@@ -48,7 +47,7 @@ class MarkerError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection:
-    """One detected marker: its id and its corners in pixels, shape (4, 2), accurate to about half a
+    """A detected marker: its id and its corners (4, 2) in pixels, accurate to about half a
     pixel."""
 
     id: int
@@ -56,8 +55,7 @@ class Detection:
 
 
 def dictionary_name(name: str) -> str:
-    """Return OpenCV's name (``DICT_...``) of a dictionary given as apriltag_36h11, tag36h11 or
-    4X4_50.
+    """Return OpenCV's name (``DICT_...``) of a dictionary, e.g. apriltag_36h11, tag36h11 or 4X4_50.
 
     Raises MarkerError for a name that OpenCV does not have.
     """
@@ -80,8 +78,7 @@ def marker_dictionary(name: str) -> cv2.aruco.Dictionary:
 
 @lru_cache(maxsize=64)
 def marker_pattern(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
-    """Return the modules of a marker including its black border: (n, n), True if white, row 0 on
-    top.
+    """Return the modules of a marker and its black border: (n, n), True if white, row 0 on top.
 
     Raises MarkerError for an unknown dictionary or an id out of its range.
     """
@@ -170,8 +167,8 @@ class ObjectMarker:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceMarker:
-    """A marker printed on the table: its centre and angle in ``table`` (m, rad), and its side in
-    m."""
+    """A marker printed on the table: its centre and angle in ``table`` (m, rad), and its side
+    (m)."""
 
     id: int
     size: float

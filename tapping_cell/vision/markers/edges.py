@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from tapping_cell.vision.camera import Array, Image
 
 BINS = 8
-"""Number of points to which a side is reduced, enough for the slight curve due to lens
-distortion."""
+"""Number of points per side, enough for the slight curve due to lens distortion."""
 
 _LEAST_CONTRAST = 12.0
 """Minimum difference of the white and black grey levels at a side (six times the usual noise)."""
@@ -34,14 +33,13 @@ _WIDE, _WIDEST = 0.75, 8
 """Half width of the window for blurred edges (motion, defocus), in modules and at most in pixels.
 Wider windows would reach the modules next to the black border."""
 _OBLIQUE = 0.8
-"""Ratio of the distance between two sides to the mean side, below which the distance sets the
-window."""
+"""Ratio of the sides' distance to their mean length, below which the distance sets the window."""
 _ROWS_ALIKE = 3
 """Maximum lag, in rows, of the error correlation."""
 _MOST_LOOKS = 8
 _MOST_PULL = 0.9
 _LEAST_SHARE = 0.7
-"""Minimum share of a side's rows that must agree with a straight line."""
+"""Minimum fraction of a side's rows that must agree with a straight line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,9 +50,9 @@ class MarkerEdges:
     they average, and ``corners`` (M, 4, 2) are the intersections of the sides, in pixels.
     ``spread`` (M,) is the standard deviation of one row across the side, in pixels (divide it by
     the root of the number of rows). ``black`` and ``white`` (M,) are grey levels. ``pull`` (M,) is
-    the share by which the worst side moves with its window, because the levels at the ends are
-    contaminated (1: no information). ``good`` (M,) marks markers with four complete sides whose
-    blur is not excessive.
+    the displacement of the worst side relative to that of its window, which occurs if the levels at
+    the ends are contaminated (1: no information). ``good`` (M,) marks markers with four complete
+    sides whose blur is not excessive.
     """
 
     points: Array
@@ -89,8 +87,7 @@ def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> Marke
 
 
 def narrowest(quads: Array) -> Array:
-    """Side (M,) of markers in pixels; in an oblique view, the distance between two opposite
-    sides."""
+    """Side (M,) of markers in pixels; in an oblique view, the distance of opposite sides."""
     along = quads[:, [1, 2, 3, 0]] - quads
     side = np.sqrt((along**2).sum(axis=2))
     (ax, ay), (bx, by) = (quads[:, 2] - quads[:, 0]).T, (quads[:, 3] - quads[:, 1]).T
@@ -117,8 +114,7 @@ def _at_widths(image: Image, quads: Array, widths: NDArray[np.intp]) -> MarkerEd
 
 
 def _refine(image: Image, quads: Array, half_width: int) -> MarkerEdges:
-    """Measure the edges with windows of one width, repeatedly until the windows are centred on
-    them."""
+    """Measure the edges with windows of one width, until the windows are centred on the edges."""
     found = _look(image, quads, half_width)
     for _ in range(_MOST_LOOKS):
         shift = np.abs(found.corners - quads).max(axis=(1, 2))
@@ -234,8 +230,7 @@ def _look(image: Image, quads: Array, half_width: int) -> _Look:
 
 @lru_cache(maxsize=16)
 def _sums(half_width: int) -> NDArray[np.float32]:
-    """Matrix (window, 5): sum of a window, levels at its inner and outer ends, slopes at these
-    ends."""
+    """Matrix (window, 5): sum of a window, levels at its inner and outer ends, slopes there."""
     size = 2 * half_width + 1
     end = _outermost(size)
     matrix = np.zeros((size, 5), dtype=np.float32)
@@ -275,8 +270,8 @@ def _together(look: _Look) -> float:
     """Factor, at least 1, on the variance of a side's line due to correlated errors of nearby rows.
 
     Smoothed, demosaiced and compressed images have such correlation, and so have rounded grey
-    levels without noise. It is estimated from the residuals of all sides; fitting a line to n rows
-    reduces their mean product by a share of 2 / n.
+    levels without noise. It is estimated from the residuals of all sides. Fitting a line to n rows
+    reduces the mean product of residuals by 2 / n of their variance, which is added again.
     """
     kept = look.kept
     residual = kept * look.residual
@@ -296,7 +291,7 @@ def _uneven(look: _Look, white: Array) -> Array:
     """Correction of the sides (S,) along q for uneven illumination, to be added.
 
     The levels are measured at a distance m outside and inside the edge. If the illumination
-    increases outwards by a share g per pixel, the levels at the edge differ from these. To first
+    increases outwards by a fraction g per pixel, the levels at the edge differ from these. To first
     order, an edge in a window of L pixels to either side then appears L g (m - L / 2) too far out;
     opposite sides of a marker are displaced in the same direction. The slope of the illumination
     comes from ``white`` (S,) beside the sides.
@@ -334,8 +329,8 @@ def _level_noise(window: int) -> float:
     """Factor on the variance of a side's line, because the levels come from the same rows.
 
     The edge position is the sum of a window's pixels divided by the contrast. Each pixel has the
-    weight -1; the outermost pixels, which form the mean of the levels, have an additional weight of
-    half the window in total.
+    weight -1. The outermost pixels at each end, whose mean is a level, have an additional total
+    weight of half the window.
     """
     end = _outermost(window)
     outer = 0.5 * window / end - 1.0
@@ -343,8 +338,7 @@ def _level_noise(window: int) -> float:
 
 
 def _line(p: Array, q: Array, weight: Array) -> tuple[Array, Array, Array]:
-    """Fit q = offset + slope p by least squares along the last axis; return the residuals as
-    well."""
+    """Fit q = offset + slope p by least squares along the last axis; return also the residuals."""
     weighted = weight * p
     total = np.maximum(weight.sum(axis=-1), 1e-9)
     mean_p = weighted.sum(axis=-1) / total
@@ -374,8 +368,7 @@ def _condense(
 
 
 def _corners(offset: Array, slope: Array, along: NDArray[np.intp]) -> Array:
-    """Corners (M, 4, 2) of lines (4 M) q = offset + slope p; ``along`` is the index of coordinate
-    p."""
+    """Corners (M, 4, 2) of lines (4 M) q = offset + slope p; ``along`` is the index of p."""
     each = np.arange(len(slope))
     normal = np.empty((len(slope), 2))
     normal[each, 1 - along] = 1.0

@@ -66,8 +66,7 @@ class MarkerFollower(ObjectFollower):
         return self._searched_at == stamp and self._detected is not None
 
     def aim(self, stamp: float, view: View | None) -> Aim | None:
-        """Return the marker at its detected position in this frame, or at its predicted
-        position."""
+        """Return the marker at its detected position in this frame, or at its predicted one."""
         quad = self._detected if self._searched_at == stamp else self._where(stamp, view)
         return None if quad is None else (quad, self._pattern)
 
@@ -145,7 +144,7 @@ class MarkerFollower(ObjectFollower):
         return view.project(self.outline(expected), self.height)
 
     def _pose(self, image: Image, view: View, fit: PoseFit) -> tuple[Array, Array]:
-        """Pose and covariance of the object: from edges, or from all pixels if it is nearly
+        """Measure the object's pose by edges, or by all pixels if the object is nearly
         stationary."""
         pose, covariance = object_pose(fit.pose, fit.covariance, self.marker)
         step = self.step_from_last(pose)

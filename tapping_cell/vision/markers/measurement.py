@@ -1,5 +1,4 @@
-"""Measure markers at approximately known positions: large ones by edges, small ones by their
-pattern."""
+"""Measure markers at roughly known positions: large ones by edges, small ones by pattern."""
 
 from __future__ import annotations
 

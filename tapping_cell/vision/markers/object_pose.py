@@ -23,7 +23,7 @@ class PoseFit:
 
 
 _CLEAN, _SMEARED = 0.03, 0.25
-"""Noise level of ``MarkerEdges.pull``, and error of smeared edges in pixels.
+"""Noise level of ``MarkerEdges.pull``, and error of motion-blurred edges in pixels.
 
 An edge with a pull p above the noise level has an additional standard deviation of ``_SMEARED`` * p
 / (1 - p), measured on rendered slides with motion blur of up to 14 pixels.
@@ -32,11 +32,11 @@ _FREE, _USUAL_FREE = 4.0, 8.0
 """Degrees of freedom of the residuals when four sides are fitted by a square, and degrees of
 freedom of the prior for their usual noise."""
 _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
-"""Allowed difference of length and width, in pixels and as a share of the side. Above it, an object
-beside the marker was taken for one of its sides."""
+"""Allowed difference of length and width, in pixels and as a fraction of the side. Above it, an
+object beside the marker was taken for one of its sides."""
 _MORE_OBLONG, _MOST_OBLONG = 4.0, 0.03
 """Allowed ratio of this difference to that of nearby reference markers (root mean square), for a
-poor lens, bent paper or a sharpened image; and the largest share so allowed."""
+poor lens, bent paper or a sharpened image; and the upper limit of the difference so allowed."""
 
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
@@ -93,7 +93,7 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
 
 
 def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
-    """Difference of length and width, as a share of the side, that the object's marker may have
+    """Difference of length and width, as a fraction of the side, that the object's marker may have
     given the reference markers in the other rows."""
     references = np.delete(edges.corners, row, axis=0)
     if len(references) < 3:

@@ -1,6 +1,6 @@
 """Photometric alignment of a marker at rest, which uses every pixel of the pattern.
 
-The grey values are modelled by the blurred printed pattern, projected by the known camera from the
+The grey values are modelled by the blurred printed pattern, projected by the known camera at the
 known height. The pose has three unknowns. Illumination and ink enter linearly (a gain and an
 offset, each with a gradient across the marker), and so does, to first order, the deviation of the
 blur from the assumed one. Gauss-Newton starts from the pose given by the edges (Lucas and Kanade
@@ -29,8 +29,7 @@ _MARGIN = 0.4
 _LARGEST_STEP = 0.5
 """Maximum distance of the result from the initial pose, in pixels; the edges are more accurate."""
 _SMALLEST_STEP = 0.002
-"""Step in pixels at which Gauss-Newton has converged (a tenth of the error due to a frame's
-noise)."""
+"""Step in pixels at which Gauss-Newton has converged (a tenth of the error due to noise)."""
 _POSE = slice(11, 14)
 """Columns of the design matrix that move the marker."""
 _LAGS = 4
@@ -39,8 +38,8 @@ _LEAST_POWER = 0.1
 """Minimum power of the noise at every spatial frequency, relative to white noise."""
 _SAME_PLACE = 0.03
 """Distance in pixels up to which the linearisation is reused. There, the second-order error is at
-most a thousandth of a pixel; for the noise of a frame, a fifth of this distance, it is below
-5e-5."""
+most a thousandth of a pixel. For the noise of a frame, a fifth of this distance, the error is below
+5e-5 pixel."""
 _SAME_LIGHT = 0.05
 """Maximum relative change of the contrast for which the linearisation is reused."""
 
@@ -60,9 +59,9 @@ class Template:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """Result of an alignment: pose (3,) of the marker in table and its covariance (3, 3) from pixel
-    noise.
+    """Result of an alignment.
 
+    ``pose`` (3,) of the marker is in table, and its ``covariance`` (3, 3) is due to pixel noise.
     ``unexplained`` is the root mean square residual at edges of the pattern, in grey levels, and
     ``blur`` the best-fitting sigma in m.
     """
@@ -94,8 +93,7 @@ class Look:
 
 
 def make_template(marker: ObjectMarker, pixel: float, blur: float) -> Template:
-    """Create the template of a marker for a camera whose pixel is ``pixel`` m wide on the
-    marker."""
+    """Create the template of a marker; a pixel is ``pixel`` m wide on the marker."""
     pattern = marker_pattern(marker.dictionary, marker.id)
     module = marker.size / pattern.shape[0]
     each = int(np.clip(math.ceil(3.5 * module / pixel), 3, 48))
@@ -216,9 +214,9 @@ def _together(
 ) -> NDArray[np.float64]:
     """Covariance (3, 3) of whitened parameters; the identity for pixels with independent noise.
 
-    ``influence`` (N, 3) are the derivatives of the parameters by the pixels ``chosen`` (flat
-    indices, rows of ``width``). The correlation of the noise comes from the autocorrelation of
-    ``residual`` (N,), filtered through the influence (the sandwich estimator of Huber 1967 and
+    ``influence`` (N, 3) are the derivatives of the parameters with respect to the pixels ``chosen``
+    (flat indices, rows of ``width``). The correlation of the noise comes from the autocorrelation
+    of ``residual`` (N,), filtered through the influence (the sandwich estimator of Huber 1967 and
     White 1980, for noise that is stationary over the marker).
     """
     rows, columns = np.divmod(chosen, width)
@@ -243,7 +241,7 @@ def _together(
 def _pixels(
     image: Image, view: View, marker: ObjectMarker, start: Array
 ) -> tuple[Array, Array, NDArray[np.intp]] | None:
-    """Points that the pixels on the marker see in its plane (x, y in m, table), and their flat
+    """Projections of the marker's pixels to its plane (x, y in m, table), and their flat
     indices."""
     modules = marker_pattern(marker.dictionary, marker.id).shape[0]
     reach = marker.size * (0.5 + _MARGIN / modules)

@@ -13,13 +13,13 @@ from tapping_cell.vision.markers.detection import Detection, Effort, find_marker
 from tapping_cell.vision.markers.edges import MarkerEdges
 
 _BITS_WRONG = 0.04
-"""Maximum share of wrong modules in a pattern (dirt, glare): 4 of the 100 of an AprilTag 36h11."""
+"""Maximum fraction of wrong modules in a pattern (dirt, glare): 4 of the 100 of an AprilTag
+36h11."""
 
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """Result of a full search: corners of markers detected once, by id, and ids detected
-    repeatedly."""
+    """Result of a full search: corners of markers detected once, by id, and repeated ids."""
 
     single: dict[int, Array]
     repeated: tuple[int, ...]
@@ -37,7 +37,7 @@ class Detections:
 
 
 def detect(image: Image, dictionary: str, effort: Effort = Effort.QUICK) -> Detections:
-    """Detect every marker of a dictionary in the whole image. Nested detections of one square count
+    """Detect every marker of a dictionary in the image; count nested detections of a square
     once."""
     by_id: dict[int, list[Detection]] = {}
     for found in find_markers(image, dictionary, effort=effort):
@@ -104,15 +104,16 @@ def patterns_agree(
 
 @lru_cache(maxsize=8)
 def _centres(modules: int) -> tuple[Array, Array]:
-    """Positions of the modules' centres in their marker, row by row: shares (N,) right and down."""
+    """Relative positions of the modules' centres in their marker, row by row: right and down, (N,)
+    each."""
     centres = (np.arange(modules) + 0.5) / modules
     u, v = np.meshgrid(centres, centres)
     return u.ravel(), v.ravel()
 
 
 def _within(corners: Array, u: Array, v: Array) -> Array:
-    """Points (M, N, 2) at the shares u (right) and v (down), (N,), of squares whose perspective
-    images have the corners ``corners`` (M, 4, 2).
+    """Points (M, N, 2) at the relative positions u (right) and v (down), (N,), in squares whose
+    perspective images have the corners ``corners`` (M, 4, 2).
 
     Heckbert 1989, "Fundamentals of texture mapping", square to quadrilateral.
     """

@@ -3,7 +3,7 @@
 A marker that is lifted, tilted or of another size than stated appears as a square of another size,
 or not as a square. One image does not show which of these is the cause, but the error of the shape
 limits the error of the pose. If a point at the horizontal distance r from the camera is higher than
-assumed by the share s of the camera's height, it appears larger by s and further away by s r. A
+assumed by a fraction s of the camera's height, it appears larger by s and further away by s r. A
 plane tilted by a appears rotated by up to a r / (2 h), h being the camera's height. It also appears
 sheared or elongated by this amount.
 """
@@ -26,10 +26,10 @@ _SIGN = np.array([1.0, -1.0, 1.0, -1.0])
 _SHARE, _PIXELS, _SMEARED, _CONFIDENCE = 0.0006, 0.06, 0.3, 5.0
 """Stretch and strain that are not significant.
 
-In this order: a share (print, lens); pixels of the side (position of edges between pixels,
-nonlinear grey levels); pixels, times p / (1 - p), for edges with ``MarkerEdges.pull`` p; standard
-deviations of the noise. None of 140 images exceeded the sum. Their sides measured 28 to 149 pixels,
-and they included gamma, Bayer patterns and blur.
+In this order: a constant fraction (print, lens); pixels of the side (position of edges between
+pixels, nonlinear grey levels); pixels, times p / (1 - p), for edges with ``MarkerEdges.pull`` p;
+standard deviations of the noise. None of 140 images exceeded the sum. Their sides measured 28 to
+149 pixels, and they included gamma, Bayer patterns and blur.
 """
 
 
@@ -49,7 +49,7 @@ class ShapeDeviation:
 
     @property
     def negligible(self) -> bool:
-        """Whether the marker agrees with its file within the measurement accuracy."""
+        """True if the marker agrees with its file within the measurement accuracy."""
         return max(abs(self.stretch), self.strain) <= self.allowance
 
 
@@ -102,7 +102,7 @@ class ShapeWarnings:
         self._said: tuple[float, float] | None = None
 
     def sentence(self, shape: ShapeDeviation, camera_height: float) -> str:
-        """Warning about the shape for a camera at ``camera_height`` (m) over the table; empty if
+        """Warning about the shape, for a camera ``camera_height`` (m) over the table; empty if
         none."""
         worst = max(abs(shape.stretch), shape.strain) / shape.allowance
         if worst <= (1.0 if self._said is None else 0.8):
@@ -134,8 +134,7 @@ class ShapeWarnings:
 
 
 def _beyond(share: float, allowance: float) -> float:
-    """Significant part of a share: zero up to the allowance, approaching the full share far above
-    it."""
+    """Significant part of a deviation: zero up to the allowance, all of it far above."""
     return math.sqrt(max(0.0, share**2 - allowance**2))
 
 

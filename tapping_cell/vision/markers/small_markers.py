@@ -31,12 +31,12 @@ _STRAYED = 0.9
 """Maximum distance of a corner from its detected position, in modules."""
 _LEAST_CONTRAST = 12.0
 _MOST_UNEXPLAINED = 0.18
-"""Maximum root mean square residual, relative to the contrast; at most 0.16 on 530 markers of
-photographs."""
+"""Maximum root mean square residual relative to the contrast (at most 0.16 on 530 markers in
+photographs)."""
 _VAGUE, _LEAST_MODULE = 0.15, 1.2
 """Maximum standard deviation of a side, in modules, and minimum width of a module, in pixels. On
-the same photographs, the former was at most 0.10 for correct patterns and at least 0.2 for wrong
-ones."""
+the same photographs, this deviation was at most 0.10 for correct patterns and at least 0.2 for
+wrong patterns."""
 _MODULE_OFF = 0.4
 """Maximum deviation of a module's mean from the pattern, relative to the contrast."""
 _MODULES_WRONG = 0.04
@@ -53,9 +53,11 @@ _UNIT = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatternFit:
-    """Result of a pattern fit: corners (4, 2) in pixels, their covariance (8, 8) in pixels^2, grey
-    levels of black and white, blur (sigma in pixels), and unexplained residual relative to the
-    contrast."""
+    """Result of a pattern fit.
+
+    It holds corners (4, 2) in pixels, their covariance (8, 8) in pixels^2, grey levels of black and
+    white, the blur (sigma in pixels), and the unexplained residual relative to the contrast.
+    """
 
     corners: Array
     covariance: Array
@@ -160,8 +162,7 @@ def _pixels(image: Image, quad: Array, modules: int) -> tuple[Array, Array] | No
 
 
 def _to_marker(corners: Array) -> Array:
-    """Homography (3, 3) from the image to the marker, whose corners are at -1 and 1 (right,
-    down)."""
+    """Homography (3, 3) from the image to the marker with corners at -1 and 1 (right, down)."""
     matrix = cv2.getPerspectiveTransform(corners.astype(np.float32), _UNIT.astype(np.float32))
     return np.asarray(matrix, dtype=float)
 
@@ -169,8 +170,8 @@ def _to_marker(corners: Array) -> Array:
 def _model(seen: Array, matrix: Array, blur: float, black: Array) -> tuple[Array, Array]:
     """Predicted pattern and its derivatives at the homogeneous marker coordinates ``seen`` (N, 3).
 
-    The pattern (N,) is 0 if black and 1 if white. The derivatives (N, 9) are by a small homography
-    of the marker (eight parameters, :func:`_fields`) and by the blur.
+    The pattern (N,) is 0 if black and 1 if white. The derivatives (N, 9) are with respect to a
+    small homography of the marker (eight parameters, :func:`_fields`) and to the blur.
     """
     modules = black.shape[0]
     places = seen[:, :2] / seen[:, 2:]
@@ -214,7 +215,8 @@ def _fields(places: Array) -> tuple[Array, Array]:
 
 
 def _moves(matrix: Array, corners: Array) -> Array:
-    """Derivatives (8, 8) of the corners (4, 2) in the image by a small homography of the marker."""
+    """Derivatives (8, 8) of the corners (4, 2) in the image with respect to a small homography of
+    the marker."""
     seen = np.column_stack([corners, np.ones(4)]) @ matrix.T
     places = seen[:, :2] / seen[:, 2:]
     local = matrix[None, :2, :2] - places[:, :, None] * matrix[None, 2:, :2]
@@ -235,8 +237,7 @@ def _stepped(matrix: Array, answer: Array, corners: Array) -> tuple[Array, Array
 
 
 def _whole(places: Array, residual: Array, modules: int) -> bool:
-    """Return whether all modules but a few agree with the pattern and the margin is white on all
-    sides.
+    """Return whether all modules but a few agree with the pattern and the whole margin is white.
 
     ``places`` (N, 2) are in modules from the top left corner; ``residual`` (N,) is relative to the
     contrast.

@@ -2,7 +2,7 @@
 
 Pixel noise differs from frame to frame and averages out. Deviations of the print from its pattern,
 differences between pixels, and the positions of the edges between pixels remain as long as the
-object does not move. The share of the variance that remains is estimated by comparing the
+object does not move. The fraction of the variance that remains is estimated by comparing the
 unexplained residual of a frame with the change from one frame to the next.
 """
 
@@ -30,7 +30,7 @@ alignment corrects it."""
 _BLUR_STEP = 0.15
 """Relative change of the blur at which the template is computed again."""
 _FIXED_EDGES = 0.25
-"""Share of the variance of edges that does not average out: 0.0025 pixel of 0.005 (measured)."""
+"""Fraction of the variance of edges that does not average out: 0.0025 pixel of 0.005 (measured)."""
 _LEAST_FIXED = 0.01
 _DOWNWARDS = 0.95
 """Cosine of the angle between the optical axis and the table's normal, below which edges are used
@@ -41,8 +41,8 @@ _MEMORY = 30
 
 
 class RestingMarker:
-    """Measures one marker in successive frames. ``fixed`` is the share of the variance of a frame's
-    pose that averaging over more frames does not reduce."""
+    """Measures one marker in successive frames. ``fixed`` is the fraction of the variance of a
+    frame's pose that averaging over more frames does not reduce."""
 
     def __init__(self, marker: ObjectMarker) -> None:
         self._marker = marker

@@ -26,9 +26,9 @@ from tapping_cell.vision.outline.shape import ObjectOutline
 Trouble = tuple[Problem, str]
 
 RIM_BIAS = 7e-6
-"""Standard deviation (m) of the error common to all frames: position of an edge in a pixel, light
-across the rim, a wall (measured on rendered scenes). Chamfers, dirt and errors in the file are not
-included."""
+"""Standard deviation (m) of the error common to all frames, due to the position of an edge in a
+pixel, light across the rim and a wall (measured on rendered scenes). Chamfers, dirt and errors in
+the file are not included."""
 _PROBLEMS = {
     OTHER_SIZE: Problem.MISSHAPEN_OBJECT,
     NO_DOT: Problem.DOT_HIDDEN,
@@ -95,7 +95,7 @@ class OutlineFinder:
         return near if isinstance(near, OutlineFit) else None
 
     def _again(self, image: Image, view: View, expected: Array) -> OutlineFit | None:
-        """Measure the outline at its pose in the last frame; None if it is not there."""
+        """Measure the outline at its pose in the last frame; None if it does not fit there."""
         if self._last_look is None or self._last_look[0] is not view:
             return None
         fit = fit_again(image, self._last_look[1], expected)

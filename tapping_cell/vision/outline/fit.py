@@ -62,9 +62,9 @@ error of a step is of third order, 0.005 pixel at this distance."""
 _SAME_LIGHT = 0.05
 """Maximum relative change of the contrast for which the linearisation is reused."""
 _LONG = 0.15
-"""Share of a polygon's rim above which a side is a long side."""
+"""Minimum fraction of a polygon's rim for a side to be a long side."""
 _BRIGHTEST = 2.5
-"""Maximum ratio of the brightness of a rim to its darkest parts for which higher noise is
+"""Maximum brightness of a sector, relative to typical sectors, for which a higher noise is
 assumed."""
 _ROUNDS_AGAIN, _STEADY = 4, 0.004
 """Maximum number of iterations, and the change (pixels) below which they stop."""
@@ -75,10 +75,11 @@ class OutlineFit:
     """Result of an outline fit.
 
     ``pose`` (3,) is the object's pose in table (m, m, rad) and ``covariance`` (3, 3) is due to
-    pixel noise. ``size`` is the apparent size (1: as configured). ``seen`` is the share of the rim
-    that agrees, and ``least_side`` the lowest such share of a polygon's long sides. ``contrast``
-    and ``dot_contrast`` are those of rim and dot (positive if they have the configured sign) and
-    ``noise`` is that of the pixels, all in grey levels. ``blur`` is a sigma in pixels.
+    pixel noise. ``size`` is the apparent size (1: as configured). ``seen`` is the fraction of the
+    rim that agrees with the model, and ``least_side`` the lowest such fraction among a polygon's
+    long sides. ``contrast`` and ``dot_contrast`` are those of rim and dot (positive if they have
+    the configured sign) and ``noise`` is that of the pixels, all in grey levels. ``blur`` is a
+    sigma in pixels.
     """
 
     pose: Array
@@ -143,8 +144,8 @@ def fit_outline(
 ) -> OutlineFit | None:
     """Fit the outline near ``start`` (3,), which must be accurate to half of ``width`` pixels.
 
-    ``size`` is the initial size relative to the file, and ``size_spread`` its standard deviation
-    (share). ``blur`` is the initial sigma in pixels, and ``step`` (2,) the object's motion since
+    ``size`` is the initial size relative to the file, and ``size_spread`` its relative standard
+    deviation. ``blur`` is the initial sigma in pixels, and ``step`` (2,) the object's motion since
     the last frame in m. Returns None if the fit fails.
     """
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
@@ -220,7 +221,7 @@ def _way(step: Array, scene: _Scene) -> float:
 
 
 def _least_side(outline: ObjectOutline, agrees: NDArray[np.bool_]) -> float:
-    """Lowest share of agreeing sectors (S,) among a polygon's long sides; 1 for other shapes."""
+    """Lowest fraction of agreeing sectors (S,) among a polygon's long sides; 1 for other shapes."""
     if outline.vertices is None:
         return 1.0
     parts = sectors_a_side(outline)
@@ -252,7 +253,7 @@ class _State:
 
     @property
     def settled(self) -> bool:
-        """Whether weights and levels have been updated for a few iterations."""
+        """True if weights and levels have been updated for a few iterations."""
         return self.rounds >= 4
 
     def start_anew(self, sectors: int) -> None:

@@ -1,9 +1,9 @@
-"""Predict the pixels around an outline, and their derivatives by the pose.
+"""Predict the pixels around an outline, and their derivatives with respect to the pose.
 
-A pixel near the rim sees the top, the side wall below it, or the surroundings. The shares of these
-follow from its distances to the outline of the top and to the silhouette of the whole body, with a
-Gaussian blur. The pixels are arranged in rows, one for each sector of the rim, so that the levels
-of all sectors are solved for in one operation.
+A pixel near the rim shows the top, the side wall below it, or the surroundings. The fractions of
+these follow from its distances to the outline of the top and to the silhouette of the whole body,
+with a Gaussian blur. The pixels are arranged in rows, one for each sector of the rim, so that the
+levels of all sectors are solved for in one operation.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ SIZE, BLUR, SMEAR, DOT_SIZE = 3, 4, 5, 6
 class Band:
     """The rim's pixels, (S, K), by sector; rows are padded with duplicates that are not ``real``.
 
-    ``top`` and ``floor`` (2, S, K) are the points that they see at the two heights, in m;
-    ``pixels`` are flat indices in the image; ``counts`` (S,) are the numbers of real pixels in each
-    sector.
+    ``top`` and ``floor`` (2, S, K) are their projections to the plane of the top and to the table,
+    in m; ``pixels`` are flat indices in the image; ``counts`` (S,) are the numbers of real pixels
+    in each sector.
     """
 
     top: Array
@@ -75,10 +75,11 @@ class Shape:
 def rim_model(
     outline: ObjectOutline, shape: Shape, band: Band, levels: Array | None, width: float
 ) -> Array:
-    """Derivatives of the grey values by the levels of their sector, the globals, and a displacement
-    of the rim outwards by a pixel: (LEVELS + GLOBALS + 1, S, K).
+    """Derivatives (LEVELS + GLOBALS + 1, S, K) of the grey values.
 
-    ``levels`` (S, LEVELS) may be unknown; ``width`` is the half width of the band in pixels.
+    They are with respect to the levels of their sector, to the globals, and to a displacement of
+    the rim outwards by a pixel. ``levels`` (S, LEVELS) may be unknown; ``width`` is the half width
+    of the band in pixels.
     """
     cos, sin = math.cos(shape.pose[2]), math.sin(shape.pose[2])
     x, y = _within(shape.pose, cos, sin, band.top)
@@ -109,8 +110,8 @@ def rim_model(
 
 
 def dot_model(dot: Dot, shape: Shape, around: Pixels, levels: Array | None) -> Array:
-    """Derivatives for the dot, (4 + GLOBALS, N): by the levels of dot and top, two slopes, and the
-    globals."""
+    """Derivatives (4 + GLOBALS, N) for the dot, with respect to the levels of dot and top, two
+    slopes, and the globals."""
     cos, sin = math.cos(shape.pose[2]), math.sin(shape.pose[2])
     x, y = _within(shape.pose, cos, sin, around.top.T)
     x, y = x - dot.offset[0], y - dot.offset[1]
@@ -151,8 +152,8 @@ def _edge(
 ) -> tuple[Array, Array]:
     """Coverage inside an edge of a body scaled by ``shape.size``, and its derivatives.
 
-    The derivatives (GLOBALS + 1, ...) are by the globals, except the dot's size, and by a
-    displacement of the edge outwards by a pixel. ``x``, ``y`` are the points, and ``distance``
+    The derivatives (GLOBALS + 1, ...) are with respect to the globals, except the dot's size, and
+    to a displacement of the edge outwards by a pixel. ``x``, ``y`` are the points, and ``distance``
     their distance from the edge, with the gradient ``nx``, ``ny``.
     """
     pixel = shape.pixel

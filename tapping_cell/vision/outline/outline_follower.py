@@ -67,6 +67,6 @@ class OutlineFollower(ObjectFollower):
         return answer
 
     def doubt(self, frame: Frame) -> tuple[Array, str]:
-        """Error common to all frames, due to the positions of edges between pixels and to light
+        """Return the uncertainty common to all frames, due to edges between pixels and to light
         across the rim."""
         return self._shared, ""

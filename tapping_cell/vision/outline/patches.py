@@ -24,8 +24,7 @@ _MOST_PATCHES = 60
 
 
 def patches(small: Image, area: float, reach: float) -> Iterator[Points]:
-    """Yield convex hulls (N, 1, 2) of patches and of neighbouring pairs of patches, in image
-    pixels.
+    """Yield convex hulls (N, 1, 2) of patches and of neighbouring pairs of patches, in pixels.
 
     ``area`` (pixels) and ``reach`` (from the centre, pixels) are the object's.
     """
@@ -52,8 +51,7 @@ def _hull(points: Points) -> Points:
 
 
 def _rim(labels: Points, box: Points, label: int) -> Points:
-    """Points (N, 1, 2) of a patch's rim, dilated by the pixel that its edge occupies on all
-    sides."""
+    """Points (N, 1, 2) of a patch's rim, dilated by the pixel that its edge occupies."""
     x, y = int(box[cv2.CC_STAT_LEFT]), int(box[cv2.CC_STAT_TOP])
     width, height = int(box[cv2.CC_STAT_WIDTH]), int(box[cv2.CC_STAT_HEIGHT])
     mask = np.pad((labels[y : y + height, x : x + width] == label).astype(np.uint8), 2)

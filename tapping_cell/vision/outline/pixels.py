@@ -1,4 +1,4 @@
-"""Select the pixels that determine the position of an outline, and project them to the object's
+"""Select the pixels that determine an outline's position, and project them to the object's
 planes."""
 
 from __future__ import annotations
@@ -16,18 +16,16 @@ from tapping_cell.vision.markers.photometric import window_rays
 from tapping_cell.vision.outline.shape import Dot, ObjectOutline
 
 SOFTENED = 2.5
-"""Sigma in pixels of the blur applied for a coarse fit, which extends its convergence range by as
-much."""
+"""Sigma in pixels of the blur for a coarse fit, which extends the range of convergence."""
 MOST_PIXELS, ROUGH_PIXELS = 3000, 1000
-"""Maximum number of pixels used in a fine fit, and in a coarse fit or one of a rim blurred by
-motion."""
+"""Maximum number of pixels in a fine fit, and in a coarse or motion-blurred fit."""
 _SECTORS = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pixels:
-    """Pixels, with the points (N, 2) that they see at the top's height and on the table, in m, and
-    their flat indices (N,) in the image."""
+    """Pixels: their projections (N, 2) to the plane of the top and to the table, in m, and their
+    flat indices (N,) in the image."""
 
     top: Array
     floor: Array

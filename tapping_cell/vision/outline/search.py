@@ -1,10 +1,10 @@
-"""Find an outline in a whole image, knowing only its shape, by fitting it at each of several
-candidates.
+"""Find an outline in a whole image, knowing only its shape.
 
-Candidates are blobs of about the right area that differ from the brightness around them. They are
-extracted by morphological closing or opening of a downscaled image, with several thresholds,
-because the object's brightness is unknown. A polygon's angle is found from the distances of its rim
-from its centre. The dot resolves the angle of a disk and the ambiguity of a symmetric polygon.
+Each of several candidates is fitted. Candidates are blobs of about the right area that differ from
+the brightness around them. They are extracted by morphological closing or opening of a downscaled
+image, with several thresholds, because the object's brightness is unknown. A polygon's angle is
+found from the distances of its rim from its centre. The dot resolves the angle of a disk and the
+ambiguity of a symmetric polygon.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from tapping_cell.vision.outline.patches import patches
 from tapping_cell.vision.outline.shape import ANGLES, Dot, ObjectOutline, turn_differences
 
 _LEAST_SEEN = {"disk": 0.55, "polygon": 0.7}
-"""Minimum visible share of the rim. An arc of a circle fits in only one place, but a polygon
+"""Minimum visible fraction of the rim. An arc of a circle fits in only one place, but a polygon
 displaced along some of its sides still agrees with these sides."""
 _LEAST_SIDE = 0.25
-"""Minimum visible share of each long side of a polygon. Otherwise, two sides of a triangle and a
+"""Minimum visible fraction of each long side of a polygon. Otherwise, two sides of a triangle and a
 wall that appears to be part of the top fit well at a distance of some millimetres."""
 LARGEST_STRETCH = 0.03
 """Maximum relative difference between an object's apparent size and its file."""
@@ -48,12 +48,11 @@ _BULGE = 1.18
 """Minimum and maximum area relative to the object's top (a blob may include walls and shadows), and
 maximum ratio of the areas of the convex hull and the blob."""
 _FORM = 0.12
-"""Maximum deviation of a blob's shape (rms, share of its size), which may be due to walls or
-occlusion."""
+"""Maximum relative deviation (rms) of a blob's shape, which may be due to walls or occlusion."""
 _CANDIDATES = 6
 _NEAR = 30
-"""Rotation of the best angle by a wall, in steps of :func:`turn_differences`, that is corrected: 15
-deg."""
+"""Maximum rotation of the best angle due to a wall, in steps of :func:`turn_differences` (15
+deg)."""
 _DOUBTFUL = 0.006
 """Relative difference of an object's size above which the fit is repeated with the size fixed."""
 _INSIDE, _BESIDE, _THICK = 8.0, 14.0, np.array([-1.0, 0.0, 1.0])
@@ -63,8 +62,7 @@ compared, and offsets of the pixels averaged there."""
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A region of about the right size that is not the object; ``reason`` is one of the constants
-    below."""
+    """A region of about the right size that is not the object; ``reason`` is a constant below."""
 
     reason: str
     sentence: str
@@ -72,9 +70,12 @@ class Refused:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Place:
-    """A candidate: the difference of the blob's shape from the outline (rms, share of its size),
-    its centre (2,), the pose (3,) of the outline that fits best, and its size relative to the
-    outline."""
+    """A candidate pose.
+
+    ``difference`` is the relative deviation (rms) of the blob's shape from the outline, ``middle``
+    (2,) the blob's centre, ``pose`` (3,) the best fit of the outline, and ``size`` the blob's size
+    relative to the outline.
+    """
 
     difference: float
     middle: Array
@@ -86,7 +87,7 @@ OTHER_SHAPE, OTHER_SIZE, NO_DOT, TWO_DOTS = "shape", "size", "no dot", "two dots
 
 
 def least_seen(outline: ObjectOutline) -> float:
-    """Minimum share of the rim that must be visible for the outline to be accepted."""
+    """Minimum fraction of the rim that must be visible for the outline to be accepted."""
     return _LEAST_SEEN["disk" if outline.vertices is None else "polygon"]
 
 
@@ -261,7 +262,7 @@ def rough_places(
     around = np.asarray(cv2.morphologyEx(small, operation, kernel), dtype=np.float32)
     shade = np.abs(small.astype(np.float32) - around) / np.maximum(around, 8.0)
     places: list[_Place] = []
-    # In pixels of the downscaled image; a blob's rim has at least as many pixels as a disk's.
+    # In pixels of the downscaled image. The shortest rim is a disk's, in diagonal pixel steps.
     area = outline.area / (float(scale.prod()) * pixel**2)
     shortest = math.sqrt(2.0 * math.pi * _AREAS[0] * area)
     for threshold in _SHADES:
@@ -304,7 +305,7 @@ def _places(
 
 
 def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:
-    """Paint the reference markers, including their white borders, with the grey of the table beside
+    """Paint the reference markers and their white borders with the grey of the table beside
     them."""
     middle = known.mean(axis=1, keepdims=True)
     rows, columns = small.shape
@@ -365,9 +366,11 @@ def _silhouette(view: View, outline: ObjectOutline, pose: Array) -> Array:
 
 
 def stands_out(image: Image, view: View, outline: ObjectOutline, pose: Array) -> bool:
-    """Return False if the rim cannot be within some pixels of a pose (3,), because the greys on
-    both sides of it do not differ along enough of it. This takes a hundredth of the time of a
-    failed fit."""
+    """Return False if the rim cannot be within some pixels of a pose (3,).
+
+    In this case, the greys on both sides of the rim do not differ along enough of it. The test
+    takes a hundredth of the time of a failed fit.
+    """
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
     points = _walked(outline.points(24))
     arm = points - outline.middle
@@ -423,7 +426,7 @@ def _turned(outline: ObjectOutline, pose: Array, turns: Array) -> Array:
 
 
 def _greys(image: Image, view: View, outline: ObjectOutline, points: Array) -> Array:
-    """Grey values of the pixels that see points (N, K, 2) of the top."""
+    """Grey values of the pixels at points (N, K, 2) of the top."""
     pixels = np.rint(view.project(points, outline.height)).astype(np.intp)
     rows, columns = image.shape
     x = np.clip(pixels[..., 0], 0, columns - 1)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from tapping_cell.vision.camera import Array
 
 _SAME = 0.03
-"""Difference (rms, share of the mean radius) below which a rotated outline counts as the same.
+"""Difference (rms, relative to the mean radius) below which a rotated outline counts as the same.
 Manufacturing tolerance is a tenth of it; the rest allows for a hidden part."""
 ANGLES = 720
 """Number of angles at which radii of a rim are compared."""
@@ -25,14 +25,12 @@ _LEAST_DOT = 0.002
 
 
 class OutlineError(ValueError):
-    """An outline that cannot be detected, or whose angle is undefined; the message gives the
-    reason."""
+    """An outline that cannot be detected or has no defined angle; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Dot:
-    """A round dot on the top: radius and centre in m; ``brighter`` than the top around it or
-    darker."""
+    """A round dot on the top: radius and centre in m; ``brighter`` or darker than the top."""
 
     radius: float
     offset: tuple[float, float]
@@ -131,15 +129,15 @@ class ObjectOutline:
         return self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
     def distance(self, points: ArrayLike) -> tuple[Array, Array]:
-        """How far points (..., 2) lie outside (inside: below 0), in m, and that distance's gradient
-        (..., 2).
-        """
+        """Distance of points (..., 2) from the outline in m, negative inside, and its gradient
+        (..., 2)."""
         p = np.asarray(points, dtype=float)
         distance, nx, ny = self.distance_at(p[..., 0], p[..., 1])
         return distance, np.stack([nx, ny], axis=-1)
 
     def distance_at(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """The same with the coordinates apart: distance, its gradient along x, along y."""
+        """Compute :meth:`distance` for separate coordinates: distance, and its gradient along x and
+        y."""
         if self.vertices is None:
             assert self.radius is not None
             length = np.sqrt(x * x + y * y)

@@ -37,10 +37,10 @@ _FREE_RIM = 1.4
 _LEAST_CONTRAST = 8.0
 """Minimum difference in grey levels between an object and the table."""
 _SHADOW = 0.4
-"""Minimum share of the object's contrast for a pixel to belong to it instead of a soft shadow."""
+"""Minimum fraction of the object's contrast for a pixel to belong to it instead of a soft
+shadow."""
 _EVERY = 8
-"""Distance between projected pixels of the rectified image, in pixels; those between are
-interpolated."""
+"""Distance of projected pixels of the rectified image; the pixels between are interpolated."""
 _APART = 0.05
 """Area of another region, relative to the object's area, above which it is a second object."""
 _LEAST_REACH = 0.006
@@ -55,13 +55,13 @@ _CORNER = 0.025
 """Maximum distance of the rim from the polygon's sides in the search for corners, relative to the
 outline's mean radius."""
 _BESIDE_CORNER = 0.12
-"""Share at each end of a side that is not used in its line fit, because corners appear rounded."""
+"""Fraction at each end of a side that is not used in its line fit, because corners appear
+rounded."""
 _MOST_CORNERS = 12
 
 
 class NotTraced(ValueError):
-    """The image shows no object whose shape can be traced; the message gives the reason and a
-    remedy."""
+    """The image shows no traceable object; the message gives the reason and a remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,8 +171,8 @@ def _marker(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plane:
-    """The plane of the top as an image with ``step`` m per pixel and ``origin`` (m) at pixel (0,
-    0)."""
+    """The plane of the top as an image with ``step`` m per pixel and ``origin`` (m) at pixel 0,
+    0."""
 
     view: View
     height: float
@@ -258,11 +258,10 @@ def _excess(seen: NDArray[np.float32], free: Mask) -> NDArray[np.float32]:
 def _object(
     excess: NDArray[np.float32], plane: _Plane, marker: tuple[float, float, float] | None
 ) -> tuple[Mask, bool]:
-    """Return a mask of the object (255) with its holes filled, and whether it is brighter than the
-    table.
+    """Return a mask (255) of the object without holes, and whether it is brighter than the table.
 
-    Darker and brighter regions are searched. The largest region is the object; one of opposite sign
-    is its shadow or its print.
+    Regions darker and brighter than the table are searched. The largest is the object; a region of
+    opposite sign is its shadow or its print.
     """
     least = math.pi * (_LEAST_REACH / plane.step) ** 2
     found = [
@@ -360,8 +359,8 @@ def _signed_area(points: Array) -> float:
 
 
 def _shape(rim: Array) -> tuple[float | None, Array | None, Array, float]:
-    """Fit the shape: radius or corners (n, 2), centre (2,), and distance (rms) of the rim (N, 2);
-    in m."""
+    """Fit the shape: radius or corners (n, 2), centre (2,), and rms distance of the rim (N, 2), in
+    m."""
     if _signed_area(rim) < 0.0:
         rim = rim[::-1]
     hull = cv2.convexHull(rim.astype(np.float32))[:, 0].astype(float)

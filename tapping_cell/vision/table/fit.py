@@ -49,10 +49,10 @@ class TableFit:
 
     ``pose`` is the camera's pose and ``covariance`` (6, 6) is for steps of ``CameraPose.moved``.
     ``used`` (M,) marks the inlier markers, and ``residuals`` (U, 4, 2) are those of their corners,
-    as directions. ``jacobian`` (8 U, 6) is the derivative of the corners by a step of the pose, and
-    ``gain`` (6, 8 U) the step of the fit by their displacements. ``bloom`` is the common
-    displacement of all markers' sides outwards (a direction). ``error`` is the largest error of a
-    marker's corners (pixels, root mean square). ``unsquare`` is the standard deviation (a
+    as directions. ``jacobian`` (8 U, 6) is the derivative of the corners with respect to the pose,
+    and ``gain`` (6, 8 U) that of the fitted pose with respect to the corners. ``bloom`` is the
+    common displacement of all markers' sides outwards (a direction). ``error`` is the largest error
+    of a marker's corners (pixels, root mean square). ``unsquare`` is the standard deviation (a
     direction) of deviations of the sides from squares, in excess of the noise.
     """
 
@@ -106,12 +106,11 @@ def side_noise(edges: MarkerEdges, focal: float) -> Array:
 
 
 def whitening(rays: Array, noise: Array) -> Array:
-    """Matrices (M, 8, 8) that transform errors of corners (M, 4, 2) to eight independent errors of
-    variance 1.
+    """Matrices (M, 8, 8) that whiten errors of corners (M, 4, 2): independent, of variance 1.
 
     The corners are the intersections of four lines, each fitted to a separate side. The positions
-    of the lines (``noise`` (M,)) and their rotations are independent. A rotation displaces the ends
-    of the side by the root of three times as much.
+    of the lines (standard deviation ``noise`` (M,)) and their rotations are independent. A rotation
+    by one standard deviation displaces the ends of a side by the square root of 3 times ``noise``.
     """
     side = np.roll(rays, -1, axis=1) - rays
     side /= np.linalg.norm(side, axis=2, keepdims=True)
@@ -261,7 +260,8 @@ def _unsquare(white: Array, left: Array, rays: Array, noise: Array, usual: float
 
 
 def _linearised(pose: CameraPose, points: Array, rays: Array) -> tuple[Array, Array]:
-    """Jacobian (2 N, 6) of the directions by a step of the pose, and measured minus predicted."""
+    """Jacobian (2 N, 6) of the directions with respect to the pose, and measured minus
+    predicted."""
     p = pose.apply(points)
     x, y, z = p[:, 0], p[:, 1], p[:, 2]
     u, v = x / z, y / z

@@ -1,4 +1,4 @@
-"""Reference markers in the image: where to measure which markers, and which are missed."""
+"""Select the reference markers to measure in a frame, and detect missed markers."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ Rows = NDArray[np.intp]
 
 
 class ReferenceMarkers:
-    """Predicts the image position of each marker of a map; ``each`` markers are measured in a
-    frame."""
+    """Predicts the image positions of a map's markers; ``each`` markers are measured per frame."""
 
     def __init__(self, table: ReferenceMap, each: int) -> None:
         self.dictionary = table.dictionary
@@ -44,7 +43,7 @@ class ReferenceMarkers:
 
     @property
     def doubtful(self) -> bool:
-        """Whether a marker was missed, but not yet often enough to be reported as occluded."""
+        """True if a marker was missed, but not yet often enough to be reported as occluded."""
         return any(0 < looks < _MISSED for looks in self._misses.values())
 
     def place(self, quads: Array) -> None:
@@ -52,7 +51,7 @@ class ReferenceMarkers:
         self._quads = quads
 
     def found(self, detections: Detections) -> dict[int, Array]:
-        """Return the markers that a search of the whole image found: corners (4, 2) by row of the
+        """Return the markers found by a search of the whole image: corners (4, 2) by row of the
         map."""
         quads = {self._rows[i]: q for i, q in detections.single.items() if i in self._rows}
         self.repeated = [i for i in detections.repeated if i in self._rows]

@@ -60,8 +60,7 @@ fiftieth as likely as an exact lens and print, but together they matter."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Members:
-    """K pairs of amplitudes: weights (K,), powers (K,) of the lens error, and products used at all
-    places."""
+    """K pairs of amplitudes: weights (K,), powers (K,) of the lens error, and shared products."""
 
     weight: Array
     power: Array
@@ -81,12 +80,12 @@ class SystematicError:
     members: _Members
 
     def at(self, response: Array, lens: Array) -> tuple[Array, Array]:
-        """Expected error (3,) of a pose measured at some place, and covariance (3, 3) of the
+        """Expected error (3,) of a pose measured at a place, and covariance (3, 3) of the
         remainder.
 
-        ``response`` (3, 6) is the derivative of this pose by a step of the camera's pose, and
-        ``lens`` (3, 8) its derivative by the lens parameters (:func:`lens_shifts`). The covariance
-        includes the noise of the reference markers, but not of the object's marker.
+        ``response`` (3, 6) is the derivative of this pose with respect to the camera's pose, and
+        ``lens`` (3, 8) that with respect to the lens parameters (:func:`lens_shifts`). The
+        covariance includes the noise of the reference markers, but not of the object's marker.
         """
         m = self.members
         own, cross = lens @ lens.T, lens @ self.lens.T
@@ -116,9 +115,10 @@ def condition(
     ``points`` (M, 4, 2) are the corners in the map, ``residuals`` (M, 4, 2) their measured
     displacements (both in m), and ``noise`` (8 M, 8 M) the covariance of these due to image noise
     in m^2. ``lens`` (8 M, 8) and ``trend`` (8 M, 6) are the derivatives of the corners, projected
-    to the table, by the lens parameters and by a step of the camera's pose. ``gain`` (6, 8 M) is
-    the step of the fit by their displacements. Rows are x and y of successive corners. ``stated``:
-    the deviations behind ``lens`` are those of its calibration, not typical ones.
+    to the table, with respect to the lens parameters and to the camera's pose. ``gain`` (6, 8 M) is
+    the derivative of the fitted pose with respect to the corners. Rows are x and y of successive
+    corners. ``stated``: the deviations behind ``lens`` are those of its calibration, not typical
+    values.
     """
     # Use only the position and rotation of each marker. Ink, bloom and blur make it appear larger,
     # smaller or stretched, and a lens error that explains this would be wrong.
@@ -173,7 +173,7 @@ def _prior(field: Array, print_: Array, stated: bool) -> Array:
 
 
 def _misplaced(points: Array) -> tuple[Array, Array]:
-    """Covariances (8 M, 8 M) of corners for unit errors of the markers' positions, and of their
+    """Covariances (8 M, 8 M) of corners for unit position errors of the markers, and unit
     rotations."""
     turned = _turned(points)
     same = np.eye(points.shape[0])
@@ -182,8 +182,7 @@ def _misplaced(points: Array) -> tuple[Array, Array]:
 
 
 def _poses_of(points: Array) -> Array:
-    """Matrix (3 M, 8 M): mean x, mean y and rotation (times the corners' distance) of every
-    marker."""
+    """Matrix (3 M, 8 M): mean x, mean y and rotation (times corner distance) of every marker."""
     count = points.shape[0]
     turned = _turned(points).reshape(count, 8)
     rows = np.zeros((count, 3, count, 8))
@@ -195,8 +194,8 @@ def _poses_of(points: Array) -> Array:
 
 
 def _turned(points: Array) -> Array:
-    """Displacements (8 M,) of all corners if each marker rotates by one over its corners'
-    distance."""
+    """Displacements (8 M,) of all corners if each marker rotates by 1 / (distance of its
+    corners)."""
     arm = points - points.mean(axis=1, keepdims=True)
     reach = np.sqrt((arm**2).sum(axis=-1).mean())
     return np.asarray(np.stack([-arm[..., 1], arm[..., 0]], axis=-1).reshape(-1) / reach)
@@ -216,8 +215,7 @@ def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]
 
 
 def _other_lenses(camera: CameraModel) -> list[CameraModel]:
-    """The camera with each of its parameters in turn changed by its deviation, stated or
-    typical."""
+    """The camera with each parameter in turn changed by its deviation, stated or typical."""
     focal, aspect, rest = _FOCAL, _ASPECT, [usual for _, usual in _LENS]
     if camera.deviations:
         focal = float(np.sqrt(np.mean(np.square(camera.deviations[:2]))))

@@ -1,5 +1,4 @@
-"""Estimate the camera's pose over the table from the reference markers, averaged while it is
-steady.
+"""Estimate the camera's pose over the table from the averaged reference markers.
 
 While nothing moves, each marker's corners are averaged over the frames and the pose is fitted to
 the averages. Every frame is compared with the averages, marker by marker. If most of the markers of
@@ -32,7 +31,7 @@ from tapping_cell.vision.table.fit import (
 from tapping_cell.vision.table.systematic_error import SystematicError, condition, lens_shifts
 
 _SIDE_BIAS = 0.0007
-"""Standard deviation of an averaged side due to its position between pixels, in pixels (measured:
+"""Standard deviation of an averaged side, in pixels, due to its position between pixels (measured:
 0.0005)."""
 _STEP = 0.08
 """Maximum increase, in pixels, of the bloom and of half the residual of two references that is
@@ -132,8 +131,7 @@ class TableTracker:
         return 0.0 if self.pose is None else float(self.pose.position[2])
 
     def add(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
-        """Add references of a first frame, measured at positions predicted from the other
-        references."""
+        """Add references of a first frame, measured at positions predicted from the others."""
         rays, noise = reference_rays(self.camera, edges), side_noise(edges, self.camera.fx)
         self._average(rays, noise, rows, np.zeros(len(rows), dtype=bool))
         if not self._fit(edges, rows) or self._contradicted(edges):
@@ -166,7 +164,7 @@ class TableTracker:
         self._noise[kept] += share * (noise[~disturbed] - self._noise[kept])
 
     def _contradicted(self, edges: MarkerEdges) -> bool:
-        """Return whether positions or sizes of the markers differ so much from the map that neither
+        """Return whether the markers differ so much from the map, in position or size, that neither
         is reliable."""
         s = self.settings
         corners = edges.corners
@@ -183,8 +181,7 @@ class TableTracker:
         return few or self.error > 3.0 * s.displaced or 2.0 * abs(self.bloom) > limit
 
     def _fit(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> bool:
-        """Fit the pose, covariances and lists of markers to the averages; return False on
-        failure."""
+        """Fit pose, covariances and lists of markers to the averages; return False on failure."""
         have = np.flatnonzero((self._seen > 0) & ~self._astray)
         start = self.pose or initial_pose(self.camera, self.points[rows], edges.corners)
         if start is None or len(have) < self.settings.least_references:
@@ -297,18 +294,17 @@ rotated and sheared. A fit to all sides of a square rotates by the mean rotation
 
 
 def pose_changes(points: Array, shifts: Array) -> Array:
-    """Change (..., 3) of the pose (x, y, theta) fitted to points (N, 2) displaced by (..., N,
-    2)."""
+    """Change (..., 3) of a pose (x, y, theta) fitted to points (N, 2) displaced by (..., N, 2)."""
     arm = points - points.mean(axis=0)
     turn = (arm[:, 0] * shifts[..., 1] - arm[:, 1] * shifts[..., 0]).sum(axis=-1)
     return np.concatenate([shifts.mean(axis=-2), (turn / (arm**2).sum())[..., None]], axis=-1)
 
 
 def pose_jacobian(view: View, object_pose: ArrayLike, height: float) -> Array:
-    """Jacobian (3, 6) of a pose (x, y, theta) measured at ``height`` by a step of the camera's
-    pose.
+    """Jacobian (3, 6) of a measured pose (x, y, theta) with respect to the camera's pose.
 
-    Computed by differences of 1e-6 in steps of rotation (rad) and translation (m).
+    The pose is measured at ``height``. Computed by differences of 1e-6 in steps of rotation (rad)
+    and translation (m).
     """
     points = transform_points(object_pose, CROSS)
     seen = view.pose.apply(np.column_stack([points, np.full(len(points), height)]))
