@@ -1,8 +1,8 @@
-"""Planar poses: a frame B seen from a frame A, X_AB = (x, y, theta).
+"""Planar poses: the pose of a frame B in a frame A, X_AB = (x, y, theta).
 
-A pose is three numbers, metres, metres and radians, and a :class:`Pose` is a tuple of them, so that
-``numpy.asarray(pose)`` has shape (3,). The functions take any array of shape (..., 3) and
-broadcast.
+A pose is three numbers in metres, metres and radians. :class:`Pose` is a tuple of them, so that
+``numpy.asarray(pose)`` has shape (3,). The functions accept arrays of shape (..., 3) and broadcast
+them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def wrap_angle(angle: ArrayLike) -> Array:
-    """Angle in radians brought into [-pi, pi); any shape."""
+    """Wrap angles in radians to [-pi, pi); any shape."""
     return np.asarray((np.asarray(angle, dtype=float) + math.pi) % (2 * math.pi) - math.pi)
 
 
@@ -29,8 +29,8 @@ class Pose(NamedTuple):
     theta: float
 
     def __matmul__(self, other: Pose) -> Pose:
-        """X_AC = X_AB @ X_BC."""
-        # As `compose`, without arrays: a single pose is composed ten times as fast.
+        """Return X_AC = X_AB @ X_BC."""
+        # Same as `compose`, but without arrays, which is ten times as fast for a single pose.
         cos, sin = math.cos(self.theta), math.sin(self.theta)
         return Pose(
             self.x + cos * other.x - sin * other.y,
@@ -39,7 +39,7 @@ class Pose(NamedTuple):
         )
 
     def inverse(self) -> Pose:
-        """X_BA of X_AB."""
+        """Return X_BA of X_AB."""
         return Pose(*inverse(self).tolist())
 
     def distance_to(self, other: Pose) -> float:
@@ -52,7 +52,7 @@ class Pose(NamedTuple):
 
 
 def compose(first: ArrayLike, second: ArrayLike) -> Array:
-    """X_AC from X_AB and X_BC, arrays of shape (..., 3); the angle is not wrapped."""
+    """Compute X_AC from X_AB and X_BC, arrays of shape (..., 3); the angle is not wrapped."""
     a = np.asarray(first, dtype=float)
     b = np.asarray(second, dtype=float)
     cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
@@ -67,7 +67,7 @@ def compose(first: ArrayLike, second: ArrayLike) -> Array:
 
 
 def inverse(pose: ArrayLike) -> Array:
-    """X_BA from X_AB, arrays of shape (..., 3)."""
+    """Compute X_BA from X_AB, arrays of shape (..., 3)."""
     a = np.asarray(pose, dtype=float)
     cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
     return np.stack(
@@ -81,7 +81,7 @@ def inverse(pose: ArrayLike) -> Array:
 
 
 def transform_points(pose: ArrayLike, points: ArrayLike) -> Array:
-    """Points of shape (..., 2) in frame B, in m, expressed in frame A by the pose X_AB."""
+    """Transform points of shape (..., 2), in m, from frame B to frame A with the pose X_AB."""
     a = np.asarray(pose, dtype=float)
     p = np.asarray(points, dtype=float)
     cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])

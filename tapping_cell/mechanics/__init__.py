@@ -1,4 +1,4 @@
-"""How an object answers a tap: bodies, support friction, sliding, impact and the whole tap."""
+"""Mechanics of a tap: bodies, support friction, sliding, impact and the whole tap."""
 
 from tapping_cell.mechanics.bodies import Body, Disk, Polygon, Ring
 from tapping_cell.mechanics.errors import (

@@ -21,9 +21,9 @@ Array = NDArray[np.float64]
 
 
 class Body:
-    """What every body has: ``mass``, ``height`` and what follows from its shape."""
+    """Common properties of all bodies: ``mass``, ``height`` and values derived from the shape."""
 
-    # Which closed form of the friction holds under it (see ``support_friction``).
+    # Type of the support, which selects the closed form of its friction (see ``support_friction``).
     support: ClassVar[str]
     mass: float
     height: float
@@ -35,12 +35,12 @@ class Body:
 
     @property
     def support_radius(self) -> float:
-        """Radius of the (equivalent) support, in m: the R of the sliding equations."""
+        """Radius R of the (equivalent) support in the sliding equations, in m."""
         raise NotImplementedError
 
     @property
     def bounding_radius(self) -> float:
-        """Largest distance from the centre of mass to the boundary, in m."""
+        """Maximum distance from the centre of mass to the boundary, in m."""
         raise NotImplementedError
 
     @property
@@ -54,11 +54,12 @@ class Body:
         return self.mass * self.support_radius**2 / self.inertia
 
     def boundary(self, angle: ArrayLike) -> Array:
-        """Points (..., 2) of the boundary, in m, in the directions ``angle`` (rad) of the body."""
+        """Points (..., 2) on the boundary, in m, at the angles ``angle`` (rad) about the centre of
+        mass."""
         raise NotImplementedError
 
     def normal(self, angle: ArrayLike) -> Array:
-        """Outward unit normals (..., 2) at :meth:`boundary` of the same angles."""
+        """Outward unit normals (..., 2) at the points of :meth:`boundary` for the same angles."""
         raise NotImplementedError
 
 
@@ -113,7 +114,7 @@ class Disk(_Round):
 
 @dataclass(frozen=True)
 class Ring(_Round):
-    """A thin ring that rests on its whole rim: ``radius`` and ``height`` in m, ``mass`` in kg.
+    """A thin ring supported on its whole rim: ``radius`` and ``height`` in m, ``mass`` in kg.
 
     Raises :class:`InvalidBodyError` for a value that is not finite and positive.
     """
@@ -131,12 +132,12 @@ class Ring(_Round):
 
 @dataclass(frozen=True)
 class Polygon(Body):
-    """A uniform convex polygon that rests on its whole face.
+    """A uniform convex polygon supported on its whole face.
 
-    ``vertices`` (N, 2) in m, either way round; they are kept counter-clockwise and moved so that
-    the centre of mass is the origin. ``mass`` in kg, ``height`` in m. Raises
+    ``vertices`` (N, 2) in m may be in either order; they are stored counter-clockwise, with the
+    centre of mass as origin. ``mass`` is in kg and ``height`` in m. Raises
     :class:`InvalidBodyError` for fewer than three vertices, a repeated vertex, a polygon that
-    crosses itself or is not convex, no area, and values that are not finite and positive.
+    crosses itself or is not convex, zero area, and values that are not finite and positive.
     """
 
     vertices: tuple[tuple[float, float], ...]
@@ -196,31 +197,33 @@ class Polygon(Body):
 
     @property
     def bounding_radius(self) -> float:
-        """Largest distance of a vertex from the centre of mass, in m."""
+        """Maximum distance of a vertex from the centre of mass, in m."""
         return float(np.hypot(*self.points.T).max())
 
     def equivalent_disk(self) -> Disk:
-        """The disk of the same mass, height and radius of gyration.
+        """Return the disk of the same mass, height and radius of gyration.
 
-        A square slides like it to 1 % of the distance, 4 % of the rotation and a drift of 1.5 %
-        of the distance, for launches with R omega up to v (tested); elongated shapes do not.
+        Its slide approximates that of a square to 1 % of the distance, 4 % of the rotation and a
+        drift of 1.5 % of the distance, for launches with R omega up to v (tested). It does not
+        approximate elongated shapes.
         """
         return Disk(self.support_radius, self.mass, self.height)
 
     def boundary(self, angle: ArrayLike) -> Array:
-        """Where rays from the centre of mass in the directions ``angle`` (rad) leave the face."""
+        """Points at which rays from the centre of mass at the angles ``angle`` (rad) leave the
+        face."""
         a = np.asarray(angle, dtype=float)
         ray = np.stack([np.cos(a), np.sin(a)], axis=-1)
         return np.asarray(self._exit(ray)[0][..., None] * ray)
 
     def normal(self, angle: ArrayLike) -> Array:
-        """Outward unit normals of the edges at :meth:`boundary` of the same angles."""
+        """Outward unit normals of the edges at the points of :meth:`boundary`."""
         a = np.asarray(angle, dtype=float)
         edge = self._exit(np.stack([np.cos(a), np.sin(a)], axis=-1))[1]
         return np.asarray(self.edge_normals[edge])
 
     def _exit(self, ray: Array) -> tuple[Array, NDArray[np.intp]]:
-        """Where rays from the centre leave the face: distance, and index of the edge."""
+        """Distance at which rays from the centre leave the face, and index of the edge."""
         closing = ray @ self.edge_normals.T
         support = np.einsum("ij,ij->i", self.points, self.edge_normals)
         with np.errstate(divide="ignore"):
@@ -229,7 +232,7 @@ class Polygon(Body):
 
 
 def _convex(vertices: Iterable[Iterable[float]]) -> Array:
-    """The vertices as a checked, counter-clockwise array."""
+    """Return the vertices as a validated, counter-clockwise array."""
     try:
         raw = np.array([tuple(v) for v in vertices], dtype=float)
     except (TypeError, ValueError) as problem:
@@ -241,7 +244,7 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
             f"polygon vertices have shape {raw.shape}; they must be (N, 2) with N at least 3."
         )
     points = _checked_finite(raw)
-    points = points - points.mean(axis=0)  # moments about a far origin would lose digits
+    points = points - points.mean(axis=0)  # moments about a distant origin lose accuracy
     edges = np.roll(points, -1, axis=0) - points
     lengths = np.hypot(*edges.T)
     size = float(lengths.max())

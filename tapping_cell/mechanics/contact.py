@@ -1,4 +1,4 @@
-"""Where a ball that flies along a line first touches a body; all in the body's frame, in m."""
+"""First contact of a ball moving along a line with a body; all in the body's frame, in m."""
 
 from __future__ import annotations
 
@@ -13,9 +13,12 @@ Array = NDArray[np.float64]
 
 
 class Contact(NamedTuple):
-    """The first touch: ``travel`` of the ball until then in m (negative where it starts inside),
-    ``point`` (..., 2) on the body in m, ``normal`` (..., 2) into the body, and ``missed``, where
-    the other fields hold harmless numbers."""
+    """The first contact.
+
+    ``travel`` of the ball until the contact is in m (negative if the ball starts inside the body).
+    ``point`` (..., 2) is on the body in m, and ``normal`` (..., 2) points into the body. If
+    ``missed``, the other fields are arbitrary finite numbers.
+    """
 
     missed: NDArray[np.bool_]
     travel: Array
@@ -24,11 +27,11 @@ class Contact(NamedTuple):
 
 
 def first_contact(body: Body, tip_radius: float, start: Array, direction: Array) -> Contact:
-    """The contact of a ball of ``tip_radius`` that flies from ``start`` along ``direction``.
+    """Contact of a ball of ``tip_radius`` that moves from ``start`` along ``direction``.
 
-    Both are (..., 2) in the body's frame, the direction of unit length. A ball that starts inside
-    the body is brought back along its line to the side where it would have come in; one that is
-    already past the body misses.
+    Both are (..., 2) in the body's frame; the direction has unit length. If the ball starts inside
+    the body, the contact is where its line enters the body, so the travel is negative. A ball that
+    is already past the body misses.
     """
     if isinstance(body, Polygon):
         return _polygon_contact(body, tip_radius, start, direction)
@@ -39,7 +42,7 @@ def first_contact(body: Body, tip_radius: float, start: Array, direction: Array)
 
 
 def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) -> Contact:
-    """The boundary that the ball's centre cannot cross: edges moved out by its radius, and arcs."""
+    """Intersect with the boundary of the ball's centre: edges offset by its radius, and arcs."""
     points, normals, lengths = body.points, body.edge_normals, body.edge_lengths
     from_vertex = start[..., None, :] - points
     closing = direction @ normals.T
@@ -60,7 +63,7 @@ def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) 
     edge, corner = edge_travel.argmin(axis=-1), corner_travel.argmin(axis=-1)
     first_edge = np.take_along_axis(edge_travel, edge[..., None], axis=-1)[..., 0]
     first_corner = np.take_along_axis(corner_travel, corner[..., None], axis=-1)[..., 0]
-    # A corner's arc begins where its edges end: prefer the edge in a tie.
+    # A corner's arc begins at the end of an edge, so the edge is preferred in a tie.
     by_edge = first_edge <= first_corner + 1e-12 * body.bounding_radius
     travel = np.where(by_edge, first_edge, first_corner)
     hits = np.isfinite(travel)
@@ -69,7 +72,7 @@ def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) 
     radius = tip if tip > 0 else 1.0
     corner_normal = (points[corner] - centre) / radius
     normal = np.where(by_edge[..., None], -normals[edge], corner_normal)
-    # The last place where the ball touches: is the whole body behind the start?
+    # A ball that starts with the whole body behind it misses.
     support = (np.einsum("...i,ji->...j", direction, points)).max(axis=-1) + tip
     hits &= np.einsum("...i,...i->...", start, direction) < support
     normal = np.where(hits[..., None], normal, -direction)
@@ -81,7 +84,7 @@ def _contact(hits: NDArray[np.bool_], travel: Array, point: Array, normal: Array
 
 
 def _enter_circle(start: Array, direction: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Travel until a point enters a circle round the origin; False where it never does."""
+    """Travel until a point enters a circle around the origin; False if it never does."""
     nearest = -(start * direction).sum(axis=-1)
     offset = start[..., 0] * direction[..., 1] - start[..., 1] * direction[..., 0]
     under = radius * radius - offset * offset

@@ -1,7 +1,7 @@
-"""What the mechanics refuse, and how they say so.
+"""Exceptions of the mechanics, and checks of their parameters.
 
-Every refusal is a :class:`MechanicsError`, a ``ValueError`` whose sentence names the quantity, the
-value that was given and the limit that it broke.
+Every exception is a :class:`MechanicsError`, a ``ValueError`` whose message gives the quantity, its
+value and the violated limit.
 """
 
 from __future__ import annotations
@@ -13,30 +13,30 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class MechanicsError(ValueError):
-    """A body, a parameter or a displacement that the mechanics cannot work with."""
+    """A body, a parameter or a displacement that the mechanics cannot process."""
 
 
 class InvalidBodyError(MechanicsError):
-    """A body that cannot exist: a negative mass, a polygon that is not convex."""
+    """A body that cannot exist, for example with negative mass or a nonconvex polygon."""
 
 
 class InvalidParameterError(MechanicsError):
-    """A number that is not finite or lies outside its range."""
+    """A number that is not finite or is outside its range."""
 
 
 class UnreachableDisplacementError(MechanicsError):
-    """A displacement that no single tap makes: more rotation than its distance allows."""
+    """A displacement that no single tap can produce: more rotation than its distance allows."""
 
 
 def positive(
     name: str, value: float, unit: str = "", error: type[MechanicsError] = InvalidParameterError
 ) -> float:
-    """``value`` as a float if it is finite and above zero; raises ``error`` otherwise."""
+    """Return ``value`` as a float if it is finite and above zero; raise ``error`` otherwise."""
     return _within(name, value, 0.0, math.inf, unit, error)
 
 
 def fraction(name: str, value: float) -> float:
-    """``value`` as a float if it lies in [0, 1]; raises :class:`InvalidParameterError`."""
+    """Return ``value`` as a float if it is in [0, 1]; else raise :class:`InvalidParameterError`."""
     number = _number(name, value, InvalidParameterError)
     if not 0.0 <= number <= 1.0:
         raise InvalidParameterError(f"{name} is {number!r}; it must lie from 0 to 1.")
@@ -44,7 +44,7 @@ def fraction(name: str, value: float) -> float:
 
 
 def not_negative(name: str, value: float, unit: str = "") -> float:
-    """``value`` as a float if it is finite and not below zero."""
+    """Return ``value`` as a float if it is finite and not below zero; raise otherwise."""
     number = _number(name, value, InvalidParameterError)
     if not 0.0 <= number < math.inf:
         raise InvalidParameterError(f"{name} is {_with_unit(number, unit)}; it must be 0 or more.")
@@ -52,7 +52,8 @@ def not_negative(name: str, value: float, unit: str = "") -> float:
 
 
 def finite(name: str, values: ArrayLike, unit: str = "") -> NDArray[np.float64]:
-    """``values`` as an array of floats if all are finite; raises :class:`InvalidParameterError`."""
+    """Return ``values`` as a float array if all are finite; else raise
+    :class:`InvalidParameterError`."""
     array = np.asarray(values, dtype=float)
     wrong = ~np.isfinite(array)
     if wrong.any():

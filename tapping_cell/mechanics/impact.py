@@ -1,20 +1,20 @@
 """Planar impact of a striker on a body: Routh's method with Poisson's restitution.
 
-Contact frame: n is the normal into the body, t is n turned by +90 degrees. The body's contact point
-is c = (c_n, c_t) from its centre of mass, the striker moves along a = (a_n, a_t) at speed v_s, and
-the impulse on the body is (P_n, P_t). The velocity of the body relative to the striker is, along
-the normal (compression) and along the tangent (sliding),
+In the contact frame, n is the normal into the body and t is n rotated by +90 degrees. The body's
+contact point relative to its centre of mass is c = (c_n, c_t), the striker moves along a = (a_n,
+a_t) at speed v_s, and the impulse on the body is (P_n, P_t). The velocity of the body relative to
+the striker is, along the normal (compression) and along the tangent (sliding),
 
     C = -a_n v_s + B2 P_n - B3 P_t
     S = -a_t v_s - B3 P_n + B1 P_t
 
     B1 = 1/m + c_n^2 / I + striker,  B2 = 1/m + c_t^2 / I + striker,  B3 = c_n c_t / I + striker
 
-where a striker in linear bearings adds (a_t^2, a_n^2, -a_n a_t) / m_s and a free one adds
-(1, 1, 0) / m_s. Routh's method (Wang and Mason, J. Applied Mechanics 59, 1992) follows the impulse
-along the friction limit until sliding stops (S = 0), then along S = 0 if friction can hold it,
-else along the opposite limit. Compression ends at C = 0, and Poisson's restitution e makes the
-whole normal impulse 1 + e times that of the compression.
+where a striker in linear bearings adds (a_t^2, a_n^2, -a_n a_t) / m_s and a free one adds (1, 1, 0)
+/ m_s. Routh's method (Wang and Mason, J. Applied Mechanics 59, 1992) follows the impulse along the
+friction limit until sliding stops (S = 0). It then continues along S = 0 if friction can prevent
+sliding, and otherwise along the opposite limit. Compression ends at C = 0, and with Poisson's
+restitution e the total normal impulse is 1 + e times that of the compression.
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ Rows = NDArray[np.intp] | slice
 _ALL = slice(None)
 Constraint = Literal["linear_bearings", "free"]
 
-# The largest angle between the striker's axis and the contact normal that plans use: a grazing
-# striker slides through the whole impact, so every impulse within the friction has a plan.
+# Maximum angle between the striker's axis and the contact normal in plans. A striker at grazing
+# incidence slides during the whole impact, so there is a plan for every impulse within the friction
+# cone.
 LARGEST_INCIDENCE = math.radians(89.0)
 _ROOT_STEPS = 60
 _ROOT_TOLERANCE = 1e-15
@@ -52,9 +53,9 @@ _SLOPE_TOLERANCE = 1e-14
 
 @dataclass(frozen=True, slots=True)
 class Striker:
-    """The moving part of the tapper: ``mass`` in kg, ball of ``tip_radius`` in m at its tip.
+    """The moving part of the tapper: ``mass`` in kg, and a ball of ``tip_radius`` in m at its tip.
 
-    ``constraint`` is ``"linear_bearings"`` (it can only move along its axis, as the paper's) or
+    ``constraint`` is ``"linear_bearings"`` (it can only move along its axis, as in the paper) or
     ``"free"``. Raises :class:`InvalidParameterError` for a mass that is not positive, a radius
     below 0 or another constraint.
     """
@@ -74,11 +75,11 @@ class Striker:
 
 
 class ImpactResult(NamedTuple):
-    """What an impact leaves, in the contact frame (n, t); every field has the shape of the input.
+    """Result of an impact in the contact frame (n, t); every field has the shape of the input.
 
-    ``normal_impulse`` and ``tangential_impulse`` on the body in N s; ``velocity`` (..., 2) of its
-    centre of mass in m/s and ``spin`` in rad/s; ``striker_velocity`` (..., 2) in m/s; ``sliding``
-    is the sign of S at the end, 0 where the contact stuck.
+    ``normal_impulse`` and ``tangential_impulse`` on the body are in N s; ``velocity`` (..., 2) of
+    its centre of mass is in m/s and ``spin`` in rad/s. ``striker_velocity`` (..., 2) is in m/s.
+    ``sliding`` is the sign of S at the end, 0 if the contact sticks.
     """
 
     normal_impulse: Array
@@ -93,11 +94,12 @@ class ImpactResult(NamedTuple):
 class Impact:
     """Impact of ``striker`` on ``body`` at rest.
 
-    ``restitution`` is Poisson's, 0 to 1; ``friction`` is that of the contact. Two ways to calibrate
-    a real device (section 3.1.1 of the paper fits two constants): ``scale`` multiplies the model's
-    B1, B2 and B3, and ``constants`` puts fitted numbers, 1/kg, in the place of those that are not
-    None. With neither, energy is never gained and an impact has its mirror image; a calibration
-    answers for itself. Raises :class:`InvalidParameterError` for values out of range.
+    ``restitution`` is Poisson's, 0 to 1, and ``friction`` is that of the contact. There are two
+    ways to calibrate the model for a real device (section 3.1.1 of the paper fits two constants):
+    ``scale`` multiplies the model's B1, B2 and B3, and ``constants`` replaces each by a fitted
+    value in 1/kg, unless that is None. Without calibration, energy never increases and mirrored
+    impacts have mirrored results; with calibration, neither is guaranteed. Raises
+    :class:`InvalidParameterError` for values out of range.
     """
 
     body: Body
@@ -129,10 +131,10 @@ class Impact:
         object.__setattr__(self, "constants", constants)
 
     def largest_impulse_angle(self, contact: ArrayLike) -> Array:
-        """The largest angle (rad) of the impulse to either side of the normal at ``contact``.
+        """Maximum angle (rad) of the impulse to either side of the normal at ``contact``.
 
-        It is atan of the contact friction, unless no incidence up to ``LARGEST_INCIDENCE`` makes
-        the contact slide that far. ``contact`` as for :meth:`strike`.
+        It is the arctangent of the contact friction, unless no incidence up to
+        ``LARGEST_INCIDENCE`` makes the contact slide throughout. ``contact`` as for :meth:`strike`.
         """
         c = np.asarray(contact, dtype=float)
         angle = np.full(c.shape[:-1], LARGEST_INCIDENCE)
@@ -145,10 +147,10 @@ class Impact:
     def inverse_inertias(
         self, incidence: ArrayLike, contact: ArrayLike
     ) -> tuple[Array, Array, Array]:
-        """B1, B2 and B3, calibrated, in 1/kg. Arguments as for :meth:`strike`.
+        """Calibrated B1, B2 and B3 in 1/kg. Arguments as for :meth:`strike`.
 
-        Raises :class:`InvalidParameterError` where the calibrated values are not those of any mass,
-        B1 B2 <= B3^2.
+        Raises :class:`InvalidParameterError` if the calibrated values are physically impossible, B1
+        B2 <= B3^2.
         """
         angle, c = np.asarray(incidence, dtype=float), np.asarray(contact, dtype=float)
         a_n, a_t = np.cos(angle), np.sin(angle)
@@ -174,10 +176,10 @@ class Impact:
         return b1, b2, b3
 
     def strike(self, speed: ArrayLike, incidence: ArrayLike, contact: ArrayLike) -> ImpactResult:
-        """The impact of a striker at ``speed`` (m/s, 0 or more).
+        """Compute the impact of a striker at ``speed`` (m/s, 0 or more).
 
-        ``incidence`` is the angle from the normal n to the striker's axis in rad, within a right
-        angle; ``contact`` (..., 2) is (c_n, c_t) in m, (-R, 0) for a disk. Arguments broadcast.
+        ``incidence`` is the angle from the normal n to the striker's axis in rad, at most a right
+        angle. ``contact`` (..., 2) is (c_n, c_t) in m, (-R, 0) for a disk. Arguments broadcast.
         Raises :class:`InvalidParameterError` for values out of range.
         """
         v = finite("striker speed", speed, "m/s")
@@ -207,10 +209,10 @@ class Impact:
         )
 
     def incidence_for(self, impulse_slope: ArrayLike, contact: ArrayLike) -> Array:
-        """The incidence (rad) whose impulse has P_t / P_n = ``impulse_slope``, within friction.
+        """Incidence (rad) at which the impulse has P_t / P_n = ``impulse_slope``.
 
-        ``contact`` as for :meth:`strike`. NaN where no incidence within
-        ``LARGEST_INCIDENCE`` gives the slope.
+        The slope must be within the friction cone. ``contact`` as for :meth:`strike`. NaN if no
+        incidence within ``LARGEST_INCIDENCE`` gives the slope.
         """
         bracket = self._bracket(impulse_slope, contact)
         root = np.full(bracket.found.shape, np.nan)
@@ -222,18 +224,19 @@ class Impact:
         return root.reshape(bracket.shape)
 
     def has_incidence(self, impulse_slope: ArrayLike, contact: ArrayLike) -> NDArray[np.bool_]:
-        """Whether :meth:`incidence_for` finds an incidence; much faster."""
+        """Return whether :meth:`incidence_for` finds an incidence; much faster."""
         bracket = self._bracket(impulse_slope, contact)
         return bracket.found.reshape(bracket.shape)
 
     def _bracket(self, impulse_slope: ArrayLike, contact: ArrayLike) -> _Bracket:
-        """Two incidences between which the impulse takes the slope."""
+        """Bracket the incidence at which the impulse has the slope."""
         slope = np.asarray(impulse_slope, dtype=float)
         c = np.asarray(contact, dtype=float)
         shape = np.broadcast_shapes(slope.shape, c.shape[:-1])
         slope = np.broadcast_to(slope, shape).ravel()
         c = np.broadcast_to(c, (*shape, 2)).reshape(-1, 2)
-        # Right at the limit the slope is flat in the incidence: aim a hair inside it.
+        # At the limit, the slope does not depend on the incidence, so the target is slightly inside
+        # it.
         limit = self.friction * (1 - 1e-11)
         target = np.clip(slope, -limit, limit)
         beyond = np.abs(slope) > self.friction * (1 + 1e-9)
@@ -244,8 +247,8 @@ class Impact:
 
         straight = np.zeros(slope.shape)
         e_straight = error(straight, _ALL)
-        # A contact that sticks answers to the tangent of the incidence: half as far again as a
-        # linear guess is beyond the root, if not the last place to look is.
+        # For a sticking contact, the slope depends on the tangent of the incidence. 1.5 times the
+        # linear estimate is usually beyond the root; otherwise the largest incidence is used.
         b1, b2, _ = self.inverse_inertias(straight, c)
         other = np.arctan(-1.5 * (1 + self.restitution) * b1 / b2 * e_straight)
         e_other = error(other, _ALL)
@@ -253,7 +256,8 @@ class Impact:
         if open_ended.any():
             other = np.where(open_ended, np.copysign(LARGEST_INCIDENCE, -e_straight), other)
             e_other = np.where(open_ended, error(other, _ALL), e_other)
-        # Far off a polygon's normal the slope may fall with the incidence: look on that side too.
+        # Far from a polygon's normal, the slope may decrease with the incidence, so try the other
+        # side too.
         wrong_side = e_other * e_straight > 0
         if wrong_side.any():
             other = np.where(wrong_side, np.copysign(LARGEST_INCIDENCE, e_straight), other)
@@ -262,17 +266,17 @@ class Impact:
         return _Bracket(shape, found, straight, other, e_straight, e_other, error)
 
     def _routh(self, incidence: Array, contact: Array) -> tuple[Array, Array, Array]:
-        """Impulses for a striker of unit speed, and the sign of the sliding at the end."""
+        """Impulses for a striker of unit speed, and the sign of the sliding velocity at the end."""
         a_n, a_t = np.cos(incidence), np.sin(incidence)
         b1, b2, b3 = self.inverse_inertias(incidence, contact)
         mu = self.friction
-        # First leg: friction opposes the sliding, until p_stop.
+        # First phase: friction opposes the sliding, until p_stop.
         direction = -np.sign(a_t)
         first = -direction * mu
         closing = direction * b3 + mu * b1
         stops = (closing > 0) | (direction == 0)
         p_stop = np.where(stops, np.abs(a_t) / np.where(stops & (closing > 0), closing, 1), np.inf)
-        # Second leg: sticking, or reverse sliding where friction cannot hold.
+        # Second phase: sticking, or reverse sliding if friction cannot prevent it.
         hold = b3 / b1
         second = np.clip(hold, -mu, mu)
         rate_first = b2 - b3 * first
@@ -293,8 +297,12 @@ class Impact:
 
 
 class _Bracket(NamedTuple):
-    """Flat: incidences of a slope too low and too high, the errors of the slope there, and whether
-    there is a root between; ``error`` is the function of incidence and rows."""
+    """Brackets as flat arrays.
+
+    ``low`` and ``high`` are incidences on opposite sides of the root, ``e_low`` and ``e_high`` the
+    errors of the slope there, and ``found`` states whether there is a root between them. ``error``
+    is the function of incidence and rows.
+    """
 
     shape: tuple[int, ...]
     found: NDArray[np.bool_]
@@ -308,9 +316,10 @@ class _Bracket(NamedTuple):
 def _bracketed_root(
     function: Callable[[Array, Rows], Array], low: Array, high: Array, f_low: Array, f_high: Array
 ) -> Array:
-    """Zeros between ``low`` and ``high``, (n,), by Chandrupatla's method, elementwise (1997).
+    """Roots between ``low`` and ``high``, (n,), by Chandrupatla's method, elementwise (1997).
 
-    ``function`` takes places and the rows that they are of; rows that are done are left out.
+    ``function`` takes values and the rows to which they belong; rows that have converged are
+    omitted.
     """
     found = low.copy()
     rows: NDArray[np.intp] = np.arange(low.size)

@@ -1,17 +1,17 @@
 """Sliding of a convex polygon on uniform pressure, by integration in time.
 
-A polygon's friction depends on how the travel lies in the body, and the body turns as it slides,
-so no single table holds it. The friction itself has a closed form: with the centre of rotation c,
-every point moves at right angles to r - c, and over a face of area A
+A polygon's friction depends on the direction of travel in the body, and the body rotates as it
+slides, so a table like that of a round body is not possible. The friction itself has a closed form.
+With the centre of rotation c, every point moves at right angles to r - c, and over a face of area A
 
     mean of (r - c) / |r - c|  = (1 / A) sum over edges of n J,   J = int |r - c| ds,
     mean of |r - c|            = (1 / 3 A) sum of d J,            d = (edge - c) . n,
     2 J = s2 r2 - s1 r1 + d^2 ln((r1 + r2 + L) / (r1 + r2 - L)),
 
 by the divergence theorem, as in Goyal, Ruina and Papadopoulos (Wear 143, 1991). The motion is
-stepped in the logarithm of the velocity's size, in which a slide is smooth up to its end, by the
-classic Runge-Kutta method. Accuracy: 1e-4 relative against a brute-force grid of friction points
-(tested at 1e-3, the grid's own limit); the inverse undoes it to 1e-11.
+integrated over the logarithm of the velocity's magnitude, in which a slide is smooth until its end,
+by the classic Runge-Kutta method. Its accuracy is 1e-4 relative to a brute-force grid of friction
+points (tested at 1e-3, the accuracy of the grid); the inverse is accurate to 1e-11.
 """
 
 from __future__ import annotations
@@ -31,25 +31,27 @@ Array = NDArray[np.float64]
 _STEP = 0.08
 _STEPS = 80
 _CHUNK = 512
-# Speed over spin, in radii of gyration. The closed form loses the cube of it in digits, to 1e-11
-# here; farther out the integrand is so smooth that few points give all of them.
+# Ratio of speed to spin, in radii of gyration, above which quadrature replaces the closed form. The
+# rounding error of the closed form grows with the cube of this ratio, to 1e-11 here. Above it, the
+# integrand is so smooth that a few points give full accuracy.
 _FAR = 50.0
 _FAR_POINTS = 4
 _TINY = 1e-300
 _INVERSE_STEPS = 40
 _SIMPLE_STEPS = 400
 _INVERSE_TOLERANCE = 5e-11
-# A small rotation is found to the tolerance of itself, down to this share of the distance.
+# The tolerance is relative to each component, down to this fraction of the largest component.
 _SMALLEST_SHARE = 1e-3
 
 
 class PolygonSlide:
-    """Slides of one polygon. ``deceleration`` is mu g in m/s^2; all frames are those at launch."""
+    """Slides of one polygon, in the frame at launch. ``deceleration`` is mu g in m/s^2."""
 
     def __init__(
         self, polygon: Polygon, deceleration: float, torque_factor: float, disk: RoundSlide
     ) -> None:
-        """Prepare the edges and the moments of the face; ``disk`` is the equivalent disk's."""
+        """Prepare the edges and the moments of the face; ``disk`` slides like the equivalent
+        disk."""
         self._disk = disk
         self._deceleration = deceleration
         self._torque_factor = torque_factor
@@ -62,7 +64,7 @@ class PolygonSlide:
         self._points, self._weights = _quadrature(polygon)
 
     def rest(self, speed: ArrayLike, spin: ArrayLike, direction: ArrayLike = 0.0) -> Rest:
-        """Where launches end, with the drift to the left of ``direction``."""
+        """Compute the end of launches, with the drift to the left of ``direction``."""
         v, w, a = _broadcast(("speed", speed), ("spin", spin), ("direction", direction))
         moved, duration = self._slide(_twists(v.ravel(), w.ravel(), a.ravel()))
         along, left = _turned(moved, -a.ravel())
@@ -74,7 +76,7 @@ class PolygonSlide:
     def launch(
         self, distance: ArrayLike, rotation: ArrayLike, direction: ArrayLike = 0.0
     ) -> Launch:
-        """The launches along ``direction`` that end there."""
+        """Compute the launches along ``direction`` that end there."""
         x, theta, a = _broadcast(
             ("distance", distance), ("rotation", rotation), ("direction", direction)
         )
@@ -105,7 +107,8 @@ class PolygonSlide:
         return self._disk.twist_for(nearby)
 
     def profile(self, speed: Array, spin: Array, direction: Array, times: Array) -> Profile:
-        """Launches (n,) in time (k,); results (n, k), along the directions."""
+        """Compute the motion of launches (n,) along the directions at times (k,); results (n,
+        k)."""
         velocity, moved = self._path(_twists(speed, spin, direction), times)
         return Profile(
             times=times,
@@ -116,7 +119,7 @@ class PolygonSlide:
         )
 
     def _scale(self, distance: Array, rotation: Array) -> Array:
-        """Sizes (n, 3) of the displacements' columns, for the inverse."""
+        """Scales (n, 3) of the displacements' columns, for the inverse."""
         x, s = np.abs(distance), np.abs(self._gyration * rotation)
         least = np.where((x > 0) | (s > 0), _SMALLEST_SHARE * np.maximum(x, s), 1.0)
         x, s = np.maximum(x, least), np.maximum(s, least)
@@ -149,7 +152,7 @@ class PolygonSlide:
             u = (at - t[row]) / np.where(width > 0, width, 1.0)
             v0, v1 = speeds[row, :, i].T, speeds[row + 1, :, i].T
             x0, x1 = knots[row, :3, i].T, knots[row + 1, :3, i].T
-            # The displacement as a cubic with the velocities at the knots, and its derivative.
+            # Cubic interpolation of the displacement, with the velocities at the knots as slopes.
             a = v0 * width
             c = 3 * (x1 - x0) - (2 * v0 + v1) * width
             d = 2 * (x0 - x1) + (v0 + v1) * width
@@ -161,8 +164,8 @@ class PolygonSlide:
     def friction(self, vx: Array, vy: Array, spin: Array) -> tuple[Array, Array, Array]:
         """Means over the face of the direction of motion (x, y) and of its moment (m).
 
-        Velocities (n,) of the centre of mass in the body's axes, not all zero. The friction force
-        is -mu m g times the first two, the torque -mu m g times the third.
+        The arguments are velocities (n,) of the centre of mass in the body's axes, not all zero.
+        The friction force is -mu m g times the first two means, the torque -mu m g times the third.
         """
         speed = np.hypot(vx, vy)
         far = speed > _FAR * self._gyration * np.abs(spin)
@@ -187,12 +190,12 @@ class PolygonSlide:
         return mean_x, mean_y, moment
 
     def _far_friction(self, vx: Array, vy: Array, spin: Array) -> tuple[Array, Array, Array]:
-        """The same by quadrature, in differences that keep their digits down to no spin at all."""
+        """Friction by quadrature, with differences that remain accurate down to zero spin."""
         speed = np.hypot(vx, vy)
         q = spin / speed
         ex, ey = vx / speed, vy / speed
         x, y = self._points
-        # A point moves by 1 + q a along the travel and by q b to its left.
+        # A point moves by 1 + q a along the travel and by q b to the left.
         b = x * ex + y * ey
         a = x * ey - y * ex
         ahead, left = 1 + q * a, q * b
@@ -201,7 +204,7 @@ class PolygonSlide:
         left /= size
         ahead += size
         ahead *= size
-        square /= ahead  # one less the unit vector's part along
+        square /= ahead  # 1 minus the component of the unit vector along the travel
         loss, turn = -(self._weights @ square), self._weights @ left
         b *= left
         a *= square
@@ -210,8 +213,11 @@ class PolygonSlide:
         return ex * (1 + loss) - ey * turn, ey * (1 + loss) + ex * turn, moment
 
     def rates(self, unit: Array, angle: Array) -> tuple[Array, Array]:
-        """Friction (3, n) on the velocity (vx, vy, gyration * omega), of unit length and in the
-        axes of the launch, of a body turned by ``angle`` since; and its part along the velocity."""
+        """Friction (3, n) on a body, and its component along the velocity.
+
+        The velocity ``unit`` is (vx, vy, gyration * omega), of unit length and in the axes of the
+        launch. The body has rotated by ``angle`` since the launch.
+        """
         cos, sin = np.cos(angle), np.sin(angle)
         mean_x, mean_y, moment = self.friction(
             cos * unit[0] + sin * unit[1], cos * unit[1] - sin * unit[0], unit[2] / self._gyration
@@ -252,7 +258,7 @@ class PolygonSlide:
             unit = unit + _STEP / 6 * (a + 2 * b + 2 * c + d)
             unit /= np.sqrt((unit**2).sum(axis=0))
             state = state + _STEP / 6 * (p + 2 * q + 2 * r + s)
-        # The rest of the way, 1e-6 of it, at the last friction.
+        # The remaining fraction of the motion, 1e-6, is computed with the last friction.
         size = np.exp(-_STEPS * _STEP)
         _, loss = self.rates(unit, state[2])
         time = per_size * size / loss
@@ -265,10 +271,10 @@ def invert(
 ) -> Array:
     """Solve forward(z, rows) = target[rows], (n, k), near the identity: Broyden's method.
 
-    ``scale`` (n, k) brings the columns to one size; rows that are done are left out. Broyden's
-    method may go round and round where ``forward`` has a bend, as a table has; such rows are solved
-    by simple iteration, which is slow and sure. Raises :class:`MechanicsError` if some row does not
-    converge.
+    ``scale`` (n, k) normalises the columns; rows that have converged are omitted. Broyden's method
+    may cycle at a kink of ``forward``, as between the cells of a table; such rows are solved by a
+    fixed-point iteration, which is slow but reliable. Raises :class:`MechanicsError` if a
+    row does not converge.
     """
     goal = target / scale
     z = goal.copy()
@@ -277,7 +283,7 @@ def invert(
     inverse = np.broadcast_to(np.eye(goal.shape[1]), (*goal.shape, goal.shape[1])).copy()
     error = np.full(len(goal), np.inf)
     for _ in range(_INVERSE_STEPS):
-        # A row within the tolerance takes one more step, which brings it to rounding.
+        # A row within the tolerance takes one more step, which reduces its error to rounding.
         left = error > _INVERSE_TOLERANCE
         rows, residual, inverse = rows[left], residual[left], inverse[left]
         error = np.abs(residual).max(axis=1, initial=0.0)
@@ -307,8 +313,8 @@ def invert(
 
 
 def _quadrature(polygon: Polygon) -> tuple[Array, Array]:
-    """Points (2, k, 1) and weights (k,) of the mean over the face: Gauss's rule in the triangles
-    from the centre to the edges."""
+    """Points (2, k, 1) and weights (k,) for the mean over the face, by Gauss quadrature in the
+    triangles from the centre to the edges."""
     roots, halves = np.polynomial.legendre.leggauss(_FAR_POINTS)
     nodes, weights = (roots + 1) / 2, halves / 2
     a, b = polygon.points, np.roll(polygon.points, -1, axis=0)
@@ -328,7 +334,7 @@ def _twists(speed: Array, spin: Array, direction: Array) -> Array:
 
 
 def _turned(planar: Array, angle: Array) -> tuple[Array, Array]:
-    """x and y of vectors (..., 3) turned by an angle."""
+    """x and y of vectors (..., 3) rotated by an angle."""
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = planar[..., 0], planar[..., 1]
     return cos * x - sin * y, sin * x + cos * y

@@ -1,20 +1,22 @@
-"""Sliding of a polygon by a table: a million slides a second, where integration gives thousands.
+"""Sliding of a polygon from a table, at a million slides per second instead of thousands.
 
 In units of the radius of gyration rho and of the deceleration mu g, a slide depends on three
 numbers: the direction alpha of the launch in the body, the angle phi = atan(rho omega / v) of spin
-to speed, and the size s = N^2 / (mu g rho) with N^2 = v^2 + rho^2 omega^2, which says by how much
-the body turns while it slides. Kept are four functions of them, for the axes of the launch:
+to speed, and the size s = N^2 / (mu g rho) with N^2 = v^2 + rho^2 omega^2. The size determines how
+much the body rotates while it slides. The table holds four functions of them, in the axes of the
+launch:
 
     along = (N^2 / mu g) A,  left = (N^2 / mu g) L,
     rotation = (omega N / mu g) B,  duration = (N / mu g) D,
 
-each less the part of the equivalent disk, which holds what is not smooth. The table is filled from
-slow to fast: a launch of size s slides a little, by the equations of motion, and is then a launch
-of a smaller size that is known (a semi-Lagrangian scheme). It is filled with cubic interpolation
-on a coarse grid and read with linear interpolation on a finer one.
+each minus that of the equivalent disk, which contains the part that is not smooth. The table is
+filled from slow to fast launches. A launch of size s slides for a short distance, by the equations
+of motion, and is then a launch of a smaller size that is already in the table (a semi-Lagrangian
+scheme). The table is filled with cubic interpolation on a coarse grid and read with linear
+interpolation on a finer grid.
 
-The table goes to ``LARGEST_SIZE``, which for the paper's objects is a slide of 100 to 200 mm. A
-faster launch is slid by the equations of motion until it is in the table.
+The table ends at ``LARGEST_SIZE``, which for the paper's objects is a slide of 100 to 200 mm. A
+faster launch is integrated by the equations of motion until it is within the table.
 
 Accuracy: 1e-3 of the displacement and 1e-2 of the duration.
 """
@@ -36,24 +38,24 @@ from tapping_cell.mechanics.slide_table import slide_table
 Array = NDArray[np.float64]
 
 LARGEST_SIZE = 8.0
-"""s up to which the table goes."""
+"""Maximum size s in the table."""
 
 _SIZES = 49
 _SIZE_GRADE = 2.0
 _LAST_LEVEL = LARGEST_SIZE / (LARGEST_SIZE + _SIZE_GRADE)
 _RATIOS = 65
-"""Of phi, from pure spin one way to pure spin the other."""
+"""Number of values of phi, from pure spin in one direction to pure spin in the other."""
 _DIRECTIONS = 72
-"""Of alpha all around; fewer by the polygon's symmetry."""
+"""Number of values of alpha for a full turn; reduced by the polygon's symmetry."""
 _FEWEST_DIRECTIONS = 12
 _FINER = 2
 _EDGE = 8
-"""Directions that are repeated beyond both ends for the cubic interpolation."""
+"""Number of directions repeated beyond both ends for the cubic interpolation."""
 _STEP = 0.15
 _STEPS_TO_REST = 60
 _SLOW = 1e-6
 _BLOCK = 16384
-"""Slides that are looked up at once: what fits the cache."""
+"""Number of slides looked up in one operation, chosen to fit the cache."""
 _TINY = 1e-12
 _FEW_TABLES = 8
 
@@ -62,7 +64,8 @@ class PolygonTable:
     """Displacements of launches of one polygon shape at one torque factor, rho = mu g = 1."""
 
     def __init__(self, points: Array, torque_factor: float) -> None:
-        """``points`` (n, 2): the vertices in units of the radius of gyration."""
+        """Create the table from the vertices ``points`` (n, 2) in units of the radius of
+        gyration."""
         unit = Polygon(tuple(map(tuple, points.tolist())), 1.0, 1.0)
         self._disk = RoundSlide(
             slide_table(unit.support, torque_factor * unit.gamma), 1.0, unit.support_radius
@@ -83,16 +86,16 @@ class PolygonTable:
         return moved, duration
 
     def _slide_into(self, twist: Array) -> tuple[Array, Array]:
-        """The same of launches beyond the table."""
+        """Displacements (n, 3) and durations (n,) of launches beyond the table."""
         square = (twist * twist).sum(axis=1)
         major = np.sqrt(square)
         length = 0.5 * np.log(square / LARGEST_SIZE)
-        # The larger the size, the more the body turns in a step.
+        # The larger the size, the more the body rotates in a step.
         steps = math.ceil(float((length * square).max()) / (LARGEST_SIZE * _STEP))
         unit, state = self._advance(twist.T / major, square, length / steps, steps)
         before, turned = square * state[:3], square * state[2]
         cos, sin = np.cos(turned), np.sin(turned)
-        # A hair below the edge, where rounding does not lead beyond it.
+        # Stay slightly below the edge, so that rounding does not exceed it.
         vx, vy, spin = (1.0 - _TINY) * math.sqrt(LARGEST_SIZE) * unit
         inside = np.stack([cos * vx + sin * vy, cos * vy - sin * vx, spin], axis=-1)
         (x, y, theta), duration = (part.T for part in self._look_up(inside))
@@ -100,7 +103,7 @@ class PolygonTable:
         return (before + after).T, major * state[3] + duration
 
     def _look_up(self, twist: Array) -> tuple[Array, Array]:
-        """The same of launches up to ``LARGEST_SIZE``."""
+        """Displacements (n, 3) and durations (n,) of launches up to ``LARGEST_SIZE``."""
         vx, vy, spin = twist.T
         speed = np.hypot(vx, vy)
         square = speed * speed + spin * spin
@@ -147,7 +150,7 @@ class PolygonTable:
         return np.stack([distance, np.zeros_like(cos), rotation / sin, duration])
 
     def _filled(self, count: int) -> Array:
-        """What the coarse grid holds, (4, sizes, ratios, directions)."""
+        """Compute the values on the coarse grid, (4, sizes, ratios, directions)."""
         directions = np.arange(count) * (2 * math.pi / self._fold / count)
         ratios = np.linspace(-math.pi / 2, math.pi / 2, _RATIOS)
         ratios = np.clip(ratios, _SLOW - math.pi / 2, math.pi / 2 - _SLOW)
@@ -157,7 +160,8 @@ class PolygonTable:
         sizes = _SIZE_GRADE * levels / (1.0 - levels)
         table = np.empty((4, _SIZES, _RATIOS, count))
         for index, size in enumerate(sizes.tolist()):
-            # There is no way from one size to none: the first two levels are slid to the end.
+            # The first two levels are integrated to the end, because the ratio of their sizes is
+            # infinite.
             known = table[:, index - 1] if index > 1 else None
             length = 0.5 * math.log(size / sizes[index - 1]) if index > 1 else 0.0
             level = self._level(phi, alpha, size, length, known)
@@ -167,8 +171,11 @@ class PolygonTable:
     def _level(
         self, phi: Array, alpha: Array, size: float, length: float, known: Array | None
     ) -> Array:
-        """What the grid holds at a size; ``known``: at the one that is left after the logarithm of
-        N has fallen by ``length``, None to slide to the end."""
+        """Compute the values of one size on the grid.
+
+        ``known`` holds the values at the size that remains after the logarithm of N has decreased
+        by ``length``; None to integrate to the end.
+        """
         unit = np.stack([np.cos(phi) * np.cos(alpha), np.cos(phi) * np.sin(alpha), np.sin(phi)])
         steps = _STEPS_TO_REST if known is None else max(1, math.ceil(length / _STEP))
         step = _STEP if known is None else length / steps
@@ -197,9 +204,11 @@ class PolygonTable:
     def _advance(
         self, unit: Array, size: float | Array, step: float | Array, steps: int
     ) -> tuple[Array, Array]:
-        """Slide on by steps of the logarithm of N: the unit launch (3, n) afterwards, in the axes
-        of the start, and displacement over N^2 and time over N, (4, n). Sizes and steps are one
-        for all or (n,)."""
+        """Integrate the slide over steps of the logarithm of N.
+
+        Returns the unit launch (3, n) afterwards, in the axes of the start, and displacement over
+        N^2 and time over N, (4, n). Sizes and steps are scalars or (n,).
+        """
 
         def slope(length: float | Array, unit: Array, state: Array) -> tuple[Array, Array]:
             force, loss = self._slide.rates(unit, size * state[2])
@@ -220,7 +229,7 @@ class PolygonTable:
         return unit, state
 
     def _cubic(self, phi: Array, alpha: Array, known: Array) -> Array:
-        """A, L, B and D, (4, n), from one filled level (4, ratios, directions)."""
+        """A, L, B and D, (4, n), from one completed level (4, ratios, directions)."""
         count = known.shape[2]
         turn = alpha * (self._fold * count / (2 * math.pi))
         turn -= count * np.floor(turn / count)
@@ -229,7 +238,7 @@ class PolygonTable:
         return np.asarray(np.stack(found) + self._disk_factors(phi))
 
     def _finer(self, table: Array) -> Array:
-        """The coarse table on the grid that is read, the last direction the first one again."""
+        """Interpolate the coarse table to the finer grid; its last direction repeats the first."""
         _, ratios, directions = self._shape
         grid = np.meshgrid(
             np.linspace(0, _RATIOS - 1, ratios),
@@ -245,12 +254,12 @@ class PolygonTable:
 
 
 def _around(table: Array) -> Array:
-    """A table with some directions repeated beyond both ends."""
+    """Repeat some directions of a table beyond both ends."""
     return np.concatenate([table[..., -_EDGE:], table, table[..., : _EDGE + 1]], axis=-1)
 
 
 def symmetry(polygon: Polygon) -> int:
-    """How many turns of up to a full one map a polygon onto itself."""
+    """Number of rotations, up to a full turn, that map a polygon onto itself."""
     points = polygon.points
     near = 1e-9 * polygon.bounding_radius
     for fold in range(len(points), 1, -1):
@@ -270,15 +279,15 @@ def _kept(points: tuple[tuple[float, float], ...], torque_factor: float) -> Poly
 
 
 class TabulatedPolygonSlide(PolygonSlide):
-    """Slides of one polygon by its table."""
+    """Slides of one polygon from its table."""
 
     def __init__(
         self, polygon: Polygon, deceleration: float, torque_factor: float, disk: RoundSlide
     ) -> None:
-        """Make the table, or take the one that is kept for this shape and torque factor."""
+        """Create the table, or take the cached one for this shape and torque factor."""
         super().__init__(polygon, deceleration, torque_factor, disk)
         rho = polygon.radius_of_gyration
-        # Rounded, so that the same shape at another scale or place has the same table.
+        # Rounded, so that the same shape at another scale or place uses the same table.
         shape = tuple(map(tuple, np.round(polygon.points / rho, 10).tolist()))
         self._table = _kept(shape, round(torque_factor, 10))
         self._rho = rho

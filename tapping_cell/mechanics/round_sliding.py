@@ -1,4 +1,4 @@
-"""Sliding of a body whose friction is the same in all directions: the table in SI units."""
+"""Sliding of a body with isotropic friction: the table in SI units."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from tapping_cell.mechanics.slide_table import SlideTable
 Array = NDArray[np.float64]
 
 _PROFILE_STEP = 0.04
-# ln of the share of the duration below which the motion is lost in rounding.
+# Logarithm of the fraction of the duration below which the motion is lost in rounding errors.
 _PROFILE_END = -20.0
 
 
 class RoundSlide:
-    """Slides by a table. ``deceleration`` is mu g in m/s^2, ``radius`` the support's in m."""
+    """Slides from a table. ``deceleration`` is mu g in m/s^2, ``radius`` is the support's in m."""
 
     def __init__(self, table: SlideTable, deceleration: float, radius: float) -> None:
-        """Keep the table and the units."""
+        """Store the table and the units."""
         self.table = table
         self._deceleration = deceleration
         self._radius = radius
 
     def rest(self, speed: ArrayLike, spin: ArrayLike, direction: ArrayLike = 0.0) -> Rest:
-        """Where launches end; the direction does not matter."""
+        """Compute the end of launches; the direction does not matter."""
         del direction
         if isinstance(speed, (float, int)) and isinstance(spin, (float, int)):
             v, w = float(speed), float(spin)
@@ -51,7 +51,7 @@ class RoundSlide:
     def launch(
         self, distance: ArrayLike, rotation: ArrayLike, direction: ArrayLike = 0.0
     ) -> Launch:
-        """The launches that end there; the direction does not matter."""
+        """Compute the launches that end there; the direction does not matter."""
         del direction
         g = self._deceleration
         if isinstance(distance, (float, int)) and isinstance(rotation, (float, int)):
@@ -70,7 +70,7 @@ class RoundSlide:
         return Launch(speeds.reshape(x_all.shape), rims.reshape(x_all.shape))
 
     def displace(self, twist: Array) -> Array:
-        """Displacements (..., 3) of launches (..., 3): straight on, and turned."""
+        """Displacements (..., 3) of launches (..., 3): along the launch, with a rotation."""
         speed = np.hypot(twist[..., 0], twist[..., 1])
         distance, rotation, _ = self.rest(speed, twist[..., 2])
         scale = distance / np.where(speed > 0, speed, 1.0)
@@ -84,7 +84,7 @@ class RoundSlide:
         return np.stack([scale * displacement[..., 0], scale * displacement[..., 1], spin], axis=-1)
 
     def profile(self, speed: Array, spin: Array, direction: Array, times: Array) -> Profile:
-        """Launches (n,) in time (k,); results (n, k)."""
+        """Compute the motion of launches (n,) at times (k,); results (n, k)."""
         del direction
         g, r = self._deceleration, self._radius
         rim = spin * r
@@ -105,9 +105,9 @@ def _slow_down(
 ) -> tuple[Array, Array]:
     """Speed and rim speed, each (launches, times), of launches (n,) at reduced times (k,).
 
-    The ratio of spin and speed is a function of the share of the duration that is left: one
-    autonomous equation in its logarithm, stepped by the classic Runge-Kutta method; the size then
-    follows from the time left.
+    The ratio of spin to speed is a function of the remaining fraction of the duration. It follows
+    from an autonomous differential equation in its logarithm, integrated by the classic Runge-Kutta
+    method. The magnitude then follows from the remaining time.
     """
     total = table.rest_many(speed, rim_speed)[2]
     left = np.maximum(total[:, None] - time, 0.0)
@@ -119,7 +119,7 @@ def _slow_down(
         np.log(np.where(both, s_size, 1.0) / np.where(both, v_size, 1.0)),
         np.log(np.maximum(share, math.exp(_PROFILE_END))),
     )
-    # Directions of unit size, then the size that takes exactly the time left to stop.
+    # Directions of unit size, scaled so that the remaining time until rest is correct.
     v_unit = np.exp(np.minimum(-log_ratio, 0.0))
     s_unit = np.exp(np.minimum(log_ratio, 0.0))
     v_unit = np.where(both[:, None], v_unit, (v_size > 0)[:, None] * 1.0)
@@ -133,7 +133,8 @@ def _slow_down(
 
 
 def _ratio_at(table: SlideTable, start: Array, log_left: Array) -> Array:
-    """ln(R omega / v) at ln(share of the time left), (n, k), of launches that start at (n,)."""
+    """ln(R omega / v), (n, k), of launches that start at (n,), at ln(fraction of time
+    remaining)."""
     steps = max(1, math.ceil(-float(log_left.min(initial=0.0)) / _PROFILE_STEP))
     values = np.empty((steps + 1, start.size))
     rates = np.empty_like(values)

@@ -1,9 +1,10 @@
-"""The Jacobian of a tap as the paper prints it, and the set-up of the paper's experiments.
+"""The Jacobian of a tap as printed in the paper, and the setup of the paper's experiments.
 
 Section 5.1 of Huang and Mason prints, for a tap of 10 mm and 3 degrees, the derivative of the
 object's displacement (x along the travel, y across, theta) by the striker's pose (i, j, beta), in
-mm and degrees. Their signs are those of i along the contact normal out of the object and of a
-rotation counted clockwise, and their y row holds the travel to turn one to one with the striker.
+mm and degrees. The signs correspond to i along the contact normal out of the object and to
+clockwise rotation. The y row assumes that the direction of travel rotates by the same angle as the
+striker.
 """
 
 from __future__ import annotations
@@ -27,20 +28,20 @@ PAPER_JACOBIAN = np.array(
 )
 PAPER_STRIKER_ERROR = (7.5, 7.5, 5.0)
 
-# The steel shaft of the paper's figure 1, by its looks 10 mm thick and 80 mm long; the Jacobian
+# The steel shaft in figure 1 of the paper appears to be 10 mm thick and 80 mm long. The Jacobian
 # does not depend on its mass.
 _STRIKER_MASS = 0.05
-# B1 and B3 over B2, fitted to the x and theta rows of PAPER_JACOBIAN (4.5 % rms of 0.135 and of
-# 0.0251); B2 is that of a free striker.
+# B1 and B3 relative to B2, fitted to the x and theta rows of PAPER_JACOBIAN (residual 4.5 % rms of
+# 0.135 and of 0.0251). B2 is that of a free striker.
 _FITTED_B1 = 2.650
 _FITTED_B3 = -0.2686
 
 
 class Sensitivity(NamedTuple):
-    """A Jacobian in mm and degrees, by the paper's signs.
+    """A Jacobian in mm and degrees, with the paper's signs.
 
-    ``printed`` (..., 3, 3) has the paper's y row, in which the travel turns with the striker;
-    ``physical`` (..., 3, 3) has the one that the impact gives.
+    ``printed`` (..., 3, 3) has the paper's y row, in which the travel rotates with the striker;
+    ``physical`` (..., 3, 3) has the y row of the impact model.
     """
 
     printed: Array
@@ -48,12 +49,13 @@ class Sensitivity(NamedTuple):
 
 
 def paper_tap(mirrored: bool = False) -> Tap:
-    """The aluminium disk, table and striker of sections 3.1, 4 and 5.1 of the paper.
+    """Tap with the aluminium disk, table and striker of sections 3.1, 4 and 5.1 of the paper.
 
-    Radius 48 mm, height 12 mm, 245.5 g, friction 0.17, torque factor 3.64, restitution 0.86; the
-    contact friction of 0.20 follows from 10 mm and 10 degrees being three times what one tap can
-    turn; the ball's radius and two impact constants from the Jacobian. Those were fitted to taps of
-    one sense of rotation, the positive one here; ``mirrored`` gives the other.
+    Radius 48 mm, height 12 mm, 245.5 g, friction 0.17, torque factor 3.64, restitution 0.86. The
+    contact friction of 0.20 is derived from the paper's statement that 10 mm and 10 degrees is
+    three times what one tap can rotate. The ball's radius and two impact constants are fitted to
+    the Jacobian. These constants hold for one direction of rotation, here the positive one;
+    ``mirrored`` selects the other.
     """
     disk = Disk(radius=0.048, mass=0.2455, height=0.012)
     striker = Striker(mass=_STRIKER_MASS, tip_radius=0.0054, constraint="free")
@@ -72,9 +74,9 @@ def paper_tap(mirrored: bool = False) -> Tap:
 
 
 def sensitivity(tap: Tap, displacement: ArrayLike) -> Sensitivity:
-    """Jacobians of displacements (..., 3), m and rad, as the paper prints them.
+    """Jacobians of displacements (..., 3), m and rad, in the form printed in the paper.
 
-    Raises as :meth:`Tap.plan` does.
+    Raises the same exceptions as :meth:`Tap.plan`.
     """
     wanted = np.asarray(displacement, dtype=float)
     degrees = np.array([1.0, 1.0, 180 / math.pi * 1e-3])
@@ -88,5 +90,5 @@ def sensitivity(tap: Tap, displacement: ArrayLike) -> Sensitivity:
 
 
 def norm(jacobian: ArrayLike) -> Array:
-    """The largest gain of an error vector, mm and degrees alike: the spectral norm (...,)."""
+    """Spectral norm (...,): the largest gain of an error vector, treating mm and degrees alike."""
     return np.asarray(np.linalg.norm(np.asarray(jacobian), ord=2, axis=(-2, -1)))

@@ -1,4 +1,4 @@
-"""What the sliding models return."""
+"""Return types and interface of the sliding models."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ class _RestFields(NamedTuple):
 
 
 class Rest(_RestFields):
-    """A slide's end: ``distance`` along the launch in m, ``rotation`` in rad, ``duration`` in s.
+    """End of a slide: ``distance`` along the launch in m, ``rotation`` in rad, ``duration`` in s.
 
-    It unpacks into these three. ``lateral`` is the drift to the left of the launch in m: 0 for
-    bodies whose friction is the same in all directions.
+    It unpacks into these three values. ``lateral`` is the drift to the left of the launch in m; it
+    is 0 for bodies with isotropic friction.
     """
 
     lateral: float | Array = 0.0
 
 
 class Launch(NamedTuple):
-    """Velocity with which a slide begins: ``speed`` in m/s, ``spin`` in rad/s."""
+    """Initial velocity of a slide: ``speed`` in m/s, ``spin`` in rad/s."""
 
     speed: float | Array
     spin: float | Array
 
 
 class Profile(NamedTuple):
-    """A slide in time: arrays of shape (shape of the launches..., shape of the times...).
+    """A slide over time: arrays of shape (shape of the launches..., shape of the times...).
 
-    ``speed`` in m/s and ``spin`` in rad/s at the times, ``distance`` in m and ``rotation`` in rad
-    covered until then.
+    ``speed`` in m/s and ``spin`` in rad/s are the values at the times; ``distance`` in m and
+    ``rotation`` in rad are covered until then.
     """
 
     times: Array
@@ -53,16 +53,16 @@ class SlideModel(Protocol):
     """
 
     def rest(self, speed: ArrayLike, spin: ArrayLike, direction: ArrayLike) -> Rest:
-        """Where a launch ends."""
+        """Compute the end of a launch."""
 
     def launch(self, distance: ArrayLike, rotation: ArrayLike, direction: ArrayLike) -> Launch:
-        """The launch that ends there."""
+        """Compute the launch that ends there."""
 
     def displace(self, twist: Array) -> Array:
-        """Displacements of launches."""
+        """Compute the displacements of launches."""
 
     def twist_for(self, displacement: Array) -> Array:
-        """Launches of displacements."""
+        """Compute the launches of displacements."""
 
     def profile(self, speed: Array, spin: Array, direction: Array, times: Array) -> Profile:
-        """Launches (n,) in time (k,); results (n, k)."""
+        """Compute the motion of launches (n,) at times (k,); results (n, k)."""

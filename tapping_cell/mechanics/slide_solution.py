@@ -1,26 +1,29 @@
-"""The equations of sliding for one support and one torque factor, solved over one variable.
+"""Solve the equations of sliding for one support and one torque factor, as functions of one
+variable.
 
-Sliding scales: friction depends on the ratio of spin and speed alone. Let N be the larger of v and
-R omega and tau the smaller over N. Then, in the regimes of ``support_friction``,
+Sliding is scale-invariant, because friction depends only on the ratio of spin to speed. Let N be
+the larger of v and R omega, and tau the smaller divided by N. Then, in the regimes of
+``support_friction``,
 
     distance = (v N / mu g) X(tau),  R rotation = (R omega N / mu g) Theta(tau),
     duration = (N / mu g) D(tau),
 
-where X, Theta and D obey the linear equations  psi y' = a y - 1  with (translating, then spinning)
+where X, Theta and D obey the linear equations psi y' = a y - 1 with (translating, then spinning)
 
     psi     = tau (F - Lambda T / tau)            tau (Lambda T - F / tau)
     a_X     = 2 F                                 Lambda T + F / tau
     a_Theta = F + Lambda T / tau                  2 Lambda T
     a_D     = F                                   Lambda T
 
-Lambda is the torque factor times m R^2 / I. Motion runs towards the one attracting zero of psi (the
-terminal ratio); the wanted solution is the only one that stays bounded there. So the table starts
-in the interval around that zero, by collocation with no initial value, and is carried outward to
-pure sliding and to pure spinning by the Radau IIA method of order five, which is stable that way.
+Lambda is the torque factor times m R^2 / I. The motion converges to the only attracting zero of psi
+(the terminal ratio), and the wanted solution is the only one that is bounded there. The table
+therefore starts in the interval around that zero, by collocation without an initial value. It is
+continued outwards to pure sliding and to pure spinning by the Radau IIA method of order five, which
+is stable in that direction.
 
-At the ends y behaves as tau to powers a little above one, and a ring's friction has a logarithm at
-tau = 1. The table is therefore uniform in p, with tau = p^2 / (p^2 + (1 - p)^2): a square root's
-grading at both ends that costs two square roots to undo.
+At the ends, y behaves like tau to powers slightly above one, and a ring's friction has a logarithm
+at tau = 1. The table is therefore uniform in p, with tau = p^2 / (p^2 + (1 - p)^2). This has the
+grading of a square root at both ends, and its inverse takes two square roots.
 """
 
 from __future__ import annotations
@@ -54,9 +57,10 @@ _START_DEGREE = 4
 class SlideSolution:
     """X, Theta and D at the knots of p, in both regimes.
 
-    ``values`` and ``slopes`` (by p) have shape (3, 2, PIECES + 1): the function, translating or
-    spinning, and the knot; p rises in both regimes. ``ratio_rates``, shape (2, PIECES + 1), is
-    d ln(R omega / v) / d ln(time left). ``terminal_ratio`` is v / (R omega) in the last instant.
+    ``values`` and ``slopes`` (by p) have shape (3, 2, PIECES + 1): the function, the regime
+    (translating or spinning), and the knot. p increases in both regimes. ``ratio_rates``, shape (2,
+    PIECES + 1), is d ln(R omega / v) / d ln(time left). ``terminal_ratio`` is the limit of v / (R
+    omega) at the end of the slide.
     """
 
     def __init__(self, friction: Friction, torque_ratio: float) -> None:
@@ -86,7 +90,7 @@ class SlideSolution:
         self.terminal_ratio = self._terminal(path_p, flow, first)
 
     def _terms(self, p: Array, spinning: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """psi / tau, and the three factors a, at values of p."""
+        """Compute psi / tau, and the three factors a, at values of p."""
         square = p * p + (1 - p) ** 2
         tau = p * p / square
         complement = (1 - p) ** 2 / square * (1 + tau)
@@ -104,13 +108,14 @@ class SlideSolution:
         return leading - trailing, factors
 
     def _equation(self, p: Array, spinning: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-        """P, Q and a of the equation  P dy/dp = Q (a y - 1), regular at both ends."""
+        """P, Q and a of the equation P dy/dp = Q (a y - 1), which is regular at both ends."""
         flow, factors = self._terms(p, spinning)
         square = p * p + (1 - p) ** 2
         return p * flow * square, 2 * (1 - p), factors
 
     def _start(self, path_p: Array, first: int, values: Array, slopes: Array) -> None:
-        """Collocate the interval of the terminal ratio: the bounded solution needs no start."""
+        """Solve the interval of the terminal ratio by collocation: the bounded solution needs no
+        initial value."""
         low, high = path_p[first], path_p[first + 1]
         width = high - low
         points, _ = np.polynomial.legendre.leggauss(_START_DEGREE + 1)
@@ -129,7 +134,7 @@ class SlideSolution:
         slopes[:, first + 1] = polynomial @ powers / width
 
     def _march(self, path_p: Array, first: int, values: Array, slopes: Array) -> None:
-        """Radau steps of all intervals at once, then the chain of their affine maps."""
+        """Take the Radau steps of all intervals simultaneously, then compose their affine maps."""
         count = path_p.size - 1
         interval = np.arange(count)
         outward = interval > first
@@ -142,7 +147,7 @@ class SlideSolution:
         matrix = flow[:, :, None] * np.eye(3) - pull[:, :, :, None] * (
             width[:, None, None] * _RADAU_A
         )
-        matrix[:, first] = np.eye(3)  # the starting interval is solved already
+        matrix[:, first] = np.eye(3)  # the starting interval is already solved
         right = np.stack([pull, np.broadcast_to(-weight, pull.shape)], axis=-1)
         rates = np.linalg.solve(matrix, right)
         ends = width[:, None] * np.einsum("j,kijm->kim", _RADAU_A[2], rates)
@@ -162,7 +167,8 @@ class SlideSolution:
             slopes[kind, before] = last[before, 0] * values[kind, before + 1] + last[before, 1]
 
     def _terminal(self, path_p: Array, flow: Array, first: int) -> float:
-        """v / (R omega) in the last instant: inf if the spin dies first, 0 if the travel does."""
+        """Limit of v / (R omega) at the end: inf if the spin vanishes first, 0 if the speed
+        does."""
         if first == 0 and flow[0] <= 0:
             return math.inf
         if first == path_p.size - 2 and flow[-1] >= 0:
@@ -179,6 +185,6 @@ class SlideSolution:
 
 
 def grade_inverse(p: Array) -> Array:
-    """tau of the graded variable p, both in [0, 1]."""
+    """Compute tau from the graded variable p, both in [0, 1]."""
     square: Array = p * p
     return square / (square + (1 - p) ** 2)

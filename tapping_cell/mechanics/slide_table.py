@@ -1,9 +1,10 @@
-"""The whole of sliding for one support and one torque factor: a table, forward and inverse.
+"""Table of all slides for one support and one torque factor, forward and inverse.
 
-The functions X, Theta and D of ``slide_solution`` as cubic Hermite pieces over its graded variable
-p. One slide at a time runs on plain floats; many run in blocks that stay in the cache, with every
-result written into scratch arrays of the block. The inverse looks p up in a table of its own and
-then takes Newton steps on the forward table, so that ``launch`` undoes ``rest`` to rounding.
+It holds the functions X, Theta and D of ``slide_solution`` as cubic Hermite pieces over the graded
+variable p. A single slide is computed with Python floats; many slides are computed in blocks that
+fit the cache, with preallocated work arrays. The inverse looks up an estimate of p in a separate
+table and refines it by Newton steps on the forward table, so that ``launch`` inverts ``rest`` up to
+rounding.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ class SlideTable:
     """Sliding of one support (``"disk"`` or ``"ring"``) at one Lambda, forward and inverse.
 
     All arguments and results are reduced: ``speed`` v, ``rim_speed`` R omega, ``travel`` mu g times
-    the distance, ``rim_travel`` mu g R times the rotation, ``time`` mu g times the duration.
-    Get one from :func:`slide_table`, which keeps them.
+    the distance, ``rim_travel`` mu g R times the rotation, ``time`` mu g times the duration. Use
+    :func:`slide_table`, which caches the tables.
     """
 
     def __init__(self, support: str, torque_ratio: float) -> None:
@@ -49,8 +50,8 @@ class SlideTable:
             _hermite(v, s) for v, s in zip(solution.values, solution.slopes, strict=True)
         )
         self._forward = np.ascontiguousarray(np.concatenate([x, theta, duration], axis=1).T)
-        # The inverse looks p up from the smaller travel over the larger one, which grows with p:
-        # rim over centre where the slide is mostly translation, else centre over rim.
+        # The inverse looks up p from the ratio of the smaller travel to the larger, which increases
+        # with p: rim to centre if the slide is mostly translation, else centre to rim.
         translating = np.arange(2 * PIECES)[:, None] < PIECES
         self._minor = np.ascontiguousarray(np.where(translating, theta, x).T)
         self._major = np.ascontiguousarray(np.where(translating, x, theta).T)
@@ -63,7 +64,7 @@ class SlideTable:
         self._major_rows = [tuple(row) for row in self._major.T.tolist()]
         self._guess_rows = [tuple(row) for row in self._guess.T.tolist()]
 
-    # ---- one tap at a time: plain floats
+    # ---- single slides, with Python floats
 
     def rest(self, speed: float, rim_speed: float) -> tuple[float, float, float]:
         """Travel, rim travel and time of one slide, with the signs of the arguments."""
@@ -85,7 +86,7 @@ class SlideTable:
         )
 
     def launch(self, travel: float, rim_travel: float) -> tuple[float, float]:
-        """Speed and rim speed that come to rest after the travels, with their signs."""
+        """Speed and rim speed of the launch that ends after these travels, with their signs."""
         x, r = abs(travel), abs(rim_travel)
         if x == 0.0 and r == 0.0:
             return 0.0, 0.0
@@ -125,10 +126,10 @@ class SlideTable:
         v, s = (major, minor) if translating else (minor, major)
         return math.copysign(v, travel), math.copysign(s, rim_travel)
 
-    # ---- many taps at a time: blocks that stay in the cache
+    # ---- many slides, in blocks that fit the cache
 
     def rest_many(self, speed: Array, rim_speed: Array) -> tuple[Array, Array, Array]:
-        """:meth:`rest` of two flat arrays of one length. Raises if a value is not finite."""
+        """:meth:`rest` of two flat arrays of equal length. Raises if a value is not finite."""
         count = speed.size
         travel, rim_travel, time = np.empty(count), np.empty(count), np.empty(count)
         work = _Workspace(min(count, _CHUNK), floats=6)
@@ -162,7 +163,7 @@ class SlideTable:
         return travel, rim_travel, time
 
     def launch_many(self, travel: Array, rim_travel: Array) -> tuple[Array, Array]:
-        """:meth:`launch` of two flat arrays of one length. Raises if a value is not finite."""
+        """:meth:`launch` of two flat arrays of equal length. Raises if a value is not finite."""
         count = travel.size
         speed, rim_speed = np.empty(count), np.empty(count)
         work = _Workspace(min(count, _CHUNK), floats=13)
@@ -188,7 +189,7 @@ class SlideTable:
             )
         np.multiply(x, self._divide, out=spare)
         np.greater(r, spare, out=mask)
-        # The measures of both regimes meet at the divide, so min over max serves either.
+        # The measures of both regimes are equal at the divide, so min over max is valid for both.
         np.maximum(spare, r, out=large)
         np.minimum(spare, r, out=small)
         _grade(large, small, t, gathered)
@@ -220,7 +221,7 @@ class SlideTable:
             spare *= 2.0
             total *= total
             spare /= total
-            # x and r are free from here: they hold the slope of the smaller measure.
+            # x and r are no longer needed; x is reused for the slope of the smaller measure.
             _cubic_and_slope(self._minor, index, t, small, x, gathered)
             spare *= small
             x *= tau
@@ -241,7 +242,7 @@ class SlideTable:
         np.copysign(tau, rim_travel, out=rim_speed)
 
     def travel_ratio(self, spin_ratio: float) -> float:
-        """Rim travel over travel of a launch with R omega / v = ``spin_ratio``."""
+        """Ratio of rim travel to travel of a launch with R omega / v = ``spin_ratio``."""
         travel, rim_travel, _ = self.rest(1.0, spin_ratio)
         return rim_travel / travel
 
@@ -256,7 +257,7 @@ class SlideTable:
         return value
 
     def _inverse_guess(self) -> Array:
-        """Hermite pieces of p over the graded measure of the displacement, one regime a half."""
+        """Hermite pieces of p over the graded measure of the displacement, one half per regime."""
         p = _floats(np.linspace(0.0, 1.0, PIECES + 1))
         halves = []
         for half in range(2):
@@ -273,7 +274,7 @@ class SlideTable:
             root: Array = np.sqrt(fraction)
             graded = root / (root + np.sqrt(1.0 - fraction))
             graded[-1] = 1.0
-            # Refine the knots by Newton's method on the same pieces that rest() evaluates.
+            # Refine the knots by Newton's method on the pieces that rest() evaluates.
             first = _floats(np.interp(p, graded, p))
             values = self._solve_knots(first, grade_inverse(p), half, divide)
             slopes = _floats(np.gradient(values, p, edge_order=2))
@@ -301,7 +302,7 @@ class SlideTable:
 
 
 class _Workspace:
-    """Scratch arrays of one block, made once a call so that calls may run in threads."""
+    """Work arrays of one block, allocated per call so that calls may run in parallel threads."""
 
     def __init__(self, size: int, floats: int) -> None:
         self.floats = [np.empty(size) for _ in range(floats)]
@@ -319,7 +320,7 @@ class _Block:
 
 
 def _grade(major: Array, minor: Array, t: Array, spare: Array) -> None:
-    """t = PIECES * p of tau = minor / major; 0 where both are 0."""
+    """Compute t = PIECES * p of tau = minor / major; 0 if both are 0."""
     np.subtract(major, minor, out=spare)
     np.sqrt(spare, out=spare)
     np.sqrt(minor, out=t)
@@ -330,7 +331,7 @@ def _grade(major: Array, minor: Array, t: Array, spare: Array) -> None:
 
 
 def _piece(t: Array, mask: NDArray[np.bool_], index: NDArray[np.intp], spare: Array) -> None:
-    """Split t into the row of its piece (second half where mask) and the place in the piece."""
+    """Split t into the row of its piece (second half if mask) and the position in the piece."""
     np.copyto(index, t, casting="unsafe")
     np.minimum(index, PIECES - 1, out=index)
     t -= index
@@ -349,7 +350,7 @@ def _cubic(rows: Array, index: NDArray[np.intp], t: Array, value: Array, gathere
 def _cubic_and_slope(
     rows: Array, index: NDArray[np.intp], t: Array, value: Array, slope: Array, gathered: Array
 ) -> None:
-    """Value and derivative by p of one cubic piece."""
+    """Value and derivative with respect to p of one cubic piece."""
     np.take(rows[3], index, out=value, mode="clip")
     np.copyto(slope, value)
     for k in (2, 1, 0):
@@ -363,7 +364,8 @@ def _cubic_and_slope(
 
 
 def _hermite(values: Array, slopes: Array) -> Array:
-    """Cubic coefficients, a row a piece, of values and p-slopes at (halves, PIECES + 1) knots."""
+    """Cubic coefficients, one row per piece, from values and p-slopes at (halves, PIECES + 1)
+    knots."""
     y0, y1 = values[:, :-1], values[:, 1:]
     s0, s1 = slopes[:, :-1] / PIECES, slopes[:, 1:] / PIECES
     rows = np.stack([y0, s0, 3 * (y1 - y0) - 2 * s0 - s1, 2 * (y0 - y1) + s0 + s1], axis=-1)
@@ -371,11 +373,11 @@ def _hermite(values: Array, slopes: Array) -> Array:
 
 
 def _floats(values: NDArray[np.floating]) -> Array:
-    """numpy's interp and gradient do not say that floats stay of one kind."""
+    """Convert to float64, because the types of numpy's interp and gradient are not specific."""
     return np.asarray(values, dtype=np.float64)
 
 
 @lru_cache(maxsize=32)
 def slide_table(support: str, torque_ratio: float) -> SlideTable:
-    """The table of a support and Lambda = torque factor * m R^2 / I, built once a process."""
+    """Table of a support and Lambda = torque factor * m R^2 / I, built once per process."""
     return SlideTable(support, torque_ratio)

@@ -1,12 +1,12 @@
-"""How far a launched body slides and turns, and the launch that makes a wanted displacement.
+"""Compute how far a launched body slides and rotates, and the launch for a wanted displacement.
 
 The equations, with R the radius of the support, gamma = m R^2 / I, mu the friction with the table
 and kappa the torque factor of Huang and Mason (section 3.1.2):
 
     dv/dt = -mu g F,   d omega/dt = -kappa gamma (mu g / R) T.
 
-``support_friction`` gives F and T, ``slide_solution`` and ``slide_table`` the solution for a round
-support, ``polygon_sliding`` that for a polygon. Everything is in SI units.
+``support_friction`` gives F and T, ``slide_solution`` and ``slide_table`` give the solution for a
+round support, and ``polygon_sliding`` gives that for a polygon. Everything is in SI units.
 """
 
 from __future__ import annotations
@@ -34,14 +34,15 @@ STANDARD_GRAVITY = 9.81
 class Sliding:
     """Sliding of one body on one table.
 
-    ``friction`` is the coefficient with the table, ``torque_factor`` kappa (1 for the plain
-    theory), ``gravity`` in m/s^2. Raises :class:`InvalidParameterError` for a value that is not
-    finite and positive.
+    ``friction`` is the coefficient with the table, ``torque_factor`` is kappa (1 for the theory
+    without a correction), and ``gravity`` is in m/s^2. Raises :class:`InvalidParameterError` for a
+    value that is not finite and positive.
 
-    Accuracy of :meth:`rest` against a tight integration: 1e-9 relative in distance, rotation and
-    duration for a disk or a ring at torque factors of 0.2 to 5 (tested at 1e-8; 2e-8 from 0.05
-    to 20), for every mix of speed and spin; 1e-4 for a polygon against brute force (tested at
-    1e-3). :meth:`launch` undoes :meth:`rest` to rounding, for a polygon to 1e-11.
+    The accuracy of :meth:`rest`, relative to an integration with tight tolerance, is 1e-9 in
+    distance, rotation and duration for a disk or a ring at torque factors of 0.2 to 5 (tested at
+    1e-8; 2e-8 from 0.05 to 20), for every combination of speed and spin. For a polygon it is 1e-4,
+    relative to a brute-force integration (tested at 1e-3). :meth:`launch` inverts :meth:`rest` up
+    to rounding, for a polygon to 1e-11.
     """
 
     body: Body
@@ -52,7 +53,7 @@ class Sliding:
     _axisymmetric: RoundSlide = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Check the numbers and get the table."""
+        """Check the parameters and create the model."""
         for name, unit in (("friction", ""), ("torque_factor", ""), ("gravity", "m/s^2")):
             value = positive(name.replace("_", " "), getattr(self, name), unit)
             object.__setattr__(self, name, value)
@@ -70,23 +71,25 @@ class Sliding:
 
     @property
     def axisymmetric(self) -> RoundSlide:
-        """The slide of the body, or for a polygon that of its equivalent disk."""
+        """The slide of the body, or of its equivalent disk if the body is a polygon."""
         return self._axisymmetric
 
     def approximated(self) -> Sliding:
-        """The same with a polygon sliding like its equivalent disk: 1 to 2 % off, much faster.
+        """Return a copy in which a polygon slides like its equivalent disk.
 
-        For planners, which look at hundreds of taps a decision. A round body's stays as it is.
+        It is much faster, with an error of 1 to 2 %. It is intended for planners, which evaluate
+        hundreds of taps per decision. A round body is unaffected.
         """
         rough = copy.copy(self)
         object.__setattr__(rough, "_model", self._axisymmetric)
         return rough
 
     def tabulated(self) -> Sliding:
-        """The same with a polygon's slides from a table: to 1e-3, some hundred times faster.
+        """Return a copy that computes a polygon's slides from a table.
 
-        The table of a new shape or torque factor takes a second or two to make, and is kept. A
-        round body's slides are from a table anyway.
+        It is hundreds of times faster, with an error of 1e-3. The table of a new shape or torque
+        factor takes a second or two to create, and is cached. A round body's slides always come
+        from a table.
         """
         if not isinstance(self.body, Polygon):
             return self
@@ -99,48 +102,48 @@ class Sliding:
         return fast
 
     def rest(self, speed: ArrayLike, spin: ArrayLike, direction: ArrayLike = 0.0) -> Rest:
-        """Where a launch ends: ``speed`` in m/s, ``spin`` in rad/s, either sign, broadcast.
+        """Compute the end of a launch with ``speed`` in m/s and ``spin`` in rad/s, of either sign.
 
-        ``direction`` (rad) is that of the launch in the body's frame; it matters to polygons
-        alone, whose result also drifts sideways (``lateral``). Scalars give floats. Distance and
-        rotation have the signs of speed and spin (a polygon's small ones may not). Raises
-        :class:`InvalidParameterError` for values that are not finite.
+        Arguments broadcast; scalars give floats. ``direction`` (rad) is that of the launch in the
+        body's frame. It matters only for polygons, whose result also drifts sideways (``lateral``).
+        Distance and rotation have the signs of speed and spin (except possibly small values of a
+        polygon). Raises :class:`InvalidParameterError` for values that are not finite.
         """
         return self._model.rest(speed, spin, direction)
 
     def launch(
         self, distance: ArrayLike, rotation: ArrayLike, direction: ArrayLike = 0.0
     ) -> Launch:
-        """The launch that ends after ``distance`` (m) and ``rotation`` (rad), either sign.
+        """Compute the launch that ends after ``distance`` (m) and ``rotation`` (rad), of any sign.
 
-        The inverse of :meth:`rest` with the same ``direction``; every pair is reachable by
-        sliding alone. Raises :class:`InvalidParameterError` for values that are not finite.
+        This is the inverse of :meth:`rest` with the same ``direction``; every pair is reachable by
+        sliding. Raises :class:`InvalidParameterError` for values that are not finite.
         """
         return self._model.launch(distance, rotation, direction)
 
     def displace(self, twist: ArrayLike) -> Array:
-        """The displacement (dx, dy, dtheta) that a launch makes, (..., 3), m and rad.
+        """Compute the displacement (dx, dy, dtheta) of a launch, (..., 3), m and rad.
 
-        ``twist`` (..., 3) is the launch's (vx, vy, omega) in m/s and rad/s; it and the result are
-        in the axes that the body's frame has at the launch.
+        ``twist`` (..., 3) is the launch's (vx, vy, omega) in m/s and rad/s. Twist and displacement
+        are in the axes of the body's frame at the launch.
         """
         t = finite("twist", twist)
         return self._model.displace(t.reshape(-1, 3)).reshape(t.shape)
 
     def twist_for(self, displacement: ArrayLike) -> Array:
-        """The twist (..., 3) whose :meth:`displace` is ``displacement`` (..., 3)."""
+        """Return the twist (..., 3) whose :meth:`displace` is ``displacement`` (..., 3)."""
         d = finite("displacement", displacement)
         return self._model.twist_for(d.reshape(-1, 3)).reshape(d.shape)
 
     def profile(
         self, speed: ArrayLike, spin: ArrayLike, times: ArrayLike, direction: ArrayLike = 0.0
     ) -> Profile:
-        """Velocities and displacement at ``times`` (s, from the launch, not negative).
+        """Compute velocities and displacement at ``times`` (s, from the launch, not negative).
 
-        Results have the shape of the broadcast launches followed by that of the times. Accuracy
-        1e-7 of the start's values, 1e-4 for polygons, where speed and distance are those along
-        ``direction``. Raises :class:`InvalidParameterError` for values that are not finite and
-        for a negative time.
+        Results have the shape of the broadcast launches followed by that of the times. The accuracy
+        is 1e-7 of the initial values, or 1e-4 for polygons, whose speed and distance are those
+        along ``direction``. Raises :class:`InvalidParameterError` for values that are not finite
+        and for a negative time.
         """
         v, w, a = np.broadcast_arrays(
             finite("speed", speed, "m/s"),

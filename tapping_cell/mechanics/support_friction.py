@@ -1,20 +1,21 @@
-"""Coulomb friction under a body that slides and spins: closed forms for a disk and a ring.
+"""Coulomb friction under a sliding and spinning body: closed forms for a disk and a ring.
 
 With v the speed, omega the spin and R the radius of the support, ``tau`` in [0, 1] is the smaller
-of v and R omega over the larger. Two regimes follow, and in both ``tau`` is the modulus of the
-elliptic integrals:
+of v and R omega divided by the larger. There are two regimes, and in both ``tau`` is the modulus of
+the elliptic integrals:
 
 - *translating*, v >= R omega: tau = R omega / v;
 - *spinning*, R omega > v: tau = v / (R omega).
 
-F is the friction force over mu m g and T the friction torque over mu m g R. The formulas are those
-of Voyenli and Eriksen (Am. J. Phys. 53, 1985) and of Farkas, Bartels, Unger and Wolf (Phys. Rev.
-Lett. 90, 2003), rewritten in the integrals
+F is the friction force divided by mu m g, and T the friction torque divided by mu m g R. The
+formulas are those of Voyenli and Eriksen (Am. J. Phys. 53, 1985) and of Farkas, Bartels, Unger and
+Wolf (Phys. Rev. Lett. 90, 2003), rewritten in the integrals
 
     B = int cos^2 / Delta,   D = int sin^2 / Delta,   C = (D - B) / k^2,   Delta^2 = 1 - k^2 sin^2
 
-over a quarter turn (Bulirsch 1965). In K and E the sums cancel to nothing for a small modulus;
-in B, C and D every term keeps its size, so one formula is good from pure sliding to pure spinning.
+over a quarter turn (Bulirsch 1965). Sums of K and E suffer from cancellation if the modulus is
+small. With B, C and D there is no cancellation, so one formula is accurate from pure sliding to
+pure spinning.
 """
 
 from __future__ import annotations
@@ -27,16 +28,17 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Quadratic convergence from a complementary modulus of 1e-12 needs eight steps; nine are taken.
+# Quadratic convergence from a complementary modulus of 1e-12 needs eight steps, plus one spare.
 _AGM_STEPS = 9
 _SMALLEST_COMPLEMENT = 1e-12
 
 
 class SupportFriction(NamedTuple):
-    """Friction factors of one regime, free of the factor tau that vanishes with it.
+    """Friction factors of one regime, without the factor tau.
 
-    ``leading`` belongs to the larger motion and ``trailing`` to the smaller one over tau:
-    translating, F = leading and T = tau * trailing; spinning, T = leading and F = tau * trailing.
+    ``leading`` belongs to the larger motion and ``trailing``, divided by tau, to the smaller
+    motion. If translating, F = leading and T = tau * trailing; if spinning, T = leading and F = tau
+    * trailing.
     """
 
     leading: Array
@@ -44,7 +46,10 @@ class SupportFriction(NamedTuple):
 
 
 def disk_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) -> SupportFriction:
-    """Uniform pressure on a disk; ``complement`` is 1 - tau^2, given as it has more digits."""
+    """Friction factors for uniform pressure on a disk.
+
+    ``complement`` is 1 - tau^2, passed separately because it is more accurate.
+    """
     b, c, d = _elliptic_bcd(tau, complement)
     shared = 4 / (3 * math.pi) * (2 * b + complement * d)
     modulus2 = tau * tau
@@ -56,17 +61,18 @@ def disk_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) ->
 
 
 def ring_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) -> SupportFriction:
-    """Uniform pressure on a thin ring: both regimes are the same with force and torque swapped."""
+    """Friction factors for uniform pressure on a thin ring. Both regimes are equal with force and
+    torque exchanged."""
     del spinning
     b, _, d = _elliptic_bcd(tau, complement)
     return SupportFriction(2 / math.pi * (b + complement * d), 2 / math.pi * b)
 
 
 def _elliptic_bcd(modulus: Array, complement: Array) -> tuple[Array, Array, Array]:
-    """B, C and D by the arithmetic-geometric mean, without a subtraction that cancels.
+    """Compute B, C and D by the arithmetic-geometric mean, without cancellation.
 
-    With c_0 = k and c_(n+1) = c_n^2 / (4 a_(n+1)), K - E = (K / 2) sum 2^n c_n^2. All c_n hold the
-    factor k^2 from n = 1 on; it is taken out.
+    With c_0 = k and c_(n+1) = c_n^2 / (4 a_(n+1)), K - E = (K / 2) sum 2^n c_n^2. All c_n with n >=
+    1 contain the factor k^2, which is factored out.
     """
     a = np.ones_like(modulus)
     b = np.maximum(np.sqrt(complement), _SMALLEST_COMPLEMENT)

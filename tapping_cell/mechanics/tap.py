@@ -1,10 +1,10 @@
-"""A whole tap: impact and slide joined, forward (``Tap.outcome``) and inverse (``Tap.plan``).
+"""A whole tap, impact and slide combined: forward (``Tap.outcome``) and inverse (``Tap.plan``).
 
-A launch is along the impulse, so the impulse's line of action is known from the launch that is
-wanted: its direction is that of the velocity and it passes the centre of mass at the distance
-(I omega) / (m v). Where that line enters the body is the contact point, and its angle from the
-contact normal must lie within the contact's friction. The striker's axis is the one whose impact,
-by Routh's method, has just that impulse angle.
+The body is launched along the impulse, so the wanted launch determines the impulse's line of
+action. Its direction is that of the velocity, and its distance from the centre of mass is (I omega)
+/ (m v). The contact point is where that line enters the body, and the angle of the line from the
+contact normal must be within the friction cone. The striker's axis is the one for which Routh's
+method gives this impulse angle.
 """
 
 from __future__ import annotations
@@ -30,21 +30,22 @@ from tapping_cell.mechanics.sliding import Sliding
 
 Array = NDArray[np.float64]
 
-# A displacement on the very edge of the cone, computed in another order of operations, is inside.
+# Tolerance for a displacement on the edge of the cone, which may be off by rounding.
 _EDGE = 1e-9
-# Steps of the differences that make the Jacobian, in m and rad.
+# Steps of the finite differences for the Jacobian, in m and rad.
 _LENGTH_STEP = 1e-6
 _ANGLE_STEP = 1e-5
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
 class TapPlan(NamedTuple):
-    """How to make a displacement; every field has the shape of the displacements.
+    """Plan of a tap for a displacement; every field has the shape of the displacements.
 
     ``contact_angle`` is the direction of the contact point from the centre of mass in the object's
-    frame, rad; ``strike_pose`` (..., 3) is the ball's centre in the table frame at the moment of
-    contact, x along its travel; ``striker_speed`` in m/s; ``incidence`` from the contact normal to
-    the striker's axis in rad; ``twist`` (..., 3) is the launch (vx, vy, omega) in table axes.
+    frame, in rad. ``strike_pose`` (..., 3) is the ball's centre in the table frame at the moment of
+    contact, with x along its travel. ``striker_speed`` is in m/s, ``incidence`` is the angle from
+    the contact normal to the striker's axis in rad, and ``twist`` (..., 3) is the launch (vx, vy,
+    omega) in table axes.
     """
 
     contact_angle: Array
@@ -55,13 +56,14 @@ class TapPlan(NamedTuple):
 
 
 class TapResult(NamedTuple):
-    """What a tap does; every field has the shape of the poses.
+    """Result of a tap; every field has the shape of the poses.
 
-    ``missed`` where the striker does not touch the object (then nothing moves); ``travel`` of the
-    ball until the contact in m, negative where the pose overlaps the object; ``point`` (..., 2) of
-    the contact and ``normal`` (..., 2) into the object, in table axes; ``incidence`` in rad;
-    ``normal_impulse`` and ``tangential_impulse`` in N s; ``twist`` (..., 3) just after the impact,
-    (vx, vy, omega) in table axes; ``displacement`` (..., 3), (dx, dy, dtheta) in table axes.
+    ``missed`` is True if the striker does not touch the object (then nothing moves). ``travel`` is
+    that of the ball until the contact in m, negative if the pose overlaps the object. ``point``
+    (..., 2) of the contact and ``normal`` (..., 2) into the object are in table axes. ``incidence``
+    is in rad, ``normal_impulse`` and ``tangential_impulse`` in N s. ``twist`` (..., 3) is (vx, vy,
+    omega) just after the impact and ``displacement`` (..., 3) is (dx, dy, dtheta), both in table
+    axes.
     """
 
     missed: NDArray[np.bool_]
@@ -79,9 +81,9 @@ class TapResult(NamedTuple):
 class Tap:
     """Taps on one body by one striker on one table.
 
-    ``smallest_distance`` (m) is the shortest displacement that the tapper makes reliably, 1.7 mm
+    ``smallest_distance`` (m) is the shortest displacement that the tapper produces reliably, 1.7 mm
     in the paper (section 4). Raises :class:`InvalidParameterError` if ``sliding`` and ``impact``
-    are of different bodies.
+    have different bodies.
     """
 
     sliding: Sliding
@@ -110,19 +112,20 @@ class Tap:
 
     @property
     def cone_slope(self) -> float:
-        """The most rotation per distance of one tap, in rad/m.
+        """Maximum rotation per distance of one tap, in rad/m.
 
-        Sliding scales, so a launch with the largest R omega / v = gamma sin(phi_max) travels and
-        turns in one ratio at any speed: the cone's edge is a straight line for a round body. For a
-        polygon it is the bound over all its contacts, by the sliding of its equivalent disk, and
-        :meth:`reachable` says what a displacement's own direction allows.
+        Sliding is scale-invariant, so a launch with the largest R omega / v = gamma sin(phi_max)
+        has the same ratio of rotation to distance at any speed. The edge of the cone of reachable
+        displacements is therefore a straight line for a round body. For a polygon, the value is the
+        bound over all its contacts, with the sliding of its equivalent disk; :meth:`reachable`
+        takes the direction of a displacement into account.
         """
         return self._cone_slope
 
     def outcome(
         self, object_pose: ArrayLike, strike_pose: ArrayLike, striker_speed: ArrayLike
     ) -> Array:
-        """Displacements (..., 3) in table axes, m and rad; 0 where the striker misses.
+        """Displacements (..., 3) in table axes, m and rad; 0 if the striker misses.
 
         Arguments as for :meth:`strike`.
         """
@@ -137,11 +140,12 @@ class Tap:
     def strike(
         self, object_pose: ArrayLike, strike_pose: ArrayLike, striker_speed: ArrayLike
     ) -> TapResult:
-        """Fly, hit and slide: poses (..., 3) in the table frame, ``striker_speed`` in m/s.
+        """Compute approach, impact and slide for poses (..., 3) in the table frame.
 
         ``strike_pose`` is any pose of the ball's centre on its line of travel before the contact,
-        x along the travel. One that overlaps the object counts from where its line comes in.
-        Raises :class:`InvalidParameterError` for values that are not finite or a negative speed.
+        with x along the travel; ``striker_speed`` is in m/s. If the pose overlaps the object, the
+        contact is where its line enters the object. Raises :class:`InvalidParameterError` for
+        values that are not finite or a negative speed.
         """
         result = self._impact(object_pose, strike_pose, striker_speed)
         angle = np.broadcast_to(np.asarray(object_pose, dtype=float)[..., 2], result.missed.shape)
@@ -151,7 +155,7 @@ class Tap:
     def _impact(
         self, object_pose: ArrayLike, strike_pose: ArrayLike, striker_speed: ArrayLike
     ) -> TapResult:
-        """Fly and hit; the displacement is left at 0."""
+        """Compute approach and impact; the displacement is set to 0."""
         held = _poses("object pose", object_pose)
         aimed = _poses("strike pose", strike_pose)
         speed = finite("striker speed", striker_speed, "m/s")
@@ -180,12 +184,12 @@ class Tap:
         )
 
     def plan(self, displacement: ArrayLike, object_pose: ArrayLike = _ORIGIN) -> TapPlan:
-        """The tap that makes ``displacement`` (..., 3), (dx, dy, dtheta) in table axes, m and rad.
+        """Plan the tap for ``displacement`` (..., 3), (dx, dy, dtheta) in table axes, m and rad.
 
         ``object_pose`` (..., 3) is the object's pose in the table frame; both broadcast.
-        :meth:`outcome` of the plan is the displacement to rounding. Raises
+        :meth:`outcome` of the plan equals the displacement up to rounding. Raises
         :class:`UnreachableDisplacementError` for a displacement outside the cone or shorter than
-        the smallest distance, :class:`InvalidParameterError` for values that are not finite.
+        the smallest distance, and :class:`InvalidParameterError` for values that are not finite.
         """
         wanted = _poses("displacement", displacement)
         self._refuse(wanted)
@@ -202,7 +206,7 @@ class Tap:
     def reachable(
         self, displacement: ArrayLike, object_pose: ArrayLike = _ORIGIN
     ) -> NDArray[np.bool_]:
-        """Where one tap can make ``displacement`` (..., 3), in table axes, m and rad."""
+        """Return whether one tap can produce ``displacement`` (..., 3), in table axes (m, rad)."""
         wanted = _poses("displacement", displacement)
         inside = np.asarray(self._inside(wanted))
         if not isinstance(self.body, Polygon):
@@ -217,12 +221,14 @@ class Tap:
         return found
 
     def jacobian(self, displacement: ArrayLike) -> Array:
-        """Derivative (..., 3, 3) of the tap's result by the striker's pose, in m and rad.
+        """Derivative (..., 3, 3) of the tap's result with respect to the striker's pose, in m and
+        rad.
 
-        Rows: the displacement x along the planned travel, y to its left, and the rotation.
-        Columns, as in section 5.1 of the paper: the ball's centre at the contact moved by i along
-        the contact normal and by j along the tangent, and the striker's axis turned by beta about
-        it. Central differences of :meth:`outcome`. Raises as :meth:`plan` does.
+        The rows are the displacement x along the planned travel, y to its left, and the rotation.
+        The columns, as in section 5.1 of the paper, are a displacement of the ball's centre at the
+        contact by i along the contact normal and by j along the tangent, and a rotation of the
+        striker's axis by beta about the ball's centre. Computed by central differences of
+        :meth:`outcome`. Raises the same exceptions as :meth:`plan`.
         """
         wanted = _poses("displacement", displacement)
         plan = self.plan(wanted)
@@ -247,7 +253,7 @@ class Tap:
         return np.asarray(np.stack(columns, axis=-1) / scale)
 
     def _largest_lever(self) -> float:
-        """The largest distance of an impulse's line of action from the centre of mass, in m."""
+        """Maximum distance of an impulse's line of action from the centre of mass, in m."""
         body = self.body
         if not isinstance(body, Polygon):
             angle = self.impact.largest_impulse_angle((-body.bounding_radius, 0.0))
@@ -260,7 +266,7 @@ class Tap:
         return float(np.abs(_cross(local, lines)).max())
 
     def _plan_in_body(self, wanted: Array) -> TapPlan:
-        """Plans in the object's frame; the incidence is NaN where no contact can do it."""
+        """Plans in the object's frame; the incidence is NaN if no contact is feasible."""
         twist, line, slope = self._line_of_action(wanted)
         body, normal = self.body, line.normal
         speed = np.hypot(twist[..., 0], twist[..., 1])
@@ -282,15 +288,16 @@ class Tap:
         )
 
     def _line_of_action(self, wanted: Array) -> tuple[Array, Contact, Array]:
-        """Twist of the launch, where the impulse's line of action enters the body, and the slope of
-        the impulse to the normal there; in the object's frame."""
+        """Return the launch's twist, the point where the impulse's line of action enters the body,
+        and the slope of the impulse relative to the normal there; in the object's frame."""
         twist = self.sliding.twist_for(wanted)
         velocity, spin = twist[..., :2], twist[..., 2]
         speed = np.hypot(velocity[..., 0], velocity[..., 1])
         along = velocity / np.where(speed > 0, speed, 1.0)[..., None]
         body = self.body
         lever = body.radius_of_gyration**2 * spin / np.where(speed > 0, speed, 1.0)
-        # The line of action as the flight of a point: its first contact is the place to hit.
+        # The line of action is treated as the path of a point, whose first contact is the contact
+        # point.
         right = np.stack([along[..., 1], -along[..., 0]], axis=-1)
         far = 2 * body.bounding_radius
         line = first_contact(body, 0.0, lever[..., None] * right - far * along, along)
@@ -356,12 +363,12 @@ def _rotate(vector: Array, angle: Array) -> Array:
 
 
 def _turn(planar: Array, angle: Array) -> Array:
-    """A twist or displacement (..., 3) seen in axes that are turned by -angle."""
+    """Rotate a twist or displacement (..., 3) by ``angle``, i.e. to axes rotated by -angle."""
     return np.concatenate([_rotate(planar[..., :2], angle), planar[..., 2:]], axis=-1)
 
 
 def _in_frame(normal: Array, vector: Array) -> Array:
-    """Components along n and along t, which is n turned by +90 degrees."""
+    """Components along n and along t, which is n rotated by +90 degrees."""
     return np.stack([(normal * vector).sum(axis=-1), _cross(normal, vector)], axis=-1)
 
 

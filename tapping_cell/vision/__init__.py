@@ -1,4 +1,4 @@
-"""Where the object truly is on the table, with an honest covariance, from an overhead camera."""
+"""Pose and covariance of the object on the table, measured with an overhead camera."""
 
 from tapping_cell.vision.annotate import annotate
 from tapping_cell.vision.camera import CameraError, CameraModel, CameraPose, View

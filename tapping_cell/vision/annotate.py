@@ -1,4 +1,4 @@
-"""The frame with what the cell makes of it drawn in: for people."""
+"""Draw the measurements and the goal into a camera frame, for display."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ def annotate(
     goal: Pose | None = None,
     references: ReferenceMap | None = None,
 ) -> NDArray[np.uint8]:
-    """A colour picture (BGR, uint8, height x width x 3) of one frame and its observation.
+    """Return a colour image (BGR, uint8, height x width x 3) of one frame and its observation.
 
-    ``outline`` (N, 2) is the object's in its own frame, in m, ``height`` (m) that of its top;
-    ``goal`` the pose in table where it should be; ``references`` are drawn where the table's file
-    has them, blue where they were used and red where not. Text is in mm and degrees.
+    ``outline`` (N, 2) is the object's outline in its own frame, in m, and ``height`` (m) the height
+    of its top. ``goal`` is the object's goal pose in table. ``references`` are drawn at their
+    places in the table's file, blue if they were used and red if not. Text is in mm and degrees.
     """
     picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     points = np.asarray(outline, dtype=float)
@@ -56,7 +56,7 @@ def annotate(
 
 
 def _state(observation: Observation) -> tuple[str, Colour]:
-    """In a word, and its colour; the first picture of an object does not say whether it moves."""
+    """Label and colour of the object's state; its first frame does not show whether it moves."""
     if observation.at_rest:
         return f"AT REST   {observation.frames_fused} frames", GREEN
     if observation.velocity is not None and not observation.velocity.any():
@@ -76,14 +76,14 @@ def _references(
         )
         x, y = (int(c) for c in np.clip(seen.mean(axis=0), -4000, 8000))
         place = (x - round(9 * scale * len(str(marker.id))), y + round(10 * scale))
-        # Readable on black and on white modules.
+        # Outlined text is readable on black and on white modules.
         for ink, width in (((0, 0, 0), 6), (colour, 2)):
             width, font = max(1, round(width * scale)), cv2.FONT_HERSHEY_SIMPLEX
             cv2.putText(picture, str(marker.id), place, font, 0.8 * scale, ink, width, cv2.LINE_AA)
 
 
 def _scale(picture: NDArray[np.uint8]) -> float:
-    """Of lines and letters: 1 for a picture of 1280 pixels, not below what can be read."""
+    """Scale of lines and letters: 1 for an image 1280 pixels wide, at least 0.6 for legibility."""
     return max(picture.shape[1] / 1280.0, 0.6)
 
 

@@ -1,9 +1,9 @@
-"""The camera: pinhole with lens distortion, its pose over the table, rays met with planes of the
-table.
+"""Camera model, camera pose over the table, and intersection of rays with planes.
 
-Model and coefficients are OpenCV's and ROS's ``camera_info`` (``plumb_bob``: k1 k2 p1 p2 k3;
-``rational_polynomial``: k1 k2 p1 p2 k3 k4 k5 k6 and, if there, thin prism and tilt). Pixels count
-from the centre of the top left pixel, x to the right, y down. Optical frame: z forward (REP-103).
+The model is a pinhole with lens distortion. Model and coefficients are those of OpenCV and of ROS's
+``camera_info`` (``plumb_bob``: k1 k2 p1 p2 k3; ``rational_polynomial``: k1 k2 p1 p2 k3 k4 k5 k6
+and, if present, thin prism and tilt). Pixel coordinates are measured from the centre of the top
+left pixel, x to the right, y down. In the optical frame, z points forward (REP-103).
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _LENGTHS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14)}
-# Fixed-point undistortion gains at least a digit an iteration for lenses up to 100 degrees; what it
-# leaves is for Newton's method.
+# Fixed-point undistortion gains at least one digit per iteration for lenses up to 100 degrees.
+# Newton's method handles the rays that do not converge.
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
 _FOUND = 1e-6
-"""Pixels by which a ray may miss the pixel that it was found for."""
+"""Maximum reprojection error of a ray, in pixels."""
 _NEWTON_STEPS = 40
 _LARGEST = 30_000
-"""Pixels along an image, more than any camera has."""
+"""Maximum width or height of an image in pixels, more than any camera has."""
 
 
 class CameraError(ValueError):
-    """A camera description or an image that cannot be used; the text says why."""
+    """A camera description or an image that cannot be used; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraModel:
-    """Size of the image in pixels, focal lengths and principal point in pixels, lens distortion.
+    """Image size in pixels, focal lengths and principal point in pixels, and lens distortion.
 
-    ``deviations`` are the standard deviations of fx, fy, cx, cy, k1, k2, p1 and p2 where the
-    calibration states them, else none; they belong to the numbers and are not compared.
+    ``deviations`` are the standard deviations of fx, fy, cx, cy, k1, k2, p1 and p2 if the
+    calibration states them, otherwise empty. They are excluded from comparisons.
     """
 
     width: int
@@ -53,7 +53,7 @@ class CameraModel:
     deviations: tuple[float, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
-        """Refuse what is no camera, with the value."""
+        """Raise CameraError, with the value, if the parameters do not describe a camera."""
         if self.distortion_model not in _LENGTHS:
             raise CameraError(
                 f"distortion_model is {self.distortion_model!r}: plumb_bob and "
@@ -109,7 +109,7 @@ class CameraModel:
         d: Sequence[float],
         k: Sequence[float],
     ) -> CameraModel:
-        """From the fields of ``sensor_msgs/CameraInfo`` (k row by row, 9 numbers).
+        """Create the model from the fields of ``sensor_msgs/CameraInfo`` (k row by row, 9 numbers).
 
         Raises CameraError for an unknown lens model, wrong counts or an uncalibrated camera.
         """
@@ -144,7 +144,7 @@ class CameraModel:
         return np.array(padded)
 
     def project(self, points: ArrayLike) -> Array:
-        """Pixels, shape (..., 2), of points of shape (..., 3) in the optical frame, in m."""
+        """Project points (..., 3) in the optical frame, in m, to pixels (..., 2)."""
         p = np.asarray(points, dtype=float)
         flat = np.ascontiguousarray(p.reshape(-1, 1, 3))
         if flat.size == 0:
@@ -154,8 +154,8 @@ class CameraModel:
         return np.asarray(pixels, dtype=float).reshape(*p.shape[:-1], 2)
 
     def rays(self, pixels: ArrayLike) -> Array:
-        """Directions (x / z, y / z), shape (..., 2), of pixels of shape (..., 2): distortion
-        undone. NaN where the lens model images no direction on a pixel."""
+        """Return the undistorted directions (x / z, y / z), shape (..., 2), of pixels (..., 2). The
+        result is NaN if the lens model projects no direction to a pixel."""
         p = np.asarray(pixels, dtype=float)
         flat = np.ascontiguousarray(p.reshape(-1, 2))
         if flat.size == 0:
@@ -170,17 +170,18 @@ class CameraModel:
         return found.reshape(p.shape)
 
     def _missed(self, rays: Array, pixels: Array) -> NDArray[np.bool_]:
-        """Which rays (N, 2) are not seen at their pixels (N, 2)."""
+        """Return which rays (N, 2) do not project to their pixels (N, 2)."""
         homogeneous = np.column_stack([rays, np.ones(len(rays))])
         with np.errstate(invalid="ignore", over="ignore"):
             error = np.abs(self.project(homogeneous) - pixels).max(axis=1)
         return np.asarray(~(error <= _FOUND))
 
     def _newton(self, pixels: Array) -> Array:
-        """Rays (N, 2) by Newton's method from the undistorted ones; NaN where there is none.
+        """Solve for rays (N, 2) by Newton's method from the undistorted pixels; NaN if it fails.
 
-        With barrel distortion the radius in the image bends down, so every step ends short of the
-        answer and the next goes on from there; a step across the fold has no way back.
+        With barrel distortion, the image radius grows less than linearly, so every step stops short
+        of the solution and the next step continues from there. A step beyond the fold of the lens
+        model cannot return.
         """
         rays = (pixels - [self.cx, self.cy]) / [self.fx, self.fy]
         zero = np.zeros(3)
@@ -188,7 +189,8 @@ class CameraModel:
         for _ in range(_NEWTON_STEPS):
             points = np.column_stack([rays[left], np.ones(len(left))])
             seen, slopes = cv2.projectPoints(points, zero, zero, self.matrix, self.coefficients)
-            # Columns 3 and 4: by the point's x and y, here at a depth of 1.
+            # Columns 3 and 4: derivatives with respect to the point's x and y, here at a depth of
+            # 1.
             matrix = np.asarray(slopes, dtype=float)[:, 3:5].reshape(-1, 2, 2)
             error = pixels[left] - seen.reshape(-1, 2)
             forward = np.linalg.det(matrix) > 0
@@ -202,8 +204,8 @@ class CameraModel:
         return rays
 
     def _check_fold(self) -> None:
-        """Refuse a lens that folds back inside the image: pixels there would have no direction, or
-        two."""
+        """Raise CameraError if the lens model folds back inside the image, where a pixel would have
+        no direction or two directions."""
         along = np.linspace(0.0, 1.0, 9)
         rim = np.concatenate([[(s, 0.0), (s, 1.0), (0.0, s), (1.0, s)] for s in along])
         rim *= [self.width - 1, self.height - 1]
@@ -217,7 +219,7 @@ class CameraModel:
             )
 
     def check_image(self, image: NDArray[np.generic]) -> str | None:
-        """None if the image is one of this camera's (uint8, height x width), else a sentence."""
+        """Return None if the image matches this camera (uint8, height x width), else the reason."""
         if image.ndim != 2 or image.dtype != np.uint8:
             return (
                 f"the image has type {image.dtype} and shape {image.shape}; expected is uint8, "
@@ -245,9 +247,10 @@ class CameraPose:
         aim: Sequence[float] = (0.0, 0.0),
         spin: float = 0.0,
     ) -> CameraPose:
-        """A camera at ``position`` (x, y, z in m) looking at the point ``aim`` (x, y) of the table.
+        """Return the pose of a camera at ``position`` (x, y, z in m) aimed at a point of the table.
 
-        With ``spin`` (rad) 0 the image's x axis lies along the table's x axis.
+        ``aim`` is the point (x, y). With ``spin`` (rad) 0, the image's x axis is parallel to the
+        table's x axis.
         """
         place = np.asarray(position, dtype=float)
         forward = np.array([aim[0], aim[1], 0.0]) - place
@@ -260,22 +263,21 @@ class CameraPose:
 
     @property
     def position(self) -> Array:
-        """Where the camera is in the table's frame, shape (3,), in m."""
+        """Position of the camera in the table's frame, shape (3,), in m."""
         return np.asarray(-self.rotation.T @ self.translation)
 
     def apply(self, points: ArrayLike) -> Array:
-        """Points of the table, shape (..., 3), in the optical frame."""
+        """Transform points of the table, shape (..., 3), to the optical frame."""
         return np.asarray(np.asarray(points, dtype=float) @ self.rotation.T + self.translation)
 
     def plane(self, height: float) -> Array:
-        """Matrix (3, 3) that takes (x, y, 1) of the plane at ``height`` over the table to the
-        camera."""
+        """Matrix (3, 3) from (x, y, 1) on the plane at ``height`` over the table to the camera."""
         third = self.rotation[:, 2] * height + self.translation
         return np.column_stack([self.rotation[:, 0], self.rotation[:, 1], third])
 
     def moved(self, step: ArrayLike) -> CameraPose:
-        """This pose after a small motion (rotation vector in rad, translation in m; camera
-        axes)."""
+        """Return this pose after a small motion: rotation vector in rad and translation in m, in
+        camera axes."""
         s = np.asarray(step, dtype=float)
         turn, _ = cv2.Rodrigues(s[:3])
         return CameraPose(turn @ self.rotation, turn @ self.translation + s[3:])
@@ -283,24 +285,25 @@ class CameraPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A camera and its pose over the table: between pixels and the table's planes."""
+    """A camera and its pose over the table; converts between pixels and planes of the table."""
 
     camera: CameraModel
     pose: CameraPose
 
     def project(self, points: ArrayLike, height: float = 0.0) -> Array:
-        """Pixels of points (..., 2) of the plane at ``height`` (m), or of points (..., 3)."""
+        """Project points (..., 2) of the plane at ``height`` (m), or points (..., 3), to pixels."""
         p = np.asarray(points, dtype=float)
         if p.shape[-1] == 2:
             p = np.concatenate([p, np.full((*p.shape[:-1], 1), height)], axis=-1)
         return self.camera.project(self.pose.apply(p))
 
     def on_plane(self, pixels: ArrayLike, height: float = 0.0) -> Array:
-        """Points (..., 2) of the plane at ``height`` (m) that the pixels (..., 2) see, in m."""
+        """Intersect the rays of pixels (..., 2) with the plane at ``height`` (m); points (...,
+        2)."""
         return self.rays_on_plane(self.camera.rays(pixels), height)
 
     def rays_on_plane(self, rays: ArrayLike, height: float = 0.0) -> Array:
-        """Points (..., 2) of the plane at ``height`` (m) that the directions (..., 2) meet."""
+        """Intersect directions (..., 2) with the plane at ``height`` (m): points (..., 2) in m."""
         r = np.asarray(rays, dtype=float)
         inverse = np.linalg.inv(self.pose.plane(height))
         homogeneous = r @ inverse[:, :2].T + inverse[:, 2]

@@ -1,4 +1,4 @@
-"""Frames that must not be looked at: of another kind, late, repeated, dark or overexposed."""
+"""Validate frames: reject those of wrong format, late, repeated, dark or overexposed."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from tapping_cell.vision.camera import CameraModel, Image
 from tapping_cell.vision.observation import Problem
 
 _REPEATED = 4
-"""Frames in which an image does not come back: as many as buffers that a camera usually has."""
+"""Number of recent frames that an image must differ from; cameras usually have as many buffers."""
 _GLOW = 12.0
-"""Grey levels over ``dark`` that noise and lamps on the camera may reach in a dark image."""
+"""Grey levels above ``dark`` that noise and lamps on the camera may reach in a dark image."""
 
 
 class FrameValidator:
-    """Remembers the last good frame's stamp and looks, and refuses what cannot be one.
+    """Rejects unusable frames; remembers the last valid stamp and signatures of recent images.
 
-    ``dark`` and ``bright`` are grey levels: below the one, or above the other, there is no picture.
+    An image is dark below the grey level ``dark`` and overexposed above ``bright``.
     """
 
     def __init__(self, camera: CameraModel, dark: float, bright: float) -> None:
@@ -30,7 +30,8 @@ class FrameValidator:
         self._seen: deque[int] = deque(maxlen=_REPEATED)
 
     def refuse(self, image: Image, stamp: float) -> tuple[Problem, str] | None:
-        """Why the frame taken at ``stamp`` (s) cannot be used, with a sentence; None if it can."""
+        """Return the problem of the frame captured at ``stamp`` (s), with a sentence; None if it is
+        valid."""
         sentence = self._camera.check_image(image)
         if sentence is not None:
             return Problem.WRONG_IMAGE, sentence

@@ -1,4 +1,4 @@
-"""What a camera sees of the table past bars that stand in the way: shadows on a plane."""
+"""Visibility of points on the table for a camera whose view is partly occluded by bars."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from tapping_cell.vision.camera import Array
 def view_clearance(
     camera: ArrayLike, start: ArrayLike, end: ArrayLike, radius: ArrayLike, points: ArrayLike
 ) -> Array:
-    """Distance (N, M) in m from points to the nearest shadow of N sets of bars, in their plane.
+    """Distance (N, M) in m from points to the nearest shadow of N sets of bars.
 
-    A shadow is what the bar hides from the camera: its central projection from the lens on the
-    plane of the point. Negative where the point itself is hidden. A disc around the point is free
-    where the distance is greater than its radius.
+    A shadow is the area that a bar hides from the camera: the bar's central projection from the
+    lens to the plane of the point. The distance is negative if the point itself is hidden. A disc
+    around the point is fully visible if the distance is greater than its radius.
 
     Args:
-        camera: place of the lens, (3,).
-        start, end: ends of the bars' middle lines, (N, K, 3).
-        radius: of the bars, (K,).
+        camera: position of the lens, (3,).
+        start, end: ends of the bars' centre lines, (N, K, 3).
+        radius: radii of the bars, (K,).
         points: (M, 3), below the camera.
     """
     lens = np.asarray(camera, dtype=float)
@@ -38,9 +38,10 @@ def view_clearance(
 
 
 def _projected(lens: Array, places: Array, height: Array) -> tuple[Array, Array]:
-    """Places (N, 3) from the lens on planes (M,): (N, M, 2), and how much larger (N, M).
+    """Project places (N, 3) from the lens to planes (M,).
 
-    What is above the lens hides nothing that it sees below; what is level with it hides all.
+    Returns points (N, M, 2) and magnification (N, M). A place above the lens hides nothing below
+    it; a place level with the lens hides everything.
     """
     below = np.maximum(lens[2] - places[:, None, 2], 1e-3)
     scale = (lens[2] - height[None, :]) / below

@@ -1,8 +1,8 @@
-"""One object from frame to frame: what is the same whether a marker or its outline is seen.
+"""Base class that tracks one object over frames, common to markers and outlines.
 
-A follower is asked once a frame, when the camera's pose over the table is known. Where the object
-should be follows from its last pose and velocity; what it measures there goes through the track,
-which tells rest from motion and fuses the frames at rest.
+A follower runs once per frame, after the camera's pose over the table is known. It predicts the
+object's pose from the last pose and velocity and measures the object there. The track then decides
+between rest and motion, and fuses the frames at rest.
 """
 
 from __future__ import annotations
@@ -24,67 +24,69 @@ from tapping_cell.vision.rest_detection import Motion, RestSettings, Track
 from tapping_cell.vision.table.tracker import CROSS, TableTracker, pose_changes
 
 Trouble = tuple[Problem, str]
-"""Why there is no pose, and the sentence that says so."""
+"""Reason for a missing pose, and the sentence that explains it."""
 
 Aim = tuple[Array, NDArray[np.bool_]]
-"""A marker to be measured: its corners (4, 2) in the image, about, and its pattern."""
+"""A marker to measure: its approximate corners (4, 2) in the image, and its pattern."""
 
 _INSTANT = 1.5e-4
-"""Standard deviation (s) of the moment that a frame blurred by motion stands for: measured 0.05 to
-0.13 ms in the middle of a slide, up to 0.6 ms where it begins or ends within an exposure."""
+"""Standard deviation (s) of the time to which a motion-blurred frame corresponds. Measured: 0.05 to
+0.13 ms in the middle of a slide, up to 0.6 ms if it begins or ends within an exposure."""
 _JUDGED_AGAIN = 0.003, 0.03
-"""Motion (m) of an object at rest and of a moving one after which the lens error is asked again."""
+"""Displacement (m) of an object at rest, and of a moving object, after which the systematic error
+is computed again."""
 _UNSEEN = 0.1
-"""Time (s) for which an object that is not seen is believed to go on moving."""
+"""Time (s) for which an unseen object is assumed to continue its motion."""
 _LOST = 0.2
-"""Time (s) of looks in vain after which the object is searched for thoroughly; a machine that takes
-so long for a picture has not lost it."""
+"""Time (s) of failed measurements after which a thorough search is made. It must exceed the time
+that a slow computer takes for one frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A good frame, and the table as it is known with it."""
+    """A valid frame, and the state of the table in it."""
 
     image: Image
     stamp: float
     working: View
-    """Frozen while nothing moves: the improving average of the table's pose is no motion of the
-    object's."""
+    """View used for measurements. It is constant while nothing moves, so that refinements of the
+    table's pose do not appear as motion of the object."""
     newest: View
-    """What is published is seen through this."""
+    """View in which poses are published."""
     table: TableTracker
     references_seen: bool
-    """Whether reference markers were seen in this very frame."""
+    """True if reference markers were measured in this frame."""
     aimed: MarkerEdges | None
-    """Edges of the marker that the follower aimed at; None where it is not there."""
+    """Edges of the marker that the follower aimed at; None if it was not found."""
     notice: str
-    """What should be known of the table though it does not spoil the pose; empty for nothing."""
+    """Warning about the table that does not invalidate the pose; empty if there is none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Search:
-    """What was found in a whole image: markers by dictionary."""
+    """Markers found in a whole image, by dictionary."""
 
     stamp: float
     detections: Mapping[str, Detections]
     first: bool
-    """Whether it is the first frame of all, which may be the only one."""
+    """True for the first frame, which may also be the only frame."""
     slow: bool
-    """Whether there is time to find out why the object is not there."""
+    """True if there is time to diagnose why the object was not found."""
     expected_ids: Mapping[str, frozenset[int]]
     """Ids of the reference markers, by dictionary."""
 
 
 class ObjectFollower(ABC):
-    """Follows one object whose seen face is at ``height`` (m) over the table.
+    """Follows one object whose visible face is at ``height`` (m) over the table.
 
-    ``wants_search``: whether the next frame should be searched as a whole.
+    ``wants_search`` requests a search of the whole next frame.
     """
 
     dictionary: str | None = None
-    """Dictionary of the object's marker; None without one."""
+    """Dictionary of the object's marker; None if it has no marker."""
     fixed: float = 0.0
-    """Share of the variance of a frame's pose that further frames do not average out."""
+    """Fraction of the variance of a frame's pose that averaging over more frames does not
+    reduce."""
 
     def __init__(self, height: float, rest: RestSettings) -> None:
         self.height = height
@@ -95,64 +97,68 @@ class ObjectFollower(ABC):
         self._vain_since: float | None = None
         self._judged: tuple[int, Array, Array, Array] | None = None
 
-    # -- what differs
+    # -- implemented by subclasses
 
     @abstractmethod
     def outline(self, pose: Array) -> Array:
-        """Points (N, 2) around what is seen of the object at a pose (3,), in ``table``."""
+        """Return points (N, 2) around the object's visible part at a pose (3,), in ``table``."""
 
     @abstractmethod
     def detected(self, stamp: float) -> bool:
-        """Whether the search of the frame of this time found the object."""
+        """Return whether the search of the frame with this stamp found the object."""
 
     @abstractmethod
     def aim(self, stamp: float, view: View | None) -> Aim | None:
-        """Which marker to measure in the frame that comes next, together with those of the table:
-        how the noise of neighbouring pixels hangs together is told the better from more of them."""
+        """Return the marker to measure in the next frame together with the reference markers.
+
+        Measuring them together improves the estimate of the correlation between neighbouring
+        pixels' noise.
+        """
 
     @abstractmethod
     def complete(self, detections: Mapping[str, Detections]) -> bool:
-        """Whether a search has found what this follower needs of it."""
+        """Return whether a search has found everything that this follower needs."""
 
     @abstractmethod
     def searched(self, image: Image, search: Search) -> None:
-        """Take what was found in the whole image of the frame that comes next."""
+        """Receive the detections in the whole image of the next frame."""
 
     @abstractmethod
     def look(self, frame: Frame) -> tuple[Array, Array] | Trouble:
-        """Pose (3,) and covariance (3, 3) through the working view, or why there is none."""
+        """Return pose (3,) and covariance (3, 3) in the working view, or the reason for none."""
 
     @abstractmethod
     def doubt(self, frame: Frame) -> tuple[Array, str]:
-        """What the last look found that all frames share: covariance (3, 3), and what to say."""
+        """Return the uncertainty of the last measurement that is common to all frames: covariance
+        (3, 3), and a warning."""
 
-    # -- what is the same
+    # -- common to all followers
 
     @property
     def found(self) -> bool:
-        """Whether it is known where the object is, or was."""
+        """True if the object has been located, even if it is not visible now."""
         return self._last is not None
 
     def lost(self, stamp: float) -> bool:
-        """Whether the object was looked for in vain for a while."""
+        """Return whether the object was never found or has been missing for a while."""
         vain = self._vain_since is not None and stamp - self._vain_since > _LOST
         return self._last is None or vain
 
     def expected(self, stamp: float) -> Array | None:
-        """Where the object (3,) should be, from its last pose and velocity."""
+        """Predict the object's pose (3,) from its last pose and velocity."""
         if self._last is None:
             return None
         then, pose, velocity = self._last
         return np.asarray(pose + velocity * min(stamp - then, _UNSEEN))
 
     def step(self, stamp: float) -> Array:
-        """How far (2,) the object moves from its last pose to this time, in m."""
+        """Predict the displacement (2,) of the object from its last pose to this time, in m."""
         if self._last is None:
             return np.zeros(2)
         return np.asarray(self._last[2][:2] * min(stamp - self._last[0], _UNSEEN))
 
     def observe(self, frame: Frame) -> Observation:
-        """Measure and judge the object in this frame."""
+        """Measure the object in this frame and evaluate the result."""
         answer = self.look(frame)
         if isinstance(answer[0], Problem):
             if self._vain_since is None:
@@ -173,18 +179,18 @@ class ObjectFollower(ABC):
         return self._good(frame, motion)
 
     def forget(self) -> None:
-        """It is no longer known where the object is."""
+        """Discard the last known pose of the object."""
         self._last = None
 
     def stop(self, stamp: float, pose: Array | None = None) -> None:
-        """Look for it where it is, or where it was last seen, and not where it was going."""
+        """Set the velocity to zero, so that the object is expected at this or its last pose."""
         if pose is not None:
             self._last = (stamp, pose, np.zeros(3))
         elif self._last is not None and stamp - self._last[0] > _UNSEEN:
             self._last = (self._last[0], self._last[1], np.zeros(3))
 
     def step_from_last(self, pose: Array) -> tuple[float, float] | None:
-        """Way (m) and turn (rad) from the last pose to this one; None where there is none."""
+        """Distance (m) and rotation (rad) from the last pose to this one; None if there is none."""
         if self._last is None:
             return None
         step = pose - self._last[1]
@@ -196,7 +202,7 @@ class ObjectFollower(ABC):
         error, shared = self._calibration(frame.table, pose, again)
         pose = pose - error
         doubt, sentence = self.doubt(frame)
-        # Of what a frame shows wrong, a share stays however many frames are fused.
+        # A fraction of the variance of a frame remains, however many frames are fused.
         spread = motion.covariance * (1.0 + self.fixed * (motion.frames - 1))
         instant = _INSTANT * motion.velocity
         return Observation(
@@ -213,7 +219,7 @@ class ObjectFollower(ABC):
         )
 
     def _through_newest(self, frame: Frame, pose: Array) -> Array:
-        """A pose measured through the working view, as the newest view of the table has it."""
+        """Convert a pose measured in the working view to the newest view of the table."""
         points = transform_points(pose, CROSS)
         seen = frame.working.pose.apply(np.column_stack([points, np.full(4, self.height)]))
         newest = frame.newest.rays_on_plane(seen[:, :2] / seen[:, 2:], self.height)
@@ -222,7 +228,8 @@ class ObjectFollower(ABC):
         return moved
 
     def _calibration(self, table: TableTracker, pose: Array, again: float) -> tuple[Array, Array]:
-        """What all frames share of table and lens: likely error (3,) and covariance (3, 3)."""
+        """Expected error (3,) common to all frames, due to table and lens, and its covariance (3,
+        3)."""
         key = table.field_number
         known = self._judged
         if known is None or known[0] != key or np.abs(known[1] - pose)[:2].max() > again:
@@ -232,5 +239,5 @@ class ObjectFollower(ABC):
 
 
 def nothing(stamp: float, table: TableTracker, problem: Problem, sentence: str) -> Observation:
-    """A frame without a pose."""
+    """Create the observation of a frame without a pose."""
     return Observation(stamp, references_used=table.used, problem=problem, sentence=sentence)

@@ -1,4 +1,4 @@
-"""What one frame says about the object."""
+"""Result of measuring the object in one frame."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tapping_cell.vision.camera import Array
 
 
 class Problem(enum.Enum):
-    """Why a frame gives no pose; the sentence of the observation says it with values."""
+    """Reason for a missing pose; the observation's sentence explains it with values."""
 
     NONE = 0
     WRONG_IMAGE = 1
@@ -36,11 +36,13 @@ class Problem(enum.Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """One frame's answer. ``pose`` and ``covariance`` (3, 3; m, m, rad) of the object in ``table``
-    are there exactly when ``visible``; they come from ``frames_fused`` frames while the object is
-    at rest (since ``at_rest_since``, s) and from this frame while it moves at ``velocity`` (m/s,
-    m/s, rad/s). ``sentence`` explains ``problem``, or warns of something that was put right when
-    there is none.
+    """Result of one frame.
+
+    ``pose`` and ``covariance`` (3, 3; m, m, rad) of the object in ``table`` are set exactly if
+    ``visible``. While the object is at rest (since ``at_rest_since``, s), they combine
+    ``frames_fused`` frames; while it moves at ``velocity`` (m/s, m/s, rad/s), they come from this
+    frame only. ``sentence`` explains ``problem`` or, if there is none, warns of an error that was
+    corrected.
     """
 
     stamp: float

@@ -1,4 +1,4 @@
-"""Further objects on the table: looked at in turn, or in every frame while one is being moved."""
+"""Schedule of measuring other objects: in turn, or in every frame while one is being moved."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from tapping_cell.vision.markers.detection import MarkerError, ObjectMarker
 from tapping_cell.vision.outline.shape import ObjectOutline
 
 PERIOD = 0.2
-"""Time (s) between two looks at one object; it lies still, and the moved one needs the time."""
+"""Time (s) between measurements of a stationary object, so that computing time is left for the
+moving object."""
 
 
 def marker_ids(seen: Sequence[ObjectMarker | ObjectOutline]) -> frozenset[int]:
-    """The ids of these objects' markers.
+    """Return the ids of these objects' markers.
 
-    Raises MarkerError where two of them carry the same marker.
+    Raises MarkerError if two objects have the same marker.
     """
     markers = [one for one in seen if isinstance(one, ObjectMarker)]
     for number, marker in enumerate(markers):
@@ -29,18 +30,21 @@ def marker_ids(seen: Sequence[ObjectMarker | ObjectOutline]) -> frozenset[int]:
 
 
 class Turns:
-    """Which of several objects that lie still are looked at in a frame: one in its turn."""
+    """Selects which of several stationary objects to measure in a frame, one in turn."""
 
     def __init__(self, count: int) -> None:
         self._looked = [-math.inf] * count
 
     def due(self, stamp: float, always: Collection[int] = ()) -> list[int]:
-        """Numbers of the objects to look at in the frame of this time (s): ``always`` those, and
-        the one that was looked at longest ago, if that is long enough ago."""
+        """Return the indices of the objects to measure in the frame with this stamp (s).
+
+        These are the objects in ``always``, and the object measured longest ago if :data:`PERIOD`
+        has passed.
+        """
         chosen = set(always)
         if self._looked:
             number = min(range(len(self._looked)), key=lambda each: self._looked[each])
-            # A stamp that goes back is the tracker's to judge: it says so.
+            # Measure also if the stamp goes backwards, because the tracker reports such a frame.
             if not 0.0 <= stamp - self._looked[number] < PERIOD:
                 chosen.add(number)
         for number in chosen:

@@ -1,8 +1,8 @@
-"""At rest or moving, from the track of measured poses and their covariances.
+"""Decide from the measured poses and their covariances whether the object is at rest or moving.
 
-Rest is a statement about speed, so it is tested as one: a line through the last few poses gives a
-velocity and its standard deviation, and rest is declared only when even the upper confidence bound
-lies below the limit. How long that takes follows from the noise, not from a timer.
+The decision is a test of speed. A line fitted to the last few poses gives a velocity and its
+standard deviation, and the object is at rest only if even the upper confidence bound of the speed
+is below the limit. The time until rest is detected therefore depends on the noise, not on a timer.
 """
 
 from __future__ import annotations
@@ -17,25 +17,29 @@ from tapping_cell.vision.camera import Array
 from tapping_cell.vision.fusion import fuse_information
 
 _BEGINNING, _LARGEST_BEGINNING = 0.25, 0.002
-"""Standard deviation of the first pose after a rest, as a share of the way from there, and the way
-(m) up to which it grows. When the motion begins within the exposure, the blurred image stands for
-another moment than the middle of the exposure: at most the whole way, and none of it where that is
-longer than an eighth of the way of a whole exposure."""
+"""Standard deviation of the first pose after a rest, as a fraction of the displacement from the
+rest pose, and the displacement (m) beyond which it no longer grows.
+
+If the motion begins within the exposure, the blurred image does not correspond to the middle of the
+exposure. The resulting error is at most the whole displacement, and zero if the displacement
+exceeds one eighth of the motion during a whole exposure.
+"""
 
 
 _STEADY = 0.3
-"""Share of its velocity by which that of a sliding object may change from frame to frame; struck
-or stopped, it changes by more."""
+"""Maximum relative change of a sliding object's velocity from frame to frame; an impact or a stop
+changes it by more."""
 
 
 @dataclass(frozen=True, slots=True)
 class RestSettings:
-    """``speed`` (m/s) or ``turn`` (rad/s) count as moving.
+    """Settings of the rest detection.
 
-    ``confidence`` standard deviations of safety; windows of ``shortest`` to ``longest`` frames;
-    ``memory`` frames fused at most; ``leave`` is the squared Mahalanobis distance (3 degrees of
-    freedom) at which a frame at rest is no longer at the same place; ``gap`` (s) without a pose
-    after which what was known is forgotten.
+    The object is moving above ``speed`` (m/s) or ``turn`` (rad/s), tested with ``confidence``
+    standard deviations over windows of ``shortest`` to ``longest`` frames. At most ``memory``
+    frames are fused. ``leave`` is the squared Mahalanobis distance (3 degrees of freedom) at which
+    a pose no longer agrees with the rest pose. The track is cleared after ``gap`` (s) without a
+    pose.
     """
 
     speed: float = 0.0005
@@ -50,8 +54,11 @@ class RestSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """What the track says: ``pose`` (3,) and ``covariance`` (3, 3) from ``frames`` measurements,
-    ``velocity`` (3,) in m/s and rad/s, and since when it rests (None while moving).
+    """State of the track.
+
+    ``pose`` (3,) and ``covariance`` (3, 3) come from ``frames`` measurements. ``velocity`` (3,) is
+    in m/s and rad/s. ``rest_since`` is the time (s) since which the object is at rest, None while
+    it moves.
     """
 
     pose: Array
@@ -64,7 +71,8 @@ class Motion:
 class _Resting:
     """The last poses (3,) of an object at rest, with the inverses of their covariances (3, 3).
 
-    Kept in arrays of twice the size, so that what is fused is always one view.
+    The arrays have twice the required size, so that the poses to fuse are always one contiguous
+    view.
     """
 
     def __init__(self, size: int) -> None:
@@ -77,7 +85,7 @@ class _Resting:
         return self._end - self._begin
 
     def append(self, pose: Array, covariance: Array) -> None:
-        """Take in a pose; the oldest is forgotten where there are too many."""
+        """Add a pose, and drop the oldest one if there are too many."""
         if self._end == 2 * self._size:
             kept = slice(self._end - self._size + 1, self._end)
             self._poses[: self._size - 1] = self._poses[kept]
@@ -89,20 +97,20 @@ class _Resting:
         self._begin = max(self._begin, self._end - self._size)
 
     def last(self, count: int) -> tuple[Array, Array]:
-        """The newest so many, the oldest of them first."""
+        """Return the newest ``count`` poses and inverse covariances, oldest first."""
         chosen = slice(max(self._begin, self._end - count), self._end)
         return self._poses[chosen], self._information[chosen]
 
 
 class Track:
-    """The object's poses since it last moved, and whether it rests."""
+    """The object's poses since it last moved; detects whether it is at rest."""
 
     def __init__(self, settings: RestSettings | None = None) -> None:
         self.settings = settings or RestSettings()
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything: the next pose begins a new track."""
+        """Clear all poses, so that the next pose begins a new track."""
         self._passed: tuple[float, Array, Array] | None = None
         self._begin()
 
@@ -114,7 +122,7 @@ class Track:
         self._fused: tuple[Array, Array] = (np.zeros(3), np.zeros((3, 3)))
 
     def add(self, stamp: float, pose: Array, covariance: Array) -> Motion:
-        """Take the pose of a frame taken at ``stamp`` (s, increasing) and judge."""
+        """Add the pose of a frame captured at ``stamp`` (s, increasing) and return the state."""
         s = self.settings
         if self._recent and stamp - self._recent[-1][0] > s.gap:
             self.clear()
@@ -125,7 +133,8 @@ class Track:
             fused, spread = self._fuse()
             return Motion(fused, spread, len(self._resting), np.zeros(3), self._rest_since)
         if self._rest_since is not None:
-            # One frame off its place is not fused and not trusted; a second one ends the rest.
+            # A single frame off the rest pose is neither fused nor accepted; a second ends the
+            # rest.
             self._strayed += 1
             if self._strayed == 1:
                 velocity = self._step_velocity(stamp, pose)
@@ -144,10 +153,11 @@ class Track:
         return Motion(pose, covariance, 1, velocity, None)
 
     def heading(self, stamp: float, pose: Array, motion: Motion) -> Array:
-        """Velocity (3,) that leads from the pose just added to where the object should be a frame
-        later: that of the last step, and, where it changes steadily, as much more as it changed.
+        """Velocity (3,) that predicts the pose in the next frame from the pose just added.
 
-        ``motion.velocity``, the slope of several frames, is surer but lags by one of them.
+        It is the velocity of the last step, plus the last change of velocity if the velocity
+        changes steadily. ``motion.velocity``, the slope over several frames, is less noisy but lags
+        by one frame.
         """
         before, self._passed = self._passed, (stamp, pose, np.zeros(3))
         if before is None or motion.rest_since is not None:
@@ -165,13 +175,14 @@ class Track:
         return self._fused
 
     def stays(self, pose: Array, covariance: Array) -> bool:
-        """Does this pose agree with the object still resting where it was?"""
+        """Return whether this pose agrees with the object still being at its rest pose."""
         if self._rest_since is None:
             return False
         fused, spread = self._fused
         if _distance(pose, covariance, fused, spread) > self.settings.leave:
             return False
-        # A creep slower than one frame shows: the mean of the last few against that of all.
+        # Detect a creep slower than the noise of one frame: compare the mean of the last few frames
+        # with the mean of all.
         if len(self._resting) < 12:
             return True
         poses, information = self._resting.last(4)
@@ -182,7 +193,7 @@ class Track:
         return _distance(mean, error, fused, spread) <= self.settings.leave
 
     def _resting_window(self) -> int:
-        """Length of the shortest window that proves rest, 0 if none does."""
+        """Length of the shortest window that proves rest; 0 if none does."""
         s = self.settings
         if len(self._recent) < s.shortest:
             return 0
@@ -201,8 +212,8 @@ class Track:
         return _slope(*self._stacked(window))
 
     def _stacked(self, window: int) -> tuple[Array, Array, Array]:
-        """Stamps (N,) of the last frames, their poses (N, 3) from the newest on, and variances
-        (N, 3)."""
+        """Stamps (N,) of the last frames, their poses (N, 3) relative to the newest, variances (N,
+        3)."""
         chosen = list(self._recent)[-window:]
         stamps = np.array([stamp for stamp, _, _ in chosen])
         poses = np.array([pose for _, pose, _ in chosen])
@@ -218,7 +229,7 @@ class Track:
         return np.asarray(step / (stamp - last_stamp))
 
     def _beginning(self, pose: Array) -> Array:
-        """Covariance (3, 3) of a pose just after a rest: when did the motion begin?"""
+        """Covariance (3, 3) of a pose just after a rest, due to the unknown start of the motion."""
         step = pose - self._fused[0]
         step[2] = wrap_angle(step[2])
         way = float(np.hypot(step[0], step[1]))

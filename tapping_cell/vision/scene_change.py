@@ -1,8 +1,9 @@
-"""Whether a frame shows what the last measured one showed, much cheaper than by measuring it.
+"""Detect cheaply whether a frame differs from the last measured frame.
 
 Windows around the reference markers and the object are compared pixel by pixel. Between two frames
-of a still scene the mean squared difference is twice the variance of the noise, and the more pixels
-a window has the less it scatters: an edge that moves by a twentieth of a pixel stands out.
+of a static scene, the mean squared difference is twice the variance of the noise, and its scatter
+decreases with the number of pixels in the window. An edge that moves by a twentieth of a pixel is
+therefore detected.
 """
 
 from __future__ import annotations
@@ -17,45 +18,45 @@ from numpy.typing import NDArray
 from tapping_cell.vision.camera import Image
 
 Window = tuple[int, int, int, int]
-"""x0, y0, x1, y1 in pixels, the last two not included."""
+"""x0, y0, x1, y1 in pixels; x1 and y1 are exclusive."""
 
 _LEARNT = 8
-"""Pairs of frames from which the noise of a window is known."""
+"""Minimum number of frame pairs needed to estimate the noise of a window."""
 _CONFIDENCE = 6.0
-"""Standard deviations by which a difference must exceed that of noise to be a change."""
+"""Standard deviations by which a difference must exceed the noise to count as a change."""
 _NOISY = 100.0
-"""Mean squared difference above which a window shows too little to be relied on."""
+"""Mean squared difference above which a window is too noisy to detect a change."""
 _MARGIN = 0.25
-"""Of a window's size, added on each side."""
+"""Margin added on each side, relative to a window's size."""
 
 
 class SceneChange:
-    """Compares frames with the last measured one inside fixed windows."""
+    """Compares frames with the last measured frame inside fixed windows."""
 
     def __init__(self) -> None:
         self.forget()
 
     def forget(self) -> None:
-        """The scene is another: nothing is known of its noise."""
+        """Discard the windows and their noise, because the scene changed."""
         self._windows: tuple[Window, ...] = ()
         self._kept: list[Image] = []
         self._noise: list[deque[float]] = []
 
     def watch(self, image: Image, regions: list[NDArray[np.float64]]) -> None:
-        """Begin with a measured frame: ``regions`` are points (N, 2) in pixels, each to be
-        framed by a window."""
+        """Start from a measured frame, with a window around each region, points (N, 2) in
+        pixels."""
         self._windows = tuple(_window(points, image) for points in regions)
         self._noise = [deque(maxlen=4 * _LEARNT) for _ in self._windows]
         self._keep(image)
 
     def learn(self, image: Image) -> None:
-        """Take in a further measured frame of the same scene, whose difference is noise."""
+        """Add a measured frame of the same scene; its difference from the last one is noise."""
         for values, difference in zip(self._noise, self._differences(image), strict=True):
             values.append(difference)
         self._keep(image)
 
     def unchanged(self, image: Image) -> bool:
-        """True where no window differs from the last measured frame by more than noise does."""
+        """Return True if no window differs from the last measured frame by more than the noise."""
         if not self._windows or len(self._noise[0]) < _LEARNT:
             return False
         for window, values, difference in zip(

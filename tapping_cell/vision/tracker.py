@@ -1,5 +1,4 @@
-"""From one frame after another to the object's pose: judging the frame, finding the table, and
-handing both to the follower of the object."""
+"""Pose tracker: validates camera frames, locates the table, and measures the object's pose."""
 
 from __future__ import annotations
 
@@ -27,18 +26,21 @@ from tapping_cell.vision.table.reference_markers import ReferenceMarkers, Rows
 from tapping_cell.vision.table.tracker import TableState, TableTracker
 
 _WARNED = 2.0
-"""Time (s) for which it is said that the camera or the table moved."""
+"""Time (s) for which the warning that the camera or the table moved is published."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrackerSettings:
-    """``audit_period`` (s) between full searches while all is well; ``lost_period`` (s) between
-    them while the object or the table is not seen; ``references_each`` reference markers measured
-    in a frame; ``references_timeout`` (s) that the table may go unseen; ``size_tolerance``: share
-    that the marker's apparent side may differ from the configured one; ``dark`` and ``bright`` grey
-    levels; ``other_ids`` markers of other objects, of the object's dictionary, that may be there;
-    ``settled_frames`` fused from which a frame without change is measured only every
-    ``settled_period`` (s): in between the last pose holds for it, 0 measures every frame.
+    """Settings of the pose tracker.
+
+    ``audit_period`` is the time (s) between full-image searches in normal operation,
+    ``lost_period`` the time between them while the object or the table is not seen.
+    ``references_each`` reference markers are measured in each frame; the table may be unseen for
+    ``references_timeout`` (s). ``size_tolerance`` is the relative deviation allowed between the
+    marker's apparent and configured side. ``dark`` and ``bright`` are grey levels. ``other_ids``
+    are the markers of other objects that use the object's dictionary. Once ``settled_frames`` are
+    fused, an unchanged frame is measured only every ``settled_period`` (s) and otherwise gets the
+    last pose; 0 measures every frame.
     """
 
     audit_period: float = 1.0
@@ -56,11 +58,11 @@ class TrackerSettings:
 
 
 class PoseTracker:
-    """Follows one object on the table, and looks at others when asked.
+    """Tracks one object on the table, and measures other objects on request.
 
-    ``camera`` is the calibrated camera, ``table`` the map of reference markers, ``seen`` what to
-    look for: the object's marker, or its outline; ``others`` the same of further objects. Frames go
-    to :meth:`update` in the order in which they were taken.
+    ``camera`` is the calibrated camera and ``table`` the map of reference markers. ``seen`` is the
+    object's marker or its outline, and ``others`` are the markers or outlines of the other objects.
+    Pass frames to :meth:`update` in the order in which they were captured.
     """
 
     def __init__(
@@ -93,22 +95,25 @@ class PoseTracker:
 
     @property
     def view(self) -> View | None:
-        """The camera over the table as now known, None before the reference markers were seen."""
+        """The camera with its current pose over the table; None before the first reference
+        markers."""
         return None if self.table.pose is None else View(self.camera, self.table.pose)
 
     def update(self, image: Image, stamp: float) -> Observation:
-        """Judge one frame: mono8 image (height, width), time of its exposure in s.
+        """Process one frame: a mono8 image (height, width) and the time of its exposure in s.
 
-        Never raises for what a camera may deliver: every trouble is a problem and a sentence.
+        Never raises for any image that a camera may deliver: every failure is returned as a problem
+        with an explanation.
         """
         return self.update_several(image, stamp, ())[0]
 
     def update_several(
         self, image: Image, stamp: float, others: Collection[int]
     ) -> tuple[Observation, dict[int, Observation]]:
-        """As :meth:`update`, and what the same frame says of some of the other objects.
+        """Process one frame as :meth:`update` does, and measure some of the other objects in it.
 
-        ``others`` are their numbers, from 0; one that was lost and found again is added.
+        ``others`` are the indices of these objects, from 0. The result also includes any object
+        that was lost and is found again in this frame.
         """
         refusal = self._gate.refuse(image, stamp)
         if refusal is not None:
@@ -124,7 +129,7 @@ class PoseTracker:
         return observation, found
 
     def _settled(self, stamp: float, others: Collection[int]) -> bool:
-        """Whether a frame without change need not be measured, as far as these are asked for."""
+        """Return whether an unchanged frame need not be measured for the object and ``others``."""
         enough = self.settings.settled_frames
         return (
             stamp - self._measured_at < self.settings.settled_period
@@ -138,8 +143,11 @@ class PoseTracker:
         )
 
     def _watch_settled(self, image: Image, observation: Observation) -> None:
-        """Keep what the next frame is compared with; nothing while the object is not long at rest,
-        or while it is being found out whether a reference marker is covered."""
+        """Keep this frame for comparison with the next frame.
+
+        Nothing is kept until the object has been at rest long enough, or while a reference marker
+        may be occluded.
+        """
         self._measured_at = observation.stamp
         view = self.view
         settled = observation.frames_fused >= self.settings.settled_frames
@@ -163,7 +171,7 @@ class PoseTracker:
     def _judge(
         self, image: Image, stamp: float, others: Collection[int]
     ) -> tuple[Observation, dict[int, Observation]]:
-        """Find the table in a good frame, then the objects."""
+        """Locate the table in a valid frame, then measure the objects."""
         searched = self._search_due(stamp, others)
         quads = self._search(image, stamp, others) if searched else self._references.next_group()
         numbers = [
@@ -201,7 +209,7 @@ class PoseTracker:
         for follower in (self._object, *self._others):
             follower.track.clear()
 
-    # -- the whole image
+    # -- search of the whole image
 
     @property
     def _wants_search(self) -> bool:
@@ -209,18 +217,20 @@ class PoseTracker:
 
     def _search_due(self, stamp: float, others: Collection[int]) -> bool:
         lost = not self._object.found or self.view is None or self._wants_search
-        # A further object that was seen is missed at once; one that was never there can wait.
+        # Search immediately for an object that disappeared; one that was never found can wait.
         lost |= any(self._others[n].found and self._others[n].wants_search for n in others)
         period = self.settings.lost_period if lost else self.settings.audit_period
         return stamp - self._last_search >= period
 
     def _search(self, image: Image, stamp: float, others: Collection[int]) -> dict[int, Array]:
-        """Look for all markers; corners of the reference markers found, by row of the map."""
+        """Search for all markers; return the corners of the reference markers, by row of the
+        map."""
         first = self._last_search == -math.inf
         self._last_search = stamp
         self._search_next = False
-        # The thorough search and its explanations take several frames' time: all of it for the
-        # first frame, which may be the only one; later once in a while, and only if it is needed.
+        # The thorough search and its diagnosis take the time of several frames. The first frame
+        # gets all of it, because it may be the only frame; later frames only occasionally, if
+        # needed.
         since = stamp - self._last_thorough
         slow = self._object.lost(stamp) and since >= self.settings.audit_period
         of_table = self._references.dictionary
@@ -254,7 +264,8 @@ class PoseTracker:
         if state in (TableState.STEADY, TableState.MOVED, TableState.TOO_FAR):
             self._references_seen = stamp
         if len(rows) < self.settings.table.least_references or state is TableState.SUSPECT:
-            # The next frame looks everywhere: they may have gone further than a few pixels.
+            # Search the whole next frame, because the markers may have moved by more than a few
+            # pixels.
             self._search_next = True
         view = self.view
         if view is not None and state in (TableState.STEADY, TableState.MOVED):
@@ -273,7 +284,7 @@ class PoseTracker:
         return state
 
     def _add_references(self, image: Image, known: Rows) -> TableState:
-        """Those that the first search did not find, now that it is known where they must be."""
+        """Measure reference markers that the first search missed, at their predicted positions."""
         assert self.view is not None
         quads = self.view.project(self.table.points)
         missing = set(range(len(quads))) - set(known.tolist())
@@ -281,7 +292,7 @@ class PoseTracker:
         return self.table.add(edges, rows) if len(rows) else TableState.STEADY
 
     def _notice(self, stamp: float) -> str:
-        """What should be known of the table in this frame; empty for nothing."""
+        """Warning about the table for this frame; empty if there is none."""
         since, sentence = self._warning
         if stamp - since > _WARNED:
             return table_notice(self.table, self._references.repeated, self._references.missed)

@@ -1,1 +1,1 @@
-"""Square markers: detection, edges, and the pose of the object that carries one."""
+"""Square markers: detection, edges, and the pose of an object that carries a marker."""

@@ -1,6 +1,6 @@
-"""OpenCV's ArUco module in both its forms: functions (4.6, Ubuntu 24.04) and classes (4.7 on).
+"""OpenCV's ArUco module in both versions: functions (4.6, Ubuntu 24.04) and classes (from 4.7).
 
-Everything that differs between the two is here and nowhere else.
+This module contains all code that depends on the version.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ _aruco: Any = cv2.aruco
 _CLASSES = hasattr(_aruco, "ArucoDetector")
 
 LEGACY_BOARDS = _CLASSES
-"""True where ChArUco boards with an even number of rows that were drawn before OpenCV 4.6, and so
-begin with a marker, can be detected."""
+"""True if legacy ChArUco boards can be detected: those with an even number of rows drawn before
+OpenCV 4.6, which begin with a marker."""
 
 
 def draw_marker(book: cv2.aruco.Dictionary, marker_id: int, side: int) -> Image:
-    """A marker with a border of one module, ``side`` pixels wide and high."""
+    """Draw a marker with a border of one module, ``side`` pixels wide and high."""
     draw = _aruco.generateImageMarker if _CLASSES else _aruco.drawMarker
     return np.asarray(draw(book, marker_id, side, borderBits=1), dtype=np.uint8)
 
@@ -31,7 +31,7 @@ def draw_marker(book: cv2.aruco.Dictionary, marker_id: int, side: int) -> Image:
 def draw_board(
     book: cv2.aruco.Dictionary, grid: tuple[int, int], square: float, marker: float, side: int
 ) -> Image:
-    """A ChArUco board of ``grid`` (columns, rows), each square ``side`` pixels wide and high."""
+    """Draw a ChArUco board of ``grid`` (columns, rows) with squares of ``side`` pixels."""
     board = _board(book, grid, square, marker, legacy=False)
     size = (grid[0] * side, grid[1] * side)
     drawn = board.generateImage(size) if _CLASSES else board.draw(size)
@@ -39,14 +39,14 @@ def draw_board(
 
 
 def detector_parameters() -> Any:
-    """The detector's parameters with the defaults of this OpenCV."""
+    """Return the detector's parameters with the defaults of this OpenCV version."""
     return _aruco.DetectorParameters() if _CLASSES else _aruco.DetectorParameters_create()
 
 
 def detect_markers(
     image: Image, book: cv2.aruco.Dictionary, parameters: Any
 ) -> list[tuple[int, Quad]]:
-    """Id and corners, shape (4, 2) in pixels, of every marker found."""
+    """Return id and corners, shape (4, 2) in pixels, of every detected marker."""
     if _CLASSES:
         corners, ids, _ = _aruco.ArucoDetector(book, parameters).detectMarkers(image)
     else:
@@ -61,8 +61,12 @@ def detect_markers(
 
 
 def _detect_with_functions(image: Image, book: cv2.aruco.Dictionary, parameters: Any) -> Any:
-    """Corners and ids by OpenCV 4.6, which keeps only the larger of two quads close to each other
-    before it reads them: a marker is lost to the rim around it. So every quad is read here."""
+    """Detect corners and ids with OpenCV 4.6.
+
+    This version keeps only the larger of two close quads before decoding, and so may discard a
+    marker in favour of the rim around it. The minimum distance is therefore lowered to decode every
+    quad.
+    """
     rate = parameters.minMarkerDistanceRate
     parameters.minMarkerDistanceRate = 1e-3
     try:
@@ -73,10 +77,10 @@ def _detect_with_functions(image: Image, book: cv2.aruco.Dictionary, parameters:
 
 
 def _without_repeats(found: list[tuple[int, Quad]], rate: float) -> list[tuple[int, Quad]]:
-    """One of the quads that read the same marker in the same place; ``rate``: how close they are,
-    as a share of the perimeter."""
+    """Keep one of the quads that decode to the same marker at the same position; ``rate`` is their
+    maximum distance as a fraction of the perimeter."""
     kept: list[tuple[int, Quad]] = []
-    # The largest is the marker's rim itself; a smaller one lies within the rim.
+    # The largest quad is the marker's rim itself; a smaller one is within the rim.
     for number, corners in sorted(found, key=lambda each: -_perimeter(each[1])):
         limit = rate * _perimeter(corners)
         middle = corners.mean(axis=0)
@@ -100,9 +104,10 @@ def detect_board(
     marker: float,
     legacy: bool = False,
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], int]:
-    """Indices and pixels (N, 2) of a ChArUco board's inner corners, and how many markers were seen.
+    """Detect a ChArUco board.
 
-    ``legacy``: the board begins with a marker; only where ``LEGACY_BOARDS``.
+    Returns indices and pixels (N, 2) of its inner corners, and the number of markers detected.
+    ``legacy``: the board begins with a marker; supported only if ``LEGACY_BOARDS``.
     """
     board = _board(book, grid, square, marker, legacy)
     if _CLASSES:

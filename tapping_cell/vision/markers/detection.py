@@ -1,8 +1,8 @@
-"""Square markers: dictionaries, the printed pattern, and finding them in an image.
+"""Square markers: dictionaries, printed patterns, and detection in an image.
 
-The frame of a marker has its origin in the middle of the black square, x along its top edge to the
-right and y up, as the pattern is drawn by OpenCV (``generateImageMarker``). The size of a marker is
-the side of its black square. Corners come clockwise in the image from the top left one.
+The frame of a marker has its origin at the centre of the black square, x along its top edge to the
+right and y up, as OpenCV draws the pattern (``generateImageMarker``). The size of a marker is the
+side of its black square. Corners are clockwise in the image, starting at the top left.
 """
 
 from __future__ import annotations
@@ -25,13 +25,16 @@ UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 
 
 _ENLARGED = 2_200_000
-"""Pixels of an image above which it is not enlarged: markers are not that small in larger ones."""
+"""Number of pixels above which an image is not enlarged; such images show larger markers."""
 
 
 class Effort(enum.IntEnum):
-    """How long to search: thorough takes half as long again and finds smaller markers, enlarged
-    (twice as wide and high, in images of up to 2.2 million pixels) takes five times as long and
-    finds those whose modules are little more than a pixel."""
+    """Level of a search.
+
+    A thorough search takes half as long again as a quick one and finds smaller markers. An enlarged
+    search doubles the width and height of images of up to 2.2 million pixels. It takes five times
+    as long and finds markers whose modules are little more than a pixel wide.
+    """
 
     QUICK = 0
     THOROUGH = 1
@@ -39,12 +42,12 @@ class Effort(enum.IntEnum):
 
 
 class MarkerError(ValueError):
-    """A marker that does not exist: unknown dictionary or id; the text says which."""
+    """A marker that does not exist: unknown dictionary or id; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection:
-    """One marker found: its id and its corners in pixels, shape (4, 2), good to about half a
+    """A detected marker: its id and its corners (4, 2) in pixels, accurate to about half a
     pixel."""
 
     id: int
@@ -52,7 +55,7 @@ class Detection:
 
 
 def dictionary_name(name: str) -> str:
-    """OpenCV's name (``DICT_...``) for a dictionary called e.g. apriltag_36h11, tag36h11 or 4X4_50.
+    """Return OpenCV's name (``DICT_...``) of a dictionary, e.g. apriltag_36h11, tag36h11 or 4X4_50.
 
     Raises MarkerError for a name that OpenCV does not have.
     """
@@ -69,15 +72,15 @@ def dictionary_name(name: str) -> str:
 
 @lru_cache(maxsize=32)
 def marker_dictionary(name: str) -> cv2.aruco.Dictionary:
-    """The dictionary called e.g. apriltag_36h11. Raises MarkerError for an unknown name."""
+    """Return a dictionary by name, e.g. apriltag_36h11. Raises MarkerError for an unknown name."""
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary_name(name)))
 
 
 @lru_cache(maxsize=64)
 def marker_pattern(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
-    """The modules of a marker, black border included: (n, n), True where white, row 0 on top.
+    """Return the modules of a marker and its black border: (n, n), True if white, row 0 on top.
 
-    Raises MarkerError for an unknown dictionary or an id that it does not hold.
+    Raises MarkerError for an unknown dictionary or an id out of its range.
     """
     book = marker_dictionary(dictionary)
     count = len(book.bytesList)
@@ -92,12 +95,12 @@ def marker_pattern(dictionary: str, marker_id: int) -> NDArray[np.bool_]:
 @lru_cache(maxsize=32)
 def _parameters(effort: Effort) -> Any:
     parameters = aruco.detector_parameters()
-    # Corners are refined afterwards by edges that use every pixel row (edges.py).
+    # The corners are refined later by edges.py, which uses every pixel row.
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    # Two copies of a marker must both come out, so that a duplicate is named and not dropped.
+    # Detect both copies of a repeated marker, so that the duplicate is reported and not dropped.
     parameters.minMarkerDistanceRate = 0.05
-    # Two windows find what OpenCV's three find (benchmarks/vision.py), in less time; three narrower
-    # ones find more of the small and oblique markers of real photographs.
+    # Two windows detect as many markers as OpenCV's three (benchmarks/vision.py) in less time.
+    # Three narrower windows detect more of the small and oblique markers of real photographs.
     low, high, step, perimeter = {
         Effort.QUICK: (5, 21, 16, 0.04),
         Effort.THOROUGH: (3, 19, 8, 0.02),
@@ -108,7 +111,7 @@ def _parameters(effort: Effort) -> Any:
     parameters.adaptiveThreshWinSizeStep = step
     parameters.minMarkerPerimeterRate = perimeter
     if effort is Effort.ENLARGED:
-        # Blurred modules are less black and white than others.
+        # Blurred modules have less contrast.
         parameters.adaptiveThreshConstant = 5
     return parameters
 
@@ -119,7 +122,7 @@ def find_markers(
     region: tuple[int, int, int, int] | None = None,
     effort: Effort = Effort.QUICK,
 ) -> list[Detection]:
-    """All markers of a dictionary in the image or in a region (x0, y0, x1, y1) of it, in pixels."""
+    """Find all markers of a dictionary in the image or in a region (x0, y0, x1, y1), in pixels."""
     x0, y0 = 0, 0
     if region is not None:
         x0, y0 = max(0, region[0]), max(0, region[1])
@@ -135,17 +138,18 @@ def find_markers(
     found = aruco.detect_markers(
         np.ascontiguousarray(image), marker_dictionary(dictionary), _parameters(effort)
     )
-    # Pixels count from their centres: the first one's is at (scale - 1) / 2 of the enlarged image.
+    # Pixel coordinates refer to pixel centres; the centre of the first pixel is at (scale - 1) / 2
+    # of the enlarged image.
     offset = np.array([x0, y0]) - 0.5 * (1.0 - 1.0 / scale)
     return [Detection(number, corners / scale + offset) for number, corners in found]
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectMarker:
-    """The marker on an object's top: where it is on the object and how high over the table.
+    """The marker on an object's top: its pose on the object and its height over the table.
 
     ``size`` is the side of the black square in m, ``offset`` the marker's pose in the object's
-    frame (m, m, rad), ``height`` that of the printed face over the table in m.
+    frame (m, m, rad), and ``height`` the height of the printed face over the table in m.
     """
 
     dictionary: str
@@ -155,7 +159,7 @@ class ObjectMarker:
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Refuse a marker that cannot be found, with the value."""
+        """Raise MarkerError, with the value, if the marker cannot exist."""
         if not 0.0 < self.size < 10.0:
             raise MarkerError(f"the marker's size is {self.size} m; it must be above 0")
         marker_pattern(self.dictionary, self.id)
@@ -163,7 +167,8 @@ class ObjectMarker:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceMarker:
-    """A marker printed on the table: its middle and angle in ``table`` (m, rad), its side in m."""
+    """A marker printed on the table: its centre and angle in ``table`` (m, rad), and its side
+    (m)."""
 
     id: int
     size: float
@@ -176,8 +181,8 @@ class ReferenceMarker:
 class ReferenceMap:
     """The reference markers of a table, all of one dictionary.
 
-    ``deviation`` (m) is how well their places against each other were measured, root mean square;
-    0 where the map itself is what counts.
+    ``deviation`` (m) is the root mean square error of their measured relative positions; it is 0 if
+    the map is exact by definition.
     """
 
     dictionary: str
@@ -185,7 +190,7 @@ class ReferenceMap:
     deviation: float = field(default=0.0, compare=False)
 
     def __post_init__(self) -> None:
-        """Refuse a map that says no place or says it twice."""
+        """Raise MarkerError if the map is empty, repeats an id or has an invalid marker."""
         if not self.markers:
             raise MarkerError("the table has no reference markers; list at least two")
         ids = [marker.id for marker in self.markers]

@@ -1,9 +1,10 @@
-"""Sub-pixel edges of square markers whose place is known to a few pixels.
+"""Sub-pixel edges of square markers whose position is known to a few pixels.
 
-Every pixel row (or column, whichever crosses the edge more steeply) that meets a side of the black
-square gives one crossing: between the levels of black and white beside the edge, the grey values
-sum to the area that is black, and so to the place of the edge. Nothing is interpolated, so nothing
-is biased by where the edge lies between pixels, and any symmetric blur cancels.
+Every pixel row that meets a side of the black square gives one crossing (or every column, if
+columns cross the side more steeply). The sum of the grey values, relative to the black and white
+levels beside the edge, gives the black area and so the position of the edge. There is no
+interpolation, so the position of the edge between pixels causes no bias, and any symmetric blur
+cancels.
 """
 
 from __future__ import annotations
@@ -17,41 +18,41 @@ from numpy.typing import NDArray
 from tapping_cell.vision.camera import Array, Image
 
 BINS = 8
-"""Points that a side is condensed to: enough for the slight curve that a lens gives a straight
-side."""
+"""Number of points per side, enough for the slight curve due to lens distortion."""
 
 _LEAST_CONTRAST = 12.0
-"""Grey levels between black and white below which a side is not trusted (six times usual noise)."""
+"""Minimum difference of the white and black grey levels at a side (six times the usual noise)."""
 _SOFT = 0.02
-"""Change at the ends of a window, per pixel and contrast, from which the levels beside the edge are
-not clean: the answer is then drawn towards the middle of the window, and the look repeated until
-they meet."""
+"""Slope at the ends of a window, per pixel and relative to the contrast, above which the levels
+beside the edge are contaminated. The result is then biased towards the middle of the window, so the
+measurement is repeated until result and window agree."""
 _USUAL = 0.68
-"""Half a window in modules, 4 pixels at most: narrower ones end in the blur of their edge, wider
-ones of small markers in that of the modules behind the black border."""
+"""Half width of a window in modules, at most 4 pixels. A narrower window ends in the blur of its
+edge; a wider one, on small markers, in the blur of the modules behind the black border."""
 _WIDE, _WIDEST = 0.75, 8
-"""Half a window for edges that are soft at the ends of the usual one (smeared by motion, out of
-focus), in modules: beyond, the modules next to the black border begin; and in pixels at most."""
+"""Half width of the window for blurred edges (motion, defocus), in modules and at most in pixels.
+Wider windows would reach the modules next to the black border."""
 _OBLIQUE = 0.8
-"""Distance of two sides, over the mean side, below which the windows follow the former."""
+"""Ratio of the sides' distance to their mean length, below which the distance sets the window."""
 _ROWS_ALIKE = 3
-"""Rows apart up to which it is asked whether they err alike."""
+"""Maximum lag, in rows, of the error correlation."""
 _MOST_LOOKS = 8
 _MOST_PULL = 0.9
 _LEAST_SHARE = 0.7
-"""Share of a side's rows that must agree with a straight line."""
+"""Minimum fraction of a side's rows that must agree with a straight line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerEdges:
     """Sides of M markers: side k runs from corner k to corner k + 1.
 
-    ``points`` (M, 4, BINS, 2) in pixels, ``weights`` (M, 4, BINS) rows behind each, ``corners`` (M,
-    4, 2) where the sides meet, in pixels, ``spread`` (M,) what one row adds to the standard
-    deviation across the side, in pixels (divide by the root of the rows), ``black`` and ``white``
-    (M,) grey levels, ``pull`` (M,) the share by which the worst side goes where its window goes,
-    because the levels at the ends are not clean (1: nothing is known), ``good`` (M,) all four sides
-    are whole and not smeared beyond measure.
+    ``points`` (M, 4, BINS, 2) are in pixels, ``weights`` (M, 4, BINS) are the numbers of rows that
+    they average, and ``corners`` (M, 4, 2) are the intersections of the sides, in pixels.
+    ``spread`` (M,) is the standard deviation of one row across the side, in pixels (divide it by
+    the root of the number of rows). ``black`` and ``white`` (M,) are grey levels. ``pull`` (M,) is
+    the displacement of the worst side relative to that of its window, which occurs if the levels at
+    the ends are contaminated (1: no information). ``good`` (M,) marks markers with four complete
+    sides whose blur is not excessive.
     """
 
     points: Array
@@ -65,10 +66,10 @@ class MarkerEdges:
 
 
 def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> MarkerEdges:
-    """Edges of markers near ``quads`` (M, 4, 2), corners in pixels good to about 3 pixels.
+    """Measure the edges of markers near ``quads`` (M, 4, 2), corners accurate to about 3 pixels.
 
-    ``modules`` (one for all, or (M,)) counts the black square's modules along a side: the search
-    stays within one of them.
+    ``modules`` (one for all, or (M,)) is the number of modules along a side of the black square.
+    The search range is at most one module.
     """
     side = narrowest(quads) / modules
     usual = np.clip(_USUAL * side, 2, 4).astype(int)
@@ -86,7 +87,7 @@ def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> Marke
 
 
 def narrowest(quads: Array) -> Array:
-    """The side (M,) of markers in pixels; of those seen obliquely, how far two sides are apart."""
+    """Side (M,) of markers in pixels; in an oblique view, the distance of opposite sides."""
     along = quads[:, [1, 2, 3, 0]] - quads
     side = np.sqrt((along**2).sum(axis=2))
     (ax, ay), (bx, by) = (quads[:, 2] - quads[:, 0]).T, (quads[:, 3] - quads[:, 1]).T
@@ -100,7 +101,7 @@ def _believed(edges: MarkerEdges) -> MarkerEdges:
 
 
 def _at_widths(image: Image, quads: Array, widths: NDArray[np.intp]) -> MarkerEdges:
-    """Edges by windows of these half widths (M,), in pixels."""
+    """Measure edges with windows of these half widths (M,), in pixels."""
     if widths.min() == widths.max():
         return _refine(image, quads, int(widths[0]))
     kinds = np.unique(widths)
@@ -113,7 +114,7 @@ def _at_widths(image: Image, quads: Array, widths: NDArray[np.intp]) -> MarkerEd
 
 
 def _refine(image: Image, quads: Array, half_width: int) -> MarkerEdges:
-    """Looks at the edges with windows of one width until the windows lie on them."""
+    """Measure the edges with windows of one width, until the windows are centred on the edges."""
     found = _look(image, quads, half_width)
     for _ in range(_MOST_LOOKS):
         shift = np.abs(found.corners - quads).max(axis=(1, 2))
@@ -127,12 +128,13 @@ def _refine(image: Image, quads: Array, half_width: int) -> MarkerEdges:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Look:
-    """One look at all sides (4 M), outwards of which q goes by ``outward`` (1 or -1).
+    """One measurement of all sides (4 M); ``outward`` (1 or -1) is the outward direction of q.
 
-    ``p`` (4 M, R) counts the rows of a side, ``q`` is where the edge crosses them, ``kept`` (1 or
-    0) the rows that agree with the line q = offset + slope p, ``residual`` what they miss it by;
-    ``black`` and ``white`` the levels beside the rows, ``mask`` (1 or 0) the rows that there are;
-    ``corners`` (M, 4, 2) where the lines meet.
+    ``p`` (4 M, R) are the row coordinates of a side and ``q`` the positions at which the edge
+    crosses them. ``kept`` (1 or 0) marks the inliers of the line q = offset + slope p, and
+    ``residual`` is the distance from it. ``black`` and ``white`` are the levels beside the rows,
+    ``mask`` (1 or 0) marks the rows that exist, and ``corners`` (M, 4, 2) are the intersections of
+    the lines.
     """
 
     half_width: int
@@ -159,7 +161,7 @@ def _look(image: Image, quads: Array, half_width: int) -> _Look:
     end = quads[:, [1, 2, 3, 0]].reshape(-1, 2)
     step = np.abs(end - start)
     steep = step[:, 1] > step[:, 0]
-    along = steep.astype(np.intp)  # coordinate that counts the rows: y of a steep side, else x
+    along = steep.astype(np.intp)  # row coordinate: y for a steep side, else x
     each = np.arange(4 * count)
     p0, q0 = start[each, along], start[each, 1 - along]
     p1, q1 = end[each, along], end[each, 1 - along]
@@ -183,7 +185,7 @@ def _look(image: Image, quads: Array, half_width: int) -> _Look:
     grey = image.reshape(-1).take(first.astype(np.intp)[:, :, None] + window[:, None, :])
     grey = grey.astype(np.float32)
     mask = inside.astype(float)
-    # Grey levels are whole numbers: exact in single precision.
+    # Grey levels are integers, so the sums are exact in single precision.
     sums = np.matmul(grey, _sums(half_width)).astype(float)
     black, white = _along(p, np.moveaxis(sums[..., 1:3], -1, 0), mask)
     contrast = white - black
@@ -203,7 +205,7 @@ def _look(image: Image, quads: Array, half_width: int) -> _Look:
         number >= _LEAST_SHARE * (high - low)
     )
     corners = _corners(offset, slope, along)
-    # How much of the contrast still changes from pixel to pixel at the ends, in the mean of rows.
+    # Change from pixel to pixel at the window's ends, relative to the contrast, averaged over rows.
     ends = np.abs(np.matmul(usable[:, None, :], sums[..., 3:])[:, 0])
     soft = ends.sum(axis=1) / np.maximum(2.0 * (contrast * usable).sum(axis=1), 1e-9)
     return _Look(
@@ -228,7 +230,7 @@ def _look(image: Image, quads: Array, half_width: int) -> _Look:
 
 @lru_cache(maxsize=16)
 def _sums(half_width: int) -> NDArray[np.float32]:
-    """Matrix (window, 5): sum of a window, levels at its inner and outer end, changes there."""
+    """Matrix (window, 5): sum of a window, levels at its inner and outer ends, slopes there."""
     size = 2 * half_width + 1
     end = _outermost(size)
     matrix = np.zeros((size, 5), dtype=np.float32)
@@ -239,11 +241,12 @@ def _sums(half_width: int) -> NDArray[np.float32]:
 
 
 def _edges(look: _Look) -> MarkerEdges:
-    """What a look says."""
+    """Convert a measurement to the edges of its markers."""
     count = len(look.good)
     squares = (look.kept * look.residual**2).sum(axis=1)
     squares /= np.maximum(look.kept.sum(axis=1) - 2.0, 1.0) * (1.0 + look.slope**2)
-    # Noise that neighbouring rows share, the pixels of a window share as well: not both factors.
+    # Noise correlated between neighbouring rows is also correlated between the pixels of a window,
+    # so the larger factor is applied instead of both.
     squares *= max(_level_noise(2 * look.half_width + 1), _together(look))
     spread = np.sqrt(squares.reshape(count, 4).mean(axis=1))
     number = np.maximum(look.mask.sum(axis=1), 1.0)
@@ -257,17 +260,18 @@ def _edges(look: _Look) -> MarkerEdges:
         spread=spread,
         black=black.reshape(count, 4).mean(axis=1),
         white=white.reshape(count, 4).mean(axis=1),
-        # A ramp over the whole window changes by one over this from pixel to pixel.
+        # A ramp over the whole window has the slope 1 / (2 half_width - 1) per pixel.
         pull=look.soft * (2 * look.half_width - 1),
         good=look.good & (spread < 0.6),
     )
 
 
 def _together(look: _Look) -> float:
-    """Factor on the variance of a side's line, because neighbouring rows err alike, at least 1.
+    """Factor, at least 1, on the variance of a side's line due to correlated errors of nearby rows.
 
-    Smoothed, demosaiced and compressed images do that, and rounded grey levels without noise. Found
-    from the residuals of all sides; a line fitted to n rows draws their products down by 2 / n.
+    Smoothed, demosaiced and compressed images have such correlation, and so have rounded grey
+    levels without noise. It is estimated from the residuals of all sides. Fitting a line to n rows
+    reduces the mean product of residuals by 2 / n of their variance, which is added again.
     """
     kept = look.kept
     residual = kept * look.residual
@@ -284,12 +288,13 @@ def _together(look: _Look) -> float:
 
 
 def _uneven(look: _Look, white: Array) -> Array:
-    """What uneven light moves the sides (S,) by in q, to be added.
+    """Correction of the sides (S,) along q for uneven illumination, to be added.
 
-    The levels come from pixels a distance m outside and inside the edge. Where light grows by a
-    share g a pixel outwards, black and white at the edge are not those: to first order an edge in
-    a window of L pixels to either side seems to lie L g (m - L / 2) too far out, opposite sides of
-    a marker to the same direction. The light's slope comes from ``white`` (S,) beside the sides.
+    The levels are measured at a distance m outside and inside the edge. If the illumination
+    increases outwards by a fraction g per pixel, the levels at the edge differ from these. To first
+    order, an edge in a window of L pixels to either side then appears L g (m - L / 2) too far out;
+    opposite sides of a marker are displaced in the same direction. The slope of the illumination
+    comes from ``white`` (S,) beside the sides.
     """
     corners, each = look.corners, np.arange(len(white))
     away = look.half_width - 0.5 * (_outermost(2 * look.half_width + 1) - 1)
@@ -304,27 +309,28 @@ def _uneven(look: _Look, white: Array) -> Array:
     slopes = np.stack([across, down], axis=-1) / np.where(turned == 0.0, 1.0, turned)[:, None]
     slope = np.where(look.steep, slopes[:, 0].repeat(4), slopes[:, 1].repeat(4))
     length = look.half_width + 0.5
-    # The slope is that of the coordinate itself: outwards and back again cancel.
+    # The slope is along the coordinate itself, so the outward signs cancel.
     return np.asarray(-slope * length * (away - 0.5 * length))
 
 
 def _along(p: Array, levels: Array, mask: Array) -> Array:
-    """Straight lines along the sides through levels (2, S, R), at every row."""
+    """Fit straight lines along the sides to levels (2, S, R), and evaluate them at every row."""
     offset, slope, _ = _line(p, levels, mask)
     return np.asarray(offset[..., None] + slope[..., None] * p)
 
 
 def _outermost(window: int) -> int:
-    """How many pixels at either end of a window give the levels: of a narrow one the second already
-    belongs to the edge."""
+    """Number of pixels at each end of a window that give the levels. In a narrow window, the second
+    pixel already belongs to the edge."""
     return 1 if window <= 7 else 2
 
 
 def _level_noise(window: int) -> float:
     """Factor on the variance of a side's line, because the levels come from the same rows.
 
-    An edge is the sum of the pixels of a window over the contrast: the pixels count -1 each, and
-    the outermost, as the mean of the levels, half the window besides.
+    The edge position is the sum of a window's pixels divided by the contrast. Each pixel has the
+    weight -1. The outermost pixels at each end, whose mean is a level, have an additional total
+    weight of half the window.
     """
     end = _outermost(window)
     outer = 0.5 * window / end - 1.0
@@ -332,7 +338,7 @@ def _level_noise(window: int) -> float:
 
 
 def _line(p: Array, q: Array, weight: Array) -> tuple[Array, Array, Array]:
-    """Least squares q = offset + slope p, a line for every index but the last; the residuals."""
+    """Fit q = offset + slope p by least squares along the last axis; return also the residuals."""
     weighted = weight * p
     total = np.maximum(weight.sum(axis=-1), 1e-9)
     mean_p = weighted.sum(axis=-1) / total
@@ -347,7 +353,7 @@ def _line(p: Array, q: Array, weight: Array) -> tuple[Array, Array, Array]:
 def _condense(
     p: Array, q: Array, weight: Array, low: Array, high: Array, steep: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
-    """Means of BINS stretches of every side, in (x, y), and how many rows are behind each."""
+    """Average each of BINS sections of every side, in (x, y); return the number of rows as well."""
     sides = p.shape[0]
     share = (p - low[:, None]) / np.maximum(high - low, 1.0)[:, None]
     which = np.clip((share * BINS).astype(int), 0, BINS - 1) + BINS * np.arange(sides)[:, None]
@@ -362,7 +368,7 @@ def _condense(
 
 
 def _corners(offset: Array, slope: Array, along: NDArray[np.intp]) -> Array:
-    """Corners (M, 4, 2) of lines (4 M) q = offset + slope p; ``along`` is p's coordinate."""
+    """Corners (M, 4, 2) of lines (4 M) q = offset + slope p; ``along`` is the index of p."""
     each = np.arange(len(slope))
     normal = np.empty((len(slope), 2))
     normal[each, 1 - along] = 1.0
@@ -371,7 +377,7 @@ def _corners(offset: Array, slope: Array, along: NDArray[np.intp]) -> Array:
 
 
 def _meet(normal: Array, value: Array) -> Array:
-    """Corners (M, 4, 2): corner k is where side k - 1 and side k meet."""
+    """Corners (M, 4, 2): corner k is the intersection of side k - 1 and side k."""
     n0, n1 = normal[:, [3, 0, 1, 2]], normal
     v0, v1 = value[:, [3, 0, 1, 2]], value
     determinant = n0[..., 0] * n1[..., 1] - n0[..., 1] * n1[..., 0]
@@ -395,7 +401,7 @@ def straight_corners(points: Array, weights: Array) -> Array:
 
 
 def take(edges: MarkerEdges, rows: NDArray[np.intp]) -> MarkerEdges:
-    """Only these markers, in this order."""
+    """Select these markers, in this order."""
     return MarkerEdges(
         edges.points[rows],
         edges.weights[rows],
@@ -409,7 +415,7 @@ def take(edges: MarkerEdges, rows: NDArray[np.intp]) -> MarkerEdges:
 
 
 def join(first: MarkerEdges, second: MarkerEdges) -> MarkerEdges:
-    """The markers of both."""
+    """Concatenate the markers of both."""
     return MarkerEdges(
         np.concatenate([first.points, second.points]),
         np.concatenate([first.weights, second.weights]),
@@ -423,7 +429,7 @@ def join(first: MarkerEdges, second: MarkerEdges) -> MarkerEdges:
 
 
 def no_edges() -> MarkerEdges:
-    """No markers."""
+    """Create an empty set of markers."""
     none = np.zeros(0)
     return MarkerEdges(
         np.zeros((0, 4, 1, 2)),

@@ -1,9 +1,9 @@
-"""Where the sides of a marker are, when a search put its corners too far off to measure them.
+"""Correct detected marker corners that are too inaccurate for the measurement of edges.
 
-A search takes the corners from a polygon around dark pixels: on photographs one of them may lie
-some pixels off, where glare, a shadow or the next marker touches the outline. Along lines across
-each side the step from black to white is looked for, and a straight line laid through the steps
-that agree (a robust fit, Huber 1981); the sides' meeting points are the better corners.
+A detector takes the corners from a polygon around dark pixels. On photographs, a corner may be some
+pixels off, if glare, a shadow or the next marker touches the outline. The step from black to white
+is located along lines across each side, and a straight line is fitted robustly to the inliers
+(Huber 1981). The intersections of the sides are the corrected corners.
 """
 
 from __future__ import annotations
@@ -14,16 +14,19 @@ import numpy as np
 from tapping_cell.vision.camera import Array, Image
 
 _ACROSS = 25
-"""Samples along each line across a side."""
+"""Number of samples along each line across a side."""
 _REACH, _FURTHEST = 0.9, 7.0
-"""How far to either side the step is looked for: in modules, and in pixels at most."""
+"""Search range to either side of the edge: in modules, and at most in pixels."""
 _ALONG = 24
 _ROUNDS = 2
 
 
 def better_corners(image: Image, quad: Array, modules: int) -> Array:
-    """Corners (4, 2) of the black square near ``quad`` (4, 2), whose corners may be off by most of
-    a module; the same ones where no step is found. Pixels."""
+    """Corrected corners (4, 2) of the black square near ``quad`` (4, 2), in pixels.
+
+    The corners of ``quad`` may be off by most of a module. They are returned unchanged if no
+    consistent edges are found.
+    """
     corners = quad
     for _ in range(_ROUNDS):
         corners = _once(image, corners, modules)
@@ -37,9 +40,9 @@ def _once(image: Image, quad: Array, modules: int) -> Array:
     length = np.linalg.norm(along, axis=1)
     if not length.min() > 1.0:
         return quad
-    # Clockwise in the image, where y goes down: outwards is to the left of the way.
+    # Corners are clockwise in the image, where y points down, so outwards is to the left.
     outward = np.stack([along[:, 1], -along[:, 0]], axis=-1) / length[:, None]
-    # Seen obliquely, a module is narrower across two of the sides than along them.
+    # In an oblique view, a module is narrower across two of the sides than along them.
     depth = np.abs((outward * (quad[[2, 3, 0, 1]] - quad)).sum(axis=1))
     reach = np.clip(_REACH * depth / modules, 1.5, _FURTHEST)
     share = np.asarray(np.linspace(0.1, 0.9, _ALONG), dtype=float)
@@ -50,7 +53,7 @@ def _once(image: Image, quad: Array, modules: int) -> Array:
     grey = cv2.remap(
         image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     ).reshape(4, _ALONG, _ACROSS)
-    # The step at a place within reach: the mean of half a reach outside less that inside.
+    # Step height at each position: mean of half the range outside minus that inside.
     sums = np.pad(np.cumsum(grey.astype(float), axis=2), ((0, 0), (0, 0), (1, 0)))
     half, low, high = _ACROSS // 8, _ACROSS // 4, _ACROSS - _ACROSS // 4
     at = np.arange(low, high)
@@ -66,7 +69,7 @@ def _once(image: Image, quad: Array, modules: int) -> Array:
 
 
 def _robust_line(share: Array, offset: Array, weight: Array) -> tuple[float, float]:
-    """Offsets at the begin and the end of a side, through most of the points."""
+    """Robust fit of a line: its offsets at the beginning and the end of a side."""
     columns = np.stack([1.0 - share, share], axis=-1)
     weights = weight / max(float(weight.max()), 1e-9)
     answer = np.full(2, np.median(offset))
@@ -80,7 +83,7 @@ def _robust_line(share: Array, offset: Array, weight: Array) -> tuple[float, flo
 
 
 def _meeting(first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
-    """Where two lines, each given by two points, meet."""
+    """Intersection of two lines, each given by two points."""
     (a, b), (c, d) = first, second
     u, v = b - a, d - c
     determinant = u[0] * v[1] - u[1] * v[0]

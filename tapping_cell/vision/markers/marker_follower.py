@@ -1,4 +1,4 @@
-"""An object that carries a marker, from frame to frame."""
+"""Tracks an object that carries a marker."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from tapping_cell.vision.rest_detection import RestSettings
 
 _SLOW = 0.0001
 _SLOW_TURN = 0.002
-"""Motion between frames (m, rad) below which the photometric alignment is worth its time."""
+"""Motion between frames (m, rad) below which the slow photometric alignment is used."""
 
 
 class MarkerFollower(ObjectFollower):
     """Follows the marker of one object.
 
-    ``size_tolerance`` is the share that the marker's side may differ from its file's, ``other_ids``
-    are markers of the same dictionary that may be there as well.
+    ``size_tolerance`` is the relative deviation allowed between the measured and the configured
+    side. ``other_ids`` are other markers of the same dictionary that may be visible.
     """
 
     def __init__(
@@ -57,26 +57,26 @@ class MarkerFollower(ObjectFollower):
         self._detected: Array | None = None
 
     def outline(self, pose: Array) -> Array:
-        """Corners (4, 2) of the marker's square."""
+        """Return the corners (4, 2) of the marker's square."""
         square = UNIT_CORNERS * self.marker.size
         return np.asarray(transform_points(marker_pose(pose, self.marker), square))
 
     def detected(self, stamp: float) -> bool:
-        """Whether the search of the frame of this time found the marker, once."""
+        """Return whether the search of the frame with this stamp found the marker exactly once."""
         return self._searched_at == stamp and self._detected is not None
 
     def aim(self, stamp: float, view: View | None) -> Aim | None:
-        """The marker where the search of this frame found it, or where it should be."""
+        """Return the marker at its detected position in this frame, or at its predicted one."""
         quad = self._detected if self._searched_at == stamp else self._where(stamp, view)
         return None if quad is None else (quad, self._pattern)
 
     def complete(self, detections: Mapping[str, Detections]) -> bool:
-        """Whether the marker was found, once or more than once."""
+        """Return whether the marker was found, once or more than once."""
         found = detections[self.marker.dictionary]
         return self.marker.id in found.single or self.marker.id in found.repeated
 
     def searched(self, image: Image, search: Search) -> None:
-        """Take the marker's place, or find out why there is none."""
+        """Store the marker's position, or diagnose why it was not found."""
         found = search.detections[self.marker.dictionary]
         self._searched_at, self.wants_search = search.stamp, False
         self._detected = found.single.get(self.marker.id)
@@ -95,7 +95,7 @@ class MarkerFollower(ObjectFollower):
             )
 
     def look(self, frame: Frame) -> tuple[Array, Array] | Trouble:
-        """The marker where it was found or should be, or near there."""
+        """Measure the marker at its detected or predicted position, or near it."""
         searched = self._searched_at == frame.stamp
         if searched and self._detected is None and self.trouble is not None:
             return self.trouble
@@ -104,7 +104,7 @@ class MarkerFollower(ObjectFollower):
         fit = None if edges is None else fit_marker(frame.working, edges, 0, self.marker)
         if edges is None or fit is None:
             self.stop(frame.stamp)
-            # What the last search found in its place holds until the next.
+            # The diagnosis of the last search is valid until the next search.
             return self.trouble or (
                 Problem.OBJECT_HIDDEN,
                 f"the object's marker {self.marker.id} is not seen, or not the whole of it, or "
@@ -120,13 +120,13 @@ class MarkerFollower(ObjectFollower):
         return self._pose(frame.image, frame.working, fit)
 
     def doubt(self, frame: Frame) -> tuple[Array, str]:
-        """What the marker's shape says of the pose."""
+        """Return the uncertainty of the pose due to the marker's shape, and a warning."""
         assert self._shape is not None
         sentence = self._warnings.sentence(self._shape, frame.table.camera_height)
         return self._shape.covariance, sentence
 
     def _nearby(self, frame: Frame) -> MarkerEdges | None:
-        """The marker's edges a little beside where it should be."""
+        """Search around the marker's predicted position and return its edges."""
         where = self._where(frame.stamp, frame.working)
         if where is None:
             return None
@@ -137,14 +137,15 @@ class MarkerFollower(ObjectFollower):
         return edges if right[0] else None
 
     def _where(self, stamp: float, view: View | None) -> Array | None:
-        """Corners (4, 2) in the image where the marker should be."""
+        """Predict the marker's corners (4, 2) in the image."""
         expected = self.expected(stamp)
         if expected is None or view is None:
             return None
         return view.project(self.outline(expected), self.height)
 
     def _pose(self, image: Image, view: View, fit: PoseFit) -> tuple[Array, Array]:
-        """Pose and covariance of the object: by edges, and by all pixels when it hardly moves."""
+        """Measure the object's pose by edges, or by all pixels if the object is nearly
+        stationary."""
         pose, covariance = object_pose(fit.pose, fit.covariance, self.marker)
         step = self.step_from_last(pose)
         if step is not None and (step[0] > _SLOW or step[1] > _SLOW_TURN):
@@ -154,7 +155,7 @@ class MarkerFollower(ObjectFollower):
         return measured
 
     def _explain(self, image: Image, found: Detections, expected: frozenset[int]) -> Trouble | None:
-        """Why the object's marker may not be there."""
+        """Diagnose why the object's marker was not found."""
         mirrored = detect(np.ascontiguousarray(image[:, ::-1]), self.marker.dictionary)
         if self.marker.id in mirrored.single:
             return (

@@ -1,5 +1,4 @@
-"""Measuring markers whose place is roughly known: large ones by edges, small ones by their whole
-pattern."""
+"""Measure markers at roughly known positions: large ones by edges, small ones by pattern."""
 
 from __future__ import annotations
 
@@ -15,25 +14,25 @@ from tapping_cell.vision.markers.search import patterns_agree
 from tapping_cell.vision.markers.small_markers import as_edges, fit_pattern
 
 _SMALL = 4.5
-"""Pixels a module below which the whole pattern is fitted: there it is four times as accurate as
-the edges, whose windows no longer end in plain black and white."""
+"""Pixels per module below which the whole pattern is fitted. It is then four times as accurate as
+the edges, whose windows no longer end in uniform black and white."""
 _SMALL_EDGES = 2.5
-"""Factor on the noise of edges of such a marker, where the pattern cannot be fitted."""
+"""Factor on the noise of the edges of such a marker if the pattern cannot be fitted."""
 
 
 def measure(
     image: Image, quads: Array, patterns: list[NDArray[np.bool_]], searched: bool
 ) -> tuple[MarkerEdges, NDArray[np.bool_]]:
-    """Markers near ``quads`` (M, 4, 2) and for each: is it measured, and surely this pattern?
+    """Measure markers near ``quads`` (M, 4, 2); return also which were measured and verified.
 
-    ``searched`` quads come from a search, whose corners may lie some pixels off and are then looked
-    for again; others from a marker's last place.
+    ``searched`` states that the quads come from a search, whose corners may be some pixels off and
+    are corrected if necessary. Otherwise they are predicted from a marker's last position.
     """
     modules = np.array([pattern.shape[0] for pattern in patterns])
     small = narrowest(quads) < _SMALL * modules
     order, right = np.arange(len(quads)), np.zeros(len(quads), dtype=bool)
     whole = no_edges()
-    # Those whose edges are asked, together: all large ones, and small ones whose pattern fails.
+    # Measure the edges together: all large markers, and small ones whose pattern fit fails.
     rest = list(np.flatnonzero(~small))
     for row in np.flatnonzero(small):
         fitted = _by_pattern(image, quads[row], patterns[row], searched)

@@ -1,4 +1,4 @@
-"""The object's pose from the edges of its marker, in the plane of the marker's printed face."""
+"""Compute the object's pose from its marker's edges, in the plane of the marker's printed face."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from tapping_cell.vision.markers.edges import MarkerEdges
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseFit:
-    """A pose (x, y, theta) of the *marker* in table, its covariance (3, 3) from pixel noise, and
-    the side that the marker seems to have (m).
-    """
+    """Pose (x, y, theta) of the *marker* in table, its covariance (3, 3) from pixel noise, and the
+    apparent side of the marker (m)."""
 
     pose: Array
     covariance: Array
@@ -24,25 +23,27 @@ class PoseFit:
 
 
 _CLEAN, _SMEARED = 0.03, 0.25
-"""An edge smeared over its window (``MarkerEdges.pull`` p above the first, which is noise) is off
-by a standard deviation of the second, in pixels, times p / (1 - p): measured on rendered slides
-with smears of up to 14 pixels."""
+"""Noise level of ``MarkerEdges.pull``, and error of motion-blurred edges in pixels.
+
+An edge with a pull p above the noise level has an additional standard deviation of ``_SMEARED`` * p
+/ (1 - p), measured on rendered slides with motion blur of up to 14 pixels.
+"""
 _FREE, _USUAL_FREE = 4.0, 8.0
-"""Degrees of freedom that four sides of a square leave, and how many more their usual noise counts
-for."""
+"""Degrees of freedom of the residuals when four sides are fitted by a square, and degrees of
+freedom of the prior for their usual noise."""
 _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
-"""Pixels, and share of the side, that a marker may be longer than wide: beyond, something lies
-along one of its sides and was taken for it."""
+"""Allowed difference of length and width, in pixels and as a fraction of the side. Above it, an
+object beside the marker was taken for one of its sides."""
 _MORE_OBLONG, _MOST_OBLONG = 4.0, 0.03
-"""It may be so many times more so than the reference markers beside it are (root mean square; a
-poor lens, bent paper, a sharpened picture), up to that share."""
+"""Allowed ratio of this difference to that of nearby reference markers (root mean square), for a
+poor lens, bent paper or a sharpened image; and the upper limit of the difference so allowed."""
 
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
-    """Marker ``row`` of ``edges`` as a square of known side in the plane at the marker's height.
+    """Fit a square of known side, at the marker's height, to marker ``row`` of ``edges``.
 
-    The other rows are those of reference markers. None if the edges are not good or make no square,
-    as when something lies along a side.
+    The other rows are reference markers. Returns None if the edges are not valid or do not form a
+    square, for example if an object lies along a side.
     """
     if not edges.good[row]:
         return None
@@ -52,9 +53,9 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     weights = edges.weights[row]
     pose = _square_pose(seen[-4:])
     size = marker.size
-    # Side k of the unit square lies at distance 1/2 along this normal.
+    # Side k of the unit square is at distance 1/2 along this normal.
     normals = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
-    # One step: the corners are right to hundredths of a pixel, so the rest is linear.
+    # One step suffices: the corners are accurate to hundredths of a pixel, so the fit is linear.
     normal = se2.transform_points([0.0, 0.0, pose[2]], normals)[:, None, :]
     arm = points - pose[:2]
     distance = (normal * arm).sum(axis=-1) - 0.5 * size
@@ -63,7 +64,7 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     rows[..., 2] = normal[..., 1] * arm[..., 0] - normal[..., 0] * arm[..., 1]
     rows[..., 3] = 0.5
     rows = rows.reshape(-1, 4)
-    # What a pixel across a side is on the plane: seen obliquely, not the same for all.
+    # Size of a pixel across each side, on the plane; the sizes differ in an oblique view.
     across = np.linalg.norm(normal[:, 0] @ _metres(edges.corners[row], seen[-4:]), axis=1)
     pixel = float(across.max())
     weights = weights * np.square(pixel / across)[:, None]
@@ -92,8 +93,8 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
 
 
 def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
-    """By what share of the side the object's marker may be longer than wide for what the reference
-    markers, the other rows, are."""
+    """Difference of length and width, as a fraction of the side, that the object's marker may have
+    given the reference markers in the other rows."""
     references = np.delete(edges.corners, row, axis=0)
     if len(references) < 3:
         return 0.0
@@ -104,16 +105,17 @@ def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
 
 
 def _metres(pixels: Array, seen: Array) -> Array:
-    """Matrix (2, 2): steps on the plane (m) of steps of a pixel right and down, from four corners
-    (4, 2) in the image and on the plane."""
+    """Matrix (2, 2) that converts steps of a pixel right and down to steps on the plane (m), from
+    four corners (4, 2) in the image and on the plane."""
     return np.asarray((seen[2:] - seen[:2]).T @ np.linalg.inv((pixels[2:] - pixels[:2]).T))
 
 
 def _misfit(left: Array, weights: Array, noise: float) -> float:
-    """How much worse the four sides fit a square than their noise says, at least 1.
+    """Ratio, at least 1, by which the residuals of the four sides exceed their noise.
 
-    Of four sides' places and turns a square has four, four are left: glare, sharpening, compression
-    and bent paper show there. That is a scarce sample, so it counts beside what it usually is.
+    Four sides have eight positions and rotations, of which a square determines four. The other four
+    show glare, sharpening, compression and bent paper. They are a small sample, so a prior for
+    their usual value is included.
     """
     total = np.maximum(weights.sum(axis=1), 1e-9)
     place = (weights * left).sum(axis=1) / total
@@ -126,12 +128,12 @@ def _misfit(left: Array, weights: Array, noise: float) -> float:
 
 
 def pose_of_corners(view: View, corners: Array, marker: ObjectMarker) -> Array:
-    """Pose (x, y, theta) of the marker from its corners (4, 2) in pixels; the size is not used."""
+    """Pose (x, y, theta) of the marker from its corners (4, 2) in pixels; its size is not used."""
     return _square_pose(view.on_plane(corners, marker.height))
 
 
 def _square_pose(seen: Array) -> Array:
-    """Pose (x, y, theta) of a square whose corners (4, 2) lie there, in m."""
+    """Pose (x, y, theta) of a square with these corners (4, 2), in m."""
     middle = seen.mean(axis=0)
     arm = seen - middle
     cross = (UNIT_CORNERS[:, 0] * arm[:, 1] - UNIT_CORNERS[:, 1] * arm[:, 0]).sum()

@@ -1,14 +1,14 @@
-"""Photometric alignment of a marker at rest: every pixel of the pattern says where it is.
+"""Photometric alignment of a marker at rest, which uses every pixel of the pattern.
 
-The grey values are explained by the printed pattern, blurred, seen through the known camera from
-the known height: three unknowns of the pose; light and ink enter linearly (a gain and an offset,
-each with a gradient across the marker), and so does, to first order, what the blur differs from the
-assumed one. Gauss-Newton from the pose that the edges gave (Lucas and Kanade 1981; Baker and
-Matthews 2004 for the family). A symmetric blur moves no edge, so the answer has no bias from it.
+The grey values are modelled by the blurred printed pattern, projected by the known camera at the
+known height. The pose has three unknowns. Illumination and ink enter linearly (a gain and an
+offset, each with a gradient across the marker), and so does, to first order, the deviation of the
+blur from the assumed one. Gauss-Newton starts from the pose given by the edges (Lucas and Kanade
+1981; Baker and Matthews 2004 for the family of methods). A symmetric blur moves no edge, so it
+causes no bias.
 
-Noise that a camera has smoothed, sharpened or compressed is not independent from pixel to pixel:
-how neighbours go together in what the pattern leaves unexplained says how much less, or more, they
-tell together.
+Smoothing, sharpening and compression make the noise of neighbouring pixels correlated. The
+autocorrelation of the residuals determines how this changes the covariance.
 """
 
 from __future__ import annotations
@@ -25,29 +25,31 @@ from tapping_cell.vision.camera import Array, CameraModel, Image, View
 from tapping_cell.vision.markers.detection import ObjectMarker, marker_pattern
 
 _MARGIN = 0.4
-"""Modules of the white border that take part: beyond, a neighbour may begin."""
+"""Width of the white border used, in modules; an adjacent object may begin beyond it."""
 _LARGEST_STEP = 0.5
-"""Pixels that the answer may lie from the start; the edges are never so wrong."""
+"""Maximum distance of the result from the initial pose, in pixels; the edges are more accurate."""
 _SMALLEST_STEP = 0.002
-"""Pixels; Gauss-Newton has converged (a tenth of what the noise of one frame allows)."""
+"""Step in pixels at which Gauss-Newton has converged (a tenth of the error due to noise)."""
 _POSE = slice(11, 14)
 """Columns of the design matrix that move the marker."""
 _LAGS = 4
-"""Pixels apart up to which noise is asked whether it goes together."""
+"""Maximum lag, in pixels, of the noise autocorrelation."""
 _LEAST_POWER = 0.1
-"""Of white noise, that the noise has at least at every spatial frequency."""
+"""Minimum power of the noise at every spatial frequency, relative to white noise."""
 _SAME_PLACE = 0.03
-"""Pixels from where the pattern was linearised up to which it needs not be again: what the second
-order leaves there is a thousandth of a pixel at most, and for the noise of a frame, a fifth of
-this, below 5e-5."""
+"""Distance in pixels up to which the linearisation is reused. There, the second-order error is at
+most a thousandth of a pixel. For the noise of a frame, a fifth of this distance, the error is below
+5e-5 pixel."""
 _SAME_LIGHT = 0.05
-"""Share by which the contrast may have changed since."""
+"""Maximum relative change of the contrast for which the linearisation is reused."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Template:
-    """The pattern around its middle, blurred: value (0 black, 1 white), its derivatives along u and
-    v and its Laplacian (per m, per m^2), texture (n, n, 4); ``blur`` is the Gaussian's sigma in m.
+    """The blurred pattern around its centre.
+
+    ``texture`` (n, n, 4) holds the value (0 black, 1 white), its derivatives along u and v, and its
+    Laplacian (per m, per m^2). ``blur`` is the Gaussian's sigma in m.
     """
 
     texture: NDArray[np.float32]
@@ -57,9 +59,11 @@ class Template:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """Pose (3,) of the marker in table, its covariance (3, 3) from pixel noise; ``unexplained`` the
-    grey levels (root mean square) that remain where the pattern changes, ``blur`` the sigma in m
-    that would have fitted best.
+    """Result of an alignment.
+
+    ``pose`` (3,) of the marker is in table, and its ``covariance`` (3, 3) is due to pixel noise.
+    ``unexplained`` is the root mean square residual at edges of the pattern, in grey levels, and
+    ``blur`` the best-fitting sigma in m.
     """
 
     pose: Array
@@ -71,10 +75,11 @@ class Alignment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """An alignment linearised at ``pose`` (3,), for frames in which the marker is there again:
-    which pixels see it (flat indices), the design matrix (N, 14), and its normal matrix (14, 14);
-    ``light`` (3,) the contrast, and its gradients. ``together`` (3, 3): how much larger the
-    covariance is than that of independent pixels, :func:`_together`.
+    """An alignment linearised at ``pose`` (3,), for frames in which the marker has not moved.
+
+    It holds the pixels on the marker (flat indices), the design matrix (N, 14) and its normal
+    matrix (14, 14). ``light`` (3,) is the contrast and its gradients. ``together`` (3, 3) is the
+    factor on the covariance of independent pixels, see :func:`_together`.
     """
 
     pixels: NDArray[np.intp]
@@ -88,7 +93,7 @@ class Look:
 
 
 def make_template(marker: ObjectMarker, pixel: float, blur: float) -> Template:
-    """The template of a marker for a camera whose pixel is ``pixel`` m wide there."""
+    """Create the template of a marker; a pixel is ``pixel`` m wide on the marker."""
     pattern = marker_pattern(marker.dictionary, marker.id)
     module = marker.size / pattern.shape[0]
     each = int(np.clip(math.ceil(3.5 * module / pixel), 3, 48))
@@ -98,16 +103,16 @@ def make_template(marker: ObjectMarker, pixel: float, blur: float) -> Template:
     soft = cv2.GaussianBlur(sheet, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
     down, right = np.gradient(soft, texel)
     laplacian = np.gradient(right, texel, axis=1) + np.gradient(down, texel, axis=0)
-    # Rows go down, v goes up.
+    # Rows increase downwards, v increases upwards.
     return Template(np.stack([soft, right, -down, laplacian], -1).astype(np.float32), texel, blur)
 
 
 def align(
     image: Image, view: View, template: Template, marker: ObjectMarker, start: Array
 ) -> Alignment | None:
-    """Marker pose near ``start`` (3,), which must be right to a fraction of a pixel.
+    """Align the marker near ``start`` (3,), which must be accurate to a fraction of a pixel.
 
-    None if it does not converge there, or if the pattern does not explain the image.
+    Returns None if the fit does not converge there or the pattern does not explain the image.
     """
     pixels = _pixels(image, view, marker, start)
     if pixels is None:
@@ -152,10 +157,10 @@ def align(
 
 
 def align_again(image: Image, look: Look, marker: ObjectMarker, start: Array) -> Alignment | None:
-    """The same for a frame in which the marker lies where it lay, as the edges say (``start``).
+    """Align the marker in a frame in which it has not moved according to the edges (``start``).
 
-    One step of Gauss-Newton from the last alignment: a tenth of the time. None if the marker or the
-    light is not as it was, which says nothing about where it is.
+    It takes one step of Gauss-Newton from the last alignment, in a tenth of the time. None means
+    only that the marker or the illumination changed, not that the marker is absent.
     """
     gap = start - look.pose
     if math.hypot(gap[0], gap[1]) > _LARGEST_STEP * look.pixel:
@@ -166,7 +171,7 @@ def align_again(image: Image, look: Look, marker: ObjectMarker, start: Array) ->
     residual = grey - columns @ np.linalg.solve(look.normal, product)
     spread = 1.4826 * float(np.median(np.abs(residual)))
     weight = np.minimum(1.0, 3.0 * max(spread, 0.3) / np.maximum(np.abs(residual), 1e-6))
-    # Nearly all pixels count fully: only the others are taken off.
+    # Nearly all pixels have full weight, so only the contribution of the others is subtracted.
     less = np.flatnonzero(weight < 1.0)
     spoilt = columns[less]
     lost = spoilt.T * (1.0 - weight[less])
@@ -187,11 +192,11 @@ def align_again(image: Image, look: Look, marker: ObjectMarker, start: Array) ->
 def _judged(
     look: Look, answer: Array, residual: Array, weight: Array, information: Array, spread: float
 ) -> Alignment | None:
-    """What the last step of an alignment says; None if the pattern does not explain the image."""
+    """Evaluate the last step of an alignment; None if the pattern does not explain the image."""
     columns, template, pixel = look.columns, look.template, look.pixel
     contrast = float(answer[0])
     noise = max(math.sqrt(float((weight * residual**2).sum() / weight.sum())), spread, 0.3)
-    # What the edges leave is what moves the answer: a pattern not quite as modelled shows there.
+    # Residuals at edges determine the error of the pose, and show deviations of the pattern.
     slope = weight * (columns[:, _POSE][:, :2] ** 2).sum(axis=1)
     unexplained = math.sqrt(float((slope * residual**2).sum() / slope.sum()))
     noise = max(noise, unexplained)
@@ -207,16 +212,17 @@ def _judged(
 def _together(
     chosen: NDArray[np.intp], width: int, influence: Array, residual: Array
 ) -> NDArray[np.float64]:
-    """Covariance (3, 3) of whitened answers: 1 for pixels with independent noise.
+    """Covariance (3, 3) of whitened parameters; the identity for pixels with independent noise.
 
-    ``influence`` (N, 3) is how the pixels ``chosen`` (flat indices, rows of ``width``) move them,
-    and ``residual`` (N,) shows which noise goes together: its autocorrelation, filtered through the
-    influence (the sandwich of Huber 1967 and White 1980, for noise alike all over the marker).
+    ``influence`` (N, 3) are the derivatives of the parameters with respect to the pixels ``chosen``
+    (flat indices, rows of ``width``). The correlation of the noise comes from the autocorrelation
+    of ``residual`` (N,), filtered through the influence (the sandwich estimator of Huber 1967 and
+    White 1980, for noise that is stationary over the marker).
     """
     rows, columns = np.divmod(chosen, width)
     rows, columns = rows - rows.min(), columns - columns.min()
     shape = int(rows.max()) + 1, int(columns.max()) + 1
-    # Single precision: of a factor that is known to a hundredth at best.
+    # Single precision suffices for a factor known to a hundredth at best.
     maps = np.zeros((5, *shape), dtype=np.float32)
     maps[:, rows, columns] = np.vstack([influence.T, residual, np.ones(len(residual))])
     size = [fft.next_fast_len(n + _LAGS, real=True) for n in shape]
@@ -235,8 +241,8 @@ def _together(
 def _pixels(
     image: Image, view: View, marker: ObjectMarker, start: Array
 ) -> tuple[Array, Array, NDArray[np.intp]] | None:
-    """Where the pixels on the marker see its plane (x, y in m, table), and which they are (flat
-    indices)."""
+    """Projections of the marker's pixels to its plane (x, y in m, table), and their flat
+    indices."""
     modules = marker_pattern(marker.dictionary, marker.id).shape[0]
     reach = marker.size * (0.5 + _MARGIN / modules)
     cos, sin = math.cos(start[2]), math.sin(start[2])
@@ -253,7 +259,7 @@ def _pixels(
     dx, dy = x - start[0], y - start[1]
     inside = np.maximum(np.abs(cos * dx + sin * dy), np.abs(cos * dy - sin * dx)) < reach
     chosen = np.flatnonzero(inside)
-    # The textures are sampled in rows of 64, so the last few pixels are left out.
+    # The textures are sampled in rows of 64, so the last few pixels are omitted.
     chosen = chosen[: len(chosen) // 64 * 64]
     if len(chosen) < 256:
         return None
@@ -264,9 +270,10 @@ def _pixels(
 def _columns(
     template: Template, marker: ObjectMarker, x: Array, y: Array, pose: Array, gain: Array
 ) -> tuple[Array, Array]:
-    """Design matrix (N, 14): gain and gradients, offset and gradients, blur, grey levels of the
-    blurred edges that are no measure of the light (gamma, ink that runs), two stretches and a
-    shear, x, y, theta; and the columns (N, 3) that a gain's values multiply.
+    """Design matrix (N, 14), and the columns (N, 3) by which a gain is multiplied.
+
+    The columns are: gain and its gradients, offset and its gradients, blur, nonlinear grey levels
+    at blurred edges (gamma, ink bleeding), two stretches and a shear, x, y, theta.
     """
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = x - pose[0], y - pose[1]
@@ -297,10 +304,10 @@ def _columns(
 
 
 def window_rays(camera: CameraModel, x0: int, y0: int, x1: int, y1: int) -> Array:
-    """Directions (y1 - y0, x1 - x0, 2) of the pixels of a window of the image.
+    """Directions (y1 - y0, x1 - x0, 2) of the pixels of an image window.
 
-    A lens is smooth: exact at 8 x 8 Chebyshev nodes, polynomial between (error below 1e-6 pixel for
-    windows of a few hundred pixels).
+    They are exact at 8 x 8 Chebyshev nodes and interpolated by a polynomial, because a lens is
+    smooth (error below 1e-6 pixel for windows of a few hundred pixels).
     """
     degree = 7
     nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))

@@ -1,4 +1,4 @@
-"""Finding the markers that the cell knows in a frame, and being sure that it is they."""
+"""Find the known markers in a frame and verify their patterns."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from tapping_cell.vision.markers.detection import Detection, Effort, find_marker
 from tapping_cell.vision.markers.edges import MarkerEdges
 
 _BITS_WRONG = 0.04
-"""Share of a pattern's modules that may read wrong (dirt, glare): 4 of an AprilTag 36h11's 100."""
+"""Maximum fraction of wrong modules in a pattern (dirt, glare): 4 of the 100 of an AprilTag
+36h11."""
 
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """A full search, by id: markers seen once, and those seen more than once."""
+    """Result of a full search: corners of markers detected once, by id, and repeated ids."""
 
     single: dict[int, Array]
     repeated: tuple[int, ...]
 
     def and_more(self, other: Detections) -> Detections:
-        """This and what another search of the same image found."""
+        """Merge these detections with those of another search of the same image."""
         repeated = {*self.repeated, *other.repeated}
         repeated |= {
             i
@@ -36,7 +37,8 @@ class Detections:
 
 
 def detect(image: Image, dictionary: str, effort: Effort = Effort.QUICK) -> Detections:
-    """Every marker of a dictionary in the whole image; nested doubles of one square count once."""
+    """Detect every marker of a dictionary in the image; count nested detections of a square
+    once."""
     by_id: dict[int, list[Detection]] = {}
     for found in find_markers(image, dictionary, effort=effort):
         others = by_id.setdefault(found.id, [])
@@ -49,8 +51,11 @@ def detect(image: Image, dictionary: str, effort: Effort = Effort.QUICK) -> Dete
 
 
 def efforts(first: bool, slow: bool) -> tuple[Effort, ...]:
-    """How hard to search a frame, one search after another until all is found: the first frame may
-    be the only one; of others one search must do, which may be ``slow``."""
+    """Levels to search a frame at, one after another until everything is found.
+
+    The first frame may be the only one, so it gets all levels. Any other frame gets a single
+    search, at the higher level if ``slow``.
+    """
     if first:
         return tuple(Effort)
     return (Effort.THOROUGH,) if slow else (Effort.QUICK,)
@@ -63,8 +68,8 @@ def _apart(first: Array, second: Array) -> bool:
 
 
 def near(image: Image, dictionary: str, marker_id: int, quad: Array) -> Array | None:
-    """Corners of a marker searched within one marker's width around a quad (4, 2); None if not
-    once."""
+    """Search for a marker within one marker's width around a quad (4, 2). Return its corners, or
+    None if it is not found exactly once."""
     reach = 1.0 * float(np.linalg.norm(quad[2] - quad[0]))
     low = np.floor(quad.min(axis=0) - reach).astype(int)
     high = np.ceil(quad.max(axis=0) + reach).astype(int)
@@ -78,7 +83,7 @@ def near(image: Image, dictionary: str, marker_id: int, quad: Array) -> Array | 
 def patterns_agree(
     image: Image, edges: MarkerEdges, patterns: list[NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
-    """For each marker: do the modules between its corners read as its pattern?"""
+    """Return for each marker whether the modules between its corners agree with its pattern."""
     agree = np.zeros(len(patterns), dtype=bool)
     height, width = image.shape
     corners = edges.corners
@@ -99,20 +104,20 @@ def patterns_agree(
 
 @lru_cache(maxsize=8)
 def _centres(modules: int) -> tuple[Array, Array]:
-    """Where the middles of modules lie in their marker, row after row: shares (N,) right and
-    down."""
+    """Relative positions of the modules' centres in their marker, row by row: right and down, (N,)
+    each."""
     centres = (np.arange(modules) + 0.5) / modules
     u, v = np.meshgrid(centres, centres)
     return u.ravel(), v.ravel()
 
 
 def _within(corners: Array, u: Array, v: Array) -> Array:
-    """Points (M, N, 2) at shares u (right) and v (down), (N,), of squares seen in perspective as
-    ``corners`` (M, 4, 2).
+    """Points (M, N, 2) at the relative positions u (right) and v (down), (N,), in squares whose
+    perspective images have the corners ``corners`` (M, 4, 2).
 
     Heckbert 1989, "Fundamentals of texture mapping", square to quadrilateral.
     """
-    # Row 0 of the pattern lies along corners 0 and 1.
+    # Row 0 of the pattern is between corners 0 and 1.
     p0, p1, p2, p3 = corners.transpose(1, 0, 2)
     total = p0 - p1 + p2 - p3
     d1, d2 = p1 - p2, p3 - p2

@@ -1,11 +1,11 @@
-"""Is the object's marker the square that the files say, lying where they say?
+"""Check that the object's marker appears as the square, at the height, that the files state.
 
-A marker that is lifted, tilted or of another size than its file says is seen as a square of another
-size, or as none. Which of these it is cannot be told from one picture, but how wrong the pose may
-be follows from how wrong the shape is. A point at the horizontal distance r from the camera that
-lies higher than believed by the share s of the camera's height seems larger by s and further away
-by s r. A plane tilted by a seems turned by up to the share a r / 2 of the camera's height by which
-it also seems sheared or longer than wide.
+A marker that is lifted, tilted or of another size than stated appears as a square of another size,
+or not as a square. One image does not show which of these is the cause, but the error of the shape
+limits the error of the pose. If a point at the horizontal distance r from the camera is higher than
+assumed by a fraction s of the camera's height, it appears larger by s and further away by s r. A
+plane tilted by a appears rotated by up to a r / (2 h), h being the camera's height. It also appears
+sheared or elongated by this amount.
 """
 
 from __future__ import annotations
@@ -24,17 +24,22 @@ from tapping_cell.vision.markers.object_pose import PoseFit
 _NORMALS = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
 _SIGN = np.array([1.0, -1.0, 1.0, -1.0])
 _SHARE, _PIXELS, _SMEARED, _CONFIDENCE = 0.0006, 0.06, 0.3, 5.0
-"""Stretch and strain that say nothing: a share (print, lens), pixels of the side (where edges lie
-between pixels, grey levels that are no measure of the light), pixels for edges that follow their
-window (``MarkerEdges.pull`` p) times p / (1 - p), standard deviations of the noise. Of 140 pictures
-with sides of 28 to 149 pixels, gamma, Bayer patterns and blur among them, none had more."""
+"""Stretch and strain that are not significant.
+
+In this order: a constant fraction (print, lens); pixels of the side (position of edges between
+pixels, nonlinear grey levels); pixels, times p / (1 - p), for edges with ``MarkerEdges.pull`` p;
+standard deviations of the noise. None of 140 images exceeded the sum. Their sides measured 28 to
+149 pixels, and they included gamma, Bayer patterns and blur.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapeDeviation:
-    """How a marker's square differs from the file's: by what share it seems larger (``stretch``),
-    and longer than wide or sheared (``strain``); up to ``allowance`` that says nothing.
-    ``covariance`` (3, 3) is what the rest may mean for the object's pose (m, m, rad).
+    """Difference between the measured and the configured square of a marker.
+
+    ``stretch`` is the relative enlargement and ``strain`` the relative elongation or shear; values
+    up to ``allowance`` are not significant. ``covariance`` (3, 3) is the uncertainty of the
+    object's pose (m, m, rad) due to the remainder.
     """
 
     stretch: float
@@ -44,17 +49,17 @@ class ShapeDeviation:
 
     @property
     def negligible(self) -> bool:
-        """Whether it is the square of the file, as far as can be seen."""
+        """True if the marker agrees with its file within the measurement accuracy."""
         return max(abs(self.stretch), self.strain) <= self.allowance
 
 
 def shape_deviation(
     view: View, edges: MarkerEdges, row: int, marker: ObjectMarker, fit: PoseFit, bloom: float
 ) -> ShapeDeviation:
-    """How marker ``row`` of ``edges``, whose pose is ``fit``, differs from its file.
+    """Compute how marker ``row`` of ``edges``, whose pose is ``fit``, differs from its file.
 
-    ``bloom`` is how far the sides of the reference markers lie outside of where they should
-    (pixels): what camera and ink do to all markers is not taken for a size.
+    ``bloom`` is the mean displacement (pixels) of the reference markers' sides outwards. It is
+    subtracted, because an effect of camera and ink on all markers is not a difference of size.
     """
     pixel = float(view.pose.translation[2]) / view.camera.fx
     seen = view.on_plane(edges.points[row].reshape(-1, 2), marker.height).reshape(4, -1, 2)
@@ -90,15 +95,15 @@ def shape_deviation(
 
 
 class ShapeWarnings:
-    """Says that the shape is not right, in the same words as long as it stays so."""
+    """Creates warnings about the shape, with constant values while the shape is nearly constant."""
 
     def __init__(self, marker: ObjectMarker) -> None:
         self._marker = marker
         self._said: tuple[float, float] | None = None
 
     def sentence(self, shape: ShapeDeviation, camera_height: float) -> str:
-        """What is wrong with the shape as seen from ``camera_height`` (m) over the table; empty for
-        nothing."""
+        """Warning about the shape, for a camera ``camera_height`` (m) over the table; empty if
+        none."""
         worst = max(abs(shape.stretch), shape.strain) / shape.allowance
         if worst <= (1.0 if self._said is None else 0.8):
             self._said = None
@@ -113,7 +118,7 @@ class ShapeWarnings:
         )
 
     def refusal(self, shape: ShapeDeviation, limit: float) -> str:
-        """The same for a shape that is beyond ``limit``."""
+        """Error message for a shape whose deviation exceeds ``limit``."""
         self._said = None
         return (
             f"{self._looks(shape.stretch, shape.strain)} (limit {limit * 100:.0f} %): "
@@ -129,16 +134,16 @@ class ShapeWarnings:
 
 
 def _beyond(share: float, allowance: float) -> float:
-    """What of a share counts: nothing of what is allowed, all of what is far beyond."""
+    """Significant part of a deviation: zero up to the allowance, all of it far above."""
     return math.sqrt(max(0.0, share**2 - allowance**2))
 
 
 def _covariance(
     view: View, marker: ObjectMarker, pose: Array, stretch: float, strain: float
 ) -> Array:
-    """Covariance (3, 3) of the object's pose where the marker's shape is wrong by these shares."""
+    """Covariance (3, 3) of the object's pose for these errors of the marker's shape."""
     away = stretch * (pose[:2] - view.pose.position[:2])
-    # A tilted object stands on its rim, about a marker's side away from the middle.
+    # A tilted object touches the table at its rim, about one marker side from the middle.
     lifted = 2.0 * strain * marker.size
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = np.outer(away, away) + lifted**2 * np.eye(2)

@@ -1,11 +1,11 @@
-"""Markers too small for their edges: the whole printed pattern is fitted to the pixels.
+"""Measure markers too small for their edges by fitting the whole printed pattern to the pixels.
 
-Where a module is only one to four pixels wide, the pixels beside an edge already belong to the next
-module, and no level of black or white can be read there. The pattern itself is known, though: its
-image is a sum of steps along both sides of each module, blurred (the normal distribution function),
-under a light that changes across it. Gauss-Newton moves the four corners, the blur and the light
-until the pattern explains the pixels (Lucas and Kanade 1981 with a homography); what it does not
-explain gives the covariance.
+If a module is only one to four pixels wide, the pixels beside an edge already belong to the next
+module, so the levels of black and white cannot be measured there. The pattern is known, however.
+Its image is a sum of blurred steps at both sides of each module (normal distribution function),
+with illumination that varies across the marker. Gauss-Newton adjusts the four corners, the blur and
+the illumination until the pattern explains the pixels (Lucas and Kanade 1981 with a homography).
+The residuals give the covariance.
 """
 
 from __future__ import annotations
@@ -20,40 +20,44 @@ from tapping_cell.vision.camera import Array, Image
 from tapping_cell.vision.markers.edges import BINS, MarkerEdges
 
 _QUIET = 0.6
-"""Modules of the white margin that take part: narrow margins have one."""
+"""Width of the white margin used, in modules; a narrow margin has one module."""
 _BLUR, _LEAST_BLUR, _MOST_BLUR = 0.7, 0.35, 2.5
-"""Sigma in pixels: at the start, and bounds."""
+"""Sigma of the blur in pixels: initial value and bounds."""
 _ROUNDS = 15
 _LARGEST_STEP = 0.6
-"""Pixels that a corner may move in one round."""
+"""Maximum displacement of a corner in one iteration, in pixels."""
 _CONVERGED = 0.03
 _STRAYED = 0.9
-"""Modules that a corner may lie from where the search saw it."""
+"""Maximum distance of a corner from its detected position, in modules."""
 _LEAST_CONTRAST = 12.0
 _MOST_UNEXPLAINED = 0.18
-"""Root mean square of what remains, over the contrast; 0.16 at most on 530 markers of
-photographs."""
+"""Maximum root mean square residual relative to the contrast (at most 0.16 on 530 markers in
+photographs)."""
 _VAGUE, _LEAST_MODULE = 0.15, 1.2
-"""Modules by which a side may be uncertain, and pixels that a module must have: 0.10 at most on the
-same photographs, 0.2 and more where another pattern was taken for the one that is there."""
+"""Maximum standard deviation of a side, in modules, and minimum width of a module, in pixels. On
+the same photographs, this deviation was at most 0.10 for correct patterns and at least 0.2 for
+wrong patterns."""
 _MODULE_OFF = 0.4
-"""Of the contrast, by which the mean of a module may differ from the pattern."""
+"""Maximum deviation of a module's mean from the pattern, relative to the contrast."""
 _MODULES_WRONG = 0.04
 _PRINTED = 0.02
-"""Pixels by which such a corner may be off whatever the noise: sharpening and compression of the
-picture are no noise that averages out (measured on photographs)."""
+"""Standard deviation of such a corner, in pixels, that is independent of the noise. Sharpening and
+compression of the image do not average out (measured on photographs)."""
 
 
 _TANH = 0.7978846, 0.0356774
-"""The normal distribution function is 1/2 + tanh(a z + b z^3) / 2 to 3e-4, computed in a tenth of
-the time."""
+"""Coefficients of 1/2 + tanh(a z + b z^3) / 2, which approximates the normal distribution function
+to 3e-4 in a tenth of the time."""
 _UNIT = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatternFit:
-    """Corners (4, 2) in pixels, their covariance (8, 8) in pixels^2, grey levels of black and
-    white, the blur (sigma in pixels) and what the pattern leaves unexplained, over the contrast."""
+    """Result of a pattern fit.
+
+    It holds corners (4, 2) in pixels, their covariance (8, 8) in pixels^2, grey levels of black and
+    white, the blur (sigma in pixels), and the unexplained residual relative to the contrast.
+    """
 
     corners: Array
     covariance: Array
@@ -64,10 +68,10 @@ class PatternFit:
 
 
 def fit_pattern(image: Image, quad: Array, pattern: NDArray[np.bool_]) -> PatternFit | None:
-    """The marker with this pattern near corners ``quad`` (4, 2), right to half a module.
+    """Fit the marker with this pattern near corners ``quad`` (4, 2), accurate to half a module.
 
-    None if the pattern does not explain the pixels, or not everywhere: another marker, something
-    that covers a part of it, smear by motion.
+    Returns None if the pattern does not explain the pixels everywhere, for example because of
+    another marker, partial occlusion or motion blur.
     """
     chosen = _pixels(image, quad, pattern.shape[0])
     if chosen is None:
@@ -126,7 +130,7 @@ def _fit(pixels: Array, grey: Array, quad: Array, pattern: NDArray[np.bool_]) ->
         return None
     moves = _moves(matrix, corners - middle)
     covariance = moves @ np.linalg.inv(information)[:8, :8] @ moves.T
-    # What is left is alike in neighbouring pixels: fewer are independent than there are.
+    # Residuals of neighbouring pixels are correlated, so fewer of them are independent.
     covariance *= noise**2 * _alike(pixels, residual)
     covariance += _PRINTED**2 * np.eye(8)
     if _side_deviation(corners, covariance) > _VAGUE * side / modules:
@@ -138,7 +142,7 @@ def _fit(pixels: Array, grey: Array, quad: Array, pattern: NDArray[np.bool_]) ->
 
 
 def _pixels(image: Image, quad: Array, modules: int) -> tuple[Array, Array] | None:
-    """Places (N, 2) and grey values (N,) of the pixels on the marker and a part of its margin."""
+    """Positions (N, 2) and grey values (N,) of the pixels on the marker and part of its margin."""
     if not np.isfinite(quad).all():
         return None
     middle = quad.mean(axis=0)
@@ -158,18 +162,20 @@ def _pixels(image: Image, quad: Array, modules: int) -> tuple[Array, Array] | No
 
 
 def _to_marker(corners: Array) -> Array:
-    """Matrix (3, 3) from the image to the marker, whose corners are at -1 and 1 (right, down)."""
+    """Homography (3, 3) from the image to the marker with corners at -1 and 1 (right, down)."""
     matrix = cv2.getPerspectiveTransform(corners.astype(np.float32), _UNIT.astype(np.float32))
     return np.asarray(matrix, dtype=float)
 
 
 def _model(seen: Array, matrix: Array, blur: float, black: Array) -> tuple[Array, Array]:
-    """The pattern (N,), 0 black and 1 white, at the homogeneous places ``seen`` (N, 3) of the
-    marker, and how it answers a small homography of the marker (eight numbers, :func:`_fields`)
-    and the blur (N, 9)."""
+    """Predicted pattern and its derivatives at the homogeneous marker coordinates ``seen`` (N, 3).
+
+    The pattern (N,) is 0 if black and 1 if white. The derivatives (N, 9) are with respect to a
+    small homography of the marker (eight parameters, :func:`_fields`) and to the blur.
+    """
     modules = black.shape[0]
     places = seen[:, :2] / seen[:, 2:]
-    # In the middle of the marker: modules a pixel, along u and v.
+    # Scale at the centre of the marker: modules per pixel, along u and v.
     at = matrix[:2, 2] / matrix[2, 2]
     local = (matrix[:2, :2] - np.outer(at, matrix[2, :2])) / matrix[2, 2]
     scales = 0.5 * modules * np.linalg.norm(local, axis=1)
@@ -177,7 +183,7 @@ def _model(seen: Array, matrix: Array, blur: float, black: Array) -> tuple[Array
     boxes, changes, widths = [], [], []
     for axis in (0, 1):
         sigma = blur * scales[axis]
-        # Single precision: a millionth of the contrast.
+        # The error of single precision is a millionth of the contrast.
         z = ((0.5 * modules * (places[:, axis, None] + 1.0) - steps) / sigma).astype(np.float32)
         bell = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
         boxes.append(-np.diff(0.5 * np.tanh(z * (_TANH[0] + _TANH[1] * z**2)), axis=1))
@@ -198,8 +204,8 @@ def _model(seen: Array, matrix: Array, blur: float, black: Array) -> tuple[Array
 
 
 def _fields(places: Array) -> tuple[Array, Array]:
-    """How places (N, 2) of the marker move in u and v, (N, 8) each, by the eight numbers of a small
-    homography: the matrix 1 + (a b c; d e f; g h 0)."""
+    """Displacements of marker points (N, 2) in u and v, (N, 8) each, by the eight parameters of a
+    small homography: the matrix 1 + (a b c; d e f; g h 0)."""
     u, v = places.T
     one, none = np.ones_like(u), np.zeros_like(u)
     return (
@@ -209,7 +215,8 @@ def _fields(places: Array) -> tuple[Array, Array]:
 
 
 def _moves(matrix: Array, corners: Array) -> Array:
-    """How the corners (4, 2) in the image move, (8, 8), by a small homography of the marker."""
+    """Derivatives (8, 8) of the corners (4, 2) in the image with respect to a small homography of
+    the marker."""
     seen = np.column_stack([corners, np.ones(4)]) @ matrix.T
     places = seen[:, :2] / seen[:, 2:]
     local = matrix[None, :2, :2] - places[:, :, None] * matrix[None, 2:, :2]
@@ -219,8 +226,8 @@ def _moves(matrix: Array, corners: Array) -> Array:
 
 
 def _stepped(matrix: Array, answer: Array, corners: Array) -> tuple[Array, Array]:
-    """The matrix after a small homography, shortened where it moves a corner too far; and how the
-    corners (4, 2) move in the image."""
+    """Apply a small homography to the matrix, shortened if it moves a corner too far. Return also
+    the displacements (4, 2) of the corners in the image."""
     furthest = float(np.abs(_moves(matrix, corners) @ answer).max())
     answer = answer * min(1.0, _LARGEST_STEP / max(furthest, 1e-9))
     change = np.append(answer, 0.0).reshape(3, 3)
@@ -230,9 +237,9 @@ def _stepped(matrix: Array, answer: Array, corners: Array) -> tuple[Array, Array
 
 
 def _whole(places: Array, residual: Array, modules: int) -> bool:
-    """Is the pattern right in every module but a few, and the margin white on all sides?
+    """Return whether all modules but a few agree with the pattern and the whole margin is white.
 
-    ``places`` (N, 2) count modules from the top left corner, ``residual`` (N,) is over the
+    ``places`` (N, 2) are in modules from the top left corner; ``residual`` (N,) is relative to the
     contrast.
     """
     cells = np.clip(np.floor(places).astype(int), -1, modules) + 1
@@ -257,7 +264,7 @@ def _whole(places: Array, residual: Array, modules: int) -> bool:
 
 
 def _alike(pixels: Array, residual: Array) -> float:
-    """By how much the variance of a mean grows because neighbouring pixels' errors are alike."""
+    """Factor on the variance of a mean due to correlated errors of neighbouring pixels."""
     low = pixels.min(axis=0).astype(int)
     index = pixels.astype(int) - low
     sheet = np.full(index.max(axis=0) + 2, np.nan)
@@ -274,23 +281,23 @@ def _alike(pixels: Array, residual: Array) -> float:
 
 
 def _side_deviation(corners: Array, covariance: Array) -> float:
-    """Standard deviation of four independent lines, in pixels, that say as much of the marker's
-    place and angle as corners (4, 2) of this covariance (8, 8)."""
+    """Standard deviation, in pixels, of four independent lines equivalent to corners (4, 2) with
+    this covariance (8, 8): they determine the marker's position and angle equally well."""
     to_middle = np.tile(np.eye(2), 4) / 4.0
     place = float(np.linalg.eigvalsh(to_middle @ covariance @ to_middle.T).max())
     arm = corners - corners.mean(axis=0)
     turn = np.stack([-arm[:, 1], arm[:, 0]], axis=-1).reshape(-1) / (arm**2).sum()
     angle = float(turn @ covariance @ turn)
     side = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
-    # Lines of variance s^2 place a square to s^2 / 2 and turn it to 3 s^2 / side^2.
+    # Lines of variance s^2 locate a square with variance s^2 / 2 and its angle with 3 s^2 / side^2.
     return float(np.sqrt(max(2.0 * place, angle * side**2 / 3.0)))
 
 
 def as_edges(fit: PatternFit) -> MarkerEdges:
-    """A fitted pattern as the sides of one marker.
+    """Convert a fitted pattern to the sides of one marker.
 
-    The sides count as independent lines there; their noise is made so large that neither the place
-    nor the angle of the marker seems better known than it is.
+    The sides are treated as independent lines. Their noise is chosen large enough that neither the
+    position nor the angle of the marker appears more accurate than it is.
     """
     corners = fit.corners
     along = np.roll(corners, -1, axis=0) - corners

@@ -1,9 +1,9 @@
-"""The marker of an object that hardly moves: all its pixels, and what more frames cannot improve.
+"""Measure the marker of a nearly stationary object from all its pixels.
 
-The noise of pixels differs from frame to frame and averages out; how the print differs from its
-pattern, how pixels differ from each other and where the edges lie between them stays as long as the
-object does. The share of the variance that stays is measured: what a frame leaves unexplained,
-against what changes from one frame to the next.
+Pixel noise differs from frame to frame and averages out. Deviations of the print from its pattern,
+differences between pixels, and the positions of the edges between pixels remain as long as the
+object does not move. The fraction of the variance that remains is estimated by comparing the
+unexplained residual of a frame with the change from one frame to the next.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from tapping_cell.vision.markers.photometric import (
 )
 
 _USUAL_BLUR = 0.65
-"""Sigma in pixels of a well focused lens with the pixel's own area; the first alignment corrects
-it."""
+"""Blur (sigma in pixels) of a well focused lens, including the pixel's own area. The first
+alignment corrects it."""
 _BLUR_STEP = 0.15
-"""Share that the blur may differ from the template's before that is made anew."""
+"""Relative change of the blur at which the template is computed again."""
 _FIXED_EDGES = 0.25
-"""Share of the variance of edges that stays: 0.0025 pixel of 0.005 (measured)."""
+"""Fraction of the variance of edges that does not average out: 0.0025 pixel of 0.005 (measured)."""
 _LEAST_FIXED = 0.01
 _DOWNWARDS = 0.95
-"""Cosine of the camera's angle to the table's normal below which the edges are taken: a template is
-blurred alike in all directions of the plane, an oblique view is not (measured on photographs)."""
+"""Cosine of the angle between the optical axis and the table's normal, below which edges are used
+instead. A template is blurred equally in all directions of the plane; an oblique view is not
+(measured on photographs)."""
 _MEMORY = 30
-"""Frames over which the noise is averaged."""
+"""Number of frames over which the noise is averaged."""
 
 
 class RestingMarker:
-    """Measures one marker, frame after frame. ``fixed`` is the share of the variance of a frame's
-    pose that further frames do not average out.
-    """
+    """Measures one marker in successive frames. ``fixed`` is the fraction of the variance of a
+    frame's pose that averaging over more frames does not reduce."""
 
     def __init__(self, marker: ObjectMarker) -> None:
         self._marker = marker
@@ -56,8 +56,8 @@ class RestingMarker:
         self.fixed = _FIXED_EDGES
 
     def measure(self, image: Image, view: View, fit: PoseFit) -> tuple[Array, Array]:
-        """Pose (3,) and covariance (3, 3) of the object; from the edges where the pattern does not
-        explain the image."""
+        """Measure the object's pose (3,) and covariance (3, 3). The result comes from the edges if
+        the pattern does not explain the image."""
         aligned = None
         if self._known is not None and self._known[0] is view:
             aligned = align_again(image, self._known[1], self._marker, fit.pose)
@@ -71,7 +71,7 @@ class RestingMarker:
         return object_pose(aligned.pose, aligned.covariance, self._marker)
 
     def _align(self, image: Image, view: View, fit: PoseFit) -> Alignment | None:
-        """The alignment from the edges, with a template as blurred as the image."""
+        """Align the pattern, starting from the edges, with a template as blurred as the image."""
         if abs(float(view.pose.rotation[2, 2])) < _DOWNWARDS:
             return None
         pixel = float(view.pose.translation[2]) / view.camera.fx
@@ -88,7 +88,7 @@ class RestingMarker:
         return abs(aligned.blur / self._template.blur - 1.0) <= _BLUR_STEP
 
     def _compare(self, image: Image, view: View, pose: Array, unexplained: float) -> None:
-        """Learn what changes from the last frame to this one, if the marker stayed in its place."""
+        """Update the estimate of frame-to-frame change if the marker did not move."""
         square = transform_points(pose, UNIT_CORNERS * self._marker.size)
         seen = view.project(square, self._marker.height)
         low = np.maximum(np.rint(seen.min(axis=0)).astype(int), 0)

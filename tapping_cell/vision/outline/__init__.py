@@ -1,1 +1,1 @@
-"""Objects without a marker: the pose from the outline of their top."""
+"""Objects without a marker: their pose from the outline of their top."""

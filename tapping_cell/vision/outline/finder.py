@@ -1,4 +1,4 @@
-"""From one frame to the next: where the outline is, or in which words it is not."""
+"""Find the outline from frame to frame, or report why it is not found."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ from tapping_cell.vision.outline.shape import ObjectOutline
 Trouble = tuple[Problem, str]
 
 RIM_BIAS = 7e-6
-"""Standard deviation (m) of what all frames share: an edge in a pixel, light across the rim, a
-wall; measured on rendered scenes. Chamfers, dirt and a wrong file are not in it."""
+"""Standard deviation (m) of the error common to all frames, due to the position of an edge in a
+pixel, light across the rim and a wall (measured on rendered scenes). Chamfers, dirt and errors in
+the file are not included."""
 _PROBLEMS = {
     OTHER_SIZE: Problem.MISSHAPEN_OBJECT,
     NO_DOT: Problem.DOT_HIDDEN,
@@ -36,7 +37,7 @@ _PROBLEMS = {
 
 
 class OutlineFinder:
-    """Looks for one outline in every frame; remembers how blurred the camera shows it."""
+    """Finds one outline in every frame; remembers the blur of the camera."""
 
     def __init__(self, outline: ObjectOutline, table: ReferenceMap) -> None:
         self.outline = outline
@@ -48,11 +49,11 @@ class OutlineFinder:
         self._last_look: tuple[View, Look] | None = None
 
     def search(self) -> None:
-        """Look everywhere in the next frame."""
+        """Search the whole next frame."""
         self._search = True
 
     def shared(self) -> Array:
-        """Covariance (3, 3; m, m, rad) of what averaging over frames does not take away."""
+        """Covariance (3, 3; m, m, rad) of the error that averaging over frames does not reduce."""
         dot = self.outline.dot
         arm = 0.7 * self.outline.reach
         if dot is not None and self.outline.vertices is None:
@@ -62,8 +63,8 @@ class OutlineFinder:
     def look(
         self, image: Image, view: View, expected: Array | None, step: Array
     ) -> OutlineFit | Trouble:
-        """The outline in this frame; ``expected`` (3,) is where it should be, ``step`` (2,) how far
-        it moves from frame to frame in m."""
+        """Find the outline in this frame; ``expected`` (3,) is its predicted pose, ``step`` (2,)
+        its motion from frame to frame in m."""
         followed = None if expected is None else self._follow(image, view, expected, step)
         lost = followed is None and self._followed
         if self._search or lost:
@@ -78,7 +79,7 @@ class OutlineFinder:
         return answer
 
     def _follow(self, image: Image, view: View, expected: Array, step: Array) -> OutlineFit | None:
-        """The outline where it is expected, or a few pixels beside."""
+        """Measure the outline at its predicted pose, or a few pixels away."""
         again = self._again(image, view, expected)
         if again is not None:
             return again
@@ -94,7 +95,7 @@ class OutlineFinder:
         return near if isinstance(near, OutlineFit) else None
 
     def _again(self, image: Image, view: View, expected: Array) -> OutlineFit | None:
-        """The outline where it lay in the last frame; None where it does not seem to."""
+        """Measure the outline at its pose in the last frame; None if it does not fit there."""
         if self._last_look is None or self._last_look[0] is not view:
             return None
         fit = fit_again(image, self._last_look[1], expected)
@@ -108,7 +109,7 @@ class OutlineFinder:
     ) -> OutlineFit | Trouble:
         found, refused = find_outlines(image, view, self.outline, self._known, self._blur)
         if followed is not None:
-            # It may be covered in part, so that only the closer look knows it.
+            # A partly hidden outline may be found only at its predicted pose, not by the search.
             reach = 0.5 * self.outline.reach
             others = [f for f in found if math.hypot(*(f.pose - followed.pose)[:2]) > reach]
             found = [followed, *others]

@@ -1,11 +1,11 @@
-"""Where an outline lies in an image: all pixels of a band along the rim, and those around the dot.
+"""Fit an outline to an image, using all pixels of a band along the rim and those around the dot.
 
-What the pixels should see (``outline_model.py``) has the grey levels of top, wall and surroundings
-free in every sector of the rim (light, shadows and a shining wall differ around the object), so the
-rim is where it looks like an edge and not where it has a certain grey. A wall too narrow to be told
-from the edge widens the covariance. Sectors that something covers disagree and are left out.
-Gauss-Newton; the levels are eliminated sector by sector (Schur complement). An object that lies
-where it lay is measured by the last linearisation, its levels and weights.
+In the model (``model.py``), the grey levels of top, wall and surroundings are free in every sector
+of the rim, because light, shadows and reflections of the wall differ around the object. The rim is
+therefore located as an edge, not at a fixed grey level. A wall too narrow to be distinguished from
+the edge increases the covariance. Occluded sectors are outliers and are excluded. The solver is
+Gauss-Newton, with the levels eliminated sector by sector (Schur complement). A stationary object is
+measured with the last linearisation, levels and weights.
 """
 
 from __future__ import annotations
@@ -44,39 +44,42 @@ from tapping_cell.vision.outline.shape import ObjectOutline
 
 FINE = 4.5
 COARSE = 10.0
-"""Half widths of the band in pixels: of a measurement, and around a rough place."""
+"""Half widths of the band in pixels: for a fine fit, and for a coarse fit."""
 USUAL_BLUR = 0.75
 LEAST_CONTRAST = 8.0
-"""Grey levels between top and surroundings, and between dot and top, below which neither is
-seen."""
+"""Minimum difference in grey levels between top and surroundings, and between dot and top."""
 SIZE_SPREAD = 0.004
-"""How much an object's size may differ from the file's without being another object (1 sigma)."""
+"""Standard deviation of an object's size relative to its file."""
 _EVEN = 0.02
-"""Pixels by which a sector of a good rim may differ from the whole."""
+"""Deviation of a sector from the whole rim, in pixels, that is normal for a good rim."""
 _SLOPE_SPREAD = 0.5
-"""Usual change of the light across the rim, grey levels a pixel."""
+"""Standard deviation of the brightness gradient across the rim, in grey levels per pixel."""
 _SMEARED = 2.0
-"""Pixels from frame to frame beyond which an object's rim is smeared by its motion."""
+"""Motion from frame to frame, in pixels, above which motion blur of the rim is modelled."""
 _SAME_PLACE = 0.15
-"""Pixels from where the rim was linearised up to which it needs not be again: an edge is the same
-to both sides, so what a step misses is of third order, 0.005 pixel there."""
+"""Distance in pixels up to which the linearisation is reused. An edge is antisymmetric, so the
+error of a step is of third order, 0.005 pixel at this distance."""
 _SAME_LIGHT = 0.05
-"""Share by which the contrast may have changed since."""
+"""Maximum relative change of the contrast for which the linearisation is reused."""
 _LONG = 0.15
-"""Share of a polygon's rim from which on a side is a long one."""
+"""Minimum fraction of a polygon's rim for a side to be a long side."""
 _BRIGHTEST = 2.5
-"""How much brighter than its darkest parts a rim may be for the noise to be brighter, too."""
+"""Maximum brightness of a sector, relative to typical sectors, for which a higher noise is
+assumed."""
 _ROUNDS_AGAIN, _STEADY = 4, 0.004
-"""Rounds at most, and the change (pixels) from which on another one is not worth its time."""
+"""Maximum number of iterations, and the change (pixels) below which they stop."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutlineFit:
-    """Pose (3,) of the object in table (m, m, rad), its covariance (3, 3) from pixel noise, its
-    apparent ``size`` (1: as configured), the share of the rim that agrees (``seen``), that of the
-    long side of a polygon that agrees least (``least_side``), the contrasts
-    of rim and dot and the ``noise`` in grey levels (with the configured sign above 0), the
-    ``blur`` (sigma, pixels).
+    """Result of an outline fit.
+
+    ``pose`` (3,) is the object's pose in table (m, m, rad) and ``covariance`` (3, 3) is due to
+    pixel noise. ``size`` is the apparent size (1: as configured). ``seen`` is the fraction of the
+    rim that agrees with the model, and ``least_side`` the lowest such fraction among a polygon's
+    long sides. ``contrast`` and ``dot_contrast`` are those of rim and dot (positive if they have
+    the configured sign) and ``noise`` is that of the pixels, all in grey levels. ``blur`` is a
+    sigma in pixels.
     """
 
     pose: Array
@@ -93,8 +96,9 @@ class OutlineFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    """What does not change while a pose is fitted. ``pixel`` in m at the top; ``step`` (2,) the
-    motion between frames in pixels, for the blur that it makes; ``with_dot`` where that counts."""
+    """Constants of a fit. ``pixel`` is the size of a pixel in m at the top, ``step`` (2,) the
+    motion between frames in pixels, which causes motion blur, and ``with_dot`` states whether the
+    dot is fitted."""
 
     outline: ObjectOutline
     pixel: float
@@ -107,7 +111,7 @@ class _Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Design:
-    """The model where it was linearised; of the dot, if it counts (``dot_model``)."""
+    """The linearised model of the rim and, if it is fitted, of the dot (``dot_model``)."""
 
     rim: Array
     dot: Array | None
@@ -115,7 +119,7 @@ class _Design:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """A fit as it was before its last step, to measure an object that lies where it lay."""
+    """A fit before its last step, used to measure a stationary object."""
 
     scene: _Scene
     state: _State
@@ -138,11 +142,11 @@ def fit_outline(
     size: float = 1.0,
     size_spread: float = SIZE_SPREAD,
 ) -> OutlineFit | None:
-    """The outline near ``start`` (3,), which must be right to half of ``width`` pixels.
+    """Fit the outline near ``start`` (3,), which must be accurate to half of ``width`` pixels.
 
-    ``size`` is what it seems to measure, relative to the file; ``size_spread`` how much larger or
-    smaller it may be (1 sigma, share). ``blur`` is the sigma in pixels to begin with; ``step`` (2,)
-    the object's motion since the last frame in m. None where no such outline can be made out.
+    ``size`` is the initial size relative to the file, and ``size_spread`` its relative standard
+    deviation. ``blur`` is the initial sigma in pixels, and ``step`` (2,) the object's motion since
+    the last frame in m. Returns None if the fit fails.
     """
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
     coarse = width > FINE
@@ -153,7 +157,7 @@ def fit_outline(
     dot = outline.dot if with_dot else None
     scene = _Scene(outline, pixel, width, moving, not coarse, size_spread, dot is not None)
     smeared = float(np.hypot(*moving)) > _SMEARED
-    # A fit that leaves the dot out is only the way to one with it.
+    # A fit without the dot only prepares one with the dot.
     rough = coarse or smeared or (outline.dot is not None and not with_dot)
     most = ROUGH_PIXELS if rough else MOST_PIXELS
     state = _State(start.copy(), blur, size)
@@ -184,10 +188,10 @@ def fit_outline(
 
 
 def fit_again(image: Image, look: Look, expected: Array) -> OutlineFit | None:
-    """The same in a frame in which the object lies where it lay, as ``expected`` (3,) says; a fifth
-    of the time.
+    """Fit the outline in a frame in which the object has not moved according to ``expected`` (3,).
 
-    None if it or the light is not as it was, which says nothing about where it is.
+    It takes a fifth of the time. None means only that the object or the illumination changed, not
+    that the object is absent.
     """
     if _way(expected - look.state.pose, look.scene) > 2.0 * _SAME_PLACE:
         return None
@@ -211,13 +215,13 @@ def fit_again(image: Image, look: Look, expected: Array) -> OutlineFit | None:
 
 
 def _way(step: Array, scene: _Scene) -> float:
-    """How far a step moves the object's rim, in pixels."""
+    """Maximum displacement of the object's rim by a step, in pixels."""
     turned = abs(float(step[2])) * scene.outline.reach
     return (math.hypot(step[0], step[1]) + turned) / scene.pixel
 
 
 def _least_side(outline: ObjectOutline, agrees: NDArray[np.bool_]) -> float:
-    """Of the long sides of a polygon, the least share of sectors (S,) that agree; else 1."""
+    """Lowest fraction of agreeing sectors (S,) among a polygon's long sides; 1 for other shapes."""
     if outline.vertices is None:
         return 1.0
     parts = sectors_a_side(outline)
@@ -229,7 +233,7 @@ def _least_side(outline: ObjectOutline, agrees: NDArray[np.bool_]) -> float:
 
 @dataclass(slots=True, eq=False)
 class _State:
-    """Gauss-Newton under way."""
+    """State of the Gauss-Newton iteration."""
 
     pose: Array
     blur: float
@@ -243,30 +247,30 @@ class _State:
     weight: Array | None = None
     dot_weight: Array | None = None
     good: NDArray[np.bool_] | None = None
-    taken: NDArray[np.bool_] | None = None  # there exactly when ``good`` is
+    taken: NDArray[np.bool_] | None = None  # None exactly if ``good`` is None
     scatter: float = 1.0
     information: Array | None = None
 
     @property
     def settled(self) -> bool:
-        """Weights and levels are those of a few rounds."""
+        """True if weights and levels have been updated for a few iterations."""
         return self.rounds >= 4
 
     def start_anew(self, sectors: int) -> None:
-        """The pixels are others: their weights begin anew; the levels serve on."""
+        """Reset the weights after the pixels changed; the levels are kept."""
         if self.levels is None or len(self.levels) != sectors:
             self.levels = self.dot_levels = None
         self.weight = self.dot_weight = self.good = self.taken = None
         self.rounds = 0 if self.levels is None else 1
 
     def shape(self, scene: _Scene) -> Shape:
-        """The unknowns as the model takes them."""
+        """Return the unknowns in the form that the model takes."""
         return Shape(
             self.pose, self.blur, self.size, self.smear, self.dot_size, scene.step, scene.pixel
         )
 
     def design(self, scene: _Scene, band: Band, around: Pixels | None) -> _Design:
-        """The model around what is known now."""
+        """Linearise the model at the current state."""
         shape, dot = self.shape(scene), scene.outline.dot
         return _Design(
             rim_model(scene.outline, shape, band, self.levels, scene.width),
@@ -278,8 +282,11 @@ class _State:
     def solve(
         self, scene: _Scene, design: _Design, grey: Array, dot_grey: Array | None, band: Band
     ) -> Array | None:
-        """The step (GLOBALS,) that explains the grey values best, the levels with it; None if it
-        cannot be told. Levels, weights and noise are taken in, the step is not."""
+        """Solve for the step (GLOBALS,) and the levels that best explain the grey values.
+
+        Updates levels, weights and noise, but does not apply the step. Returns None if the step is
+        undetermined.
+        """
         if self.weight is None:
             self.weight = band.real.astype(float)
         sectors = len(band.counts)
@@ -293,9 +300,10 @@ class _State:
         mixed = normal[:, :LEVELS, LEVELS:].copy()
         mixed[..., -1] += self._level_pull(sectors) * variance
         answer = np.linalg.solve(own, mixed)
-        # What the levels cannot explain, sector by sector: globals, shift of the rim, grey values.
+        # Remainder after elimination of the levels, by sector: globals, displacement of the rim,
+        # grey values.
         left = normal[:, LEVELS:, LEVELS:] - np.matmul(mixed.transpose(0, 2, 1), answer)
-        # A sector that is left out keeps its levels, so that it can come back.
+        # The levels of an excluded sector are still updated, so that it can be included again.
         gate: Array = np.ones(sectors)
         if self.good is not None and self.taken is not None:
             gate = (self.good & self.taken).astype(float)
@@ -332,7 +340,7 @@ class _State:
         return step
 
     def answer(self, look: Look) -> OutlineFit:
-        """What was found, once it no longer moves."""
+        """Return the result after convergence."""
         scene, dot = look.scene, look.scene.outline.dot
         assert self.information is not None and self.levels is not None and self.good is not None
         sign = 1.0 if scene.outline.brighter else -1.0
@@ -361,7 +369,7 @@ class _State:
         )
 
     def take(self, step: Array, scene: _Scene) -> float:
-        """Go the step, or as far of it as is wise; how far it moves the rim, in pixels."""
+        """Apply the step, limited in length. Return the displacement of the rim, in pixels."""
         way = math.inf if self.rounds <= 1 else _way(step, scene)
         limit = 0.5 * scene.width * scene.pixel
         far = max(1.0, math.hypot(step[0], step[1]) / limit)
@@ -375,8 +383,8 @@ class _State:
         return way
 
     def _compare(self, scene: _Scene, left: Array, step: Array) -> None:
-        """Do the sectors agree where the rim is? Those that do not are left out, and how much the
-        others differ is what the covariance must tell."""
+        """Exclude sectors that disagree on the position of the rim, and estimate the scatter of the
+        others, which increases the covariance."""
         power = np.maximum(left[:, GLOBALS, GLOBALS], 1e-9)
         shift = (left[:, GLOBALS, -1] - left[:, GLOBALS, :GLOBALS] @ step) / power
         sigma = self.noise / np.sqrt(power)
@@ -392,17 +400,17 @@ class _State:
         self.scatter = max(1.0, float((np.square(shift / sigma)[kept]).mean()))
 
     def _judge(self, scene: _Scene, residual: Array, band: Band) -> None:
-        """Weights of pixels and sectors from what is left of them."""
+        """Update the weights of pixels and sectors from their residuals."""
         off = np.abs(residual)
         counts = band.counts
         squares = np.square(np.minimum(off, 60.0)) * band.real
         spread = np.sqrt(squares.sum(axis=1) / np.maximum(counts, 1))
-        # Around a rough place all of the rim fits badly at first.
+        # In a coarse fit, the whole rim fits badly at first.
         share, factor, margin = (0.3, 1.3, 0.3) if scene.measures else (0.5, 2.5, 1.0)
         ordered = np.sort(spread[counts > 0])
         usual = float(ordered[round(share * (len(ordered) - 1))])
         assert self.levels is not None
-        # More light has more noise: half of the rim may lie in a shadow.
+        # Noise increases with brightness, and half of the rim may be in a shadow.
         light = np.maximum(self.levels[:, 0], self.levels[:, 2])
         level = float(np.median(light[spread <= usual])) if (spread <= usual).any() else 1.0
         brighter = np.sqrt(np.clip(light / max(level, 1.0), 1.0, _BRIGHTEST))
@@ -415,10 +423,10 @@ class _State:
         left = float((counted * residual[self.good] ** 2).sum() / max(counted.sum(), 1.0))
         self.noise = max(math.sqrt(left), 0.3)
 
-    # -- what is usual
+    # -- priors
 
     def _prior(self, scene: _Scene) -> Array:
-        """Precisions (7,) of the globals around what is usual; hardly any of the pose."""
+        """Precisions (7,) of the priors of the globals; very low for the pose."""
         blur = 4.0 if scene.measures else 1e8
         moving = float(np.hypot(*scene.step)) > _SMEARED and scene.measures
         place = 1.0 / (5.0 * scene.pixel) ** 2
@@ -430,7 +438,7 @@ class _State:
         return np.array([0.0, 0.0, 0.0, 1.0 - self.size, 0.0, -self.smear, 1.0 - self.dot_size])
 
     def _level_prior(self, sectors: int) -> Array:
-        """Precisions (S, 4, 4) of the levels: of the wall's, and of the slope."""
+        """Precisions (S, 4, 4) of the levels: those of the wall and of the slope matter."""
         top = np.full(sectors, 60.0) if self.levels is None else np.abs(self.levels[:, 0])
         prior = np.zeros((sectors, LEVELS, LEVELS))
         prior[:, 0, 0] = prior[:, 2, 2] = 1e-6
@@ -439,7 +447,7 @@ class _State:
         return prior
 
     def _level_pull(self, sectors: int) -> Array:
-        """The wall is usually half as bright as the top."""
+        """Prior of the levels: the wall usually has half the brightness of the top."""
         top = np.full(sectors, 60.0) if self.levels is None else np.abs(self.levels[:, 0])
         pull = np.zeros((sectors, LEVELS))
         pull[:, 1] = 0.5 * top / (0.5 * top + 10.0) ** 2

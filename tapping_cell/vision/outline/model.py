@@ -1,9 +1,9 @@
-"""What the pixels around an outline should see, and how that answers a change of the pose.
+"""Predict the pixels around an outline, and their derivatives with respect to the pose.
 
-A pixel near the rim sees the top, the side wall below it or what lies beside the object; which
-shares of each follows from its distances to the outline of the top and to the silhouette of the
-whole body, through a Gaussian blur. The pixels stand in rows, one for each sector of the rim, so
-that the levels of all sectors are solved for at once.
+A pixel near the rim shows the top, the side wall below it, or the surroundings. The fractions of
+these follow from its distances to the outline of the top and to the silhouette of the whole body,
+with a Gaussian blur. The pixels are arranged in rows, one for each sector of the rim, so that the
+levels of all sectors are solved for in one operation.
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ from tapping_cell.vision.camera import Array, Image
 from tapping_cell.vision.outline.pixels import Pixels
 from tapping_cell.vision.outline.shape import Dot, ObjectOutline
 
-LEVELS = 4  # top, wall, surroundings, and a slope of the light across the rim
-GLOBALS = 7  # x, y, theta, size, blur, blur by motion, size of the dot
+LEVELS = 4  # top, wall, surroundings, and the slope of the illumination across the rim
+GLOBALS = 7  # x, y, theta, size, blur, motion blur, size of the dot
 SIZE, BLUR, SMEAR, DOT_SIZE = 3, 4, 5, 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """The rim's pixels, (S, K): sector after sector, filled up with doubles that are not ``real``.
+    """The rim's pixels, (S, K), by sector; rows are padded with duplicates that are not ``real``.
 
-    ``top`` and ``floor`` (2, S, K) are the places that they see, in m; ``pixels`` the flat indices
-    in the image; ``counts`` (S,) the real ones of a sector.
+    ``top`` and ``floor`` (2, S, K) are their projections to the plane of the top and to the table,
+    in m; ``pixels`` are flat indices in the image; ``counts`` (S,) are the numbers of real pixels
+    in each sector.
     """
 
     top: Array
@@ -40,7 +41,7 @@ class Band:
 
     @classmethod
     def of(cls, rim: Pixels, sectors: NDArray[np.intp]) -> Band:
-        """The rim's pixels by the numbers (N,) of their sectors."""
+        """Arrange the rim's pixels by the indices (N,) of their sectors."""
         order = np.argsort(sectors, kind="stable")
         counts = np.bincount(sectors)
         place = np.arange(counts.max())
@@ -49,15 +50,17 @@ class Band:
         return cls(rim.top.T[:, index], rim.floor.T[:, index], rim.pixels[index], real, counts)
 
     def grey(self, image: Image) -> Array:
-        """What an image shows there, (S, K)."""
+        """Grey values of these pixels in an image, (S, K)."""
         return image.reshape(-1)[self.pixels].astype(float)
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """The unknowns: ``pose`` (3,), ``blur`` (sigma, pixels), ``size`` of the top and ``dot_size``
-    relative to the file's, ``smear`` the variance by motion per squared ``step`` (2,), pixels from
-    frame to frame; ``pixel`` in m at the top.
+    """The unknowns of the fit.
+
+    ``pose`` is (3,) and ``blur`` a sigma in pixels. ``size`` and ``dot_size`` are relative to the
+    file's top and dot. ``smear`` is the variance due to motion per squared ``step`` (2,), the
+    motion from frame to frame in pixels. ``pixel`` is the size of a pixel in m at the top.
     """
 
     pose: Array
@@ -72,9 +75,11 @@ class Shape:
 def rim_model(
     outline: ObjectOutline, shape: Shape, band: Band, levels: Array | None, width: float
 ) -> Array:
-    """How grey values answer the levels of their sector, the globals, and a shift of the rim
-    outwards by a pixel: (LEVELS + GLOBALS + 1, S, K); ``levels`` (S, LEVELS), if they are known;
-    ``width`` of the band in pixels to either side.
+    """Derivatives (LEVELS + GLOBALS + 1, S, K) of the grey values.
+
+    They are with respect to the levels of their sector, to the globals, and to a displacement of
+    the rim outwards by a pixel. ``levels`` (S, LEVELS) may be unknown; ``width`` is the half width
+    of the band in pixels.
     """
     cos, sin = math.cos(shape.pose[2]), math.sin(shape.pose[2])
     x, y = _within(shape.pose, cos, sin, band.top)
@@ -105,7 +110,8 @@ def rim_model(
 
 
 def dot_model(dot: Dot, shape: Shape, around: Pixels, levels: Array | None) -> Array:
-    """The same for the dot, (4 + GLOBALS, N): levels of dot and top, two slopes; the globals."""
+    """Derivatives (4 + GLOBALS, N) for the dot, with respect to the levels of dot and top, two
+    slopes, and the globals."""
     cos, sin = math.cos(shape.pose[2]), math.sin(shape.pose[2])
     x, y = _within(shape.pose, cos, sin, around.top.T)
     x, y = x - dot.offset[0], y - dot.offset[1]
@@ -123,13 +129,13 @@ def dot_model(dot: Dot, shape: Shape, around: Pixels, levels: Array | None) -> A
         return model
     model[4:] = columns[:GLOBALS] * (levels[0] - levels[1])
     model[4 + SIZE] = 0.0
-    # A rim that goes outwards by the radius is that of a dot twice as large.
+    # Displacing the rim outwards by the radius doubles the size of the dot.
     model[4 + DOT_SIZE] = columns[-1] * ((levels[0] - levels[1]) * dot.radius / shape.pixel)
     return model
 
 
 def _within(pose: Array, cos: float, sin: float, places: Array) -> tuple[Array, Array]:
-    """Places (2, ...) of the table in the object's frame."""
+    """Transform points (2, ...) of the table to the object's frame."""
     dx, dy = places[0] - pose[0], places[1] - pose[1]
     return cos * dx + sin * dy, cos * dy - sin * dx
 
@@ -144,9 +150,11 @@ def _edge(
     nx: Array,
     ny: Array,
 ) -> tuple[Array, Array]:
-    """Coverage inside an edge of a body ``shape.size`` times as large, and how it answers the
-    globals, the dot's size left out, and a shift of the edge outwards by a pixel: (GLOBALS + 1,
-    ...). ``x``, ``y`` are the places, ``distance`` from the edge with its gradient ``nx``, ``ny``.
+    """Coverage inside an edge of a body scaled by ``shape.size``, and its derivatives.
+
+    The derivatives (GLOBALS + 1, ...) are with respect to the globals, except the dot's size, and
+    to a displacement of the edge outwards by a pixel. ``x``, ``y`` are the points, and ``distance``
+    their distance from the edge, with the gradient ``nx``, ``ny``.
     """
     pixel = shape.pixel
     table_nx, table_ny = cos * nx - sin * ny, sin * nx + cos * ny

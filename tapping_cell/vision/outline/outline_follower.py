@@ -1,4 +1,4 @@
-"""An object without a marker, from frame to frame, by its outline."""
+"""Tracks an object without a marker by its outline."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from tapping_cell.vision.outline.shape import ObjectOutline
 from tapping_cell.vision.rest_detection import RestSettings
 
 _LONGEST_WINDOW = 18
-"""Frames that rest may take to prove: a plain outline is not as sharp as a marker."""
+"""Maximum number of frames for proving rest; an outline is less accurate than a marker."""
 
 
 class OutlineFollower(ObjectFollower):
-    """Follows the outline of one object among the markers of ``table``."""
+    """Follows the outline of one object on a table with the reference markers ``table``."""
 
     def __init__(self, outline: ObjectOutline, table: ReferenceMap, rest: RestSettings) -> None:
         super().__init__(outline.height, replace(rest, longest=max(rest.longest, _LONGEST_WINDOW)))
@@ -32,28 +32,28 @@ class OutlineFollower(ObjectFollower):
         self._shared = self._finder.shared()
 
     def outline(self, pose: Array) -> Array:
-        """Points (N, 2) on the rim."""
+        """Return points (N, 2) on the rim."""
         return np.asarray(transform_points(pose, self._shape.points()))
 
     def detected(self, stamp: float) -> bool:
-        """A search of markers finds no outline."""
+        """Return False, because a search of markers finds no outline."""
         return False
 
     def aim(self, stamp: float, view: View | None) -> Aim | None:
-        """No marker."""
+        """Return None, because the object has no marker."""
         return None
 
     def complete(self, detections: Mapping[str, Detections]) -> bool:
-        """Whether a search of markers found all it needs: it needs none."""
+        """Return True, because the follower needs no markers."""
         return True
 
     def searched(self, image: Image, search: Search) -> None:
-        """Look everywhere in the frame that comes next."""
+        """Search the whole next frame for the outline."""
         self.wants_search = False
         self._finder.search()
 
     def look(self, frame: Frame) -> tuple[Array, Array] | Trouble:
-        """The outline where it should be, or everywhere."""
+        """Measure the outline at its predicted position, or search for it in the whole frame."""
         expected, step = self.expected(frame.stamp), self.step(frame.stamp)
         answer = self._finder.look(frame.image, frame.working, expected, step)
         if isinstance(answer, OutlineFit):
@@ -67,5 +67,6 @@ class OutlineFollower(ObjectFollower):
         return answer
 
     def doubt(self, frame: Frame) -> tuple[Array, str]:
-        """What edges between pixels and light across the rim share in all frames."""
+        """Return the uncertainty common to all frames, due to edges between pixels and to light
+        across the rim."""
         return self._shared, ""

@@ -1,7 +1,7 @@
-"""Things that a shadow's edge cuts in two: evenly lit patches, alone and two by two.
+"""Find objects divided by the edge of a shadow, as evenly lit patches and pairs of patches.
 
-Where a hard shadow falls across an object, no level tells it from the table. Its parts are still
-patches without edges inside, and two of them make up its form.
+If a hard shadow falls across an object, no threshold separates the object from the table. Its parts
+are still patches without edges inside, and two of them together form its shape.
 """
 
 from __future__ import annotations
@@ -17,15 +17,17 @@ from tapping_cell.vision.camera import Image
 Points = NDArray[np.int32]
 
 _EDGE = 0.05
-"""Change of the grey level from pixel to pixel, as a share of it, at which a patch ends."""
+"""Change of the grey level from pixel to pixel, relative to the level, at which a patch ends."""
 _LEAST, _MOST = 0.08, 1.3
-"""Areas of patches, relative to the object's."""
+"""Minimum and maximum area of a patch, relative to the object's area."""
 _MOST_PATCHES = 60
 
 
 def patches(small: Image, area: float, reach: float) -> Iterator[Points]:
-    """Convex hulls (N, 1, 2) of patches and of neighbouring pairs of them, in pixels of the image;
-    ``area`` (pixels) and ``reach`` (from the middle, pixels) are the object's."""
+    """Yield convex hulls (N, 1, 2) of patches and of neighbouring pairs of patches, in pixels.
+
+    ``area`` (pixels) and ``reach`` (from the centre, pixels) are the object's.
+    """
     soft = cv2.GaussianBlur(small, (3, 3), 0).astype(np.float32)
     slope = np.hypot(
         cv2.Sobel(soft, cv2.CV_32F, 1, 0, scale=0.125),
@@ -49,7 +51,7 @@ def _hull(points: Points) -> Points:
 
 
 def _rim(labels: Points, box: Points, label: int) -> Points:
-    """Points (N, 1, 2) of a patch's rim, with the pixel that its edge takes away on all sides."""
+    """Points (N, 1, 2) of a patch's rim, dilated by the pixel that its edge occupies."""
     x, y = int(box[cv2.CC_STAT_LEFT]), int(box[cv2.CC_STAT_TOP])
     width, height = int(box[cv2.CC_STAT_WIDTH]), int(box[cv2.CC_STAT_HEIGHT])
     mask = np.pad((labels[y : y + height, x : x + width] == label).astype(np.uint8), 2)

@@ -1,4 +1,5 @@
-"""Which pixels of an image tell where an outline is, and what they see of the object's planes."""
+"""Select the pixels that determine an outline's position, and project them to the object's
+planes."""
 
 from __future__ import annotations
 
@@ -15,29 +16,28 @@ from tapping_cell.vision.markers.photometric import window_rays
 from tapping_cell.vision.outline.shape import Dot, ObjectOutline
 
 SOFTENED = 2.5
-"""Sigma in pixels by which the image is softened around a rough place: it catches from as far."""
+"""Sigma in pixels of the blur for a coarse fit, which extends the range of convergence."""
 MOST_PIXELS, ROUGH_PIXELS = 3000, 1000
-"""A camera that sees the object larger is not asked for more; of a rough place, or of an object
-whose rim is smeared by its motion, fewer tell as much as is needed."""
+"""Maximum number of pixels in a fine fit, and in a coarse or motion-blurred fit."""
 _SECTORS = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pixels:
-    """Pixels with the places that they see at the top's height and on the table (N, 2), in m, and
-    their flat indices (N,) in the image."""
+    """Pixels: their projections (N, 2) to the plane of the top and to the table, in m, and their
+    flat indices (N,) in the image."""
 
     top: Array
     floor: Array
     pixels: NDArray[np.intp]
 
     def grey(self, image: Image) -> Array:
-        """What an image shows there, (N,)."""
+        """Grey values of these pixels in an image, (N,)."""
         return image.reshape(-1)[self.pixels].astype(float)
 
 
 def softened(image: Image, view: View, outline: ObjectOutline, pose: Array, width: float) -> Image:
-    """The image with the object's surroundings softened."""
+    """Return the image with the object's surroundings blurred."""
     seen = view.project(transform_points(pose, outline.points()), outline.height)
     room = math.ceil(3.0 * width)
     x0, y0 = np.maximum(np.floor(seen.min(axis=0)).astype(int) - room, 0)
@@ -56,7 +56,7 @@ def rim_pixels(
     width: float,
     most: int = MOST_PIXELS,
 ) -> Pixels | None:
-    """The pixels of the band along the rim of the top, not more than ``most`` of them."""
+    """Select at most ``most`` pixels of the band along the rim of the top."""
     top = view.project(transform_points(pose, outline.points()), outline.height)
     reach = math.ceil(width) + 1
     camera = view.camera
@@ -71,14 +71,14 @@ def rim_pixels(
     face = np.round((top - corner) * 16.0).astype(np.int32)
     cv2.polylines(mask, [face], True, (1,), round(2.0 * width) + 1, shift=4)
     if outline.vertices is not None:
-        # Blurred corners are round: the sides say where the outline is.
+        # Blurred corners are round, so only the sides are used.
         for x, y in face:
             cv2.circle(mask, (int(x), int(y)), round(16.0 * width), (0,), -1, shift=4)
     return _seen_through(view, outline.height, mask, (int(x0), int(y0)), most)
 
 
 def dot_pixels(view: View, outline: ObjectOutline, dot: Dot, pose: Array) -> Pixels | None:
-    """The pixels of the dot and around it, as far as there is nothing but the plain top."""
+    """Select the pixels of the dot and of the uniform part of the top around it."""
     room = -float(outline.distance(np.array([dot.offset]))[0][0])
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
     reach = min(room - pixel, dot.radius + 5.0 * pixel)
@@ -101,7 +101,7 @@ def _seen_through(
     corner: tuple[int, int],
     most: int = MOST_PIXELS,
 ) -> Pixels | None:
-    """The pixels of a mask whose first one is ``corner`` (x, y) of the image."""
+    """Project the pixels of a mask whose first pixel is ``corner`` (x, y) of the image."""
     rows, columns = mask.shape
     x0, y0 = corner
     chosen = np.flatnonzero(mask)
@@ -115,7 +115,7 @@ def _seen_through(
 
 
 def sectors_of(outline: ObjectOutline, rim: Pixels, pose: Array) -> NDArray[np.intp]:
-    """Which part of the rim each pixel belongs to."""
+    """Index of the rim's sector to which each pixel belongs."""
     place = transform_points(inverse(pose), rim.top)
     if outline.vertices is None:
         angle = np.arctan2(place[:, 1], place[:, 0])
@@ -133,7 +133,7 @@ def sectors_of(outline: ObjectOutline, rim: Pixels, pose: Array) -> NDArray[np.i
 
 
 def sectors_a_side(outline: ObjectOutline) -> NDArray[np.intp]:
-    """How many sectors the sides of a polygon have, in the order of :func:`sectors_of`."""
+    """Number of sectors of each side of a polygon, in the order of :func:`sectors_of`."""
     corners = np.array(outline.vertices)
     length = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     return np.asarray(np.maximum(1, np.round(_SECTORS * length / length.sum())), dtype=np.intp)

@@ -1,9 +1,10 @@
-"""Finding an outline of which nothing is known but its shape: rough places, looked at one by one.
+"""Find an outline in a whole image, knowing only its shape.
 
-Rough places are blobs of about the right area against the light around them (morphological closing
-or opening of a small image; several thresholds, because nobody said how dark the object is). A
-polygon's angle comes from the distances of its rim from its middle; which of several like turns it
-is, and the angle of a disk, the dot says.
+Each of several candidates is fitted. Candidates are blobs of about the right area that differ from
+the brightness around them. They are extracted by morphological closing or opening of a downscaled
+image, with several thresholds, because the object's brightness is unknown. A polygon's angle is
+found from the distances of its rim from its centre. The dot resolves the angle of a disk and the
+ambiguity of a symmetric polygon.
 """
 
 from __future__ import annotations
@@ -30,39 +31,38 @@ from tapping_cell.vision.outline.patches import patches
 from tapping_cell.vision.outline.shape import ANGLES, Dot, ObjectOutline, turn_differences
 
 _LEAST_SEEN = {"disk": 0.55, "polygon": 0.7}
-"""Share of the rim that must be seen. An arc of a circle has one place only; a polygon that is one
-side's width off still has all sides along that direction right."""
+"""Minimum visible fraction of the rim. An arc of a circle fits in only one place, but a polygon
+displaced along some of its sides still agrees with these sides."""
 _LEAST_SIDE = 0.25
-"""Share of each long side of a polygon that must be seen: of a triangle, two sides and a wall taken
-for a part of the top make a good picture some millimetres away."""
+"""Minimum visible fraction of each long side of a polygon. Otherwise, two sides of a triangle and a
+wall that appears to be part of the top fit well at a distance of some millimetres."""
 LARGEST_STRETCH = 0.03
-"""Share that an object may seem larger or smaller than its file says."""
+"""Maximum relative difference between an object's apparent size and its file."""
 _CERTAIN = 1e-5
 _SMALL = 32
-"""Pixels that the object measures in the image that is searched."""
+"""Size of the object, in pixels, in the downscaled image that is searched."""
 _SHADES = (0.06, 0.1, 0.16, 0.25, 0.4, 0.7)
-"""Thresholds tried: by how much of the light around it a thing is darker or brighter."""
+"""Thresholds for the relative difference of a blob's brightness from the surroundings."""
 _AREAS = (0.65, 1.45)
 _BULGE = 1.18
-"""Least and greatest area relative to the object's top (walls show, shadows join), and greatest
-area of the convex hull relative to the blob's."""
+"""Minimum and maximum area relative to the object's top (a blob may include walls and shadows), and
+maximum ratio of the areas of the convex hull and the blob."""
 _FORM = 0.12
-"""Greatest difference of a blob's form (rms, share of its size): walls and covered parts are in
-it."""
+"""Maximum relative deviation (rms) of a blob's shape, which may be due to walls or occlusion."""
 _CANDIDATES = 6
 _NEAR = 30
-"""Steps of :func:`turn_differences` that a wall may have turned the likest angle by: 15 deg."""
+"""Maximum rotation of the best angle due to a wall, in steps of :func:`turn_differences` (15
+deg)."""
 _DOUBTFUL = 0.006
-"""Share by which an object seems larger or smaller, from which on that is put to the test."""
+"""Relative difference of an object's size above which the fit is repeated with the size fixed."""
 _INSIDE, _BESIDE, _THICK = 8.0, 14.0, np.array([-1.0, 0.0, 1.0])
-"""Pixels from the rim to where the top and its surroundings (beyond the wall) are compared, and
-those that are taken there."""
+"""Distances in pixels from the rim at which the top and its surroundings (beyond the wall) are
+compared, and offsets of the pixels averaged there."""
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A thing of about the right size that is not the object; ``reason`` is one of the words
-    below."""
+    """A region of about the right size that is not the object; ``reason`` is a constant below."""
 
     reason: str
     sentence: str
@@ -70,8 +70,12 @@ class Refused:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Place:
-    """Where a blob is: how its form differs from the outline's (rms, share of its size), its middle
-    (2,), the pose (3,) of the outline that fits best, and its size in relation to that."""
+    """A candidate pose.
+
+    ``difference`` is the relative deviation (rms) of the blob's shape from the outline, ``middle``
+    (2,) the blob's centre, ``pose`` (3,) the best fit of the outline, and ``size`` the blob's size
+    relative to the outline.
+    """
 
     difference: float
     middle: Array
@@ -83,14 +87,14 @@ OTHER_SHAPE, OTHER_SIZE, NO_DOT, TWO_DOTS = "shape", "size", "no dot", "two dots
 
 
 def least_seen(outline: ObjectOutline) -> float:
-    """Share of the rim that must be seen for the outline to be believed."""
+    """Minimum fraction of the rim that must be visible for the outline to be accepted."""
     return _LEAST_SEEN["disk" if outline.vertices is None else "polygon"]
 
 
 def find_outlines(
     image: Image, view: View, outline: ObjectOutline, known: Array, blur: float = USUAL_BLUR
 ) -> tuple[list[OutlineFit], list[Refused]]:
-    """All places where the outline is, and what looked like it and is not.
+    """Find all outlines in the image; return also the rejected candidates.
 
     ``known`` (M, 4, 2) are the corners in table of the reference markers' black squares.
     """
@@ -115,10 +119,10 @@ def look_closely(
     blur: float = USUAL_BLUR,
     size: float = 1.0,
 ) -> OutlineFit | Refused:
-    """The outline near a rough place (3,), or why that is not it; ``size`` is what is there, in
-    relation to the outline's, walls and shadows included."""
+    """Fit the outline at a candidate pose (3,), or return why it is rejected; ``size`` is the size
+    of the candidate relative to the outline, including walls and shadows."""
     rough = rim = None
-    # A shadow makes a dark object seem larger, so first the size is taken for granted.
+    # A shadow makes a dark object appear larger, so the size is fixed at first.
     for seems, size_spread in ((1.0, _CERTAIN), (1.0, 5.0 * SIZE_SPREAD), (size, 0.1)):
         rough = fit_outline(
             image,
@@ -161,10 +165,11 @@ def fit_surely(
     step: Array | None = None,
     with_dot: bool = True,
 ) -> OutlineFit | None:
-    """:func:`fit_outline`, and where the size seems wrong, once more with the size of the file.
+    """Call :func:`fit_outline`, and repeat it with the size of the file if the size seems wrong.
 
-    One side of a tall polygon may be taken for a wall as bright as the top, the outline shifted and
-    shrunk: an explanation nearly as good as the true one, to which the true size leads.
+    One side of a tall polygon may be confused with a wall as bright as the top, so that the outline
+    is displaced and too small. This fit is nearly as good as the correct one, which is found with
+    the size fixed.
     """
     fit = fit_outline(image, view, outline, start, blur=blur, step=step, with_dot=with_dot)
     if fit is None or outline.vertices is None or abs(fit.size - 1.0) < _DOUBTFUL:
@@ -188,7 +193,7 @@ def fit_surely(
 
 
 def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | None) -> Refused:
-    """Why neither look made out the rim."""
+    """Return why neither the coarse nor the fine fit found the rim."""
     least = least_seen(outline)
     if rough is not None and rough.seen >= least and abs(rough.size - 1.0) > LARGEST_STRETCH:
         return wrong_size(rough)
@@ -201,7 +206,7 @@ def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | 
 
 
 def accept(fit: OutlineFit, outline: ObjectOutline) -> OutlineFit | Refused:
-    """The fit if it is the object's, else why not."""
+    """Return the fit if it is the object's, otherwise the reason for rejecting it."""
     if abs(fit.size - 1.0) > LARGEST_STRETCH:
         return wrong_size(fit)
     least = least_seen(outline)
@@ -223,7 +228,7 @@ def accept(fit: OutlineFit, outline: ObjectOutline) -> OutlineFit | Refused:
 
 
 def wrong_size(fit: OutlineFit) -> Refused:
-    """The refusal of a thing that is too large or too small."""
+    """Reject a region that is too large or too small."""
     return Refused(
         OTHER_SIZE,
         f"it looks {(fit.size - 1.0) * 100:+.1f} % larger than its file says (limit "
@@ -234,8 +239,8 @@ def wrong_size(fit: OutlineFit) -> Refused:
 def rough_places(
     image: Image, view: View, outline: ObjectOutline, known: Array
 ) -> Iterator[tuple[Array, float]]:
-    """Poses (3,) where a blob of about the object's area and shape is, and how large that is in
-    relation to it, the likeliest first."""
+    """Yield poses (3,) of blobs with about the object's area and shape, and their relative sizes,
+    the most likely first."""
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
     across = 2.0 * math.sqrt(outline.area / math.pi) / pixel
     shrink = int(np.clip(round(across / _SMALL), 1, 12))
@@ -247,7 +252,7 @@ def rough_places(
     if shrink < 3:
         small = np.asarray(cv2.blur(small, (3, 3)), dtype=np.uint8)
     if outline.dot is not None:
-        # A dot near the rim would break it open.
+        # Remove the dot, because one near the rim would split the blob.
         across_dot = (math.ceil(2.0 * outline.dot.radius / pixel / shrink) + 1) | 1
         fill = cv2.MORPH_OPEN if outline.dot.brighter else cv2.MORPH_CLOSE
         cover = np.ones((across_dot, across_dot), dtype=np.uint8)
@@ -257,7 +262,7 @@ def rough_places(
     around = np.asarray(cv2.morphologyEx(small, operation, kernel), dtype=np.float32)
     shade = np.abs(small.astype(np.float32) - around) / np.maximum(around, 8.0)
     places: list[_Place] = []
-    # In pixels of the small image; a blob's rim has at least so many as a disk's has diagonals.
+    # In pixels of the downscaled image. The shortest rim is a disk's, in diagonal pixel steps.
     area = outline.area / (float(scale.prod()) * pixel**2)
     shortest = math.sqrt(2.0 * math.pi * _AREAS[0] * area)
     for threshold in _SHADES:
@@ -266,7 +271,7 @@ def rough_places(
         for contour in contours:
             if len(contour) < shortest:
                 continue
-            # Contours run through the middles of the outermost pixels: half a pixel is missing.
+            # Contours pass through the centres of the outermost pixels, so half a pixel is missing.
             share = (cv2.contourArea(contour) + 0.5 * len(contour)) / area
             if not _AREAS[0] < share < _AREAS[1]:
                 continue
@@ -293,14 +298,15 @@ def rough_places(
 def _places(
     view: View, outline: ObjectOutline, hull: NDArray[np.int32], scale: Array
 ) -> Iterator[_Place]:
-    """Where the outline may be, if a convex hull (N, 1, 2) in the small image is it."""
+    """Candidate poses, if a convex hull (N, 1, 2) in the downscaled image is the outline."""
     seen = (hull.reshape(-1, 2) + 0.5) * scale - 0.5
     rim = view.on_plane(_walked(seen), outline.height)
     return (place for place in _matched(view, outline, rim) if place.difference < _FORM)
 
 
 def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:
-    """Hide the reference markers, white border included, behind the table's grey beside them."""
+    """Paint the reference markers and their white borders with the grey of the table beside
+    them."""
     middle = known.mean(axis=1, keepdims=True)
     rows, columns = small.shape
     for whole, beside in (
@@ -316,12 +322,12 @@ def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:
 
 
 def _matched(view: View, outline: ObjectOutline, rim: Array) -> Iterator[_Place]:
-    """A rim (N, 2), seen in the plane of the top, in relation to the outline: as that of the top
-    alone, and as that of top and wall together."""
+    """Match a rim (N, 2), projected to the plane of the top, with the outline: with that of the top
+    alone, and with that of top and wall together."""
     middle, radii = _middle(rim), _radii(rim)
     model = outline.radii()
     size = float(radii.mean() / model.mean())
-    # Walls and thresholds make it larger all round: only the form counts.
+    # Walls and thresholds enlarge the rim uniformly, so only the shape is compared.
     differences = turn_differences(radii / size, model)
     best = int(differences.argmin())
     turn = 0.0 if outline.vertices is None else 2.0 * math.pi * best / len(model)
@@ -342,7 +348,7 @@ def _matched(view: View, outline: ObjectOutline, rim: Array) -> Iterator[_Place]
 
 
 def _radii(rim: Array) -> Array:
-    """Distances of a rim (N, 2) from its middle, at the angles of :meth:`ObjectOutline.radii`."""
+    """Distances of a rim (N, 2) from its centre, at the angles of :meth:`ObjectOutline.radii`."""
     arm = rim - _middle(rim)
     angle = np.arctan2(arm[:, 1], arm[:, 0])
     order = np.argsort(angle)
@@ -352,7 +358,7 @@ def _radii(rim: Array) -> Array:
 
 
 def _silhouette(view: View, outline: ObjectOutline, pose: Array) -> Array:
-    """Top and wall together, as a rim (N, 2) in the plane of the top."""
+    """Rim (N, 2) of top and wall together, projected to the plane of the top."""
     points = transform_points(pose, outline.points(36))
     both = np.concatenate([view.project(points, outline.height), view.project(points, 0.0)])
     hull = cv2.convexHull(both.astype(np.float32)).reshape(-1, 2).astype(float)
@@ -360,8 +366,11 @@ def _silhouette(view: View, outline: ObjectOutline, pose: Array) -> Array:
 
 
 def stands_out(image: Image, view: View, outline: ObjectOutline, pose: Array) -> bool:
-    """False where the rim cannot be within some pixels of a pose (3,): the greys on both sides of
-    it do not differ along enough of it. Costs a hundredth of what a fit in vain does."""
+    """Return False if the rim cannot be within some pixels of a pose (3,).
+
+    In this case, the greys on both sides of the rim do not differ along enough of it. The test
+    takes a hundredth of the time of a failed fit.
+    """
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
     points = _walked(outline.points(24))
     arm = points - outline.middle
@@ -375,7 +384,7 @@ def stands_out(image: Image, view: View, outline: ObjectOutline, pose: Array) ->
         )
         for far in (-_INSIDE, _BESIDE)
     )
-    # Means of a dozen pixels each: noise alone makes no contrast.
+    # Each mean is over a dozen pixels, so that noise alone gives no contrast.
     difference = (inside - beside).mean(axis=1).reshape(-1, 4).mean(axis=1)
     contrast = difference * (1.0 if outline.brighter else -1.0)
     seen = float((contrast > 0.5 * LEAST_CONTRAST).mean())
@@ -385,7 +394,7 @@ def stands_out(image: Image, view: View, outline: ObjectOutline, pose: Array) ->
 def turn_by_dot(
     image: Image, view: View, outline: ObjectOutline, dot: Dot, pose: Array
 ) -> Array | Refused:
-    """The pose (3,) turned so that the dot is where one is seen."""
+    """Rotate the pose (3,) so that the predicted dot agrees with the visible one."""
     turns = np.array(outline.turns() or np.linspace(0.0, 2.0 * math.pi, 360, endpoint=False))
     angle = np.linspace(0.0, 2.0 * math.pi, 12, endpoint=False)
     circle = dot.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -409,7 +418,7 @@ def turn_by_dot(
 
 
 def _turned(outline: ObjectOutline, pose: Array, turns: Array) -> Array:
-    """The pose after turns (N,) about the outline's middle, (N, 3)."""
+    """The pose after rotations (N,) about the outline's centre, (N, 3)."""
     angles = wrap_angle(pose[2] + turns)
     aside = np.column_stack([np.zeros((len(turns), 2)), angles])
     at = transform_points(pose, outline.middle) - transform_points(aside, outline.middle)
@@ -417,7 +426,7 @@ def _turned(outline: ObjectOutline, pose: Array, turns: Array) -> Array:
 
 
 def _greys(image: Image, view: View, outline: ObjectOutline, points: Array) -> Array:
-    """Grey values of the pixels that see points (N, K, 2) of the top."""
+    """Grey values of the pixels at points (N, K, 2) of the top."""
     pixels = np.rint(view.project(points, outline.height)).astype(np.intp)
     rows, columns = image.shape
     x = np.clip(pixels[..., 0], 0, columns - 1)
@@ -426,14 +435,14 @@ def _greys(image: Image, view: View, outline: ObjectOutline, points: Array) -> A
 
 
 def _walked(polygon: Array, each: int = 8) -> Array:
-    """Points along the sides of a polygon (N, 2)."""
+    """Return points along the sides of a polygon (N, 2)."""
     after = np.roll(polygon, -1, axis=0)
     share = np.arange(each) / each
     return (polygon[:, None] + share[:, None] * (after - polygon)[:, None]).reshape(-1, 2)
 
 
 def _middle(polygon: Array) -> Array:
-    """Centre of the area (2,) of a polygon (N, 2)."""
+    """Centroid (2,) of a polygon (N, 2)."""
     after = np.roll(polygon, -1, axis=0)
     cross = polygon[:, 0] * after[:, 1] - polygon[:, 1] * after[:, 0]
     return np.asarray(((polygon + after) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))

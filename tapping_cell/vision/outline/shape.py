@@ -1,7 +1,7 @@
-"""Objects without a marker: the outline of their top, a disk or a convex polygon, perhaps a dot.
+"""Outlines of objects without a marker: a disk or a convex polygon, optionally with a dot.
 
-Everything is in the object's frame, in m. An outline that looks the same after a turn (a disk, a
-square, a rectangle) says its angle only with a dot off its middle.
+All coordinates are in the object's frame, in m. If an outline is symmetric under a rotation (a
+disk, a square, a rectangle), its angle is only defined by a dot off its centre.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from numpy.typing import ArrayLike
 from tapping_cell.vision.camera import Array
 
 _SAME = 0.03
-"""Outlines that differ by less than this share of their mean radius (rms) after a turn are taken
-for the same: a tenth of that is how exactly objects are made, the rest is for a hidden part."""
+"""Difference (rms, relative to the mean radius) below which a rotated outline counts as the same.
+Manufacturing tolerance is a tenth of it; the rest allows for a hidden part."""
 ANGLES = 720
-"""Angles at which radii of a rim are compared."""
+"""Number of angles at which radii of a rim are compared."""
 _LEAST_DOT = 0.002
-"""Least radius (m) of a dot, and its least distance from rim and middle: three pixels each."""
+"""Minimum radius (m) of a dot, and its minimum distance from the rim: three pixels each."""
 
 
 class OutlineError(ValueError):
-    """An outline that cannot be found, or whose angle nothing shows; the text says why."""
+    """An outline that cannot be detected or has no defined angle; the message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Dot:
-    """A round dot on the top: radius and middle in m; ``brighter`` than the top around it."""
+    """A round dot on the top: radius and centre in m; ``brighter`` or darker than the top."""
 
     radius: float
     offset: tuple[float, float]
@@ -39,9 +39,10 @@ class Dot:
 
 @dataclass(frozen=True, slots=True)
 class ObjectOutline:
-    """How an object without a marker is seen: a disk of ``radius`` or a convex polygon of
-    ``vertices`` (counter-clockwise) in m, its top ``height`` m over the table and ``brighter`` or
-    darker than that.
+    """Visible outline of an object without a marker.
+
+    It is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise) in m. Its top
+    is ``height`` m over the table and ``brighter`` or darker than the table.
     """
 
     height: float
@@ -51,12 +52,12 @@ class ObjectOutline:
     dot: Dot | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be found, with the value and what to do."""
+        """Raise OutlineError, with the value and a remedy, if the outline cannot be detected."""
         if (self.radius is None) == (self.vertices is None):
             raise OutlineError("an outline is either a disk (radius) or a polygon (vertices)")
         if self.vertices is not None:
             _check_convex(np.array(self.vertices))
-            # A list would do as well, but has no hash.
+            # A list is also accepted, but is not hashable.
             corners = tuple((float(x), float(y)) for x, y in self.vertices)
             object.__setattr__(self, "vertices", corners)
         turns = self.turns()
@@ -96,7 +97,7 @@ class ObjectOutline:
 
     @property
     def middle(self) -> Array:
-        """Centre (2,) of the area, around which a symmetric outline looks the same, in m."""
+        """Centre (2,) of the area in m, which is the centre of symmetry of a symmetric outline."""
         if self.vertices is None:
             return np.zeros(2)
         p = np.array(self.vertices)
@@ -116,7 +117,7 @@ class ObjectOutline:
 
     @property
     def reach(self) -> float:
-        """Greatest distance of the outline from its middle, in m."""
+        """Maximum distance of the outline from its centre, in m."""
         return _reach(self)
 
     def points(self, count: int = 72) -> Array:
@@ -128,15 +129,15 @@ class ObjectOutline:
         return self.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
     def distance(self, points: ArrayLike) -> tuple[Array, Array]:
-        """How far points (..., 2) lie outside (inside: below 0), in m, and that distance's gradient
-        (..., 2).
-        """
+        """Distance of points (..., 2) from the outline in m, negative inside, and its gradient
+        (..., 2)."""
         p = np.asarray(points, dtype=float)
         distance, nx, ny = self.distance_at(p[..., 0], p[..., 1])
         return distance, np.stack([nx, ny], axis=-1)
 
     def distance_at(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """The same with the coordinates apart: distance, its gradient along x, along y."""
+        """Compute :meth:`distance` for separate coordinates: distance, and its gradient along x and
+        y."""
         if self.vertices is None:
             assert self.radius is not None
             length = np.sqrt(x * x + y * y)
@@ -158,7 +159,7 @@ class ObjectOutline:
         return _sides(self.vertices)
 
     def radii(self, count: int = ANGLES) -> Array:
-        """Distance (count,) of the rim from the middle, at angles from 0 up to one turn, in m."""
+        """Distances (count,) of the rim from the centre, at angles from 0 to a full turn, in m."""
         angle = np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
         direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         if self.vertices is None:
@@ -171,9 +172,8 @@ class ObjectOutline:
             return np.asarray(np.where(facing > 1e-12, room / facing, np.inf).min(axis=1))
 
     def turns(self) -> tuple[float, ...]:
-        """Turns (rad, from 0 up to one turn) after which the outline looks the same; none at all
-        where every turn does that.
-        """
+        """Rotations (rad, from 0 to a full turn) under which the outline is unchanged; empty if it
+        is unchanged under every rotation."""
         return _turns(self)
 
 
@@ -205,8 +205,8 @@ def _turns(outline: ObjectOutline) -> tuple[float, ...]:
 
 
 def turn_differences(radii: Array, model: Array) -> Array:
-    """Root mean square of radii (N,) minus the model's turned by k of N steps, for every k, in
-    m."""
+    """Root mean square difference, in m, of radii (N,) and the model's radii rotated by k of N
+    steps, for every k."""
     spectrum = np.fft.rfft(radii) * np.conj(np.fft.rfft(model))
     product = np.fft.irfft(spectrum, len(radii)) / len(radii)
     square = float((radii**2).mean() + (model**2).mean())

@@ -1,9 +1,9 @@
-"""Shape and marker of an unknown flat object, traced in one picture.
+"""Trace shape and marker of an unknown flat object in one image.
 
-The picture is seen from straight above in the plane of the object's top, in equal steps, so that
-lens and perspective are gone. What differs from the table's light is the object; its rim is then
-found to a fraction of a pixel, and a circle or a convex polygon is fitted to it. Near the edge of
-the picture a side wall shows beside the top: the object should lie below the camera.
+The image is rectified to the plane of the object's top, with equal steps, which removes lens
+distortion and perspective. The area that differs from the table's brightness is the object. Its rim
+is then located with sub-pixel accuracy, and a circle or a convex polygon is fitted to it. Near the
+edge of the image, a side wall is visible beside the top, so the object should lie below the camera.
 """
 
 from __future__ import annotations
@@ -31,45 +31,47 @@ from tapping_cell.vision.tracker import PoseTracker
 Mask = NDArray[np.uint8]
 
 _AROUND = 0.04
-"""How far (m) beyond the reference markers' middles an object may reach."""
+"""Maximum distance (m) of an object beyond the reference markers' centres."""
 _FREE_RIM = 1.4
-"""Size of the part that a reference marker covers with its white border, in sides of the marker."""
+"""Size of the area of a reference marker including its white border, in sides of the marker."""
 _LEAST_CONTRAST = 8.0
-"""Grey levels by which an object must differ from the table."""
+"""Minimum difference in grey levels between an object and the table."""
 _SHADOW = 0.4
-"""Share of the object's contrast from which on a place belongs to it, and not to a soft shadow."""
+"""Minimum fraction of the object's contrast for a pixel to belong to it instead of a soft
+shadow."""
 _EVERY = 8
-"""Pixels of the seen plane from one that is projected into the picture to the next."""
+"""Distance of projected pixels of the rectified image; the pixels between are interpolated."""
 _APART = 0.05
-"""Share of the object's area from which on something else on the table is a second object."""
+"""Area of another region, relative to the object's area, above which it is a second object."""
 _LEAST_REACH = 0.006
-"""Least radius (m) of an object; less is dirt."""
+"""Minimum radius (m) of an object; smaller regions are dirt."""
 _ACROSS = np.arange(-6.0, 6.01, 0.25)
-"""Steps across the rim, in steps of the seen plane, at which its brightness is read."""
+"""Sample positions across the rim, in pixels of the rectified image."""
 _HOLLOW = 1.04
-"""Area of the convex hull over that of the outline above which an object is not convex."""
+"""Ratio of the areas of convex hull and outline above which an object is not convex."""
 _ROUND = 0.012
-"""Deviation (rms) of the rim from a circle, as a share of the radius, up to which it is one."""
+"""Maximum deviation (rms) of the rim from a circle, relative to the radius, for a round object."""
 _CORNER = 0.025
-"""Largest distance of the rim from the polygon's sides while corners are sought, as a share of the
+"""Maximum distance of the rim from the polygon's sides in the search for corners, relative to the
 outline's mean radius."""
 _BESIDE_CORNER = 0.12
-"""Share at each end of a side that is left out of its line: corners are rounded in a picture."""
+"""Fraction at each end of a side that is not used in its line fit, because corners appear
+rounded."""
 _MOST_CORNERS = 12
 
 
 class NotTraced(ValueError):
-    """No object's shape can be read from the picture; the text says why and what to do."""
+    """The image shows no traceable object; the message gives the reason and a remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class TracedObject:
-    """What one picture says of an object, in m and rad.
+    """An object traced in one image, in m and rad.
 
-    The shape is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise) about
-    the middle of its area, turned as its marker is, or as its longest side where it has none.
-    ``pose`` is where it lies in ``table``; ``brighter``: than the table; ``deviation`` the root
-    mean square distance of the rim from the shape.
+    The shape is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise). Its
+    frame has its origin at the centre of the area and is aligned with the marker or, without a
+    marker, with the longest side. ``pose`` is the pose in ``table``, and ``brighter`` is relative
+    to the table. ``deviation`` is the root mean square distance of the rim from the shape.
     """
 
     radius: float | None
@@ -87,12 +89,12 @@ def trace_object(
     height: float,
     dictionary: str | None = None,
 ) -> TracedObject:
-    """The one object in a picture whose top is ``height`` (m) over the table.
+    """Trace the single object in an image; its top is ``height`` (m) over the table.
 
-    Its marker may be any of ``dictionary`` (the table's, if None) that is no reference marker.
+    Its marker may be any of ``dictionary`` (the table's, if None) that is not a reference marker.
 
     Raises:
-        NotTraced: the picture shows no table, no object, several, or one without a simple shape.
+        NotTraced: the image shows no table, no object, several objects, or no simple shape.
     """
     view = _view(image, camera, table)
     marker, marker_pose = _marker(image, view, table, height, dictionary or table.dictionary)
@@ -117,11 +119,11 @@ def trace_object(
 
 
 def _view(image: Image, camera: CameraModel, table: ReferenceMap) -> View:
-    """The camera over the table, from the reference markers."""
+    """Locate the camera over the table from the reference markers."""
     size = table.markers[0].size
     others = {marker.id for marker in table.markers}
     free = next(number for number in range(len(others) + 1) if number not in others)
-    # Any object will do: only the table is asked for.
+    # The tracker needs an object, but only the table is used.
     tracker = PoseTracker(camera, table, ObjectMarker(table.dictionary, free, size, 0.001))
     observation = tracker.update(image, 0.0)
     if tracker.view is None:
@@ -132,7 +134,7 @@ def _view(image: Image, camera: CameraModel, table: ReferenceMap) -> View:
 def _marker(
     image: Image, view: View, table: ReferenceMap, height: float, dictionary: str
 ) -> tuple[ObjectMarker | None, tuple[float, float, float] | None]:
-    """The marker on the object and its pose in ``table``; None where there is none."""
+    """The marker on the object and its pose in ``table``; None if there is no marker."""
     references = {marker.id for marker in table.markers}
     if dictionary != table.dictionary:
         references = set()
@@ -157,7 +159,7 @@ def _marker(
     corners = view.on_plane(edges.corners[0], height)
     sides = np.roll(corners, -1, axis=0) - corners
     size = float(np.hypot(sides[:, 0], sides[:, 1]).mean())
-    # Corners go clockwise from the upper left one: the first and third sides lie along x.
+    # Corners are clockwise from the upper left, so the first and third sides are parallel to x.
     along = sides[0] - sides[2]
     x, y = corners.mean(axis=0)
     try:
@@ -169,7 +171,8 @@ def _marker(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plane:
-    """The plane of the top as an image: ``step`` m a pixel, ``origin`` (m) at pixel (0, 0)."""
+    """The plane of the top as an image with ``step`` m per pixel and ``origin`` (m) at pixel 0,
+    0."""
 
     view: View
     height: float
@@ -179,29 +182,30 @@ class _Plane:
 
     @classmethod
     def over(cls, view: View, table: ReferenceMap, height: float) -> _Plane:
-        """The part of the plane that the reference markers enclose."""
+        """Create the plane over the area that the reference markers enclose."""
         middles = np.array([[marker.x, marker.y] for marker in table.markers])
         low, high = middles.min(axis=0) - _AROUND, middles.max(axis=0) + _AROUND
         camera = view.camera
         corners = np.array([[0, 0], [camera.width - 1, 0], [0, camera.height - 1]], dtype=float)
         seen = view.on_plane(corners, height)
-        # A little finer than the picture, so that nothing of it is lost.
+        # The step is slightly finer than the image's, to preserve its resolution.
         step = 0.7 * float(np.linalg.norm(seen[1] - seen[0])) / (camera.width - 1)
         columns, rows = (int(n) for n in np.ceil((high - low) / step))
         return cls(view, height, low, step, (columns, rows))
 
     def places(self, pixels: Array) -> Array:
-        """Places (N, 2) in m of pixels (N, 2) of this image."""
+        """Convert pixels (N, 2) of this image to points (N, 2) in m."""
         return self.origin + self.step * pixels
 
     def pixels(self, places: Array) -> Array:
-        """Pixels (N, 2) of places (N, 2) in m."""
+        """Convert points (N, 2) in m to pixels (N, 2)."""
         return np.asarray((places - self.origin) / self.step)
 
     def look(self, image: Image) -> NDArray[np.float32]:
-        """What the picture shows of the plane; NaN outside the picture."""
+        """Rectify a camera image to the plane; NaN outside the camera image."""
         columns, rows = self.size
-        # A lens is smooth: where every pixel looks follows from some of them, one row more around.
+        # A lens is smooth, so the projection is interpolated between nodes. One row is added on
+        # each side.
         u, v = ((np.arange(-1, n // _EVERY + 2) + 0.5) * _EVERY - 0.5 for n in (columns, rows))
         nodes = self.view.project(self.places(np.stack(np.meshgrid(u, v), axis=-1)), self.height)
         size = (_EVERY * len(u), _EVERY * len(v))
@@ -210,12 +214,13 @@ class _Plane:
         return _sampled(image.astype(np.float32), np.asarray(own, dtype=np.float32))
 
     def free(self, table: ReferenceMap) -> Mask:
-        """255 where no reference marker lies."""
+        """Return a mask that is 255 outside the reference markers."""
         columns, rows = self.size
         mask = np.full((rows, columns), 255, dtype=np.uint8)
         corners = table.corners()
         middles = corners.mean(axis=1, keepdims=True)
-        # Markers lie on the table, below the plane: where they are seen in it.
+        # The markers are on the table below the plane, so project their apparent positions to the
+        # plane.
         places = self.view.on_plane(
             self.view.project(middles + _FREE_RIM * (corners - middles)), self.height
         )
@@ -225,9 +230,9 @@ class _Plane:
 
 
 def _excess(seen: NDArray[np.float32], free: Mask) -> NDArray[np.float32]:
-    """By how much every place is brighter than the table beside it; 0 where nothing is seen.
+    """Brightness of every pixel relative to the table beside it; 0 if nothing is visible.
 
-    The table's light is a quadratic surface, fitted again and again to what lies near it.
+    The table's brightness is a quadratic surface, fitted iteratively to the pixels close to it.
     """
     rows, columns = seen.shape
     v, u = (2.0 * np.arange(n, dtype=np.float32) / max(n - 1, 1) - 1.0 for n in (rows, columns))
@@ -239,7 +244,7 @@ def _excess(seen: NDArray[np.float32], free: Mask) -> NDArray[np.float32]:
         raise NotTraced("nothing of the table lies within the picture")
     every = max(1, int(known.sum()) // 40_000)
     a, b = terms[known][::every].astype(float), seen[known][::every].astype(float)
-    # The table is what there is most of: begin at the commonest grey level.
+    # Most pixels show the table, so start from the most frequent grey level.
     counts, edges = np.histogram(b, bins=64)
     near = np.abs(b - edges[int(counts.argmax())]) < 0.3 * np.ptp(edges)
     for _ in range(8):
@@ -253,10 +258,10 @@ def _excess(seen: NDArray[np.float32], free: Mask) -> NDArray[np.float32]:
 def _object(
     excess: NDArray[np.float32], plane: _Plane, marker: tuple[float, float, float] | None
 ) -> tuple[Mask, bool]:
-    """Where the object is (255), its holes filled, and whether it is brighter than the table.
+    """Return a mask (255) of the object without holes, and whether it is brighter than the table.
 
-    Looked for among what is darker and among what is brighter; the larger is the object, the other
-    its shadow, or what is printed on it.
+    Regions darker and brighter than the table are searched. The largest is the object; a region of
+    opposite sign is its shadow or its print.
     """
     least = math.pi * (_LEAST_REACH / plane.step) ** 2
     found = [
@@ -288,7 +293,7 @@ def _object(
 
 
 def _things(excess: NDArray[np.float32], least: float) -> list[NDArray[np.int32]]:
-    """Outlines of what is brighter than the table and larger than ``least`` pixels."""
+    """Outlines of regions brighter than the table and larger than ``least`` pixels."""
     strong = excess[excess > _LEAST_CONTRAST]
     if strong.size < least:
         return []
@@ -305,10 +310,10 @@ def _encloses(outline: NDArray[np.int32], pixel: Array) -> bool:
 
 
 def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
-    """Points (N, 2) of the rim in pixels, to a fraction of one.
+    """Points (N, 2) of the rim in pixels, with sub-pixel accuracy.
 
-    At each point of the coarse rim the brightness is read across it; the rim is where that passes
-    half of what it is inside.
+    The brightness is sampled across each point of the coarse rim. The rim is where it crosses half
+    of the brightness inside.
     """
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     rough = max(contours, key=cv2.contourArea)[:, 0].astype(float)
@@ -324,7 +329,7 @@ def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
     inside = np.median(read[:, _ACROSS <= -4.0], axis=1, keepdims=True)
     beside = np.median(read[:, _ACROSS >= 4.0], axis=1, keepdims=True)
     share = (read - beside) / np.where(np.abs(inside - beside) < 1.0, np.nan, inside - beside)
-    # The outermost crossing of one half.
+    # Use the outermost crossing of one half.
     above = share > 0.5
     last = above.shape[1] - 1 - above[:, ::-1].argmax(axis=1)
     good = above.any(axis=1) & (last > 0) & (last < above.shape[1] - 1)
@@ -340,7 +345,7 @@ def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
 
 
 def _sampled(image: NDArray[np.float32], at: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The image at pixels (..., 2), linear between them; NaN outside."""
+    """Interpolate the image linearly at pixels (..., 2); NaN outside."""
     x, y = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
     border = cv2.BORDER_CONSTANT
     read = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=border, borderValue=(math.nan,))
@@ -348,13 +353,14 @@ def _sampled(image: NDArray[np.float32], at: NDArray[np.float32]) -> NDArray[np.
 
 
 def _signed_area(points: Array) -> float:
-    """Area of a closed line; positive where it goes from x to y."""
+    """Area of a closed line; positive if its direction is from x to y."""
     following = np.roll(points, -1, axis=0)
     return 0.5 * float((points[:, 0] * following[:, 1] - points[:, 1] * following[:, 0]).sum())
 
 
 def _shape(rim: Array) -> tuple[float | None, Array | None, Array, float]:
-    """Radius or corners (n, 2), middle (2,), and how far (rms) the rim (N, 2) is from them; m."""
+    """Fit the shape: radius or corners (n, 2), centre (2,), and rms distance of the rim (N, 2), in
+    m."""
     if _signed_area(rim) < 0.0:
         rim = rim[::-1]
     hull = cv2.convexHull(rim.astype(np.float32))[:, 0].astype(float)
@@ -381,7 +387,7 @@ def _shape(rim: Array) -> tuple[float | None, Array | None, Array, float]:
 
 
 def _circle(points: Array) -> tuple[Array, float]:
-    """Middle and radius of the circle through points (N, 2) by least squares."""
+    """Centre and radius of the least-squares circle through points (N, 2)."""
     centre = points.mean(axis=0)
     p = points - centre
     a = np.column_stack([2.0 * p, np.ones(len(p))])
@@ -391,7 +397,7 @@ def _circle(points: Array) -> tuple[Array, float]:
 
 
 def _corners(rim: Array, radius: float) -> Array | None:
-    """Corners of the convex polygon along the rim, each the meeting of two fitted sides."""
+    """Corners of the convex polygon along the rim, each the intersection of two fitted sides."""
     line = rim.astype(np.float32)[:, None, :]
     rough = cv2.approxPolyDP(line, _CORNER * radius, True)[:, 0].astype(float)
     if not 3 <= len(rough) <= _MOST_CORNERS:
@@ -405,7 +411,7 @@ def _corners(rim: Array, radius: float) -> Array | None:
         if len(side) < 5:
             return None
         middle = side.mean(axis=0)
-        # The direction in which the side is thinnest is its normal.
+        # The normal of a side is the direction of its smallest spread.
         _, _, directions = np.linalg.svd(side - middle, full_matrices=False)
         middles.append(middle)
         normals.append(directions[1])
@@ -434,7 +440,7 @@ def _distances(points: Array, corners: Array) -> Array:
 
 
 def _centroid(corners: Array) -> Array:
-    """Middle (2,) of a polygon's area."""
+    """Centroid (2,) of a polygon."""
     p, q = corners, np.roll(corners, -1, axis=0)
     cross = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
     return np.asarray(((p + q) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))

@@ -1,1 +1,1 @@
-"""The pose of the camera over the table, from the reference markers."""
+"""Estimate of the camera's pose over the table from the reference markers."""

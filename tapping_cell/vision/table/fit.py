@@ -1,4 +1,4 @@
-"""The camera's pose from a table's reference markers, without those that contradict the rest."""
+"""Fit the camera's pose to a table's reference markers, excluding outliers."""
 
 from __future__ import annotations
 
@@ -13,22 +13,24 @@ from tapping_cell.vision.camera import Array, CameraModel, CameraPose
 from tapping_cell.vision.markers.edges import MarkerEdges, straight_corners
 
 _BENT = 0.03
-"""Pixels that a usual error of the lens moves the sides of a square against each other."""
+"""Typical displacement of a square's sides relative to each other due to lens errors, in pixels."""
 _FAR = 4.0
-"""Times ``TableSettings.displaced`` that a pose from two markers may miss the others by."""
+"""Maximum error of an inlier for a pose from two markers, as a multiple of
+``TableSettings.displaced``."""
 _MOST_PAIRS = 66
 
 
 @dataclass(frozen=True, slots=True)
 class TableSettings:
-    """``least_references`` markers must be seen; ``memory`` frames are averaged at most.
+    """Settings of the table tracker.
 
-    A marker that lies more than ``suspect_shift`` pixels from its average was disturbed; when half
-    of a frame's are, the frame is suspect, and after ``confirm_frames`` of them the camera counts
-    as moved. ``largest_move`` (m, seen at the references, all moves together) is how far it may be
-    before the table is refused. A marker that disagrees with the rest of the map by more than
-    ``displaced`` pixels is left out. All sides together may look longer than the map has them by
-    ``bloom`` pixels or ``bloom_share`` of a side; beyond, the map is contradicted.
+    At least ``least_references`` markers must be measured; at most ``memory`` frames are averaged.
+    A marker more than ``suspect_shift`` pixels from its average is disturbed. A frame with at least
+    half of its markers disturbed is suspect, and after ``confirm_frames`` suspect frames the camera
+    counts as moved. The table is refused if it has moved by more than ``largest_move`` in total (m,
+    measured at the references). A marker that disagrees with the rest of the map by more than
+    ``displaced`` pixels is excluded. The sides together may appear longer than in the map by
+    ``bloom`` pixels or ``bloom_share`` of a side; beyond that, the map is contradicted.
     """
 
     least_references: int = 2
@@ -43,13 +45,15 @@ class TableSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableFit:
-    """A pose of the camera, its covariance (6, 6) for steps of ``CameraPose.moved``, which markers
-    agree (``used``, (M,)), what is left of the corners of these, as directions (U, 4, 2), how those
-    answer a step of the pose (8 U, 6) and the step that the fit makes of them (6, 8 U).
+    """Result of a table fit.
 
-    ``bloom`` is how far the sides of all markers lie outside of where the map has them (a
-    direction), ``error`` the most that a marker's corners miss it by (pixels, root mean square),
-    ``unsquare`` the standard deviation (a direction) of sides that make no squares, beyond noise.
+    ``pose`` is the camera's pose and ``covariance`` (6, 6) is for steps of ``CameraPose.moved``.
+    ``used`` (M,) marks the inlier markers, and ``residuals`` (U, 4, 2) are those of their corners,
+    as directions. ``jacobian`` (8 U, 6) is the derivative of the corners with respect to the pose,
+    and ``gain`` (6, 8 U) that of the fitted pose with respect to the corners. ``bloom`` is the
+    common displacement of all markers' sides outwards (a direction). ``error`` is the largest error
+    of a marker's corners (pixels, root mean square). ``unsquare`` is the standard deviation (a
+    direction) of deviations of the sides from squares, in excess of the noise.
     """
 
     pose: CameraPose
@@ -64,9 +68,9 @@ class TableFit:
 
 
 def initial_pose(camera: CameraModel, points: ArrayLike, corners: ArrayLike) -> CameraPose | None:
-    """Pose from table points (N, 2) in m and their pixels (N, 2); None if it cannot be.
+    """Compute the pose from table points (N, 2) in m and their pixels (N, 2); None if impossible.
 
-    Planar pose (Collins and Bartoli, IPPE, as OpenCV has it), then least squares.
+    Planar pose (Collins and Bartoli, IPPE, as implemented in OpenCV), refined by least squares.
     """
     p = np.asarray(points, dtype=float).reshape(-1, 2)
     flat = np.column_stack([p, np.zeros(len(p))])
@@ -91,23 +95,22 @@ def initial_pose(camera: CameraModel, points: ArrayLike, corners: ArrayLike) -> 
 
 
 def reference_rays(camera: CameraModel, edges: MarkerEdges) -> Array:
-    """Corners of the markers as undistorted directions, shape (M, 4, 2)."""
+    """Return the markers' corners as undistorted directions, shape (M, 4, 2)."""
     return straight_corners(camera.rays(edges.points), edges.weights)
 
 
 def side_noise(edges: MarkerEdges, focal: float) -> Array:
-    """Standard deviation (M,) of the place of a side, across it, as a direction."""
+    """Standard deviation (M,) of the position of a side perpendicular to it, as a direction."""
     number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
     return np.asarray(np.maximum(edges.spread, 0.01) / np.sqrt(number) / focal)
 
 
 def whitening(rays: Array, noise: Array) -> Array:
-    """Matrices (M, 8, 8) that take errors of corners (M, 4, 2) to eight independent ones of
-    variance 1.
+    """Matrices (M, 8, 8) that whiten errors of corners (M, 4, 2): independent, of variance 1.
 
-    The corners are where four lines meet, each fitted to a side of its own: independent are the
-    places of the lines (``noise`` (M,)) and their turns, which at the ends of the side weigh root
-    three times as much.
+    The corners are the intersections of four lines, each fitted to a separate side. The positions
+    of the lines (standard deviation ``noise`` (M,)) and their rotations are independent. A rotation
+    by one standard deviation displaces the ends of a side by the square root of 3 times ``noise``.
     """
     side = np.roll(rays, -1, axis=1) - rays
     side /= np.linalg.norm(side, axis=2, keepdims=True)
@@ -130,13 +133,13 @@ def fit_table(
     focal: float,
     used: NDArray[np.bool_] | None = None,
 ) -> TableFit | None:
-    """The pose near ``pose`` that brings table points (M, 4, 2) onto the directions (M, 4, 2).
+    """Fit the pose near ``pose`` that aligns table points (M, 4, 2) with the directions (M, 4, 2).
 
-    ``noise`` (M,) is :func:`side_noise`, ``focal`` pixels a unit of direction. Ink that runs, a
-    camera whose grey levels are no measure of the light and stray light move the sides of all
-    markers outwards or inwards alike: by how much is unknown, and fitted with the pose. One marker
-    after another (of ``used`` (M,), if given) is left out while it disagrees with the rest by more
-    than ``settings.displaced`` pixels. None if fewer than ``settings.least_references`` remain.
+    ``noise`` (M,) is :func:`side_noise`, ``focal`` the number of pixels per unit of direction. Ink
+    bleeding, nonlinear grey levels and stray light displace the sides of all markers outwards or
+    inwards by the same unknown amount, which is fitted with the pose. Markers (those in ``used``
+    (M,), if given) are excluded one by one while one disagrees with the rest by more than
+    ``settings.displaced`` pixels. Returns None if fewer than ``settings.least_references`` remain.
     """
     count = points.shape[0]
     flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1).reshape(-1, 3)
@@ -166,7 +169,7 @@ def fit_table(
         left = left - bloom * np.linalg.solve(white, outwards[..., None])[..., 0]
         off = np.sqrt(2.0 * (left**2).mean(axis=1)) * focal
         worst = float(off[used].max())
-        # Only with three or more can it be said which one is wrong.
+        # An outlier can only be identified among three or more markers.
         if used.sum() >= 3 and worst > settings.displaced:
             wrong = _wrong_one(white[used], left[used], weighted.reshape(-1, 8, 6))
             if wrong is not None:
@@ -191,11 +194,12 @@ def fit_table(
 
 
 def _wrong_one(white: Array, left: Array, jacobian: Array) -> int | None:
-    """Which of the markers explains most of what is left (M, 8) of the fit, were it wrong; None
-    where that is less than half of it.
+    """Index of the marker that explains most of the residuals (M, 8) if it is an outlier; None if
+    that is less than half of them.
 
-    Not the one that is missed by most: a marker far from the others draws the fit to itself (its
-    leverage; Cook and Weisberg 1982). ``white`` (M, 8, 8) and the whitened ``jacobian`` (M, 8, 6).
+    This need not be the marker with the largest residual, because a marker far from the others
+    pulls the fit towards itself (its leverage; Cook and Weisberg 1982). ``white`` is (M, 8, 8) and
+    the whitened ``jacobian`` (M, 8, 6).
     """
     covariance = np.linalg.inv(np.einsum("mki,mkj->ij", jacobian, jacobian))
     error = (white @ left[..., None])[..., 0]
@@ -208,10 +212,11 @@ def _wrong_one(white: Array, left: Array, jacobian: Array) -> int | None:
 def consensus(
     camera: CameraModel, points: Array, rays: Array, settings: TableSettings
 ) -> tuple[CameraPose, NDArray[np.bool_]] | None:
-    """A pose, and which markers (M,) lie as in the map, where some lie far beside it.
+    """Compute a pose, and which markers (M,) agree with the map, if there are gross outliers.
 
-    The pose of the camera from two markers after another (Fischler and Bolles 1981, all pairs), and
-    how many markers it agrees with; None if that is not the better part of three or more.
+    The camera's pose is computed from every pair of markers (Fischler and Bolles 1981, all pairs),
+    and the pose with the most inliers is chosen. Returns None unless the inliers are a majority and
+    at least three.
     """
     count = len(points)
     flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1)
@@ -229,15 +234,14 @@ def consensus(
 
 
 def _unsquare(white: Array, left: Array, rays: Array, noise: Array, usual: float) -> float:
-    """Standard deviation (a direction) by which sides of M markers lie beside squares, beyond
-    their ``noise`` (M,) and what is ``usual``.
+    """Standard deviation (a direction) of the deviations of M markers' sides from squares, in
+    excess of their ``noise`` (M,) and of the ``usual`` deviation.
 
-    Where each marker lies and how it is turned is the business of print and lens
-    (:mod:`tapping_cell.vision.table.systematic_error`); the other five degrees of freedom of its
-    corners ``left``
-    (M, 8) are noise, the little that a lens bends a square, or sides that are not where they seem:
-    smeared, too near to each other, beside a shadow. 0 where that cannot be told from noise (three
-    standard deviations of chi square).
+    Position and rotation of each marker depend on print and lens
+    (:mod:`tapping_cell.vision.table.systematic_error`). The other five degrees of freedom of its
+    corners ``left`` (M, 8) are noise, the small deformation of a square by a lens, or errors of the
+    sides due to blur, objects nearby or a shadow. The result is 0 if it cannot be distinguished
+    from noise (three standard deviations of chi square).
     """
     count = len(left)
     arm = rays - rays.mean(axis=1, keepdims=True)
@@ -256,7 +260,8 @@ def _unsquare(white: Array, left: Array, rays: Array, noise: Array, usual: float
 
 
 def _linearised(pose: CameraPose, points: Array, rays: Array) -> tuple[Array, Array]:
-    """Jacobian (2 N, 6) of the directions to a step of the pose, and measured minus predicted."""
+    """Jacobian (2 N, 6) of the directions with respect to the pose, and measured minus
+    predicted."""
     p = pose.apply(points)
     x, y, z = p[:, 0], p[:, 1], p[:, 2]
     u, v = x / z, y / z

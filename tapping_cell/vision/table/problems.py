@@ -1,4 +1,4 @@
-"""What is said of the table: where it is not known well enough for a pose, and where it is."""
+"""Error messages and warnings about the table."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from tapping_cell.vision.table.tracker import TableState, TableTracker
 def table_refusal(
     state: TableState, table: TableTracker, unseen: float, timeout: float
 ) -> tuple[Problem, str] | None:
-    """Why a frame after which the table is in ``state`` gives no pose; None where it may.
+    """Return why a frame with the table in ``state`` gives no pose; None if it may give one.
 
-    ``unseen`` is the time (s) since references were last seen, ``timeout`` the limit of that.
+    ``unseen`` is the time (s) since reference markers were last measured, and ``timeout`` its
+    limit.
     """
     s = table.settings
     if state is TableState.UNKNOWN:
@@ -43,7 +44,7 @@ def table_refusal(
 
 
 def table_notice(table: TableTracker, doubled: list[int], missed: list[int]) -> str:
-    """What of the reference markers does not spoil the pose but should be known; empty for nothing.
+    """Warning about reference markers that does not invalidate the pose; empty if there is none.
 
     ``doubled`` are ids that are seen more than once, ``missed`` rows of the map that are not seen.
     """

@@ -1,4 +1,4 @@
-"""The reference markers in the image: where to look for which, and which are not seen."""
+"""Select the reference markers to measure in a frame, and detect missed markers."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ Rows = NDArray[np.intp]
 
 
 class ReferenceMarkers:
-    """Knows where in the image each marker of a map was last; ``each`` are measured in a frame."""
+    """Predicts the image positions of a map's markers; ``each`` markers are measured per frame."""
 
     def __init__(self, table: ReferenceMap, each: int) -> None:
         self.dictionary = table.dictionary
         self.ids = frozenset(marker.id for marker in table.markers)
         self.repeated: list[int] = []
-        """Ids that the last search saw more than once."""
+        """Ids that the last search found more than once."""
         self._rows = {marker.id: row for row, marker in enumerate(table.markers)}
         self._patterns = [marker_pattern(table.dictionary, m.id) for m in table.markers]
         self._each = each
@@ -38,30 +38,32 @@ class ReferenceMarkers:
 
     @property
     def missed(self) -> list[int]:
-        """Rows of the map that are not seen any more."""
+        """Rows of the map whose markers were missed several times in succession."""
         return [row for row, looks in self._misses.items() if looks >= _MISSED]
 
     @property
     def doubtful(self) -> bool:
-        """Whether it is being found out if a marker is covered."""
+        """True if a marker was missed, but not yet often enough to be reported as occluded."""
         return any(0 < looks < _MISSED for looks in self._misses.values())
 
     def place(self, quads: Array) -> None:
-        """Where all markers are in the image: (M, 4, 2), in the order of the map."""
+        """Set the image positions of all markers: (M, 4, 2), in the order of the map."""
         self._quads = quads
 
     def found(self, detections: Detections) -> dict[int, Array]:
-        """Markers that a search of the whole image found: corners (4, 2) by row of the map."""
+        """Return the markers found by a search of the whole image: corners (4, 2) by row of the
+        map."""
         quads = {self._rows[i]: q for i, q in detections.single.items() if i in self._rows}
         self.repeated = [i for i in detections.repeated if i in self._rows]
         if self._quads is not None:
-            # Whatever the table's pose was: the next frames look where the markers are now.
+            # The next frames search at the current image positions, whatever the table's pose was.
             for row, quad in quads.items():
                 self._quads[row] = quad
         return quads
 
     def next_group(self) -> dict[int, Array]:
-        """Where to look in this frame: some of the markers in turn, by row of the map."""
+        """Return the predicted corners of the markers to measure in this frame, by row of the map;
+        the markers are measured in turn."""
         if self._quads is None:
             return {}
         count = len(self._quads)
@@ -76,10 +78,11 @@ class ReferenceMarkers:
         searched: bool,
         others: Sequence[Aim | None] = (),
     ) -> tuple[MarkerEdges, Rows, list[MarkerEdges | None]]:
-        """Edges of the markers that are where ``quads`` say, their rows of the map, and the edges
-        of each of the ``others``, None where it is not there.
+        """Measure the markers near ``quads``, and the object markers in ``others``.
 
-        ``searched`` quads come from a search, whose corners may lie some pixels off.
+        Returns the edges of the markers found, their rows of the map, and the edges of each of the
+        ``others``, None if it is not found. ``searched`` states that the quads come from a search,
+        whose corners may be some pixels off.
         """
         rows = np.array(list(quads), dtype=np.intp)
         corners = list(quads.values())
@@ -100,7 +103,7 @@ class ReferenceMarkers:
         return take(edges, kept), rows[kept], theirs
 
     def count_missed(self, looked_for: Mapping[int, Array], met: Rows) -> None:
-        """How often in a row each marker that was once seen is not."""
+        """Count consecutive misses of each marker that was found before."""
         seen = set(met.tolist())
         self._misses |= dict.fromkeys(seen, 0)
         for row in looked_for.keys() - seen:

@@ -1,12 +1,13 @@
-"""What the reference markers still disagree about, as errors of the lens and of the print.
+"""Model the residuals of the reference markers as errors of the lens and of the print.
 
-After the camera's pose is fitted, the references miss their places in the map. Part of that comes
-from a lens that is not quite as calibrated, part belongs to each marker alone (printing, gluing),
-part is noise. With amplitudes for the first two, all are Gaussian; conditioned on the references
-they give, at any place and height over the table, the likely error of a pose measured there and how
-uncertain that remains (kriging with the camera's pose as trend; Rasmussen and Williams 2006,
-chapter 2). The amplitudes come from the restricted likelihood, averaged over a grid, so that what
-few references cannot tell widens the covariance.
+After the camera's pose is fitted, the references still deviate from their positions in the map.
+Part of this is due to an inaccurate lens calibration, part is individual to each marker (printing,
+gluing), and part is noise. Given the amplitudes of the first two, all three are Gaussian.
+Conditioned on the references, they give the expected error of a pose measured at any place and
+height over the table, and its remaining uncertainty (kriging with the camera's pose as trend;
+Rasmussen and Williams 2006, chapter 2). The amplitudes are averaged over a grid with their
+restricted likelihood as weight, so that the ambiguity left by few references increases the
+covariance.
 """
 
 from __future__ import annotations
@@ -26,38 +27,40 @@ _LENS: tuple[tuple[str | int, float], ...] = (
     (2, 0.00012),
     (3, 0.00012),
 )
-"""Parameters of the lens (pixels, or which coefficient) and their usual standard deviations in
-relation to each other: what OpenCV's calibration reports for some twenty pictures of a board, and
-is off by. Both focal lengths (pixels) are nearly always off by the same, and much less against each
-other. Deviations that a calibration states (``CameraModel.deviations``) take their place."""
+"""Lens parameters (pixels, or index of a coefficient) and their typical standard deviations
+relative to each other, as reported by OpenCV's calibration for some twenty images of a board.
+
+The errors of both focal lengths (pixels) are nearly equal; their difference is much smaller.
+Deviations stated by a calibration (``CameraModel.deviations``) replace these.
+"""
 _STATED_ASPECT = 0.25
-"""Deviation of the focal lengths against each other over that of both, where the latter is stated:
-measured 0.05 for calibrations from pictures of a board."""
+"""Ratio of the standard deviation of the focal lengths' difference to that of both, if the latter
+is stated. Measured: 0.05 for calibrations from images of a board."""
 _FIELD = np.geomspace(0.002, 12.0, 12)
 _PRINT = np.geomspace(2e-7, 6e-4, 20)
-"""Amplitudes that are weighed: of the lens errors, in these deviations; of a marker's misplacement,
-m. Coarser steps make the covariance too small where the truth lies between two."""
+"""Grids of amplitudes: of the lens errors, in units of these deviations, and of a marker's
+misplacement, in m. Coarser steps make the covariance too small if the true value is between two of
+them."""
 _TURNS = (0.1, 0.3, 1.0)
-"""Misplacement of a marker's corners by its turn, per shift: printed on one sheet, or glued one by
-one."""
+"""Ratios of corner displacement due to a marker's rotation to that due to its shift, for markers
+printed on one sheet up to markers glued individually."""
 _PRIOR = (0.7, 1.0), (4e-5, 1.3)
-"""What the two amplitudes usually are, and the logarithmic standard deviations of that: it decides
-where two or three references cannot."""
+"""Typical values of the two amplitudes, and the logarithmic standard deviations of these. This
+prior matters if there are only two or three references."""
 _EXACT = (0.3, 0.1, 0.25)
-"""Probabilities beforehand that lens and print are as good as exact (then the smallest amplitude):
-both; the lens alone; the print alone."""
+"""Prior probabilities that lens and print are practically exact (then the smallest amplitude
+applies): both; only the lens; only the print."""
 _STATED = 1.0, 0.5
-"""Usual amplitude of the lens errors in deviations that the calibration states, and logarithmic
-standard deviation of that; such a lens is never taken for exact."""
+"""Typical amplitude of the lens errors in units of the deviations stated by the calibration, and
+its logarithmic standard deviation. Such a lens is never assumed to be exact."""
 _LEFT_OUT = 1e-3
-"""Probability of all the unlikely pairs of amplitudes together that are not carried on. Each alone
-may be a fiftieth as likely as an exact lens and print, and together they are not."""
+"""Total probability of the unlikely pairs of amplitudes that are dropped. Each may be only a
+fiftieth as likely as an exact lens and print, but together they matter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Members:
-    """K pairs of amplitudes: weights (K,), the field's powers (K,), and products that every place
-    needs."""
+    """K pairs of amplitudes: weights (K,), powers (K,) of the lens error, and shared products."""
 
     weight: Array
     power: Array
@@ -68,7 +71,7 @@ class _Members:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SystematicError:
-    """The field conditioned on the references; see :func:`condition`."""
+    """The error model conditioned on the references; see :func:`condition`."""
 
     lens: Array
     gain: Array
@@ -77,12 +80,12 @@ class SystematicError:
     members: _Members
 
     def at(self, response: Array, lens: Array) -> tuple[Array, Array]:
-        """Likely error (3,) of a pose measured somewhere, and covariance (3, 3) of what remains of
-        it.
+        """Expected error (3,) of a pose measured at a place, and covariance (3, 3) of the
+        remainder.
 
-        ``response`` (3, 6) is how such a pose answers a step of the camera's pose, ``lens`` (3, 8)
-        how it answers the lens (:func:`lens_shifts`). The covariance includes the noise of the
-        reference markers, not that of the object's own.
+        ``response`` (3, 6) is the derivative of this pose with respect to the camera's pose, and
+        ``lens`` (3, 8) that with respect to the lens parameters (:func:`lens_shifts`). The
+        covariance includes the noise of the reference markers, but not of the object's marker.
         """
         m = self.members
         own, cross = lens @ lens.T, lens @ self.lens.T
@@ -107,17 +110,18 @@ def condition(
     gain: Array,
     stated: bool = False,
 ) -> SystematicError:
-    """Condition the field on the references.
+    """Condition the error model on the references.
 
-    ``points`` (M, 4, 2) are the corners in the map, ``residuals`` (M, 4, 2) by how much they are
-    seen elsewhere (both in m), ``noise`` (8 M, 8 M) their covariance from the image's noise in m^2;
-    ``lens`` (8 M, 8) and ``trend`` (8 M, 6) are how the corners, seen on the
-    table, answer the lens and a step of the camera's pose, ``gain`` (6, 8 M) the step that the fit
-    makes of their misplacements. Rows count x and y of corner after corner. ``stated``: the
-    deviations behind ``lens`` are those of its calibration, not usual ones.
+    ``points`` (M, 4, 2) are the corners in the map, ``residuals`` (M, 4, 2) their measured
+    displacements (both in m), and ``noise`` (8 M, 8 M) the covariance of these due to image noise
+    in m^2. ``lens`` (8 M, 8) and ``trend`` (8 M, 6) are the derivatives of the corners, projected
+    to the table, with respect to the lens parameters and to the camera's pose. ``gain`` (6, 8 M) is
+    the derivative of the fitted pose with respect to the corners. Rows are x and y of successive
+    corners. ``stated``: the deviations behind ``lens`` are those of its calibration, not typical
+    values.
     """
-    # Only where each marker is and how it is turned counts: ink, bloom and blur make it seem
-    # larger, smaller or stretched, and a lens that explains that is a wrong one.
+    # Use only the position and rotation of each marker. Ink, bloom and blur make it appear larger,
+    # smaller or stretched, and a lens error that explains this would be wrong.
     poses = _poses_of(points)
     full, _ = np.linalg.qr(poses @ trend, mode="complete")
     basis = poses.T @ full[:, 6:]
@@ -147,7 +151,7 @@ def condition(
 
 
 def _prior(field: Array, print_: Array, stated: bool) -> Array:
-    """Probability beforehand of pairs of amplitudes, given their squares."""
+    """Prior probability of pairs of amplitudes, given their squares."""
     usually, exactly = [], []
     of_lens = _STATED if stated else _PRIOR[0]
     for power, (usual, spread) in ((field, of_lens), (print_, _PRIOR[1])):
@@ -169,7 +173,8 @@ def _prior(field: Array, print_: Array, stated: bool) -> Array:
 
 
 def _misplaced(points: Array) -> tuple[Array, Array]:
-    """Covariances (8 M, 8 M) of corners of markers printed or glued wrong by 1: shifted; turned."""
+    """Covariances (8 M, 8 M) of corners for unit position errors of the markers, and unit
+    rotations."""
     turned = _turned(points)
     same = np.eye(points.shape[0])
     shifted = np.kron(same, np.kron(np.ones((4, 4)), np.eye(2)))
@@ -177,7 +182,7 @@ def _misplaced(points: Array) -> tuple[Array, Array]:
 
 
 def _poses_of(points: Array) -> Array:
-    """Matrix (3 M, 8 M): mean x, mean y and turn (times the corners' distance) of every marker."""
+    """Matrix (3 M, 8 M): mean x, mean y and rotation (times corner distance) of every marker."""
     count = points.shape[0]
     turned = _turned(points).reshape(count, 8)
     rows = np.zeros((count, 3, count, 8))
@@ -189,17 +194,17 @@ def _poses_of(points: Array) -> Array:
 
 
 def _turned(points: Array) -> Array:
-    """Shifts (8 M,) of all corners when each marker turns by one over its corners' distance."""
+    """Displacements (8 M,) of all corners if each marker rotates by 1 / (distance of its
+    corners)."""
     arm = points - points.mean(axis=1, keepdims=True)
     reach = np.sqrt((arm**2).sum(axis=-1).mean())
     return np.asarray(np.stack([-arm[..., 1], arm[..., 0]], axis=-1).reshape(-1) / reach)
 
 
 def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]:
-    """Directions (..., 2) of points (..., 2) of the plane at ``height``, and how these move when
-    the true lens differs from the calibrated one by a deviation of each parameter, stated or usual,
-    (..., 2, 8).
-    """
+    """Directions (..., 2) of points (..., 2) of the plane at ``height``, and their changes (..., 2,
+    8) if the true lens differs from the calibrated lens by one standard deviation, stated or
+    typical, of each parameter."""
     camera = view.camera
     rays = camera.rays(view.project(points, height))
     shifts = [
@@ -210,7 +215,7 @@ def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]
 
 
 def _other_lenses(camera: CameraModel) -> list[CameraModel]:
-    """The camera with one parameter after another off by its deviation, stated or usual."""
+    """The camera with each parameter in turn changed by its deviation, stated or typical."""
     focal, aspect, rest = _FOCAL, _ASPECT, [usual for _, usual in _LENS]
     if camera.deviations:
         focal = float(np.sqrt(np.mean(np.square(camera.deviations[:2]))))

@@ -1,10 +1,10 @@
-"""Where the camera is over the table: from the reference markers, averaged while it is steady.
+"""Estimate the camera's pose over the table from the averaged reference markers.
 
 While nothing moves, each marker's corners are averaged over the frames and the pose is fitted to
-the averages. Every frame is compared with the averages, marker by marker: when most of the markers
-of several frames in a row lie elsewhere, the camera or the table was moved; the averages start anew
-and the move is reported. What the markers still disagree about after averaging is no noise but lens
-and printing, and says how wrong a pose measured on this table may be.
+the averages. Every frame is compared with the averages, marker by marker. If most of the markers of
+several successive frames are elsewhere, the camera or the table was moved: the averages are
+restarted and the move is reported. The residuals that remain after averaging are due to lens and
+printing rather than noise. They determine the systematic error of a pose measured on this table.
 """
 
 from __future__ import annotations
@@ -31,16 +31,17 @@ from tapping_cell.vision.table.fit import (
 from tapping_cell.vision.table.systematic_error import SystematicError, condition, lens_shifts
 
 _SIDE_BIAS = 0.0007
-"""Pixels that an averaged side may be off by where it lies between pixels (measured: 0.0005)."""
+"""Standard deviation of an averaged side, in pixels, due to its position between pixels (measured:
+0.0005)."""
 _STEP = 0.08
-"""Pixels that the bloom of two references, and half of what they miss their places by, may grow
-where it is the camera that moved."""
+"""Maximum increase, in pixels, of the bloom and of half the residual of two references that is
+attributed to a move of the camera."""
 _EDGE_BIAS = 0.0002
-"""Pixels that all averaged edges may be off by together (measured: below 0.0002)."""
+"""Systematic error common to all averaged edges, in pixels (measured: below 0.0002)."""
 
 
 class TableState(enum.Enum):
-    """What the reference markers of a frame say."""
+    """State of the table according to the reference markers of a frame."""
 
     UNKNOWN = "unknown"
     STEADY = "steady"
@@ -52,7 +53,7 @@ class TableState(enum.Enum):
 
 
 class TableTracker:
-    """Keeps the camera's pose over the table from frame to frame."""
+    """Tracks the camera's pose over the table."""
 
     def __init__(
         self, camera: CameraModel, references: ReferenceMap, settings: TableSettings | None = None
@@ -77,7 +78,7 @@ class TableTracker:
         self._restart()
 
     def _restart(self) -> None:
-        """Forget where the markers were in the image."""
+        """Clear the averaged image positions of the markers."""
         count = len(self.ids)
         self._seen = np.zeros(count)
         self._rays = np.zeros((count, 4, 2))
@@ -88,8 +89,8 @@ class TableTracker:
         self._field_frames = 0.0
 
     def update(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
-        """Take one frame's references: ``rows`` (M,) of the map that ``edges`` (good ones) belong
-        to."""
+        """Process one frame's reference markers; ``rows`` (M,) are the rows of the map of
+        ``edges``, all of which must be good."""
         s = self.settings
         if len(rows) < s.least_references:
             return TableState.UNKNOWN if self.pose is None else TableState.UNSEEN
@@ -97,7 +98,8 @@ class TableTracker:
         disturbed = self._disturbed(rays, rows)
         known = (self._seen[rows] > 0) & ~self._astray[rows]
         apart = int((disturbed & known).sum())
-        # One alone was moved by hand, or is half covered: where there are others to tell.
+        # A single disturbed marker was itself moved or is partly occluded, if others can confirm
+        # this.
         moving = apart >= min(2, len(self.ids) - 1) and 2 * apart >= known.sum() > 0
         if self.pose is not None and (moving or self._too_many_stray(rows, disturbed)):
             self._suspects += 1
@@ -125,11 +127,11 @@ class TableTracker:
 
     @property
     def camera_height(self) -> float:
-        """Of the camera over the table, in m; 0 while not known."""
+        """Height of the camera over the table in m; 0 while unknown."""
         return 0.0 if self.pose is None else float(self.pose.position[2])
 
     def add(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
-        """Take further references of a first frame, looked for where the others say they are."""
+        """Add references of a first frame, measured at positions predicted from the others."""
         rays, noise = reference_rays(self.camera, edges), side_noise(edges, self.camera.fx)
         self._average(rays, noise, rows, np.zeros(len(rows), dtype=bool))
         if not self._fit(edges, rows) or self._contradicted(edges):
@@ -138,12 +140,13 @@ class TableTracker:
         return TableState.STEADY
 
     def _disturbed(self, rays: Array, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Which of these markers lie elsewhere than on average."""
+        """Return which of these markers are away from their average positions."""
         shift = np.linalg.norm((rays - self._rays[rows]).mean(axis=1), axis=1) * self.camera.fx
         return np.asarray((self._seen[rows] > 0) & (shift > self.settings.suspect_shift))
 
     def _too_many_stray(self, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]) -> bool:
-        """Are more markers elsewhere than a hand moves, though each look saw only a few of them?"""
+        """Return whether too many markers are elsewhere for them to have been moved individually,
+        although each frame measured only a few of them."""
         apart = self._astray.copy()
         apart[rows] |= disturbed & (self._strayed[rows] >= self.settings.confirm_frames)
         return int(apart.sum()) > max(1, len(apart) // 4)
@@ -152,8 +155,7 @@ class TableTracker:
         self, rays: Array, noise: Array, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]
     ) -> None:
         self._strayed[rows] = np.where(disturbed, self._strayed[rows] + 1, 0)
-        # One marker alone that stays elsewhere was itself moved: what it says of the table no
-        # longer holds, until it is back.
+        # A single marker that stays elsewhere was itself moved. It is ignored until it is back.
         self._astray[rows] = disturbed & (self._strayed[rows] > self.settings.confirm_frames)
         kept = rows[~disturbed]
         self._seen[kept] = np.minimum(self._seen[kept] + 1, self.settings.memory)
@@ -162,14 +164,15 @@ class TableTracker:
         self._noise[kept] += share * (noise[~disturbed] - self._noise[kept])
 
     def _contradicted(self, edges: MarkerEdges) -> bool:
-        """Do the markers lie, or measure, so differently from the map that neither is believed?"""
+        """Return whether the markers differ so much from the map, in position or size, that neither
+        is reliable."""
         s = self.settings
         corners = edges.corners
         side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())
         limit = max(s.bloom, s.bloom_share * side)
         two = len(self.used) <= 2
-        # Two that lie otherwise to each other look larger, smaller or turned: no camera's move
-        # does that.
+        # If the relative position of two markers changed, they appear larger, smaller or rotated,
+        # which no motion of the camera causes.
         self.apart = False
         if two and self._before is not None:
             bloom, error = self._before
@@ -178,7 +181,7 @@ class TableTracker:
         return few or self.error > 3.0 * s.displaced or 2.0 * abs(self.bloom) > limit
 
     def _fit(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> bool:
-        """Pose, covariances and the lists of markers from the averages; False if there is none."""
+        """Fit pose, covariances and lists of markers to the averages; return False on failure."""
         have = np.flatnonzero((self._seen > 0) & ~self._astray)
         start = self.pose or initial_pose(self.camera, self.points[rows], edges.corners)
         if start is None or len(have) < self.settings.least_references:
@@ -187,7 +190,8 @@ class TableTracker:
         points, rays, focal = self.points[have], self._rays[have], self.camera.fx
         fit = fit_table(start, points, rays, noise, self.settings, focal)
         if fit is not None and fit.error > self.settings.displaced and len(have) >= 3:
-            # So far off that least squares do not tell which: they all look wrong then.
+            # The error is too large for least squares to identify the outlier, because all
+            # residuals are large.
             agreed = consensus(self.camera, points, rays, self.settings)
             if agreed is not None:
                 pose, used = agreed
@@ -212,18 +216,19 @@ class TableTracker:
         return True
 
     def _shift(self, before: CameraPose, after: CameraPose) -> float:
-        """Largest distance, in m, that the references' corners move in the camera's frame."""
+        """Maximum displacement, in m, of the references' corners in the camera's frame."""
         flat = np.concatenate([self.points, np.zeros((*self.points.shape[:2], 1))], axis=-1)
         return float(np.linalg.norm(after.apply(flat) - before.apply(flat), axis=-1).max())
 
     def _condition(
         self, fit: TableFit, points: Array, rays: Array, noise: Array
     ) -> SystematicError:
-        """The error of the lens over the table, from what the markers still disagree about."""
+        """Model the systematic error over the table from the residuals of the markers."""
         view = View(self.camera, fit.pose)
         seen, shifts = lens_shifts(view, points[fit.used], 0.0)
         count = int(fit.used.sum())
-        # Directions to lengths on the table, corner by corner: it may be seen obliquely.
+        # Convert directions to lengths on the table for each corner, because the view may be
+        # oblique.
         ahead = seen.reshape(-1, 1, 2) + 1e-6 * np.eye(2)
         lengths = (view.rays_on_plane(ahead) - points[fit.used].reshape(-1, 1, 2)) / 1e-6
         block: Array = np.zeros((4 * count, 2, 4 * count, 2))
@@ -246,9 +251,10 @@ class TableTracker:
         )
 
     def judge(self, pose: ArrayLike, height: float) -> tuple[Array, Array]:
-        """Likely error (3,) of a pose (x, y, theta) measured at ``height``, and covariance (3, 3)
-        of what remains of it: the camera's pose, lens, printing; not the noise of the object's
-        marker.
+        """Systematic error of a pose (x, y, theta) measured at ``height``.
+
+        Returns its expected value (3,) and the covariance (3, 3) of the remainder, due to the
+        camera's pose, lens and printing, without the noise of the object's marker.
         """
         assert self.pose is not None and self._field is not None
         place = np.asarray(pose, dtype=float)
@@ -265,10 +271,11 @@ class TableTracker:
         return error, covariance + self._stretched(place)
 
     def _stretched(self, place: Array) -> Array:
-        """Covariance (3, 3) of a pose because the map was measured.
+        """Covariance (3, 3) of a pose due to the errors of a measured map.
 
-        What the lens, or the markers' printed size, did to a measured map the same camera sees
-        again: its markers agree. Taken is a common stretch, shear and turn about their middle.
+        If the same camera measured the map, the effects of the lens and of the markers' printed
+        size occur again in the measurement, so the markers agree with the map. The error is
+        modelled as a common stretch, shear and rotation about the markers' centre.
         """
         middles = self.points.mean(axis=1)
         arm = place[:2] - middles.mean(axis=0)
@@ -282,23 +289,22 @@ class TableTracker:
 
 
 CROSS = 0.02 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-"""Points (4, 2) in m around an object's middle that stand for its marker where it is shifted,
-turned and sheared: a fit to all sides of a square turns by the mean of what its sides turn."""
+"""Points (4, 2) in m around an object's centre that represent its marker when it is shifted,
+rotated and sheared. A fit to all sides of a square rotates by the mean rotation of its sides."""
 
 
 def pose_changes(points: Array, shifts: Array) -> Array:
-    """Change (..., 3) of the pose (x, y, theta) fitted to points (N, 2) that shift by (..., N,
-    2)."""
+    """Change (..., 3) of a pose (x, y, theta) fitted to points (N, 2) displaced by (..., N, 2)."""
     arm = points - points.mean(axis=0)
     turn = (arm[:, 0] * shifts[..., 1] - arm[:, 1] * shifts[..., 0]).sum(axis=-1)
     return np.concatenate([shifts.mean(axis=-2), (turn / (arm**2).sum())[..., None]], axis=-1)
 
 
 def pose_jacobian(view: View, object_pose: ArrayLike, height: float) -> Array:
-    """How a measured pose (x, y, theta) of the plane at ``height`` answers a step of the camera's
-    pose.
+    """Jacobian (3, 6) of a measured pose (x, y, theta) with respect to the camera's pose.
 
-    Shape (3, 6); by differences of 1e-6 in steps of rotation (rad) and translation (m).
+    The pose is measured at ``height``. Computed by differences of 1e-6 in steps of rotation (rad)
+    and translation (m).
     """
     points = transform_points(object_pose, CROSS)
     seen = view.pose.apply(np.column_stack([points, np.full(len(points), height)]))
