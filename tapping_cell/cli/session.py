@@ -39,7 +39,7 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def console_of(arguments: argparse.Namespace) -> Console:
-    """Return the console for messages: stderr for JSON output, none with --quiet."""
+    """Return the console for messages: stderr with --json, no output with --quiet."""
     return Console(stderr=arguments.json, quiet=arguments.quiet)
 
 

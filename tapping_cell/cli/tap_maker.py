@@ -59,7 +59,7 @@ class TapMaker:
 
     client: SingleTapClient
     check: Callable[[], None]
-    """Raises an exception if the experiment must end, such as after the end of a node."""
+    """Raises an exception if the experiment must end, for example because a node died."""
     _failures: int = field(default=0, init=False)
 
     def make(self, striker_speed: float, incidence: float, number: int) -> SingleTap.Result | None:

@@ -46,7 +46,7 @@ class TapSeries:
     bag: BagWriter
     trials: list[Trial]
     check: Callable[[], None]
-    """Raises an exception if the experiment must end, such as after the end of a node."""
+    """Raises an exception if the experiment must end, for example because a node died."""
     _maker: TapMaker = field(init=False)
 
     def __post_init__(self) -> None:

@@ -65,8 +65,8 @@ class ImageRefused(ValueError):
 
 
 def unpack(message: Image) -> NDArray[np.uint8]:
-    """Return the bytes of an image message, shape (height, width, bytes per pixel). Rows without
-    padding are not copied.
+    """Return the bytes of an image message, shape (height, width, bytes per pixel). They are
+    copied only if the rows are padded.
 
     Raises:
         ImageRefused: the encoding is unknown, or there are fewer bytes than the size requires.

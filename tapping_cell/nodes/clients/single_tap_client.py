@@ -54,7 +54,7 @@ RECORDED: tuple[tuple[type, str, Any, Quality], ...] = (
     (PlanState, "plan_state", LATCHED, LATCHED_QUALITY),
     (PoseStamped, "ground_truth", 50, Quality()),
 )
-"""Content of the bag: type, topic, quality of service of the subscription and in the bag."""
+"""Content of the bag: type, topic, QoS of the subscription, and QoS recorded in the bag."""
 
 
 class NoAnswer(RuntimeError):

@@ -11,7 +11,7 @@ from tapping_cell.se2 import Pose
 LARGEST_MESSAGE = 4096
 """Maximum number of bytes in a message. The page's longest message has about 200."""
 LARGEST_NUMBER = 1e6
-"""Limit for millimetres and degrees. A larger value is not a typing error."""
+"""Maximum absolute value of lengths in mm and angles in degrees."""
 
 
 class BadRequest(ValueError):
