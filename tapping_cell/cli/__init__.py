@@ -1,6 +1,6 @@
-"""The command line: one module a verb, imported only when its verb is called.
+"""Command line with one module per verb, which is imported only when the verb is called.
 
-A verb's module has ``add_arguments(parser)`` and ``run(arguments) -> int`` (the exit status); its
+A verb's module has ``add_arguments(parser)`` and ``run(arguments) -> int`` (the exit code). Its
 docstring is the verb's help.
 """
 
@@ -49,7 +49,7 @@ MOVED = {
     "bench": "the benchmarks are not part of the package any more: "
     "in the source tree call  python -m benchmarks",
 }
-"""What replaced the verbs of earlier versions."""
+"""Error messages for verbs of earlier versions, which name the replacement."""
 
 SET_UP = (
     "set this shell up first, with  . ./env.sh  in the source folder, or"
@@ -59,7 +59,7 @@ OLDEST_PYTHON = (3, 10)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb; returns the exit status, see docs/commands.md."""
+    """Run one verb. Return the exit code (see docs/commands.md)."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if "_ARGCOMPLETE" in os.environ:
         complete(os.environ.get("COMP_LINE", ""))
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         return _not_set_up(f"{sys.executable} cannot import '{error.name}' ({error})")
     except RuntimeError as error:
-        # What rclpy raises derives from it; rclpy is not imported for verbs that do without.
+        # Base class of rclpy's errors. rclpy is not imported for verbs that do not need it.
         refused = security.explain(error)
         if refused is None:
             raise
@@ -86,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         if not _reader_has_gone():
             raise
-        # Python flushes once more at its end; what is left is for nobody.
+        # Python flushes once more at exit, so the remaining output is redirected to /dev/null.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     return status
@@ -98,7 +98,8 @@ def _not_set_up(why: str) -> int:
 
 
 def _parser_of(words: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
-    """The parser and the work of the verb that the words begin with; else a sentence and an end."""
+    """Return the parser and the run function of the verb in the first word. If it is not a verb,
+    print an error and exit."""
     from tapping_cell.cli.errors import Parser, suggestion
 
     verb = words[0] if words else ""
@@ -122,14 +123,15 @@ def _parser_of(words: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
 
 
 def _reader_has_gone() -> bool:
-    """Whether the pipe that the output goes to was closed, as `head` does after its lines."""
+    """Return whether the output pipe was closed by its reader, as `head` does after its last
+    line."""
     output = select.poll()
     output.register(sys.stdout.fileno(), select.POLLERR)
     return bool(output.poll(0))
 
 
 def verb_parser(verb: str) -> tuple[argparse.ArgumentParser, Execute]:
-    """The parser of a verb, and what runs it."""
+    """Return the parser of a verb and its run function."""
     from tapping_cell.cli.errors import Parser
 
     module = importlib.import_module(f"tapping_cell.cli.{verb.replace('-', '_')}")
@@ -143,7 +145,7 @@ def verb_parser(verb: str) -> tuple[argparse.ArgumentParser, Execute]:
 
 
 def complete(line: str) -> None:
-    """Answer the shell's question how ``line`` may go on; only the verb in it is imported."""
+    """Print the shell completions of ``line``. Only the verb that it contains is imported."""
     import argcomplete
 
     parser = argparse.ArgumentParser(prog="cell")

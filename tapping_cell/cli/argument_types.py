@@ -1,4 +1,4 @@
-"""Types of arguments that several verbs take; each refuses a wrong value in a sentence."""
+"""Argument types of several verbs. Each rejects an invalid value with a readable message."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LONGEST_NAMESPACE = 200
 
 
 def finite(text: str) -> float:
-    """A finite number."""
+    """Parse a finite number."""
     try:
         number = float(text)
     except ValueError:
@@ -23,7 +23,7 @@ def finite(text: str) -> float:
 
 
 def within(lowest: float, highest: float) -> Callable[[str], float]:
-    """A finite number between two limits."""
+    """Return a parser of finite numbers between two limits."""
 
     def number(text: str) -> float:
         value = finite(text)
@@ -37,7 +37,7 @@ def within(lowest: float, highest: float) -> Callable[[str], float]:
 
 
 def whole_number(text: str) -> int:
-    """A whole number."""
+    """Parse an integer."""
     try:
         return int(text)
     except ValueError:
@@ -45,7 +45,7 @@ def whole_number(text: str) -> int:
 
 
 def whole(lowest: int, highest: int) -> Callable[[str], int]:
-    """A whole number between two limits."""
+    """Return a parser of integers between two limits."""
 
     def number(text: str) -> int:
         value = whole_number(text)
@@ -57,11 +57,11 @@ def whole(lowest: int, highest: int) -> Callable[[str], int]:
 
 
 seed = whole(0, 2**31 - 1)
-"""Of random numbers."""
+"""Parser of random seeds."""
 
 
 def namespace(text: str) -> str:
-    """A namespace of ROS nodes; empty for none."""
+    """Parse a namespace of ROS nodes; empty for no namespace."""
     if text in ("", "/"):
         return ""
     if not _NAMESPACE.fullmatch(text) or len(text) > LONGEST_NAMESPACE:

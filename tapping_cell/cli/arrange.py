@@ -1,9 +1,9 @@
-"""Bring several objects of a running cell to the places of a layout file; Ctrl-C cancels.
+"""Move several objects of a running cell to the poses in a layout file; Ctrl-C cancels.
 
 python -m tapping_cell arrange layout.yaml
 python -m tapping_cell arrange layout.yaml --json
 
-A layout file names objects of the cell and where each is to go, in m and rad:
+A layout file contains the names of objects and their goal poses, in m and rad:
 
     goals:
       - {object: red disk, pose: [0.10, -0.05, 0.0]}
@@ -35,7 +35,7 @@ from tapping_cell.report.error_codes import hint
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     parser.add_argument("layout", type=Path, help="layout file")
     parser.add_argument(
         "--namespace", type=argument_types.namespace, default="", help="namespace of the nodes"
@@ -50,7 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 every object reached, 1 not, 2 wrong input, 130 canceled."""
+    """Run the verb. Return 0 if every object reached its goal, 1 if not, 2 for wrong input, 130 if
+    canceled."""
     console = session.console_of(arguments)
     session.end_on_signals()
     try:
@@ -88,7 +89,7 @@ def wait_for(
     """Wait until the cell can arrange these objects.
 
     Raises:
-        NotReadyInTime: names what is missing after ``patience`` seconds.
+        NotReadyInTime: names the missing conditions after ``patience`` seconds.
     """
     deadline = time.monotonic() + patience
     with console.status("waiting for the cell") as status:
@@ -100,7 +101,7 @@ def wait_for(
                 )
             status.update("waiting for the cell: " + missing[0])
             time.sleep(0.05)
-    # The planner must have found this client as well, or its answer goes nowhere.
+    # The planner must also have discovered this client, or its response is lost.
     time.sleep(session.MUTUAL_DISCOVERY_S)
 
 
@@ -128,7 +129,7 @@ def follow(
 
 
 def end_text(one: ObjectEnd) -> str:
-    """How far an object is, for people."""
+    """Format the remaining error of an object."""
     if not math.isfinite(one.residual_distance):
         return f"'{one.name}' {one.state}"
     return (
@@ -138,7 +139,8 @@ def end_text(one: ObjectEnd) -> str:
 
 
 def result_of(ended: ArrangementEnded) -> dict[str, object]:
-    """The end of an arrangement for a program, in mm and degrees; None where nothing is known."""
+    """Return the end of an arrangement for JSON output, in mm and degrees; unknown values are
+    None."""
 
     def known(value: float, factor: float) -> float | None:
         return factor * value if math.isfinite(value) else None

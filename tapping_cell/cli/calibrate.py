@@ -1,8 +1,8 @@
-"""Calibrate camera, table, arm, tapper and fixed mounts; print what that takes.
+"""Calibrate camera, table, arm, tapper and fixed mounts; print calibration targets.
 
-Each sub-verb reads photographs or a CSV record and writes a file that the nodes read, with
-residuals, standard deviations, date and inputs in it. No file is replaced unless --force is given,
-and one with smaller residuals or uncertainty only with --accept-worse as well.
+Each sub-verb reads photographs or a CSV record and writes a file that the nodes read. The file
+contains residuals, standard deviations, date and inputs. An existing file is replaced only with
+--force, and a file with smaller residuals or uncertainty only if --accept-worse is given as well.
 
   python -m tapping_cell calibrate print --paper a4 --output sheet.pdf
   python -m tapping_cell calibrate camera photos/*.png --target chessboard --squares 9x7 \\
@@ -29,7 +29,7 @@ from tapping_cell.configuration.schema import ConfigurationError
 
 
 class Verb(Protocol):
-    """A module of ``cli/calibration``."""
+    """Interface of a module of ``cli/calibration``."""
 
     __doc__: str | None
 
@@ -37,7 +37,7 @@ class Verb(Protocol):
         """Declare the options."""
 
     def run(self, arguments: argparse.Namespace) -> int:
-        """Run it; the exit status."""
+        """Run the sub-verb. Return the exit code."""
 
 
 SUBVERBS = {
@@ -66,7 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run one; 0 done, 1 the measurements do not do, 2 a file or option that cannot be used."""
+    """Run a sub-verb. Return 0 on success, 1 for unsuitable measurements, 2 for an invalid file or
+    option."""
     try:
         return _module(arguments.subject).run(arguments)
     except CalibrationRefused as error:

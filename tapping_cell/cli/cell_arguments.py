@@ -1,4 +1,4 @@
-"""The options of the verbs that speak to a running cell, and the client that they use."""
+"""Common options of the verbs that use a running cell, and the client of these verbs."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from tapping_cell.cli.session import end_on_signals
 from tapping_cell.nodes.clients.cell_client import CellClient, NoCell, NotDone
 
 PATIENCE_S = 6.0
-"""For the first words of every node."""
+"""Timeout for the first message of every node."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which cell is meant."""
+    """Declare the options that select the cell."""
     parser.add_argument(
         "--namespace",
         type=argument_types.namespace,
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def with_cell(arguments: argparse.Namespace, act: Callable[[CellClient], int]) -> int:
-    """Do something with a client; errors become a sentence and an exit status."""
+    """Call a function with a client. Convert errors to a message and an exit code."""
     end_on_signals()
     try:
         with CellClient(arguments.namespace) as client:

@@ -1,6 +1,6 @@
-"""What both files of the folder ``launch`` are made of: arguments, nodes and the arm's description.
+"""Common parts of both files in the folder ``launch``: arguments, nodes and the arm's description.
 
-Only ``ros2 launch`` imports this; where there is none, ``python -m tapping_cell up`` does the same.
+Only ``ros2 launch`` imports this module. Without it, use ``python -m tapping_cell up`` instead.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ COMMON = {
 
 @dataclass(frozen=True, slots=True)
 class LaunchedNode:
-    """One node of the graph: which launch argument gives which of its parameters."""
+    """One node of the graph, with the launch arguments that set its parameters."""
 
     name: str
     arguments: Mapping[str, str] = field(default_factory=dict)
-    """Parameter by launch argument."""
+    """Parameter name for each launch argument."""
     respawn: bool = False
     parameters: Mapping[str, object] = field(default_factory=dict)
-    """Values that this graph gives to every such node."""
+    """Parameter values that are the same for every such node of this graph."""
 
 
 PAGE = LaunchedNode(
@@ -59,7 +59,7 @@ PAGE = LaunchedNode(
     },
     respawn=True,
 )
-"""The operator's page, where it is asked for; it moves nothing by itself."""
+"""The operator's page, if requested. It moves nothing on its own."""
 
 
 def cell_launch(
@@ -67,7 +67,7 @@ def cell_launch(
     nodes: Sequence[LaunchedNode],
     hardware: bool = False,
 ) -> LaunchDescription:
-    """A launch description of the nodes, with the arguments of its own and the common ones.
+    """Return a launch description of the nodes, with their own and the common arguments.
 
     ``hardware``: the nodes drive real devices, so a cell file with simulated ports is refused.
     """
@@ -85,7 +85,7 @@ def cell_launch(
 def _start(
     context: LaunchContext, nodes: Sequence[LaunchedNode], hardware: bool
 ) -> list[Node | LogInfo]:
-    """The nodes, once the arguments are known."""
+    """Return the nodes once the arguments are known."""
     given = context.launch_configurations
     refuse = refuse_simulated_ports if hardware else refuse_own_drivers
     refuse(load_cell(given["cell_file"] or None))
@@ -94,7 +94,7 @@ def _start(
     if given["page"].lower() == "true":
         nodes = (*nodes, PAGE)
     description = given["description"].lower() == "true"
-    # One authority a frame.
+    # Each frame may have only one publisher.
     links = {"link_frames": not (description and _has_state_publisher())}
     started: list[Node | LogInfo] = [
         Node(
@@ -105,7 +105,7 @@ def _start(
             parameters=[
                 *shared,
                 {**node.parameters, **(links if node.name == "scara_arm" else {})},
-                # An argument that was left empty leaves the parameter to params_file.
+                # With an empty argument, the parameter comes from params_file.
                 {
                     name: LaunchConfiguration(key)
                     for key, name in node.arguments.items()
@@ -131,7 +131,8 @@ def _start(
 def _describe_arm(
     namespace: str, cell_file: str, shared: list[dict[str, object] | str]
 ) -> list[Node | LogInfo]:
-    """The arm's URDF, and its links on /tf from its joint states, for RViz and Foxglove."""
+    """Return the nodes that publish the arm's URDF, and its links on /tf from its joint states, for
+    RViz and Foxglove."""
     if not _has_state_publisher():
         return [LogInfo(msg="robot_state_publisher is not installed: no robot_description")]
     cell = load_cell(cell_file or None)
@@ -157,5 +158,5 @@ def _has_state_publisher() -> bool:
 
 
 def _own_frames(namespace: str) -> list[tuple[str, str]]:
-    """The frames of a cell in a namespace are its own: two cells have the same names of frames."""
+    """Remap the topics of frames into the namespace, because two cells use the same frame names."""
     return [("/tf", "tf"), ("/tf_static", "tf_static")] if namespace else []

@@ -1,4 +1,4 @@
-"""The state of a running cell in the page's words, for a terminal."""
+"""Text output of the state of a running cell, in the same words as on the page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LOG_LINES = 8
 
 
 def pose_text(numbers: Sequence[float | None] | None) -> str:
-    """A pose in mm and degrees for people."""
+    """Format a pose in mm and degrees."""
     if numbers is None or None in numbers:
         return "-"
     x, y, angle = numbers
@@ -23,13 +23,14 @@ def pose_text(numbers: Sequence[float | None] | None) -> str:
 
 
 def headline(state: dict[str, Any]) -> str:
-    """The whole cell in a line."""
+    """Return the mode of the whole cell in one line."""
     style = STYLES.get(state["mode"], "red")
     return f"[{style}]{state['mode']}[/]: {escape(state['sentence'])}"
 
 
 def recovery(state: dict[str, Any]) -> list[str]:
-    """The way back after a stop, a fault or a start, numbered; empty for nothing to do."""
+    """Return numbered recovery steps after a stop, a fault or a start; empty if none are
+    required."""
     verbs = {
         "clear": " (python -m tapping_cell clear)",
         "home": " (python -m tapping_cell home)",
@@ -43,7 +44,7 @@ def recovery(state: dict[str, Any]) -> list[str]:
 
 
 def parts(state: dict[str, Any]) -> Table:
-    """Object, goal, arm and tapper."""
+    """Return a table of object, goal, arm and tapper."""
     shown = Table(box=None, show_header=False, pad_edge=False)
     seen, plan = state["object"], state["plan"]
     where = pose_text(seen.get("pose")) if seen["visible"] else "not seen"
@@ -57,7 +58,7 @@ def parts(state: dict[str, Any]) -> Table:
         shown.add_row("taps", f"{plan['taps']} ({plan['state']})")
     for name in ("arm", "tapper"):
         device = state[name]
-        # After a stop or fault the numbered list says what to do.
+        # After a stop or fault, the numbered steps contain the remedy.
         said = device["sentence"].partition(";")[0] if state["recovery"] else device["sentence"]
         shown.add_row(name, escape(_with(device["state"], said)))
     return shown
@@ -68,7 +69,7 @@ def _with(word: str, sentence: str) -> str:
 
 
 def nodes(state: dict[str, Any]) -> Table:
-    """A row for every node."""
+    """Return a table with one row per node."""
     shown = Table(box=None, show_header=False, pad_edge=False)
     for row in state["nodes"]:
         style = LEVELS.get(row["level"], "red")
@@ -78,7 +79,7 @@ def nodes(state: dict[str, Any]) -> Table:
 
 
 def taps(state: dict[str, Any]) -> Table:
-    """The taps of the present or last goal."""
+    """Return a table of the taps of the current or last goal."""
     shown = Table(box=None, pad_edge=False)
     for title in ("tap", "striker", "moved", "remaining", ""):
         shown.add_column(title, justify="left" if not title else "right")
@@ -94,7 +95,7 @@ def taps(state: dict[str, Any]) -> Table:
 
 
 def overview(state: dict[str, Any], log: bool = False) -> Group:
-    """Everything; with the last events where ``log``."""
+    """Return the complete output, with the last events if ``log`` is set."""
     shown: list[Any] = [headline(state)]
     shown += [escape(line) for line in recovery(state)]
     if state["hint"] and not state["recovery"]:

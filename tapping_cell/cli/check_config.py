@@ -1,8 +1,8 @@
-"""Say what is wrong with configuration files, all of it at once, without starting anything.
+"""Report every error in configuration files, without starting any node.
 
-Of a cell file the files that it names are looked at too, and whether they fit together: marker ids,
+For a cell file, the files that it names are checked too, and whether they fit together: marker ids,
 heights, joint limits, the tapper's speeds, the arm's reach over the table, the planner. The kind of
-a file is told from its keys.
+a file is recognised from its keys.
 
     python -m tapping_cell check-config config/cell.yaml
     python -m tapping_cell check-config my/objects/*.yaml --kind object --json
@@ -52,7 +52,7 @@ NODES = (*dict.fromkeys((*SIMULATED, *HARDWARE, RECORDER)), "operator_page")
 
 @dataclass
 class Findings:
-    """What was found in one file."""
+    """Errors found in one file."""
 
     file: Path
     kind: str | None
@@ -61,7 +61,7 @@ class Findings:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="file to look at")
     parser.add_argument("--kind", choices=KINDS, help="of all files (default: told from the keys)")
     parser.add_argument(
@@ -74,11 +74,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 no error in any file, 1 some."""
+    """Run the verb. Return 0 if no file has an error, otherwise 1."""
     found: list[Findings] = []
     for path in arguments.files:
         found += check(path, arguments.kind)
-    # A file that several cells name is told once.
+    # A file that several cells name is reported once.
     told = list({entry.file.resolve(): entry for entry in reversed(found)}.values())[::-1]
     if arguments.drawing is not None:
         told += _draw(arguments.files, arguments.drawing)
@@ -100,7 +100,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _draw(files: list[Path], drawing: Path) -> list[Findings]:
-    """Draw the first cell with fixed tappers; a finding where there is none, or it cannot be."""
+    """Draw the first cell with fixed tappers. Return an error if there is none, or drawing
+    fails."""
     from tapping_cell.report.layout_figure import draw_layout
 
     problems = []
@@ -129,7 +130,7 @@ def _tell(told: list[Findings], console: Console) -> None:
 
 
 def check(path: Path, kind: str | None = None) -> list[Findings]:
-    """What is wrong with a file and, of a cell file, with those that it names."""
+    """Return the errors in a file and, for a cell file, in the files that it names."""
     try:
         document = read_yaml(path)
     except ConfigurationError as error:
@@ -156,7 +157,7 @@ def check(path: Path, kind: str | None = None) -> list[Findings]:
 
 
 def _check_named(document: Mapping[Any, Any], path: Path, found: Findings) -> list[Findings]:
-    """The files that a cell file names, and what is wrong between them."""
+    """Return the files that a cell file names, with the errors in and between them."""
     named: list[Findings] = []
     for key, kind in (
         ("reference_markers", "table"),
@@ -188,7 +189,7 @@ def _refusal(load: Any, path: Path) -> list[str]:
 
 
 def recognise(document: Any) -> str | None:
-    """The kind of a file by its keys; None where they are those of none, or of several alike."""
+    """Return the kind of a file from its keys; None if no kind, or more than one, matches."""
     if not isinstance(document, Mapping) or not document:
         return None
     keys = {str(key) for key in document}
@@ -204,7 +205,7 @@ def recognise(document: Any) -> str | None:
 
 
 def _holds_parameters(value: Any) -> bool:
-    """Whether a value of a ROS parameter file leads to ``ros__parameters``, at any depth."""
+    """Return whether a value of a ROS parameter file contains ``ros__parameters`` at any depth."""
     if not isinstance(value, Mapping):
         return False
     return "ros__parameters" in value or (
@@ -213,9 +214,9 @@ def _holds_parameters(value: Any) -> bool:
 
 
 def check_parameters(document: Any, path: Path) -> list[str]:
-    """What is wrong with a file of ROS parameters.
+    """Return the errors in a file of ROS parameters.
 
-    What stands under ``/**`` goes to every node, so that every node must know it.
+    Parameters under ``/**`` apply to every node, so every node must declare them.
     """
     if recognise(document) != PARAMETERS:
         return [
@@ -240,7 +241,7 @@ def check_parameters(document: Any, path: Path) -> list[str]:
 
 
 def _by_node(document: Mapping[Any, Any], above: str = "") -> list[tuple[str, Any]]:
-    """Node names with the namespaces before them, and their parameters."""
+    """Return node names with their namespaces, and their parameters."""
     found = []
     for name, value in document.items():
         place = f"{above}/{str(name).strip('/')}" if above else str(name)

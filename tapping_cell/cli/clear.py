@@ -1,6 +1,7 @@
-"""Clear the stop and the faults of arm and tapper of a running cell. Nothing moves by it.
+"""Clear the stop and the faults of arm and tapper of a running cell. This moves nothing.
 
-A stop that somebody still holds refuses, and says who. Press the clear button at the tapper first.
+The command fails while a node still holds a stop, and names that node. Press the clear button at
+the tapper first.
 
     python -m tapping_cell clear
 """
@@ -17,11 +18,11 @@ from tapping_cell.nodes.clients.cell_client import CellClient
 
 PATIENCE_S = 10.0
 BUTTON_S = 1.0
-"""The simulated button is held for less than this."""
+"""Upper limit of the time for which the simulated button is pressed."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     cell_arguments.add_arguments(parser)
     parser.add_argument(
         "--press-button",
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 neither stop nor fault is left, 1 one is: the sentence says which."""
+    """Run the verb. Return 0 if neither a stop nor a fault remains, otherwise 1 with a message."""
 
     def clear(client: CellClient) -> int:
         client.wait_for_cell(cell_arguments.PATIENCE_S)
@@ -51,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _settled(client: CellClient) -> dict[str, Any]:
-    """The state once neither stop nor fault is left, or what is known in the end."""
+    """Return the state once neither a stop nor a fault remains, or the state at the timeout."""
     deadline = time.monotonic() + PATIENCE_S
     while True:
         state = client.state()

@@ -1,10 +1,10 @@
-"""Commission a cell: from nothing configured to the first goal, each step proven by a measurement.
+"""Commission a cell from no configuration to the first goal, with a measurement for each step.
 
-Ports, controller, camera, table, homing, directions and limits, object, first tap at the lowest
-energy, arm, tapper, first goal. Until the first tap is made the cell is in set-up mode: slow, weak,
-and only while the enabling device is held. The folder then holds the cell's files (config/), what
-was measured (commission.json) and a page of it (commissioning.html). Called again with the same
-folder it goes on where it stopped.
+The steps are: ports, controller, camera, table, homing, directions and limits, object, first tap at
+the lowest energy, arm, tapper, first goal. Until the first tap is made, the cell is in set-up mode:
+slow, weak, and moving only while the enabling device is held. The folder then contains the cell's
+files (config/), the measurements (commission.json) and a report page (commissioning.html). If the
+command is called again with the same folder, it resumes at the first unfinished step.
 
     python -m tapping_cell commission --yes --out my_cell
     python -m tapping_cell commission --hardware --camera /dev/video0 --out my_cell
@@ -31,7 +31,7 @@ from tapping_cell.report.commissioning_page import write_page
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     parser.add_argument(
         "--out", type=Path, default=Path("commissioning"), help="folder (default: commissioning)"
     )
@@ -56,7 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 every step is proven, 1 a step failed, 2 wrong input, 130 interrupted."""
+    """Run the verb. Return 0 if every step succeeded, 1 if a step failed, 2 for wrong input, 130 if
+    interrupted."""
     if arguments.yes and arguments.hardware:
         tell_error("--yes is for the simulated cell: on hardware a person watches every step")
         return ExitStatus.REFUSED

@@ -1,13 +1,13 @@
-"""Print shell code with which the tabulator key completes verbs and options.
+"""Print shell code for completing verbs and options with the Tab key.
 
-It also makes `cell` a short name of `python -m tapping_cell`. Put the line into ~/.bashrc, or call
-it in a shell:
+It also makes `cell` a short name of `python -m tapping_cell`. Add the line to ~/.bashrc, or run it
+in a shell:
 
     eval "$(python -m tapping_cell completion)"
     eval "$(python -m tapping_cell completion --shell zsh)"
 
-then `cell de<Tab>`, `cell demo --<Tab>`. Where the installed executable `cell` is on the path,
-`eval "$(register-python-argcomplete cell)"` does the same for it.
+Then type `cell de<Tab>` or `cell demo --<Tab>`. If the installed executable `cell` is on the path,
+`eval "$(register-python-argcomplete cell)"` enables its completion.
 
     python -m tapping_cell completion --shell fish
 """
@@ -24,14 +24,14 @@ NAME = "cell"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     parser.add_argument(
         "--shell", choices=("bash", "zsh", "fish"), default="bash", help="kind of shell"
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0."""
+    """Run the verb. Return 0."""
     command = f"{shlex.quote(sys.executable)} -m tapping_cell"
     if arguments.shell == "fish":
         print(f"function {NAME}; {command} $argv; end")

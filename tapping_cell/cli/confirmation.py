@@ -1,4 +1,5 @@
-"""A person in a terminal who confirms, skips or cancels each planned tap."""
+"""Confirmation of planned taps by a person in a terminal, who confirms, skips or cancels each
+tap."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ QUESTION = "make this tap? y: yes, s: skip it, c: cancel the goal"
 
 
 class Person:
-    """Asks about each proposed tap and reads the answers, without holding up what is heard."""
+    """Ask about each proposed tap and read the answers, without blocking the reception of
+    events."""
 
     def __init__(self, client: GoalClient, console: Console, answers: TextIO) -> None:
         self._client = client
@@ -30,17 +32,17 @@ class Person:
         self._asked = 0
 
     def hear(self, event: Event | None) -> None:
-        """Take in an event, or that none came; read what was typed meanwhile.
+        """Process an event, or None if there was none, and read the typed input.
 
         Raises:
-            KeyboardInterrupt: the goal is to be canceled; also where nobody can answer any more.
+            KeyboardInterrupt: the person cancels the goal, or the input has ended.
         """
         if isinstance(event, PhaseChanged):
-            self._asked = 0  # answered elsewhere, or planned anew
+            self._asked = 0  # confirmed elsewhere, or planned again
         elif isinstance(event, TapProposed):
             self._asked = event.tap.tap_id
             if os.isatty(self._answers):
-                # What was typed before the tap was shown is no answer for it.
+                # Input typed before the tap was shown does not count as an answer.
                 termios.tcflush(self._answers, termios.TCIFLUSH)
                 self._typed = b""
             self._say(proposal_text(event.tap))
@@ -49,7 +51,8 @@ class Person:
             self._take(line)
 
     def _line(self) -> str | None:
-        """The next line that was typed; ``c`` at the end of the input; None while there is none."""
+        """Return the next typed line, ``c`` at the end of the input, or None if there is none
+        yet."""
         if b"\n" not in self._typed and select.select([self._answers], [], [], 0)[0]:
             read = os.read(self._answers, 1024)
             self._typed += read or b"c\n"
@@ -80,7 +83,7 @@ class Person:
 
 
 def proposal_text(tap: PlannedTap) -> str:
-    """A planned tap for people: what it is expected to do, and how sure that is."""
+    """Format a planned tap with its expected result and the uncertainty of that result."""
     before, after = from_message(tap.object_pose), from_message(tap.predicted_pose.pose)
     covariance = covariance_from_message(tap.predicted_pose.covariance)
     along = math.sqrt(max(float(np.max(np.linalg.eigvalsh(covariance[:2, :2]))), 0.0))

@@ -1,8 +1,10 @@
-"""Nodes killed at every phase of a tap and started again: does the cell go on, and safely?
+"""Trials that kill and restart a node at each phase of a tap, and check that the cell recovers
+safely.
 
-A simulated cell runs as processes; a goal is sent; at a chosen phase of a tap one node gets
-``SIGKILL`` and is started again. What counts is where the object truly is at the end, and that it
-moved only while the arm held the striker in position, once for each tap that may have been fired.
+A simulated cell runs as processes, and a goal is sent. At a chosen phase of a tap, one node
+receives ``SIGKILL`` and is restarted. A trial checks the true final pose of the object, and that
+the object moved only while the arm held the striker in position, once for each tap that may have
+been fired.
 """
 
 from __future__ import annotations
@@ -33,45 +35,46 @@ TOLERANCE = (0.001, math.radians(1.0))
 LOW = 0.030
 """Height of the tip in m below which the striker counts as lowered."""
 STILL = 2e-4
-"""The object has moved when it is farther than this from where it lay, m."""
+"""Minimum displacement in m that counts as a motion of the object."""
 LEEWAY_S = 0.4
-"""A release may be seen so long after the arm was last heard to be in position."""
+"""Maximum time between the last message that reports the arm in position and an observed strike."""
 PATIENCE_S = 240.0
 DOWN_S = 0.3
-"""From the kill to the new start."""
+"""Time from the kill to the restart."""
 WORLD = "sim_world"
 PHASES = ("planning", "travelling", "lowered", "drawn", "fired", "withdrawing", "settling")
 
 
 @dataclass(frozen=True, slots=True)
 class Crash:
-    """One trial's end. ``unsafe``: what happened that must not, in words."""
+    """Result of one trial. ``unsafe``: descriptions of all unsafe events."""
 
     node: str
     phase: str
     ended: str
-    """``reached``, ``asked for a person`` or ``hung``."""
+    """One of ``reached``, ``asked for a person`` and ``hung``."""
     seconds: float
     sentence: str
     unsafe: tuple[str, ...]
 
     @property
     def clean(self) -> bool:
-        """Safe, and at the goal; only a restarted world, whose boards were reset, may ask."""
+        """Whether the trial was safe and the goal was reached. Only after a restart of the world,
+        which resets the boards, may the cell ask for a person instead."""
         asked = self.ended == "asked for a person" and self.node == WORLD
         return not self.unsafe and (self.ended == "reached" or asked)
 
 
 @dataclass
 class Witness:
-    """Hears everything that is said of one trial."""
+    """Recorder of all messages of one trial."""
 
     plans: deque[PlanState] = field(default_factory=lambda: deque(maxlen=5000))
     commands: list[TapCommand] = field(default_factory=list)
     arm: ArmState = field(default_factory=ArmState)
     tapper: TapperState = field(default_factory=TapperState)
     settled_at: float = -math.inf
-    """When the arm was last heard in position."""
+    """Time of the last message that reported the arm in position."""
     lain: Pose | None = None
     moving: bool = False
     motions: int = 0
@@ -80,13 +83,13 @@ class Witness:
     watching: bool = False
 
     def on_arm(self, message: ArmState) -> None:
-        """Hear ``arm_state``."""
+        """Process ``arm_state``."""
         self.arm = message
         if message.state == ArmState.IN_POSITION:
             self.settled_at = time.monotonic()
 
     def on_tapper(self, message: TapperState) -> None:
-        """Hear ``tapper_state``."""
+        """Process ``tapper_state``."""
         self.tapper = message
         if self.watching and message.outcome != TapperState.NONE:
             before = self.shots.setdefault(message.tap_id, message.outcome)
@@ -94,7 +97,7 @@ class Witness:
                 self.unsafe.append(f"tap {message.tap_id}: {before} and {message.outcome}")
 
     def on_truth(self, message: PoseStamped) -> None:
-        """Hear where the object truly is, thirty times a second."""
+        """Process the true pose of the object, which arrives thirty times per second."""
         pose = from_message(message.pose)
         if self.lain is None or not self.watching:
             self.lain = pose
@@ -110,7 +113,7 @@ class Witness:
         self.lain = pose
 
     def judge(self) -> None:
-        """What only the whole of a trial shows."""
+        """Add the unsafe events that are visible only at the end of a trial."""
         ids = [c.tap_id for c in self.commands if c.request == TapCommand.TAP]
         if len(ids) != len(set(ids)):
             self.unsafe.append("a tap id was commanded twice")
@@ -119,7 +122,7 @@ class Witness:
 
 
 class CrashCell:
-    """A running simulated cell whose nodes are killed; use as a context manager."""
+    """Running simulated cell whose nodes are killed. Use as a context manager."""
 
     def __init__(self, folder: Path, seed: int = 8, frame_rate: float = 30.0) -> None:
         arm, tapper = folder / "arm", folder / "tapper"
@@ -133,7 +136,7 @@ class CrashCell:
             "scara_arm": {"port": arm, "home_on_activate": True},
             "tapper_trigger": {"port": tapper},
         }
-        # The planner's memory of its goal is kept apart from that of other cells.
+        # The planner's stored goal is kept separate from that of other cells.
         self.graph = Graph(SIMULATED, parameters, folder / "logs", {"HOME": str(folder)})
         self.client = GoalClient("crash_trials")
         self.seen = Witness()
@@ -176,18 +179,18 @@ class CrashCell:
         self.graph.__exit__(kind, error, trace)
 
     def begin(self, phase: str) -> bool:
-        """Send the goal and wait for ``phase`` of a tap; False where it never comes."""
+        """Send the goal and wait for ``phase`` of a tap. Return False if the phase never comes."""
         self._prepare()
         goal = PoseStamped(pose=to_message(GOAL))
         goal.header.frame_id = "table"
         self._goals.publish(goal)
         came = self.come(phase)
-        # How the goal before this one ended was said again meanwhile.
+        # Discard the repeated messages on the end of the previous goal.
         self.seen.plans.clear()
         return came
 
     def come(self, phase: str) -> bool:
-        """Wait for ``phase`` of a tap; False where it never comes."""
+        """Wait for ``phase`` of a tap. Return False if the phase never comes."""
         return self.wait(lambda: self._in_phase(phase), 60.0, 0.001)
 
     def kill(self, node: str) -> None:
@@ -195,12 +198,12 @@ class CrashCell:
         os.kill(self.graph.process_ids[node], signal.SIGKILL)
         time.sleep(DOWN_S)
         if node == WORLD:
-            # The object of a new world lies elsewhere: whoever put it there is no strike.
+            # A new world puts the object at another place, which is not a strike.
             self.seen.watching = False
         self.graph.restart(node)
 
     def trial(self, node: str, phase: str) -> Crash:
-        """Kill ``node`` at ``phase`` of a tap, start it again, see the goal's end."""
+        """Kill ``node`` at ``phase`` of a tap, restart it, and wait for the end of the goal."""
         if not self.begin(phase):
             return Crash(node, phase, "hung", 60.0, f"the phase {phase} never came", ())
         began = time.monotonic()
@@ -209,7 +212,7 @@ class CrashCell:
         return self.finish(node, phase, time.monotonic() - began)
 
     def finish(self, node: str, phase: str, seconds: float) -> Crash:
-        """What became of the goal, held against where the object truly is."""
+        """Return the outcome of the goal after comparing it with the true pose of the object."""
         seen, end = self.seen, self.ended()
         if seen.watching:
             seen.judge()
@@ -227,7 +230,7 @@ class CrashCell:
         return Crash(node, phase, "reached", seconds, "", tuple(seen.unsafe))
 
     def ended(self) -> PlanState | None:
-        """The planner's word that the goal has ended, if it has."""
+        """Return the planner's message that the goal has ended, or None."""
         ends = (PlanState.REACHED, PlanState.FAILED)
         return next((p for p in tuple(self.seen.plans) if p.state in ends), None)
 
@@ -235,7 +238,7 @@ class CrashCell:
         seen, plan = self.seen, self.seen.plans[-1] if self.seen.plans else PlanState()
         arm, tapper = seen.arm, seen.tapper
         low = arm.tip_pose.position.z < LOW
-        # The first tap, or the one after it where that was given up.
+        # This is the first tap, or its successor if the first was given up.
         tap = next((c.tap_id for c in reversed(seen.commands) if c.request == TapCommand.TAP), 0)
         mine = tap > 0 and arm.tap_id == tap
         phases: dict[str, bool] = {
@@ -250,7 +253,8 @@ class CrashCell:
         return phases[phase]
 
     def _prepare(self) -> None:
-        """The cell at rest with the object at its start, with a person's help where needed."""
+        """Bring the cell to rest with the object at its start, with simulated help of a person if
+        needed."""
         begin = time.monotonic()
         while self.client.missing():
             if time.monotonic() > begin + 120.0:
@@ -268,12 +272,12 @@ class CrashCell:
             ),
             30.0,
         )
-        # From here on: what was said of the goal before, is not of this one.
+        # Discard all messages that belong to the previous goal.
         self.seen = Witness(arm=self.seen.arm, tapper=self.seen.tapper, lain=self.seen.lain)
         self.seen.watching = True
 
     def _help(self) -> None:
-        """What a person does at a cell that asks: clear, and home."""
+        """Clear faults and home the arm, as a person does when the cell asks for it."""
         arm, tapper = self.client.arm_state, self.client.tapper_state
         if arm is not None and arm.state in (ArmState.FAULT, ArmState.STOPPED):
             self._call("scara_arm/clear_fault")
@@ -287,7 +291,7 @@ class CrashCell:
         self.wait(self._services[service].call_async(Trigger.Request()).done, 5.0)
 
     def wait(self, condition: Callable[[], bool], patience: float, poll: float = 0.02) -> bool:
-        """Wait for a condition; False where it does not come within ``patience`` s."""
+        """Wait for a condition. Return False if it is not met within ``patience`` s."""
         deadline = time.monotonic() + patience
         while not condition():
             if time.monotonic() > deadline:
@@ -299,7 +303,7 @@ class CrashCell:
 def run_crashes(
     folder: Path, nodes: Sequence[str], phases: Sequence[str], say: Callable[[Crash], None]
 ) -> list[Crash]:
-    """Every node at every phase, one after the other on one running cell."""
+    """Run the trials of every node at every phase, one after another in one running cell."""
     crashes: list[Crash] = []
     with CrashCell(folder) as cell:
         for node in nodes:

@@ -1,9 +1,9 @@
-"""Position an object in the simulated world, from nothing to the goal.
+"""Position an object in the simulated world, from starting the nodes to reaching the goal.
 
-Starts every node as a process of its own, waits until the cell is ready, sends one goal, shows the
-taps as they happen and ends the nodes. The recorder leaves a run folder (report.html, summary.json,
-taps.csv, cell.png, a bag of every topic), beside the nodes' logs.
-The exit status is 0 only where the object is measured to be, and truly is, within the tolerance.
+Starts every node as a separate process, waits until the cell is ready, sends one goal, shows the
+taps as they happen and stops the nodes. The recorder leaves a run folder (report.html,
+summary.json, taps.csv, cell.png, a bag of every topic), next to the nodes' logs. The exit code is 0
+only if the measured and the true pose of the object are within the tolerance.
 
     python -m tapping_cell demo --move 10 0 10 --seed 1
 
@@ -64,7 +64,7 @@ INTERRUPTED_PATIENCE_S = 8.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     task = parser.add_mutually_exclusive_group()
     task.add_argument(
         "--move",
@@ -99,7 +99,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 reached, 1 not reached, 2 wrong input, 130 interrupted."""
+    """Run the verb. Return 0 if the goal was reached, 1 if not, 2 for wrong input, 130 if
+    interrupted."""
     console = session.console_of(arguments)
     session.end_on_signals()
     began = time.monotonic()
@@ -122,9 +123,9 @@ def run(arguments: argparse.Namespace) -> int:
             cell = load_cell(scene.cell)
     except (ConfigurationError, UnknownPlannerError, GraphError, OSError) as error:
         return tell_refusal(error)
-    # The client below runs in this process and must meet the nodes.
+    # The client below runs in this process and must discover the nodes.
     os.environ["ROS_DOMAIN_ID"] = str(domain.number)
-    # Whatever the shell says: a demo is nobody else's business on the network.
+    # Overrides the shell's setting, because a demo must not be visible on the network.
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     console.print(f"run folder {folder}; watch it with ROS_DOMAIN_ID={domain.number}")
     parameters = node_parameters(arguments, cell)
@@ -159,10 +160,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _run_folder(out: Path | None) -> Path:
-    """A folder for this run.
+    """Return a folder for this run.
 
     Raises:
-        FileExistsError: there is a run in it already.
+        FileExistsError: the folder already contains a run.
     """
     folder = out or Path("runs") / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
     folder.mkdir(parents=True, exist_ok=True)
@@ -176,7 +177,7 @@ def _run_folder(out: Path | None) -> Path:
 def _position(
     arguments: argparse.Namespace, graph: Graph, client: GoalClient, console: Console
 ) -> Path:
-    """Send the goal and follow it to its end; the folder of its record."""
+    """Send the goal and follow it to its end. Return the folder of its record."""
     session.wait_until_ready(client, READY_PATIENCE_S, graph.check, console)
     look = client.object_state
     assert look is not None

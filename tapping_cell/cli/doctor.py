@@ -1,8 +1,8 @@
-"""Connect to the arm and the tapper of a cell and compare their settings with what is needed.
+"""Connect to the arm and the tapper of a cell and compare their settings with the required ones.
 
-Nothing moves, nothing is charged. Each difference is printed with what mends it. With --write, what
-is safe to store (holding torque, form of the reports) is stored in the controller after a yes;
-steps, speeds and accelerations are always left to a person.
+Nothing moves and nothing is charged. Each difference is printed with its remedy. With --write,
+settings that are safe to store (holding torque, report format) are stored in the controller after
+confirmation. Steps, speeds and accelerations must always be changed by a person.
 
     python -m tapping_cell doctor --cell my_cell.yaml
     python -m tapping_cell doctor --cell my_cell.yaml --write
@@ -44,12 +44,12 @@ from tapping_cell.nodes.drivers.output_link import RosOutputLink
 from tapping_cell.nodes.drivers.trajectory_link import RosTrajectoryLink
 
 PATIENCE = 8.0
-"""Longest wait for a port, and then for its device, s."""
+"""Timeout in s for a port, and then for its device."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of the table."""
+    """One row of the table."""
 
     device: str
     setting: str
@@ -59,7 +59,7 @@ class Row:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     parser.add_argument(
         "--write", action="store_true", help="store what is safe to store, after a yes"
@@ -68,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 where everything is as it must be, 1 else."""
+    """Run the verb. Return 0 if all settings are correct, otherwise 1."""
     console = Console(soft_wrap=True)
     try:
         cell = load_cell(arguments.cell)
@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def check_arm(cell: Cell, confirm: Callable[[Finding], bool] | None = None) -> list[Row]:
-    """The arm's controller; ``confirm`` is asked before each setting that is stored."""
+    """Check the arm's controller. ``confirm`` is called before each setting is stored."""
     arm = cell.arm
     try:
         with _connection(arm) as connection:
@@ -108,7 +108,7 @@ def check_arm(cell: Cell, confirm: Callable[[Finding], bool] | None = None) -> l
 
 @contextmanager
 def _connection(arm: ArmSection) -> Iterator[SerialTransport | RosTrajectoryLink]:
-    """The way to the arm's controller, closed at the end."""
+    """Open the connection to the arm's controller, which is closed at the end."""
     if arm.ros2_control is None:
         transport = SerialTransport(_port(arm.port), arm.baud)
         try:
@@ -130,19 +130,19 @@ def _connection(arm: ArmSection) -> Iterator[SerialTransport | RosTrajectoryLink
 
 
 class _NoMemory:
-    """Nothing is fired, so that no shot is kept."""
+    """Shot memory that stores nothing, because nothing is fired."""
 
     def recall(self) -> int:
-        """No shot."""
+        """Return 0, because no shot was sent."""
         return 0
 
     def keep(self, shot: int) -> None:
-        """Never asked for."""
+        """Never called."""
         raise AssertionError("doctor fires nothing")
 
 
 def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
-    """The digital output that fires the tapper: it is switched off, never on."""
+    """Check the digital output that fires the tapper. It is switched off, never on."""
     rclpy.init()
     try:
         node = Node("doctor")
@@ -191,7 +191,7 @@ def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
 
 
 def check_tapper(cell: Cell) -> list[Row]:
-    """The tapper's board; the connection itself lets a charged striker down."""
+    """Check the tapper's board. Opening the connection discharges the tapper."""
     section = cell.file.tapper
     if section.output is not None:
         return check_output(section, section.output)
@@ -230,7 +230,7 @@ def _store(
     confirm: Callable[[Finding], bool],
     connection: Connection,
 ) -> bool:
-    """Store what may be stored and is agreed to; whether anything was."""
+    """Store the settings that may be stored and are confirmed. Return whether any was stored."""
     wanted = [f for f in findings if not f.met and f.storable and confirm(f)]
     for finding in wanted:
         dialect.store(finding, connection.now() + PATIENCE)

@@ -1,4 +1,4 @@
-"""Hours of taps over bad lines in the emulated devices' own time: does anything grow?"""
+"""Soak test: hours of taps over faulty serial lines in simulated time, to detect memory growth."""
 
 from __future__ import annotations
 
@@ -12,34 +12,35 @@ from pathlib import Path
 from tapping_cell.cli.fault_trials import Dialect, TrialCell
 
 MARKS = 4
-"""Looks at memory, evenly over the hours; the first is the base."""
+"""Number of memory measurements, evenly spaced over the run. The first is the reference."""
 ALLOWED_BLOCKS = 1000
-"""Blocks of Python's allocator between the first look and the last: caches that still fill."""
+"""Allowed growth in allocated blocks of Python between first and last measurement (filling
+caches)."""
 ALLOWED_RESIDENT = 2_000_000
-"""The same of resident memory, bytes: fragments of the allocator's arenas."""
+"""Allowed growth of resident memory in bytes (fragmentation of the allocator's arenas)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Soak:
-    """One dialect's run."""
+    """Result for one dialect."""
 
     dialect: str
     hours: float
     taps: int
     blocks: tuple[int, ...]
-    """Blocks of Python's allocator in use at each look, after the witness has forgotten its
+    """Allocated blocks of Python at each measurement, after the witness has discarded its
     records."""
     resident: tuple[int, ...]
-    """Resident memory at each look, bytes."""
+    """Resident memory in bytes at each measurement."""
     threads: tuple[int, int]
-    """At the first look and at the last."""
+    """Number of threads at the first and at the last measurement."""
     descriptors: tuple[int, int]
     clean: bool
-    """Nothing fired twice or unsafely, nothing hung, every report true."""
+    """Whether nothing was fired twice or unsafely, nothing hung, and every report was true."""
 
     @property
     def steady(self) -> bool:
-        """Whether nothing grew."""
+        """Whether nothing grew beyond its limit."""
         return (
             self.blocks[-1] - self.blocks[0] <= ALLOWED_BLOCKS
             and self.resident[-1] - self.resident[0] <= ALLOWED_RESIDENT
@@ -49,7 +50,7 @@ class Soak:
 
 
 def soak(dialect: Dialect, hours: float, seed: int) -> Soak:
-    """Tap over bad lines for ``hours`` of the devices' time."""
+    """Tap over faulty lines for ``hours`` of simulated time."""
     cell = TrialCell(dialect, seed)
     taps = 0
     looks: list[tuple[int, int, int, int]] = []

@@ -1,6 +1,6 @@
-"""How every verb says that something is wrong: one form, on the error output, and one exit status.
+"""Common error output of all verbs: one format, on stderr, and one set of exit codes.
 
-error: what is wrong, the value and the limit; what to do about it (number of the code)
+error: what is wrong, the value and the limit; the remedy (error code)
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tapping_cell.report.error_codes import hint
 
 
 class ExitStatus(IntEnum):
-    """What a verb's exit status means; docs/commands.md has the table."""
+    """Exit codes of a verb; docs/commands.md contains the table."""
 
     DONE = 0
     FAILED = 1
@@ -38,11 +38,11 @@ MEANINGS = {
     ExitStatus.INTERRUPTED: "interrupted by Ctrl-C or a termination signal, in order",
     ExitStatus.READER_HAS_GONE: "the reader of the output has gone, as `head` does",
 }
-"""Each status in words."""
+"""Description of each exit code."""
 
 
 def tell_error(sentence: str, code: int = 0) -> None:
-    """Print an error, and the remedy of its code where it has one."""
+    """Print an error, and the remedy for its code if there is one."""
     console = Console(stderr=True, soft_wrap=True, highlight=False)
     number = f" ({code})" if code and not sentence.endswith(f"({code})") else ""
     console.print(Text.assemble(("error: ", "red"), f"{sentence}{number}"))
@@ -51,7 +51,7 @@ def tell_error(sentence: str, code: int = 0) -> None:
 
 
 def tell_refusal(error: Exception) -> int:
-    """Print why an input is refused; returns the status."""
+    """Print the reason why an input is rejected. Return the exit code."""
     from tapping_cell.planning import UnknownPlannerError
 
     unknown = isinstance(error, UnknownPlannerError)
@@ -60,25 +60,26 @@ def tell_refusal(error: Exception) -> int:
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """Which known word was probably meant, as a part of a sentence; empty where none is near."""
+    """Return the known word closest to a misspelt one, as part of a sentence; empty if none is
+    close."""
     near = difflib.get_close_matches(word, list(known), 1, 0.6)
     return f"; did you mean '{near[0]}'?" if near else ""
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose refusals are one sentence in the form of every other error.
+    """Argument parser whose errors have the same format as all others.
 
     Numbers must be finite.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        # In place of Python's own float, which takes "nan" and "inf".
+        # Replaces Python's float, which accepts "nan" and "inf".
         self.register("type", float, finite)
         self.register("type", int, whole_number)
 
     def error(self, message: str) -> NoReturn:
-        """Refuse a wrong command line."""
+        """Reject an invalid command line."""
         tell_error(f"{self._sentence(message)} ({self.prog} --help shows the options)")
         self.exit(ExitStatus.REFUSED)
 

@@ -1,19 +1,20 @@
-"""Many positioning trials of a planning method, without ROS: how many taps, how many truly inside.
+"""Evaluate a planning method in many positioning trials without ROS: number of taps and success
+rate.
 
 example:
   python -m tapping_cell evaluate --planner optimal --goal 10 0 10 --camera-noise 0.1 0.1
 
-Lengths are in mm, angles in degrees, shares in percent. The model "abstract" answers a tap with the
-wanted displacement and its scatter; "physics" strikes, collides and slides by true parameters that
-the planner does not know (--truth; --truth-object where the planner believes a fitted --object).
-With --table the trials run on the cell's table, within the arm's reach, with edges and keep-outs;
-goals that cannot be reached must be refused before the first tap. A cell with fixed tappers is
-evaluated on its own working area, a row of the table for each of --start-angles:
+Lengths are in mm, angles in degrees, shares in percent. With the model "abstract", a tap has the
+intended displacement plus scatter; the model "physics" simulates strike, collision and slide with
+true parameters that the planner does not know (--truth; or --truth-object if the planner uses a
+fitted --object). With --table, the trials run on the cell's table, within the arm's reach, with
+edges and keep-outs; goals that are out of reach must be refused before the first tap. A cell with
+fixed tappers is evaluated on its own working area, with one row of the table for each of
+--start-angles:
 
   python -m tapping_cell evaluate --cell config/positioning_cell/cell.yaml --camera-noise 0.05 0.05
 
-A sweep evaluates every point of a grid of parameters, on all cores, and goes on where it was
-interrupted:
+A sweep evaluates every point of a parameter grid, on all cores, and resumes after an interruption:
 
   python -m tapping_cell evaluate --model physics --sweep friction=0.1:0.4:7 tolerance=1,0.3 \\
       --report sweep
@@ -242,8 +243,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the evaluation; 0, or 2 for options that make no evaluation."""
-    # The work is spread over processes; BLAS threads on top of them only get in each other's way.
+    """Run the evaluation. Return 0, or 2 for invalid options."""
+    # The work is distributed over processes, and additional BLAS threads would slow them down.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from tapping_cell.configuration.schema import ConfigurationError
     from tapping_cell.mechanics import MechanicsError
@@ -275,7 +276,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _fixed_cell(arguments: argparse.Namespace) -> Cell | None:
-    """The cell that was asked for, if it has fixed tappers."""
+    """Return the selected cell if it has fixed tappers, otherwise None."""
     from tapping_cell.configuration.cell import load_cell
 
     if arguments.cell is None:
@@ -285,7 +286,7 @@ def _fixed_cell(arguments: argparse.Namespace) -> Cell | None:
 
 
 def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
-    """The evaluation that the options ask for, SI."""
+    """Return the evaluation that the options describe, in SI units."""
     from tapping_cell.planning import PlanningError
     from tapping_cell.planning.evaluation import Evaluation
 
@@ -347,7 +348,7 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
 
 
 def measure(arguments: argparse.Namespace, evaluation: Evaluation) -> dict[str, Any]:
-    """Run one evaluation and return its figures with the inputs and the speed."""
+    """Run one evaluation. Return its results with the inputs and the speed."""
     from tapping_cell.planning import make_planner
     from tapping_cell.planning.evaluation import evaluate, summarise
     from tapping_cell.planning.multi import MultiPlanner
@@ -494,7 +495,7 @@ def _inputs(arguments: argparse.Namespace) -> dict[str, Any]:
 def _progress(
     arguments: argparse.Namespace, evaluation: Evaluation
 ) -> Iterator[Callable[[int], None]]:
-    """A bar on stderr where a person looks at it."""
+    """Show a progress bar on stderr if it is a terminal."""
     if arguments.json or not sys.stderr.isatty():
         yield lambda count: None
         return
@@ -563,7 +564,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
     axes = sweep.read_axes(arguments.sweep)
     points = list(sweep.grid(axes))
     for point in points:
-        # What is wrong is said before the first trial.
+        # Errors are reported before the first trial.
         chosen = sweep.arguments_at(arguments, point)
         make_evaluation(chosen, chosen.planner)
     kept = sweep.KeptPoints(arguments.report, _inputs(arguments))
@@ -595,11 +596,11 @@ def _sweep(arguments: argparse.Namespace) -> int:
 
 
 def _measure_point(arguments: argparse.Namespace, point: Point) -> dict[str, Any]:
-    """One point of a sweep, in a process of its own."""
+    """Evaluate one point of a sweep in a separate process."""
     from tapping_cell.cli import sweep
 
     chosen = sweep.arguments_at(arguments, point)
-    # The points share the cores, and the bar is that of the whole sweep.
+    # The points share the cores, and only the whole sweep has a progress bar.
     chosen.processes, chosen.json = 1, True
     return measure(chosen, make_evaluation(chosen, chosen.planner))
 
@@ -630,7 +631,8 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 
 def _arrange(arguments: argparse.Namespace) -> int:
-    """Scenes of several objects; with ``--all`` the built-in planner and the baselines."""
+    """Evaluate scenes of several objects; with ``--all`` for the built-in planner and the
+    baselines."""
     from tapping_cell.planning.evaluation import arrangements
 
     names = list(arrangements.METHODS) if arguments.all else [arguments.method]
@@ -663,7 +665,8 @@ def _arrange(arguments: argparse.Namespace) -> int:
 
 
 def arrangement_kinds(arguments: argparse.Namespace) -> list[Any]:
-    """The shapes of the scenes, with the cell's table, arm and the object file's friction."""
+    """Return the kinds of scenes, with the cell's table and arm and the friction of the object
+    file."""
     from tapping_cell.configuration.assembly import make_strike_space, make_tap
     from tapping_cell.configuration.cell import load_cell
     from tapping_cell.planning import FreeSpace, PlannerSettings, make_planner
@@ -686,7 +689,7 @@ def arrangement_kinds(arguments: argparse.Namespace) -> list[Any]:
 
 
 def _shapes(content: Any, arguments: argparse.Namespace) -> list[Any]:
-    """Object files like the given one, but disks and squares of other sizes."""
+    """Return variants of the given object file: disks and squares of other sizes."""
     radii = [1e-3 * radius for radius in arguments.radius]
     if arguments.goals == "grid":
         radii = radii[:1]

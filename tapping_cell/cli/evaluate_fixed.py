@@ -1,4 +1,4 @@
-"""The part of the verb evaluate for a cell with fixed tappers: tables over start angles."""
+"""Part of the verb evaluate for a cell with fixed tappers: tables over start angles."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ COLUMNS = (
 
 
 def add_fixed_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options that only a cell with fixed tappers has."""
+    """Declare the options that apply only to a cell with fixed tappers."""
     numbers: Callable[..., Any] = parser.add_argument
     numbers(
         "--start-angles",
@@ -64,10 +64,10 @@ def add_fixed_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
-    """Evaluate the cell at each start angle and print the table; 0.
+    """Evaluate the cell at each start angle and print the table. Return 0.
 
     Raises:
-        PlanningError: an option has no meaning for such a cell.
+        PlanningError: an option does not apply to such a cell.
     """
     without_meaning = {
         "--all": arguments.all,
@@ -155,7 +155,7 @@ def _print(cell: Cell, arguments: argparse.Namespace, rows: list[dict[str, Any]]
 
 @contextlib.contextmanager
 def _progress(arguments: argparse.Namespace, total: int) -> Iterator[Callable[[int], None]]:
-    """A bar on stderr where a person looks at it."""
+    """Show a progress bar on stderr if it is a terminal."""
     if arguments.json or not sys.stderr.isatty():
         yield lambda count: None
         return

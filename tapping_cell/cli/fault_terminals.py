@@ -1,4 +1,4 @@
-"""The fault trials over real pseudo-terminals, in real time: the transport is tried as well."""
+"""Fault trials over pseudo-terminals in real time, which also test the transport."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from tapping_cell.simulation.virtual_line import HangError
 
 
 class RealClock:
-    """The steady clock. A call that goes on beyond ``limit`` is ended by an alarm signal."""
+    """Monotonic clock. An alarm signal ends a call that exceeds ``limit``."""
 
     def __init__(self) -> None:
         signal.signal(signal.SIGALRM, _on_alarm)
 
     @property
     def now(self) -> float:
-        """s."""
+        """Current time in s."""
         return time.monotonic()
 
     @property
     def limit(self) -> float:
-        """When the alarm comes."""
+        """Time of the alarm in s."""
         return self.now + signal.getitimer(signal.ITIMER_REAL)[0]
 
     @limit.setter
@@ -44,7 +44,7 @@ def _on_alarm(number: int, frame: FrameType | None) -> None:
 
 
 class TerminalCell(TrialCell):
-    """Two emulated devices behind terminals whose cables can be pulled by the fault layer."""
+    """Two emulated devices on pseudo-terminals that the fault layer can disconnect."""
 
     def __init__(self, dialect: Dialect, seed: int, folder: Path) -> None:
         self._folder = folder
@@ -68,12 +68,13 @@ class TerminalCell(TrialCell):
 
     @contextmanager
     def _tapper_held(self) -> Iterator[None]:
-        # In the order in which a release takes them: the tapper's thread asks where the arm is.
+        # Same order of locks as during a release, in which the tapper's thread queries the arm's
+        # position.
         with self._terminals[1].lock:
             yield
 
     def close(self) -> None:
-        """End alarm, drivers and terminals."""
+        """Stop the alarm, the drivers and the terminals."""
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         self.arm.close()
         self.tapper.close()
@@ -83,7 +84,7 @@ class TerminalCell(TrialCell):
 
 @contextmanager
 def terminal_cell(dialect: Dialect, seed: int) -> Iterator[TrialCell]:
-    """A cell on two pseudo-terminals of its own, in real time."""
+    """Create a cell on two pseudo-terminals of its own, in real time."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         cell = TerminalCell(dialect, seed, folder)

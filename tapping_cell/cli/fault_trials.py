@@ -1,9 +1,9 @@
-"""Taps of the real drivers on emulated devices behind bad lines, checked against the devices'
-truth.
+"""Taps of the real drivers on emulated devices behind faulty lines, checked against the devices'
+true states.
 
-A tap is made of the jobs of the shipped machines (``logic.arm_jobs``, ``logic.tapper_jobs``): place
-the striker, charge, look again whether the arm stands there, fire once, withdraw. What the drivers
-say is held against what the devices did.
+A tap consists of the jobs of the shipped machines (``logic.arm_jobs``, ``logic.tapper_jobs``):
+place the striker, charge, check again that the arm is in position, fire once, withdraw. The
+drivers' reports are compared with the true states of the devices.
 """
 
 from __future__ import annotations
@@ -49,19 +49,19 @@ from tapping_cell.simulation.virtual_line import HangError, VirtualClock, Virtua
 HOME = (0.0, np.pi / 2, 0.0, 0.0)
 PARK = (0.6, 1.2, -0.020, 0.0)
 TRUE_TOLERANCE = np.array([2e-3, 2e-3, 2e-4, 2e-3])
-"""How far the true joints may be from the strike pose at a release: rad, rad, m, rad."""
+"""Maximum difference between true joints and strike pose at a release: rad, rad, m, rad."""
 EXPIRY_NS = 600_000_000_000
-"""How long a tap's way to its strike pose may take."""
+"""Time limit in ns for the motion to the strike pose."""
 CALL_LIMIT = 600.0
-"""A tap with its recoveries that takes longer counts as hanging, s of the cell's time."""
+"""Simulated time in s after which a tap, with its recoveries, counts as hanging."""
 RECOVERIES = 40
-"""Rounds of recovering after which the cell counts as hanging."""
+"""Number of recovery attempts after which the cell counts as hanging."""
 FAULT_COUNTS = (0.35, 0.35, 0.2, 0.1)
-"""Shares of taps with 0, 1, 2 and 3 faults planned."""
+"""Fractions of the taps with 0, 1, 2 and 3 planned faults."""
 
 
 class Dialect(Enum):
-    """Which controller drives the arm."""
+    """Type of the arm's controller."""
 
     GRBL = "grbl"
     MARLIN = "marlin"
@@ -73,7 +73,7 @@ class Dialect(Enum):
 
 @dataclass
 class Tally:
-    """What came out; counts add."""
+    """Counts of the results, which can be added."""
 
     taps: int = 0
     fired: int = 0
@@ -84,17 +84,17 @@ class Tally:
     hangs: int = 0
     false_reports: int = 0
     board_resets_asked: int = 0
-    """How often the arm's driver asked a person for the reset button."""
+    """Number of times that the arm's driver asked a person to press the reset button."""
     faults_struck: int = 0
     cell_seconds: float = 0.0
     by_fault: dict[str, Counter[str]] = field(default_factory=dict)
     reasons: Counter[str] = field(default_factory=Counter)
-    """Why taps ended before the release was asked for."""
+    """Reasons why taps ended before the release was requested."""
     notes: list[str] = field(default_factory=list)
-    """What went wrong, in words, the first few."""
+    """Descriptions of the first few errors."""
 
     def add(self, other: Tally) -> None:
-        """Add another's counts."""
+        """Add the counts of another tally."""
         for name in [
             "taps",
             "fired",
@@ -116,51 +116,51 @@ class Tally:
 
     @property
     def clean(self) -> bool:
-        """Whether nothing happened that must not."""
+        """Whether no forbidden event occurred."""
         return not (self.double_fires or self.unsafe_fires or self.hangs or self.false_reports)
 
 
 class Clock(Protocol):
-    """The time that the cell lives in."""
+    """Clock of the cell."""
 
     limit: float
     """Time beyond which a call counts as hanging."""
 
     @property
     def now(self) -> float:
-        """s."""
+        """Current time in s."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Direct:
-    """Runs the machines' jobs at once, with nothing else going on; a ``JobContext``."""
+    """``JobContext`` that runs the machines' jobs immediately, without concurrency."""
 
     driver: Any
     transport: Transport
 
     def now(self) -> Now:
-        """Both clocks show the line's time."""
+        """Return the line's time for both clocks."""
         steady = self.transport.now()
         return Now(steady, round(1e9 * steady))
 
     def sleep(self, duration: float) -> None:
-        """Let ``duration`` s pass."""
+        """Sleep for ``duration`` s."""
         self.transport.sleep(duration)
 
     def abandoned(self) -> bool:
-        """Never."""
+        """Return False: a job is never abandoned."""
         return False
 
     def post(self, content: object) -> None:
-        """Nobody listens."""
+        """Discard the progress message."""
 
     def ask(self, query: Callable[[Now], Any]) -> Any:
-        """The answer at this moment."""
+        """Evaluate the query at the current time."""
         return query(self.now())
 
 
 class TrialCell:
-    """Two emulated devices behind bad lines, their drivers, and a witness of the truth."""
+    """Two emulated devices behind faulty lines, their drivers, and a witness of the true states."""
 
     def __init__(self, dialect: Dialect, seed: int, clock: Clock | None = None) -> None:
         self.dialect = dialect
@@ -204,7 +204,7 @@ class TrialCell:
         self._seen = [0, 0]
 
     def _ports(self) -> tuple[Transport, Transport]:
-        """The drivers' ends of both lines."""
+        """Return the drivers' ends of both lines."""
         assert isinstance(self.clock, VirtualClock)
         return (
             VirtualTransport(self.arm_line, self.clock, "arm"),
@@ -213,19 +213,19 @@ class TrialCell:
 
     @contextmanager
     def _arm_held(self) -> Iterator[None]:
-        """The emulated arm does not go on meanwhile."""
+        """Pause the emulated arm in this context."""
         yield
 
     @contextmanager
     def _tapper_held(self) -> Iterator[None]:
-        """The emulated tapper does not go on meanwhile."""
+        """Pause the emulated tapper in this context."""
         yield
 
     def _draw(self, below: int) -> int:
         return int(self.rng.integers(below))
 
     def lines(self) -> list[tuple[tuple[str, Direction], FaultLayer]]:
-        """Both lines, by name and direction."""
+        """Return both lines, by name and direction."""
         return [
             ((name, direction), line)
             for name, line in (("arm", self.arm_line), ("tapper", self.tapper_line))
@@ -233,7 +233,7 @@ class TrialCell:
         ]
 
     def plan_faults(self) -> None:
-        """Draw this tap's faults."""
+        """Plan random faults for this tap."""
         for _ in range(int(self.rng.choice(len(FAULT_COUNTS), p=FAULT_COUNTS))):
             (name, direction), line = self.lines()[int(self.rng.integers(4))]
             span = bytes_of_a_tap(self.dialect)[name, direction]
@@ -241,7 +241,7 @@ class TrialCell:
                 line.add(random_fault(self.rng, direction, line.count(direction), span))
 
     def tap(self) -> FireOutcome:
-        """One tap from wherever the cell is; recovers first. Raises HangError."""
+        """Recover from any state of the cell, then make one tap. Raises HangError."""
         self.shot += 1
         self.goal = None
         self.clock.limit = self.clock.now + CALL_LIMIT
@@ -249,19 +249,20 @@ class TrialCell:
         try:
             outcome = self._tap()
         except HardwareFault as fault:
-            # Every fault that is raised was met before a FIRE could go out.
+            # Every fault that raises an exception occurred before FIRE could be sent.
             outcome = FireOutcome.NOT_FIRED
             self.tally.reasons[fault.reason.value] += 1
         self._report(self.shot, outcome)
         try:
             arm_jobs.withdraw(self._arm_context, self._withdrawal, not_before=self.clock.now)
         except HardwareFault:
-            # The next tap recovers; the striker has been released or surely will not be.
+            # The next tap recovers. By now, the striker has been released, or it certainly will not
+            # be.
             return outcome
         return outcome
 
     def _tap(self) -> FireOutcome:
-        """The jobs of the shipped machines, one after the other."""
+        """Run the jobs of the shipped machines, one after another."""
         tip = self.random_tip()
         path = strike_path(self.geometry, self.arm.read_joints(), tip, self.motion)
         goal = path[-1].joints if path else self.arm.read_joints()
@@ -292,11 +293,12 @@ class TrialCell:
         return withdraw_path(self.geometry, here, self.motion)
 
     def doubt(self, release_by: float, now: Now) -> None:
-        """The last check before FIRE, which notes when a release must be over."""
+        """Store the deadline of the release. This is the last check before FIRE."""
         self.release_by = release_by
 
     def recover(self) -> None:
-        """Bring both devices back to where they take orders, with a person's help at the button."""
+        """Make both devices accept commands again, with simulated help of a person at the
+        button."""
         last = ""
         for _ in range(RECOVERIES):
             try:
@@ -315,7 +317,7 @@ class TrialCell:
                 self.arm.clear_fault()
         except HardwareFault as fault:
             if fault.reason is FaultReason.NEEDS_PERSON:
-                # What the sentence asks of a person.
+                # Simulates the action that the message asks of a person.
                 self.tally.board_resets_asked += 1
                 with self._arm_held():
                     self.arm_device.power_cycle(self.clock.now)
@@ -326,7 +328,7 @@ class TrialCell:
             self.arm.home(HomingStrategy.FIRMWARE)
 
     def _turn_tool_to_its_mark(self) -> None:
-        """What a person does before homing to an axis that has no switch."""
+        """Turn an axis without a switch to its mark, as a person does before homing."""
         assert isinstance(self.arm_device, GrblEmulator)
         with self._arm_held():
             now = self.clock.now
@@ -346,7 +348,7 @@ class TrialCell:
             self.tapper.home()
 
     def random_tip(self) -> TipPose:
-        """Somewhere on the table that the arm reaches, in ``arm_base``."""
+        """Return a random tip pose on the table within the arm's reach, in ``arm_base``."""
         while True:
             x, y = self.rng.uniform((0.25, -0.3), (0.7, 0.3))
             tip = TipPose(float(x), float(y), 0.012, float(self.rng.uniform(-3.1, 3.1)))
@@ -357,12 +359,13 @@ class TrialCell:
         return bool(np.all(np.abs(np.subtract(joints, goal)) <= TRUE_TOLERANCE))
 
     def _true_place(self, now: float) -> tuple[Joints, bool]:
-        """Where the emulated arm truly is, and whether it moves."""
+        """Return the true joints of the emulated arm, and whether it moves."""
         with self._arm_held():
             return Joints(*self.arm_device.joints(now)), self.arm_device.moving(now)
 
     def _check_place(self, reading: Reading, goal: Joints) -> None:
-        """The arm's driver says it stands at the goal: does it?"""
+        """If the arm's driver reports that the goal is reached, compare this with the true
+        joints."""
         if reading.moving or not self._near(reading.joints, goal):
             return
         truth, moving = self._true_place(self.clock.now)
@@ -371,7 +374,7 @@ class TrialCell:
             self._note(f"the arm's driver says {reading.joints}, the arm is at {truth}")
 
     def _witness(self, shot: int, energy: float, now: float) -> float:
-        """The striker was released, in truth."""
+        """Check a true release of the striker."""
         earlier = [s for s, _, _ in self.tapper_device.fires[:-1]]
         if shot in earlier:
             self.tally.double_fires += 1
@@ -396,7 +399,7 @@ class TrialCell:
         setattr(self.tally, outcome.value, getattr(self.tally, outcome.value) + 1)
 
     def check_reports(self) -> None:
-        """Hold every report against what the tapper truly did, also later."""
+        """Compare every report with the true shots of the tapper, including later ones."""
         fired = {shot for shot, _, _ in self.tapper_device.fires}
         for shot, outcome in self.reported.items():
             if outcome is not FireOutcome.UNKNOWN and (
@@ -406,7 +409,7 @@ class TrialCell:
                 self._note(f"shot {shot} was reported {outcome.value}, which is not true")
 
     def forget(self) -> None:
-        """Drop what the witness wrote down, and faults that are still planned."""
+        """Discard the records of the witness and the faults that are still planned."""
         for line in (self.arm_line, self.tapper_line):
             line.happened.clear()
             line.forget()
@@ -415,7 +418,7 @@ class TrialCell:
         self.reported.clear()
 
     def struck(self) -> list[FaultKind]:
-        """Kinds of the faults that struck since the last call."""
+        """Return the kinds of the faults that occurred since the last call."""
         kinds: list[FaultKind] = []
         for index, line in enumerate((self.arm_line, self.tapper_line)):
             kinds += [fault.kind for _, fault in line.happened[self._seen[index] :]]
@@ -428,13 +431,13 @@ class TrialCell:
 
 
 def virtual_cell(dialect: Dialect, seed: int) -> AbstractContextManager[TrialCell]:
-    """A cell in a time of its own."""
+    """Create a cell in simulated time."""
     return nullcontext(TrialCell(dialect, seed))
 
 
 @cache
 def bytes_of_a_tap(dialect: Dialect) -> dict[tuple[str, Direction], int]:
-    """How many bytes one tap without faults sends on each line each way."""
+    """Return the number of bytes that a tap without faults sends on each line in each direction."""
     cell = TrialCell(dialect, 0)
     cell.recover()
     before = {key: line.count(key[1]) for key, line in cell.lines()}
@@ -445,7 +448,8 @@ def bytes_of_a_tap(dialect: Dialect) -> dict[tuple[str, Direction], int]:
 def run_sweep(
     dialect: Dialect, kind: FaultKind, line: str, direction: Direction, places: range
 ) -> Tally:
-    """One tap for each place, with a fault at that byte of it, and one clean tap after it."""
+    """Make one tap with a fault at each of the given bytes, each followed by a tap without
+    faults."""
     total = Tally()
     for place in places:
         cell = TrialCell(dialect, 0)
@@ -475,11 +479,11 @@ def run_taps(
     prepare: Callable[[TrialCell], None] | None = None,
     make: Callable[[Dialect, int], AbstractContextManager[TrialCell]] = virtual_cell,
 ) -> Tally:
-    """``taps`` taps of one cell; ``prepare`` plans the faults before each (random ones if None)."""
+    """Make ``taps`` taps. ``prepare`` plans the faults before each (random faults if None)."""
     total = Tally()
     done = 0
     while done < taps:
-        # After a hang the drivers' state is unknown to us, so a new cell goes on.
+        # After a hang, the state of the drivers is unknown, so the run continues with a new cell.
         with make(dialect, seed + 1_000_003 * total.hangs) as cell:
             began = cell.clock.now
             try:

@@ -1,9 +1,9 @@
-"""Taps over bad serial lines: do the drivers ever act unsafely, hang or say what is not so?
+"""Test taps over faulty serial lines for unsafe actions, hangs and false reports of the drivers.
 
-Runs the real drivers of the arm and the tapper against the emulated devices in their own time, with
+Runs the real drivers of the arm and the tapper against the emulated devices in simulated time, with
 seeded faults on the lines (bytes lost, late, doubled, flipped, split, merged; stalls; ports that
-vanish and return; boards that restart), and holds what the drivers say against what the devices
-did.
+vanish and return; boards that restart), and compares the drivers' reports with the true actions of
+the devices.
 
     python -m tapping_cell faults --goals 1000 --seed 1   # the whole cell in simulated time
     python -m tapping_cell faults --goals 500 --only 'freeze, freeze at a shot'
@@ -16,7 +16,8 @@ did.
     python -m tapping_cell faults --soak 2                # hours of taps: does anything grow?
     python -m tapping_cell faults --crashes               # nodes killed at every phase of a tap
 
-Exit status 0 only if nothing was fired twice or unsafely, nothing hung and every report was true.
+The exit code is 0 only if nothing was fired twice or unsafely, nothing hung and every report was
+true.
 """
 
 from __future__ import annotations
@@ -49,8 +50,8 @@ from tapping_cell.simulation.fault_layer import FaultKind
 from tapping_cell.verification.campaign import GOALS_A_RUN
 
 CHUNK = 100
-"""Taps of one cell from its start: the unit that a process works on; results do not depend on how
-many processes there are."""
+"""Number of taps that a process runs on one new cell. The results do not depend on the number of
+processes."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -124,7 +125,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the taps and report."""
+    """Run the taps and print the results."""
     taps = (20 if arguments.pty else 1000) if arguments.taps is None else arguments.taps
     goals = 1 if arguments.goals is None else arguments.goals
     if taps < 1 or goals < 1 or arguments.jobs < 1 or arguments.seed < 0:
@@ -200,12 +201,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _kinds(only: str) -> tuple[str, ...]:
-    """Kinds of faults out of a list with commas."""
+    """Parse a comma-separated list of fault kinds."""
     return tuple(kind.strip() for kind in only.split(",") if kind.strip())
 
 
 def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:
-    """The dialects side by side, as far as there are processes for them."""
+    """Run the dialects in parallel, as far as the number of processes allows."""
     with ProcessPoolExecutor(min(arguments.jobs, len(dialects))) as pool:
         jobs = [pool.submit(soak, d, arguments.soak, arguments.seed) for d in dialects]
         runs = [job.result() for job in jobs]
@@ -226,7 +227,7 @@ def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:
 
 
 def _crashes(arguments: argparse.Namespace) -> int:
-    """Needs ROS, which the other runs do without."""
+    """Run the crash trials, which need ROS, unlike the other runs."""
     from tapping_cell.cli import crash_trials
 
     nodes, phases = arguments.node or SIMULATED, arguments.phase or crash_trials.PHASES
@@ -262,7 +263,7 @@ def _crashes(arguments: argparse.Namespace) -> int:
 
 
 def _random(dialects: list[Dialect], taps: int, seed: int) -> list[Callable[[], Tally]]:
-    """The run in pieces, each with a seed of its own."""
+    """Divide the run into parts, each with its own seed."""
     return [
         partial(
             run_taps,
@@ -275,7 +276,8 @@ def _random(dialects: list[Dialect], taps: int, seed: int) -> list[Callable[[], 
 
 
 def _sweep(dialects: list[Dialect]) -> list[Callable[[], Tally]]:
-    """A restart and an unplug at every byte of one tap, both lines, both ways."""
+    """Test a restart and a disconnection at every byte of one tap, on both lines, in both
+    directions."""
     return [
         partial(run_sweep, dialect, kind, *place, range(first, min(first + CHUNK, count)))
         for dialect in dialects

@@ -1,13 +1,13 @@
 """Fit an object's friction, torque factor and impact to records of single taps.
 
-RECORDS are folders with experiment.yaml, run_01.csv ... and tracks, as single-tap writes them, or
-CSV files that somebody else filled in (docs/calibration.md says what the columns hold). Rows that
-cannot be used are named by file and row and left out.
+RECORDS are folders with experiment.yaml, run_01.csv ... and tracks, as written by single-tap, or
+CSV files from another source (docs/calibration.md describes the columns). Unusable rows are
+reported with file and row, and ignored.
 
-Shape and mass are those of --object, or of the object in the records' header. With --output the
-fitted values go to an object file that the planner reads; without it nothing is written. No file is
-replaced unless --force is given, and one with smaller residuals or uncertainty only with
---accept-worse as well.
+Shape and mass are taken from --object, or from the object in the records' header. With --output,
+the fitted values are written to an object file that the planner reads; without it, nothing is
+written. An existing file is replaced only with --force, and a file with smaller residuals or
+uncertainty only if --accept-worse is given as well.
 
   python -m tapping_cell fit records/ --output config/objects/my_disk.yaml --report fit_report
   python -m tapping_cell fit mine.csv --object config/objects/aluminium_disk.yaml --json
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fit; 0 done, 2 records or files that cannot be used."""
+    """Run the fit. Return 0 on success, 2 for unusable records or files."""
     from tapping_cell.calibration.csv_table import RecordError
     from tapping_cell.calibration.experiment import read_experiment
     from tapping_cell.calibration.keep import KeptFile, refuse_existing, write_kept
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _content(experiments: Sequence[Experiment], path: Path | None) -> ObjectFile:
-    """The object that was tapped: the given file, or what the header of the records says."""
+    """Return the tapped object, from the given file or from the header of the records."""
     from tapping_cell.calibration.csv_table import RecordError
     from tapping_cell.configuration.objects import load_object
 
@@ -109,7 +109,7 @@ def _content(experiments: Sequence[Experiment], path: Path | None) -> ObjectFile
 
 
 def figures(fit: ObjectFit) -> dict[str, Any]:
-    """Everything that was found, SI."""
+    """Return all results, in SI units."""
     return {
         "object": fit.content.name,
         "trials": len(fit.used),
@@ -142,12 +142,12 @@ def figures(fit: ObjectFit) -> dict[str, Any]:
 
 
 def _number(value: Any) -> Any:
-    """JSON knows no NaN."""
+    """Replace NaN, which JSON does not support, by None."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def lines(fit: ObjectFit) -> list[str]:
-    """The result for people: mm, degrees, percent."""
+    """Format the result in mm, degrees and percent."""
     text = [
         f"{fit.content.name}: {len(fit.used)} trials in {len(fit.runs)} runs, "
         f"{len(fit.left_out)} left out",

@@ -1,4 +1,4 @@
-"""The report of a fit: its numbers in mm, degrees and percent, for ``report.single_tap_page``."""
+"""Report of a fit, with numbers in mm, degrees and percent, for ``report.single_tap_page``."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _MM, _DEG = 1e3, 180 / math.pi
 
 
 def write_report(folder: Path, fit: ObjectFit, record: Provenance) -> Path:
-    """Write the page and its figures; returns the page."""
+    """Write the page and its figures. Return the path of the page."""
     return write_page(report_of(fit, record), folder)
 
 
 def report_of(fit: ObjectFit, record: Provenance) -> SingleTapReport:
-    """The fit as the report shows it."""
+    """Convert the fit to the contents of the report."""
     return SingleTapReport(
         title=f"Single taps of the {fit.content.name}",
         made=record.made,
@@ -81,7 +81,8 @@ def _run(run: RunErrors) -> RunError:
 
 
 def _shown_trials(fit: ObjectFit) -> list[int]:
-    """Of the trials with a track the one that turns most, and a middling one of another run."""
+    """Return the trial with a track that rotates most, and one with medium rotation from another
+    run."""
     tracked = [i for i, entry in enumerate(fit.used) if entry.motion.slide is not None]
     by_rotation = sorted(tracked, key=lambda i: -abs(fit.measured.rotation[i]))
     chosen = by_rotation[:1]
@@ -92,7 +93,7 @@ def _shown_trials(fit: ObjectFit) -> list[int]:
 
 
 def _profile(fit: ObjectFit, index: int) -> ProfileView:
-    """One trial beside the slide that its displacement calls for."""
+    """Return one trial together with the slide that the model predicts for its displacement."""
     slide = fit.used[index].motion.slide
     assert slide is not None
     trial = fit.used[index].trial
@@ -102,7 +103,7 @@ def _profile(fit: ObjectFit, index: int) -> ProfileView:
     curve_time, curve = _curve(fit, index, fit.slide.torque_factor)
     plain_time, plain = _curve(fit, index, 1.0)
     steps = np.diff(time)
-    # A step across the impact is half rest and half slide: no velocity.
+    # A sample interval that contains the impact gives no valid velocity.
     whole = (time[:-1] > 0) | (time[1:] < 0)
     return ProfileView(
         title=f"run {fit.labels[index]}, trial {trial.trial}: speed",
@@ -124,12 +125,13 @@ def _profile(fit: ObjectFit, index: int) -> ProfileView:
 
 
 def _sliding(fit: ObjectFit, torque_factor: float) -> Sliding:
-    """Of the body, a polygon by its equivalent disk, as in the fit."""
+    """Return the sliding model of the body. A polygon is replaced by its equivalent disk, as in the
+    fit."""
     return Sliding(fit.content.body(), fit.slide.friction, torque_factor, GRAVITY).approximated()
 
 
 def _curve(fit: ObjectFit, index: int, torque_factor: float) -> tuple[NDArray[np.float64], Profile]:
-    """Times in ms and the profile of the launch that makes the trial's displacement."""
+    """Return times in ms and the slide profile whose displacement equals that of the trial."""
     sliding = _sliding(fit, torque_factor)
     distance, rotation = fit.measured.distance[index], fit.measured.rotation[index]
     speed, spin = sliding.launch(float(distance), float(rotation))

@@ -1,4 +1,4 @@
-"""Words for what a fit found, alike on the terminal and in the report."""
+"""Texts for the results of a fit, shared by the terminal and the report."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _WORDS = {
 
 
 def speed_lines(fit: ObjectFit) -> list[str]:
-    """The measured striker's speed at each setting."""
+    """Format the measured striker speed at each setting."""
     found = []
     for point in fit.tapper:
         setting = (
@@ -42,7 +42,7 @@ def speed_lines(fit: ObjectFit) -> list[str]:
 
 
 def shown(entry: Estimate) -> tuple[str, float]:
-    """Words for an estimate, and the factor to the unit in them."""
+    """Return the text for an estimate, and the factor to the unit in the text."""
     factor = 1.0
     if entry.name.startswith("scatter"):
         factor = 180 / math.pi if entry.unit == "rad" else 100.0

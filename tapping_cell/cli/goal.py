@@ -30,12 +30,12 @@ STARTING = (
     ErrorCode.TAPPER_SILENT,
     ErrorCode.CAMERA_SILENT,
 )
-"""With these codes a cell that has not started in full ends a goal: it is sent again meanwhile."""
+"""A cell that is still starting ends a goal with one of these codes, so the goal is sent again."""
 AGAIN_S = 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     parser.add_argument("x", type=argument_types.within(-10000, 10000), help="goal in table, mm")
     parser.add_argument("y", type=argument_types.within(-10000, 10000), help="goal in table, mm")
     parser.add_argument("theta", type=float, help="goal in table, degrees")
@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def result_of(finished: Finished) -> dict[str, object]:
-    """The end of a goal for a program, in mm and degrees; None where nothing is known."""
+    """Return the end of a goal for JSON output, in mm and degrees; unknown values are None."""
     known = math.isfinite(finished.residual_distance)
     return {
         "reached": finished.error_code == 0,
@@ -85,7 +85,7 @@ def result_of(finished: Finished) -> dict[str, object]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 reached, 1 not reached, 130 canceled."""
+    """Run the verb. Return 0 if the goal was reached, 1 if not, 130 if canceled."""
     console = session.console_of(arguments)
     session.end_on_signals()
     goal = Pose(arguments.x / 1000, arguments.y / 1000, math.radians(arguments.theta))

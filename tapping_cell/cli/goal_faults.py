@@ -18,14 +18,15 @@ from tapping_cell.verification.mutants import MUTANTS, Mutant
 from tapping_cell.verification.trial import run_trial
 
 TRACE_LINES = 60
-"""Lines of a violation's trace that are printed; ``--replay`` writes all."""
+"""Number of printed lines of a violation's trace; ``--replay`` prints the whole trace."""
 NAME_WIDTH = 52
 GOALS_IN_A_STEP = 100
-"""Goals between two looks at whether a mutant was caught."""
+"""Number of goals between two checks whether a mutant was detected."""
 
 
 def run_goals(goals: int, seed: int, jobs: int, as_json: bool, only: Sequence[str] = ()) -> int:
-    """Run a campaign; exit status 0 only if nothing was violated. ``only``: of these faults."""
+    """Run a campaign. Return exit code 0 only without any violation. ``only``: kinds of faults to
+    use."""
     unknown = sorted(set(only) - set(KINDS))
     if unknown:
         tell_error(f"no such faults: {', '.join(unknown)}; choose from: {', '.join(KINDS)}")
@@ -65,7 +66,8 @@ def replay(seed: int, goals: int, only: Sequence[str] = ()) -> int:
 
 
 def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json: bool) -> int:
-    """Plant each mutant in processes of its own; exit status 0 only if all are caught."""
+    """Test each mutant in separate processes. Return exit code 0 only if all mutants are
+    detected."""
     unknown = sorted(set(names) - {mutant.name for mutant in MUTANTS})
     if unknown:
         tell_error(f"no such mutants: {'; '.join(unknown)}")
@@ -90,7 +92,7 @@ def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json:
 
 
 def _hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]:
-    """Look for a violation with a mutant planted, on all cores."""
+    """Search for a violation with an active mutant, on all cores."""
     done = 0
     while done < goals:
         step = min(GOALS_IN_A_STEP, -(-(goals - done) // jobs))

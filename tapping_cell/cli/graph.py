@@ -1,4 +1,5 @@
-"""The node graph as child processes: started together, watched, and always ended together."""
+"""Node graph as child processes, which are started together, monitored, and always ended
+together."""
 
 from __future__ import annotations
 
@@ -27,25 +28,27 @@ HARDWARE = ("overhead_camera", "camera_pose", "tap_planner", "scara_arm", "tappe
 FIRST_TRIGGER = "tapper_trigger"
 
 RECORDER = "run_recorder"
-"""Records every goal; the cell works without it, so that its end does not end the graph."""
+"""Recorder of every goal. The cell works without it, so its end does not end the graph."""
 
 PATIENCE_S = 5.0
-"""Time that a node is given to end by itself before it is killed."""
+"""Time for a node to exit before it is killed."""
 
 MOST_RECORDER_STARTS = 3
-"""A recorder that ends more often than this is left alone: its log says why."""
+"""Maximum number of restarts of a recorder that keeps ending. Its log states the cause."""
 
 LAST_DOMAIN = 232
-"""Beyond it the middleware's port numbers end."""
+"""Highest ROS domain. Beyond it, the middleware has no valid port numbers."""
 
 OWN_DOMAINS = range(1, 102)
-"""Domains that clear the ephemeral ports of Linux; 0 is everybody's."""
+"""Domains whose ports do not overlap the ephemeral ports of Linux. Domain 0 is the shared
+default."""
 
 _PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux' prctl(2)
 
 
 def nodes_of(cell: Cell, *, hardware: bool) -> tuple[str, ...]:
-    """The nodes of a cell: an arm's driver where there is one, a ``tapper_trigger`` a board."""
+    """Return the nodes of a cell: the arm's driver if there is an arm, one ``tapper_trigger`` per
+    board."""
     nodes: tuple[str, ...] = HARDWARE if hardware else SIMULATED
     if cell.file.arm is None:
         nodes = tuple(name for name in nodes if name != "scara_arm")
@@ -53,47 +56,48 @@ def nodes_of(cell: Cell, *, hardware: bool) -> tuple[str, ...]:
 
 
 def trigger(board: int) -> str:
-    """The name of the node that drives a board."""
+    """Return the name of the node that drives a board."""
     return f"{FIRST_TRIGGER}_{board}" if board else FIRST_TRIGGER
 
 
 class GraphError(RuntimeError):
-    """The graph cannot run, or no longer; the sentence says why."""
+    """The graph cannot start or continue. The message states the reason."""
 
 
 class NodeDied(GraphError):
-    """A node ended by itself; the sentence says which, with what status and its last words."""
+    """A node ended unexpectedly. The message contains its name, exit code and last output."""
 
 
 @dataclass(frozen=True, slots=True)
 class Child:
-    """One node's process and its log."""
+    """Process of one node and its log."""
 
     name: str
     process: subprocess.Popen[bytes]
     log: Path
     stream: IO[bytes]
     said_before: int
-    """Length of the log in bytes when this process began."""
+    """Length of the log in bytes when this process started."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """A node's process that has ended by itself."""
+    """Process of a node that ended unexpectedly."""
 
     name: str
     status: int
     words: str
-    """The last lines of its log."""
+    """Last lines of its log."""
 
     @property
     def refused(self) -> bool:
-        """Whether it refused its parameters or files: it would do so again."""
+        """Whether the node rejected its parameters or files, which it would do again after a
+        restart."""
         return self.status > 0 and self.words.rpartition(" | ")[2].startswith("error: ")
 
     @property
     def sentence(self) -> str:
-        """What happened."""
+        """Description of the end."""
         how = f"with status {self.status}"
         if self.status < 0:
             how = f"by the signal {signal.Signals(-self.status).name}"
@@ -104,8 +108,8 @@ class Ended:
 class Graph:
     """The nodes of one cell as processes.
 
-    Use as a context manager: however the block is left, every process has ended afterwards. Where
-    this process itself is killed, the kernel ends the children.
+    Use as a context manager: every process has ended when the block is left for any reason. If this
+    process itself is killed, the kernel ends the children.
     """
 
     def __init__(
@@ -117,11 +121,13 @@ class Graph:
         namespace: str = "",
         parameter_file: Path | None = None,
     ) -> None:
-        """``parameters`` of a node win over those of ``parameter_file``, which is for all."""
+        """``parameters`` of a node override those of ``parameter_file``, which apply to all
+        nodes."""
         self._nodes = tuple(nodes)
         self._parameters = parameters
         self._log_folder = log_folder
-        # The nodes' matrices are small: threads of the linear algebra only get in each other's way.
+        # The nodes' matrices are small, so additional threads of the linear algebra library only
+        # slow them down.
         one_thread = {"OPENBLAS_NUM_THREADS": "1"}
         self._environment = {**one_thread, **os.environ, **(environment or {})}
         self._namespace = namespace
@@ -166,7 +172,7 @@ class Graph:
             command += ["--enclave", security.enclave_of(kind)]
         if self._namespace:
             command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
-            # Two cells have the same names of frames: each keeps its own.
+            # Two cells use the same frame names, so each has its own tf topics.
             command += ["-r", "/tf:=tf", "-r", "/tf_static:=tf_static"]
         if self._parameter_file is not None:
             command += ["--params-file", str(self._parameter_file)]
@@ -181,14 +187,14 @@ class Graph:
             stdin=subprocess.DEVNULL,
             stdout=stream,
             stderr=subprocess.STDOUT,
-            # A Ctrl-C at the terminal reaches only this process, which then ends the nodes.
+            # A Ctrl-C at the terminal then reaches only this process, which ends the nodes.
             start_new_session=True,
             preexec_fn=_die_with_parent,
         )
         return Child(name, process, log, stream, said_before)
 
     def ended(self) -> list[Ended]:
-        """The nodes that have ended by themselves and were not started again."""
+        """Return the nodes that ended unexpectedly and were not restarted."""
         return [
             Ended(child.name, status, last_words(child.log, child.said_before))
             for child in self._children
@@ -196,10 +202,10 @@ class Graph:
         ]
 
     def check(self) -> None:
-        """Raise where a node has ended; the recorder is started again, a few times.
+        """Raise an error if a node has ended. The recorder is restarted instead, a few times.
 
         Raises:
-            NodeDied: with the node's last words.
+            NodeDied: with the node's last output.
         """
         for ended in self.ended():
             if ended.name != RECORDER:
@@ -209,7 +215,7 @@ class Graph:
                 self.restart(RECORDER)
 
     def restart(self, name: str) -> None:
-        """Start a node again that has ended, or was killed.
+        """Restart a node that has ended or was killed.
 
         Raises:
             KeyError: the graph has no such node.
@@ -226,7 +232,7 @@ class Graph:
         return {child.name: child.process.pid for child in self._children}
 
     def stop(self) -> None:
-        """End every node: a polite signal, then, after PATIENCE_S, a kill."""
+        """End every node by an interrupt signal and, after PATIENCE_S, by a kill signal."""
         for child in self._children:
             _signal_group(child, signal.SIGINT)
         deadline = time.monotonic() + PATIENCE_S
@@ -244,7 +250,7 @@ class Graph:
 
 
 def last_words(log: Path, begin: int = 0, lines: int = 3) -> str:
-    """The last lines of a node's log from a byte on, in one line."""
+    """Return the last lines of a node's log, starting at byte ``begin``, joined to one line."""
     text = log.read_bytes()[begin:].decode("utf-8", errors="replace")
     kept = [line.strip() for line in text.splitlines() if line.strip()]
     return " | ".join(kept[-lines:]) or "it said nothing"
@@ -263,8 +269,8 @@ def _die_with_parent() -> None:
 
 
 def parameter_text(value: object) -> str:
-    """A parameter's value as ROS's command line reads it, which is as YAML: texts stand in quotes,
-    so that a folder named ``101`` or ``no`` stays a text."""
+    """Format a parameter value for ROS's command line, which parses it as YAML. Strings are quoted,
+    so that a folder named ``101`` or ``no`` remains a string."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, (str, Path)):
@@ -275,8 +281,8 @@ def parameter_text(value: object) -> str:
 def with_own_ports(
     parameters: dict[str, dict[str, object]], ports: Path = STATE / "{cell}"
 ) -> dict[str, dict[str, object]]:
-    """Parameters of a simulated graph, with serial ports in a folder of its own. Nobody can be hurt
-    in it, so that its arm homes by itself."""
+    """Return the parameters of a simulated graph with serial ports in its own folder. The simulated
+    arm homes automatically, because it cannot hurt anyone."""
     own = {name: dict(values) for name, values in parameters.items()}
     own["sim_world"] |= {"arm_port": ports / "arm", "tapper_port": ports / "tapper"}
     if "scara_arm" in own:
@@ -288,7 +294,7 @@ def with_own_ports(
 
 
 def domain_number(environment: Mapping[str, str] = os.environ) -> int:
-    """The ROS domain that an environment chooses; 0 where it says nothing.
+    """Return the ROS domain that an environment selects; 0 if it selects none.
 
     Raises:
         GraphError: ROS_DOMAIN_ID is not a domain.
@@ -303,15 +309,15 @@ def domain_number(environment: Mapping[str, str] = os.environ) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Domain:
-    """A ROS domain held for one run, so that two runs side by side do not meet."""
+    """ROS domain reserved for one run, so that concurrent runs are isolated."""
 
     number: int
     held: socket.socket | None
 
 
 def own_domain() -> Domain:
-    """The domain of ROS_DOMAIN_ID where it is set, else one that no other run on this machine uses,
-    whoever started it; held until this process ends.
+    """Return the domain of ROS_DOMAIN_ID if it is set, otherwise a domain that no other run of any
+    user on this machine uses. It is reserved until this process ends.
 
     Raises:
         GraphError: every domain is in use, or ROS_DOMAIN_ID is not a domain.

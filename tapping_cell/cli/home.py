@@ -1,4 +1,5 @@
-"""Home the arm of a running cell, and wait until it is done. See that its way is free.
+"""Home the arm of a running cell, and wait until homing is complete. First check that its path is
+free.
 
 python -m tapping_cell home
 """
@@ -14,7 +15,7 @@ from tapping_cell.nodes.clients.cell_client import CellClient
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     cell_arguments.add_arguments(parser)
     parser.add_argument(
         "--wait",
@@ -25,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 the arm is homed and idle, 1 it is not: the sentence says why."""
+    """Run the verb. Return 0 if the arm is homed and idle, otherwise 1 with a message."""
 
     def home(client: CellClient) -> int:
         client.wait_for_cell(cell_arguments.PATIENCE_S)

@@ -1,14 +1,14 @@
 """Learn an object's friction, torque factor, smallest tap and scatter by tapping it.
 
 Starts the simulated cell (or the hardware with --hardware, or joins a running cell with --attach)
-with the object file, sends goals about where the object lies, the first with a probe of tiny taps,
-until the values are known well enough or --goals are made, and fits the taps. `new-object` makes
-the object file from a picture.
+with the object file. It sends goals around the object's position, the first with a probe of tiny
+taps, until the values are known well enough or --goals goals are made, and fits the taps.
+`new-object` makes the object file from an image.
 
   python -m tapping_cell learn-object --object bracket.yaml --output bracket_learnt.yaml
 
-With RUNS it learns from run folders of earlier goals instead, and moves nothing; --object is the
-file that was in use in them. What was learnt is written to --output; the rest stays as it was.
+With RUNS, it learns from run folders of earlier goals instead, and moves nothing; --object is the
+object file used in those runs. The learnt values are written to --output; all others are copied.
 
   python -m tapping_cell learn-object runs/* --object guess.yaml --output my_disk.yaml
 """
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 MOST_GOALS = 9
 LEAST_TAPS = 15
 FRICTION_KNOWN, FACTOR_KNOWN = 0.02, 0.1
-"""Relative standard deviations of friction and torque factor that are good enough: well below a
-tap's own scatter, which is then what limits the next goals."""
+"""Sufficient relative standard deviations of friction and torque factor. They are well below the
+scatter of a tap, which then limits the next goals."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Learn; 0 done, 1 the cell stopped it, 2 runs or files that cannot be used."""
+    """Run the verb. Return 0 on success, 1 if the cell stopped it, 2 for unusable runs or files."""
     from dataclasses import replace
 
     from tapping_cell.calibration.csv_table import RecordError
@@ -110,10 +110,10 @@ LEARNT = "Learnt from taps (tapping_cell learn-object)."
 
 
 def _probed(arguments: argparse.Namespace, content: ObjectFile) -> tuple[list[Path], int]:
-    """The folders of goals that are made now, and the exit status if that failed.
+    """Send goals now. Return their folders and the exit code if that failed.
 
     Raises:
-        ConfigurationError: the cell's files cannot be used.
+        ConfigurationError: the cell's files are unusable.
     """
     from rich.console import Console
 
@@ -140,7 +140,7 @@ def _probed(arguments: argparse.Namespace, content: ObjectFile) -> tuple[list[Pa
 
 
 def _resume(arguments: argparse.Namespace, folders: list[Path]) -> str:
-    """How to learn from what is there."""
+    """Return a hint for learning from the recorded runs."""
     runs = " ".join(str(folder) for folder in folders)
     return (
         f"what is recorded is kept: python -m tapping_cell learn-object {runs} --object "
@@ -149,7 +149,7 @@ def _resume(arguments: argparse.Namespace, folders: list[Path]) -> str:
 
 
 def _known(folders: list[Path], content: ObjectFile) -> bool:
-    """Whether friction and torque factor are known well enough from these runs."""
+    """Return whether these runs determine friction and torque factor well enough."""
     from tapping_cell.calibration.csv_table import RecordError
     from tapping_cell.calibration.learnt_object import learn_object
 
@@ -169,7 +169,8 @@ def _known(folders: list[Path], content: ObjectFile) -> bool:
 
 
 def _taps(folders: list[Path], name: str) -> tuple[Any, Any]:
-    """Commanded and measured displacements of the fired taps, (n, 3), in the object's axes."""
+    """Return commanded and measured displacements of the fired taps, (n, 3), in the object's
+    axes."""
     import numpy as np
 
     from tapping_cell.calibration.csv_table import RecordError
@@ -200,7 +201,7 @@ def _taps(folders: list[Path], name: str) -> tuple[Any, Any]:
 
 
 def _turned(move: Any, tap: Any) -> tuple[float, float, float]:
-    """A displacement in ``table`` in the axes of the object before the tap."""
+    """Rotate a displacement from ``table`` to the axes of the object before the tap."""
     cos, sin = math.cos(tap.before.theta), math.sin(tap.before.theta)
     return cos * move.x + sin * move.y, cos * move.y - sin * move.x, move.theta
 

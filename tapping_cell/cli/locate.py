@@ -1,11 +1,10 @@
-"""Find objects in image files: where each is on the table, how well that is known, how long it
-took.
+"""Find objects in image files: their poses on the table, the uncertainty and the computing time.
 
-Every image is judged by itself, by the same pipeline as the live camera's frames; with --sequence
-they are frames of one steady camera in the order given, so that the table's pose is averaged and
-frames at rest are fused. Several objects (--object given more than once) are told apart by their
-markers' ids or by their outlines. Lengths are in mm, angles in degrees, in the frame `table`. Exit
-status 1 if no object was found in any image.
+Every image is processed independently, by the same pipeline as the live camera's frames. With
+--sequence, they are consecutive frames of one fixed camera, so that the table's pose is averaged
+and frames at rest are fused. Several objects (--object given more than once) are distinguished by
+their marker ids or by their outlines. Lengths are in mm, angles in degrees, in the frame `table`.
+The exit code is 1 if no object was found in any image.
 
   python -m tapping_cell locate shot1.png shot2.png --camera config/camera_info.yaml \\
       --table config/table.yaml --object config/objects/aluminium_disk.yaml --annotate pictures
@@ -57,12 +56,12 @@ from tapping_cell.vision import (
 from tapping_cell.vision.markers.detection import dictionary_name
 
 FRAME_PERIOD = 1.0 / 30.0
-"""Seconds between the images of a --sequence, as far as speeds are concerned."""
+"""Assumed time in s between the images of a --sequence, for estimating speeds."""
 
 
 @dataclass(frozen=True, slots=True)
 class SeenObject:
-    """What of an object file matters to the camera; its other keys are not read."""
+    """Part of an object file that the camera needs; its other keys are not read."""
 
     shape: ShapeSection = section("outline of the object")
     height: float = quantity("height of the top above the table", "m", 0.0, 0.5)
@@ -71,11 +70,11 @@ class SeenObject:
     name: str = text("name of the object, for people", default="")
 
     def seen(self) -> ObjectMarker | ObjectOutline:
-        """What the tracker looks for."""
+        """Return the marker or outline for the tracker."""
         return seen_as(self.shape, self.height, self.marker, self.outline)
 
     def rim(self) -> NDArray[np.float64]:
-        """Points (N, 2) of the outline in the object's frame, in m."""
+        """Return points (N, 2) of the outline in the object's frame, in m."""
         if self.shape.vertices is not None:
             return np.array(self.shape.vertices)
         angle = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
@@ -106,7 +105,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Locate the object in every image; 0 if it was found in one, 1 if in none, 2 for bad files."""
+    """Locate the object in every image. Return 0 if it was found in an image, 1 if in none, 2 for
+    invalid files."""
     try:
         camera = load_camera_model(arguments.camera or shared_folder() / "camera_info.yaml")
         table = load_reference_map(arguments.table or shared_folder() / "table.yaml")
@@ -150,7 +150,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class Search:
-    """A tracker for every object, each of which knows of the others."""
+    """One tracker per object; each takes account of the other objects."""
 
     def __init__(
         self,
@@ -158,23 +158,25 @@ class Search:
         table: ReferenceMap,
         seen: Sequence[ObjectMarker | ObjectOutline],
     ) -> None:
-        """Raises ValueError where two objects have the same marker."""
+        """Raises ValueError if two objects have the same marker."""
         self._camera, self._table, self._seen = camera, table, tuple(seen)
         self._settings = TrackerSettings(other_ids=marker_ids(self._seen))
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was seen."""
+        """Discard the tracks."""
         self.trackers = [
             PoseTracker(self._camera, self._table, seen, self._settings) for seen in self._seen
         ]
 
 
 def read_photograph(path: Path, size: tuple[int, int]) -> NDArray[np.uint8] | str:
-    """A picture in grey, 8 bits, as a camera of this size (width, height) has it; or why not.
+    """Return an image in grey, 8 bits, for a camera of this size (width, height), or an error
+    message.
 
-    Pixels count as the sensor had them. Only where these are not of the camera's size and those
-    that a viewer shows are, because the file says that it is to be turned, the latter are taken.
+    The rotation flag of the file is ignored, so that pixels are arranged as on the sensor. Only if
+    the unrotated image does not have the camera's size but the rotated one does, the latter is
+    used.
     """
     if not path.exists():
         return f"{path} does not exist; check the name"
@@ -188,7 +190,7 @@ def read_photograph(path: Path, size: tuple[int, int]) -> NDArray[np.uint8] | st
         turned = cv2.imread(str(path), deep)
         image = image if turned is None or turned.shape != size[::-1] else turned
     if image.dtype == np.uint16:
-        # Cameras of 10, 12 or 14 bits leave the upper ones of the file's 16 empty.
+        # Cameras with 10, 12 or 14 bits leave the upper bits of the file's 16 empty.
         bits = max(8, int(image.max()).bit_length())
         return np.asarray(image // 2 ** (bits + bits % 2 - 8), dtype=np.uint8)
     if image.dtype != np.uint8:
@@ -197,7 +199,7 @@ def read_photograph(path: Path, size: tuple[int, int]) -> NDArray[np.uint8] | st
 
 
 def load_seen_object(path: Path) -> SeenObject:
-    """Shape, height and marker or outline out of an object file.
+    """Read shape, height and marker or outline from an object file.
 
     Raises:
         ConfigurationError: names file, key, value and range.
@@ -217,7 +219,7 @@ def load_seen_object(path: Path) -> SeenObject:
 
 
 def refuse_reference(path: Path, seen: SeenObject, table: ReferenceMap) -> None:
-    """Raises ConfigurationError where the object's marker is one of the table's."""
+    """Raise ConfigurationError if the object's marker is one of the table's."""
     marker = seen.marker
     if marker is None or dictionary_name(marker.dictionary) != dictionary_name(table.dictionary):
         return
@@ -229,7 +231,7 @@ def refuse_reference(path: Path, seen: SeenObject, table: ReferenceMap) -> None:
 
 
 def result(path: Path, name: str, observation: Observation, milliseconds: float) -> dict[str, Any]:
-    """The answer for one object in one image: mm and degrees."""
+    """Return the result for one object in one image, in mm and degrees."""
     entry = unread(path, name, observation.sentence)
     entry["milliseconds"] = round(milliseconds, 2)
     entry["references"] = list(observation.references_used)
@@ -251,7 +253,7 @@ def result(path: Path, name: str, observation: Observation, milliseconds: float)
 
 
 def unread(path: Path, name: str, sentence: str) -> dict[str, Any]:
-    """The answer for an image in which nothing was found."""
+    """Return the result for an image in which nothing was found."""
     return {
         "image": str(path),
         "object": name,
@@ -272,7 +274,7 @@ def unread(path: Path, name: str, sentence: str) -> dict[str, Any]:
 
 
 def write_picture(folder: Path, name: str, picture: NDArray[np.uint8]) -> None:
-    """Write an annotated picture under a name, as PNG.
+    """Write an annotated image as PNG.
 
     Raises:
         OSError: the folder or the file cannot be written.
@@ -284,7 +286,7 @@ def write_picture(folder: Path, name: str, picture: NDArray[np.uint8]) -> None:
 
 
 def table_of(results: list[dict[str, Any]]) -> str:
-    """The answers as lines for people."""
+    """Format the results as text lines."""
     several = len({entry["object"] for entry in results}) > 1
     names = [
         Path(entry["image"]).name + (f" {entry['object']}" if several else "") for entry in results

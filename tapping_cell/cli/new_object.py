@@ -1,15 +1,15 @@
-"""Write the first file of an object that has none, from one picture of it.
+"""Create the object file of a new object from one image of it.
 
-Put the object alone on the table, below the camera, and take a picture that shows the table's
-reference markers. Its outline, and the marker on it if it has one, are read from the picture; only
-the height has to be measured. Friction and torque factor are values in the middle of what objects
-have: `learn-object` measures them with the cell.
+Put the object alone on the table, below the camera, and take an image that shows the table's
+reference markers. The object's outline, and its marker if it has one, are read from the image; only
+the height has to be measured. Friction and torque factor are set to typical values: `learn-object`
+measures them with the cell.
 
   python -m tapping_cell new-object shot.png --name bracket --height 12 --output bracket.yaml
   python -m tapping_cell learn-object --object bracket.yaml --output bracket_learnt.yaml
 
-Without a marker, an outline that looks the same after a turn (a disk, a square) does not show the
-object's angle: stick a marker on it.
+Without a marker, the orientation of an object with a rotationally symmetric outline (a disk, a
+square) is ambiguous: stick a marker on it.
 """
 
 from __future__ import annotations
@@ -56,7 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Trace and write; 0 written, 2 a picture or values that cannot be used."""
+    """Trace the object and write the file. Return 0 on success, 2 for an unusable image or
+    values."""
     from tapping_cell.calibration.object_file import object_yaml
     from tapping_cell.cli.locate import read_photograph
     from tapping_cell.configuration.files import shared_folder
@@ -93,10 +94,10 @@ HEADING = "Shape and looks from a picture (tapping_cell new-object); friction an
 
 
 def _object(arguments: argparse.Namespace, traced: TracedObject) -> ObjectFile:
-    """The file's content.
+    """Return the file's content.
 
     Raises:
-        ValueError: it is impossible, or cannot be seen.
+        ValueError: the object is invalid, or cannot be detected.
     """
     from dataclasses import replace
 
@@ -123,7 +124,7 @@ def _object(arguments: argparse.Namespace, traced: TracedObject) -> ObjectFile:
 
 
 def told(made: ObjectFile, traced: TracedObject) -> list[str]:
-    """What was seen, for people, in mm."""
+    """Format the traced object, in mm."""
     shape = made.shape
     if shape.radius is not None:
         text = f"{shape.kind} of {2e3 * shape.radius:.2f} mm in diameter"

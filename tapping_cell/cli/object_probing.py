@@ -1,4 +1,5 @@
-"""Goals that make the cell tap an object of which little is known, and their runs' folders."""
+"""Send goals that make the cell tap an object with unknown parameters, and return the run
+folders."""
 
 from __future__ import annotations
 
@@ -25,26 +26,27 @@ from tapping_cell.se2 import Pose, wrap_angle
 READY_PATIENCE_S = 60.0
 RECORD_PATIENCE_S = 60.0
 REACH, TURN = 0.025, math.radians(20.0)
-"""Goals lie on a circle of this radius (m) about where the object lay first, turned by so much
-either way: far enough that friction shows, near enough that a place with room stays one."""
+"""Radius (m) of the circle of goals about the object's first position, and their rotation in either
+direction (rad): large enough to measure friction, small enough that the object keeps clearance."""
 BETWEEN = math.radians(137.5)
-"""From one goal's direction to the next: however many there are, they are spread evenly."""
+"""Angle (rad) between the directions of successive goals, which spreads any number of goals
+evenly."""
 IN_A_ROW = 3
-"""So many goals that end without a tap end the session."""
+"""Number of consecutive goals without a tap after which the session ends."""
 
 
 class ProbingStopped(RuntimeError):
-    """No further goal can be made; the sentence says why. What is recorded is kept."""
+    """No further goal can be made, for the stated reason. Recorded runs are kept."""
 
 
 def probe(
     arguments: argparse.Namespace, enough: Callable[[list[Path]], bool], console: Console
 ) -> Iterator[Path]:
-    """Send goals until ``enough`` of the folders so far, or ``arguments.goals`` are made; gives the
-    folder of each run.
+    """Send goals until ``enough`` accepts the folders so far, or ``arguments.goals`` goals are
+    made. Yield the folder of each run.
 
     Raises:
-        ConfigurationError: the cell's files cannot be used, or another object is in the cell.
+        ConfigurationError: the cell's files are unusable, or another object is in the cell.
         GraphError, NotReadyInTime, NotRecorded, ProbingStopped: the cell does not work.
     """
     cell = load_cell(arguments.cell, object_path=arguments.object)
@@ -92,8 +94,8 @@ def probe(
 
 
 def goal_of(middle: Pose, here: Pose, number: int) -> Pose:
-    """The goal of this number (from 0) about ``middle``; the object turns from where it is, back
-    and forth."""
+    """Return the goal with this number (from 0) about ``middle``. Its rotation relative to ``here``
+    alternates in sign."""
     heading = number * BETWEEN
     turn = TURN if number % 2 == 0 else -TURN
     return Pose(

@@ -11,7 +11,8 @@ from tapping_cell.calibration.keep import Output
 def add_output_arguments(
     parser: argparse.ArgumentParser, default: str | None = None, required: bool = True
 ) -> None:
-    """Declare --output, --force and --accept-worse; without it and not ``required``, None."""
+    """Declare --output, --force and --accept-worse. If --output is neither given nor ``required``,
+    it is None."""
     parser.add_argument(
         "--output",
         type=Path,
@@ -31,7 +32,7 @@ def add_output_arguments(
 def output_of(
     arguments: argparse.Namespace, record_at: tuple[str, ...] = ("calibration",)
 ) -> Output:
-    """Where the result goes and what is allowed; ``record_at`` is where the file keeps its
-    record."""
+    """Return the output settings. ``record_at`` is the key path of the calibration record in the
+    file."""
     path = arguments.output.expanduser()
     return Output(path, arguments.force, arguments.accept_worse, record_at)

@@ -1,8 +1,9 @@
-"""Make the files of run folders again, and compare runs.
+"""Rebuild the files of run folders, and compare runs.
 
-A run is a folder that the recorder or the demo left, or the bag of a run alone. Of each run folder
-summary.json, taps.csv, cell.png and report.html are made again from its bag or, where that is gone,
-picture and page from summary and taps. Of several runs a page comparison.html is made as well.
+A run is a folder written by the recorder or the demo, or only the bag of a run. For each run
+folder, summary.json, taps.csv, cell.png and report.html are rebuilt from its bag or, if the bag is
+missing, image and page from summary and taps. For several runs, a page comparison.html is also
+written.
 
     python -m tapping_cell report runs/2026-11-21_15-10-00_to_20_10_0
     python -m tapping_cell report runs/* --output comparison
@@ -41,7 +42,7 @@ COMPARISON = "comparison.html"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run folder, or bag")
     parser.add_argument(
         "--output",
@@ -53,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 all runs told, 1 some cannot be read, 2 none can."""
+    """Run the verb. Return 0 if all runs were reported, 1 if some are unreadable, 2 if all are."""
     console = Console(stderr=arguments.json)
     told: list[tuple[Run, Path]] = []
     skipped = 0
@@ -88,16 +89,17 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def no_run(path: Path) -> bool:
-    """Whether a folder holds neither a bag nor a summary, as that of the nodes' logs."""
+    """Return whether a folder contains neither a bag nor a summary, such as the folder of nodes'
+    logs."""
     holds_run = (path / BAG).exists() or (path / SUMMARY).exists() or any(path.glob("*.mcap"))
     return path.is_dir() and not holds_run
 
 
 def tell(path: Path, output: Path | None) -> tuple[Run, Path]:
-    """Write the files of one run again; the run and the folder they are in.
+    """Rewrite the files of one run. Return the run and the folder of the files.
 
     Raises:
-        BagError, RunError, OSError: it cannot be read, or the files cannot be written.
+        BagError, RunError, OSError: the run is unreadable, or the files cannot be written.
     """
     is_folder = path.is_dir() and not any(path.glob("*.mcap"))
     if is_folder and output is None:
@@ -120,7 +122,7 @@ def tell(path: Path, output: Path | None) -> tuple[Run, Path]:
 
 
 def compare(told: list[tuple[Run, Path]], folder: Path) -> Path:
-    """Write the page that compares runs; it replaces the comparison of another time."""
+    """Write the page that compares runs, replacing an earlier comparison."""
     folder.mkdir(parents=True, exist_ok=True)
     links = [os.path.relpath(own / PAGE, folder) for _, own in told]
     page = folder / COMPARISON
@@ -129,7 +131,7 @@ def compare(told: list[tuple[Run, Path]], folder: Path) -> Path:
 
 
 def table_of(rows: list[Row]) -> Table:
-    """The runs for people."""
+    """Return a table of the runs."""
     table = Table(box=None, pad_edge=False)
     for name in ("run", "outcome", "planner", "taps", "remaining mm", "remaining deg", "time s"):
         table.add_column(name, justify="left" if name in ("run", "outcome", "planner") else "right")
@@ -146,7 +148,7 @@ def table_of(rows: list[Row]) -> Table:
 
 
 def _plain(row: object) -> dict[str, object]:
-    """Figures for JSON, which knows no NaN."""
+    """Convert results to JSON values; NaN, which JSON does not support, becomes None."""
     values = dataclasses.asdict(row)  # type: ignore[call-overload]
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value

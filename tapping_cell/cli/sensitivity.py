@@ -1,11 +1,12 @@
-"""How the tap's result answers errors of the striker's pose: the Jacobian of section 5.1.
+"""Sensitivity of the tap's result to errors of the striker's pose: the Jacobian of section 5.1.
 
-Prints the 3 x 3 Jacobian of a tap of the paper's disk in mm and degrees, its product with an
-error of the striker and its norm, and over how much of the reachable range the norm is below one.
-Columns: the striker's ball moved by i (along the contact normal, away from the object) and j
-(along the tangent), its axis turned by beta. Rows: the displacement along the travel, across it,
-and the rotation, counted clockwise as in the paper. The y row is the paper's, in which the travel
-turns with the striker; the row that the impact gives stands beside it.
+Prints the 3 x 3 Jacobian of a tap of the paper's disk in mm and degrees, its product with an error
+of the striker's pose, its norm, and the fraction of the reachable range with a norm below one.
+Columns: displacement of the striker's ball along i (the contact normal, away from the object) and j
+(the tangent), and rotation of its axis by beta. Rows: the displacement along and across the
+direction of travel, and the rotation, clockwise as in the paper. The y row follows the paper, in
+which the direction of travel rotates with the striker; the y row of the impact model is printed
+next to it.
 
     python -m tapping_cell sensitivity --distance 10 --rotation 3
     python -m tapping_cell sensitivity --figures docs/images
@@ -37,7 +38,7 @@ _SWEEP_ROTATIONS = 41
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The tap, the striker's error and the sweep."""
+    """Declare the options of the tap, the striker's error and the sweep."""
     parser.add_argument("--distance", type=float, default=10.0, help="of the tap, mm (10)")
     parser.add_argument("--rotation", type=float, default=3.0, help="of the tap, degrees (3)")
     parser.add_argument(
@@ -61,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the Jacobian and the sweep; 1 for a tap that cannot be made."""
+    """Print the Jacobian and the sweep. Return 1 for an infeasible tap."""
     tap = paper_tap()
     asked = paper_tap(mirrored=True) if arguments.rotation < 0 else tap
     displacement = [arguments.distance / 1e3, 0.0, math.radians(arguments.rotation)]
@@ -99,7 +100,8 @@ def _figures(jacobian: NDArray[np.float64], error: list[float]) -> dict[str, obj
 
 
 def _sweep(tap: Tap, farthest: float) -> dict[str, object]:
-    """Norms over the reachable taps, from no rotation to the edge of the cone."""
+    """Return the norms over the reachable taps, from no rotation to the edge of the friction
+    cone."""
     nearest = tap.smallest_distance
     distances, shares = np.meshgrid(
         np.linspace(nearest, max(farthest, nearest), _SWEEP_DISTANCES),

@@ -1,4 +1,4 @@
-"""Following one goal on a running graph: words for people, rows for the run folder."""
+"""Follow one goal in a running graph: text output, and rows for the run folder."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ from tapping_cell.se2 import Pose
 
 
 class NotReadyInTime(RuntimeError):
-    """The graph did not become ready; the sentence says what is missing."""
+    """The graph did not become ready. The message names the missing conditions."""
 
 
 class NotRecorded(RuntimeError):
-    """The recorder did not say that it has written the run."""
+    """The recorder did not report that it has written the run."""
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
-    """How a verb that follows a goal speaks."""
+    """Declare the output options of a verb that follows a goal."""
     parser.add_argument("--json", action="store_true", help="print the result for a program")
     parser.add_argument("--quiet", action="store_true", help="say nothing but errors")
 
 
 def console_of(arguments: argparse.Namespace) -> Console:
-    """Where a verb's words go: beside a program's figures, and nowhere where it is to be quiet."""
+    """Return the console for messages: stderr with --json, no output with --quiet."""
     return Console(stderr=arguments.json, quiet=arguments.quiet)
 
 
 def end_on_signals() -> None:
-    """Make Ctrl-C and a termination request end the verb in order, as a KeyboardInterrupt.
+    """Make Ctrl-C and SIGTERM raise KeyboardInterrupt, so that the verb ends in order.
 
-    Both are set, because a shell starts background jobs with the interrupt signal ignored, and
-    Python leaves it so.
+    Both handlers are set, because a shell starts background jobs with SIGINT ignored, and Python
+    does not change that.
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
@@ -58,7 +58,7 @@ def _interrupt(*_: object) -> None:
 
 
 def pose_text(pose: Pose) -> str:
-    """A pose for people."""
+    """Format a pose."""
     return f"x {1000 * pose.x:.1f} mm, y {1000 * pose.y:.1f} mm, {math.degrees(pose.theta):.1f} deg"
 
 
@@ -75,10 +75,10 @@ def send(
     probe: bool = False,
     ask: bool = False,
 ) -> None:
-    """Send a goal, and again where nobody answers: an answer can be lost while nodes start.
+    """Send a goal, and send it again without a response, which can be lost while nodes start.
 
     Raises:
-        NotReadyInTime: the planner answers none.
+        NotReadyInTime: the planner did not respond to any of them.
     """
     for _ in range(SENDINGS):
         client.send(goal, tolerance, probe=probe, ask=ask)
@@ -94,15 +94,16 @@ def send(
 
 
 def wait_for_planner(client: GoalClient, patience: float, console: Console) -> None:
-    """Wait until the planner takes goals; what else is missing it waits for, and tells, itself.
+    """Wait until the planner accepts goals. The planner itself waits for the other conditions and
+    reports them.
 
     Raises:
-        NotReadyInTime: it did not after ``patience`` seconds.
+        NotReadyInTime: the planner did not accept goals within ``patience`` seconds.
     """
     deadline = time.monotonic() + patience
     found = math.inf
     with console.status("waiting for the planner"):
-        # The planner must have found this client as well, or its answer goes nowhere.
+        # The planner must also have discovered this client, or its response is lost.
         while time.monotonic() < found + MUTUAL_DISCOVERY_S:
             there = client.planner_active and client.accepts_goals()
             found = min(found, time.monotonic()) if there else math.inf
@@ -119,10 +120,10 @@ def wait_for_planner(client: GoalClient, patience: float, console: Console) -> N
 def wait_until_ready(
     client: GoalClient, patience: float, check: Callable[[], None], console: Console
 ) -> None:
-    """Wait until the cell can take a goal.
+    """Wait until the cell accepts a goal.
 
     Raises:
-        NotReadyInTime: names what is missing after ``patience`` seconds.
+        NotReadyInTime: names the missing conditions after ``patience`` seconds.
     """
     deadline = time.monotonic() + patience
     with console.status("waiting for the cell") as status:
@@ -145,9 +146,9 @@ def follow(
     console: Console,
     person: Person | None = None,
 ) -> Finished:
-    """Show a goal's progress tap by tap until it ends. ``check`` may raise to give up; ``person``
-    answers for taps that wait for confirmation."""
-    # A moving line would tear apart what a person types.
+    """Show a goal's progress tap by tap until it ends. ``check`` may raise an exception to abort;
+    ``person`` confirms taps if given."""
+    # An animated status line would corrupt the person's input.
     with console.status("goal sent") if person is None else nullcontext() as status:
         for event in client.events():
             check()
@@ -167,10 +168,10 @@ def follow(
 def wait_for_record(
     client: GoalClient, patience: float, check: Callable[[], None], console: Console
 ) -> Path:
-    """The folder of the run just finished, once the recorder has written it.
+    """Return the folder of the last run once the recorder has written it.
 
     Raises:
-        NotRecorded: it has not after ``patience`` seconds.
+        NotRecorded: the recorder did not report it within ``patience`` seconds.
     """
     deadline = time.monotonic() + patience
     with console.status("writing the run folder"):
@@ -186,7 +187,7 @@ def wait_for_record(
 
 
 def tap_text(event: TapDone) -> str:
-    """One line for people about one tap."""
+    """Format one tap as one line."""
     record = event.record
     before, measured = from_message(record.object_pose), from_message(record.measured_pose.pose)
     return (

@@ -1,10 +1,10 @@
-"""Measure an object by single taps: every striker speed with every incidence, again and again.
+"""Measure an object by single taps at every combination of striker speed and incidence.
 
 Starts the simulated cell (or the hardware with --hardware, or joins a running graph with --attach),
-taps the object about the middle of the table, and records each tap: the object's poses picture by
-picture, where it started and ended, the striker's speed. A tap that might send the object off the
-table or out of the camera's view is refused. Ctrl-C stops between or within trials; what is done is
-kept, and --resume goes on with it. The verb `fit` reads the folder.
+taps the object near the middle of the table, and records each tap: the object's pose in every
+image, its start and end poses, the striker's speed. A tap that might move the object off the table
+or out of the camera's view is refused. Ctrl-C stops between or within trials; completed trials are
+kept, and --resume continues the experiment. The verb `fit` reads the folder.
 
     python -m tapping_cell single-tap
     python -m tapping_cell single-tap --speeds 600 900 1200 --incidences 15 -40 --trials 5
@@ -79,14 +79,14 @@ RANGES = (
     ("slow-motion", 1.0, 100.0),
     ("exposure", 0.0, 100.0),
 )
-"""Of the options, in their own units."""
+"""Ranges of the options, in their own units."""
 STEP_OF_SEED = 1000
-"""Between the seeds of two sessions of one experiment: a world seeded as before would repeat its
-scatter."""
+"""Difference between the seeds of two sessions of one experiment, because a world with the same
+seed would repeat its scatter."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     parser.add_argument(
         "--speeds",
         nargs="+",
@@ -137,7 +137,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 complete, 1 stopped by a failure, 2 wrong input, 130 interrupted."""
+    """Run the verb. Return 0 if the experiment is complete, 1 after a failure, 2 for wrong input,
+    130 if interrupted."""
     console = Console(stderr=arguments.json)
     session.end_on_signals()
     try:
@@ -176,7 +177,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check_ranges(arguments: argparse.Namespace) -> None:
-    """Refuse numbers that no experiment can have.
+    """Reject option values that no experiment can have.
 
     Raises:
         ValueError: names the option, its value and the range.
@@ -188,7 +189,7 @@ def _check_ranges(arguments: argparse.Namespace) -> None:
 
 
 def _open(arguments: argparse.Namespace) -> tuple[Path, Design]:
-    """The experiment's folder and design: of one that is gone on with, or new."""
+    """Return folder and design of a new or resumed experiment."""
     asked: dict[str, Any] = {}
     if arguments.speeds:
         asked["speeds"] = tuple(speed / 1000 for speed in arguments.speeds)
@@ -214,10 +215,10 @@ def _open(arguments: argparse.Namespace) -> tuple[Path, Design]:
 
 
 def _recorded(folder: Path) -> list[Trial]:
-    """The trials that are there already.
+    """Return the trials that are already recorded.
 
     Raises:
-        RecordError: a row of them cannot be read.
+        RecordError: a row is unreadable.
     """
     if not any(folder.glob("run_*.csv")):
         return []
@@ -228,7 +229,8 @@ def _recorded(folder: Path) -> list[Trial]:
 
 
 def _refused(cell: Cell, design: Design) -> str:
-    """Why one of the design's taps cannot be made even from the middle; empty where all can."""
+    """Return why a tap of the design is infeasible even from the middle; empty if all are
+    feasible."""
     room = TapRoom(cell)
     for run in design.runs:
         problem = room.problem(run.striker_speed, run.incidence)
@@ -248,7 +250,7 @@ def _measure(
     trials: list[Trial],
     console: Console,
 ) -> None:
-    """Make what is left of the design, each trial on disk before the next."""
+    """Make the remaining trials of the design. Each trial is on disk before the next starts."""
     sessions = sum(1 for entry in folder.glob("session_*") if entry.is_dir())
     name = f"session_{sessions + 1:02d}"
     seed = design.seed + STEP_OF_SEED * sessions
@@ -294,7 +296,7 @@ def _graph(
 def _header(
     arguments: argparse.Namespace, cell: Cell, client: SingleTapClient, check: Callable[[], None]
 ) -> ExperimentFile:
-    """What holds for every trial of this session."""
+    """Return the values that apply to every trial of this session."""
     tapper = cell.file.tapper
     own_world = not (arguments.attach or arguments.hardware)
     exposure = 0.0 if arguments.exposure is None else arguments.exposure / 1000
@@ -317,10 +319,10 @@ def _header(
 
 
 def _keep_header(folder: Path, header: ExperimentFile) -> None:
-    """Write the header, or see that the one which is there speaks of the same things.
+    """Write the header, or check that an existing header describes the same experiment.
 
     Raises:
-        RecordError: it speaks of another object, striker or source.
+        RecordError: the existing header has another object, striker or source.
     """
     if not (folder / HEADER_FILE).exists():
         write_header(folder, header)
@@ -335,7 +337,7 @@ def _keep_header(folder: Path, header: ExperimentFile) -> None:
 
 
 def _follow(series: TapSeries, design: Design, trials: list[Trial], console: Console) -> None:
-    """Make the trials and show how far it is; nothing is shown where there is no terminal."""
+    """Make the trials and show the progress if the output is a terminal."""
     wanted = len(design.runs) * design.trials
     with Progress(
         *Progress.get_default_columns(),

@@ -1,4 +1,4 @@
-"""The start of a running graph as people see it: a line for every node, and whether it is ready."""
+"""Start-up display of a running graph: one line per node, and whether the cell is ready."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PERSONS = (
     ErrorCode.MARKER_AMBIGUOUS,
     ErrorCode.CAMERA_MOVED,
 )
-"""Codes that end only by what a person does; the cell itself has started."""
+"""Error codes that only a person's action clears. The cell itself has started."""
 STYLES = {
     "ready": "green",
     "warns": "yellow",
@@ -38,7 +38,7 @@ STYLES = {
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One node: a word, and what it waits for or what is wrong."""
+    """State of one node, with the condition that it waits for or its error."""
 
     node: str
     word: str
@@ -51,21 +51,22 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where the start of a cell is."""
+    """Start-up state of a cell."""
 
     lines: tuple[Line, ...]
     ready: bool
-    """Whether a goal would be taken now."""
+    """Whether the cell would accept a goal now."""
     person: str = ""
-    """What a person has to do, where everything has started and only that is missing."""
+    """Required action of a person, if everything has started and only this action is missing."""
     reason: str = ""
-    """Why no goal would be taken; empty when ready."""
+    """Reason why the cell would not accept a goal; empty when ready."""
 
 
 def judge(nodes: Sequence[str], state: dict[str, Any], ended: dict[str, str]) -> Start:
-    """What a state of the cell means for its start.
+    """Determine the start-up state from the state of the cell.
 
-    ``nodes``: that were started; ``state``: of the cell's client; ``ended``: why nodes are down.
+    ``nodes``: started nodes; ``state``: state from the cell's client; ``ended``: reasons of ended
+    nodes.
     """
     rows = {row["name"]: row for row in state["nodes"]}
     world = rows.get("sim_world", {}).get("life") == "active"
@@ -73,7 +74,7 @@ def judge(nodes: Sequence[str], state: dict[str, Any], ended: dict[str, str]) ->
     lines = tuple(_line(name, rows.get(name), ended, waits_for_world) for name in nodes)
     up = all(line.word not in ("starting", "waits") for line in lines)
     mode, code = state["mode"], state["code"]
-    # A cell at work takes a goal, too, in the place of the one under way.
+    # A cell at work also accepts a goal, which replaces the current one.
     takes = mode == "ready" or (mode == "moving" and state["plan"]["busy"])
     ready = up and takes and all(line.word != "fault" for line in lines)
     person = ""
@@ -102,7 +103,7 @@ def _line(
 
 
 def table(lines: Sequence[Line]) -> Table:
-    """The lines for a terminal."""
+    """Format the lines for a terminal."""
     shown = Table(box=None, show_header=False, pad_edge=False)
     for line in lines:
         shown.add_row(line.node, f"[{STYLES[line.word]}]{line.word}[/]", line.sentence)

@@ -1,4 +1,4 @@
-"""Show the state of a running cell: whether a goal would be taken, and else what to do.
+"""Show the state of a running cell: whether it would accept a goal and, if not, the remedy.
 
 python -m tapping_cell status
 python -m tapping_cell status --json
@@ -17,13 +17,14 @@ from tapping_cell.nodes.clients.cell_client import CellClient
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     cell_arguments.add_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the state for a program")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 ready or at work, 1 not ready or no cell answers."""
+    """Run the verb. Return 0 if the cell is ready or at work, 1 if it is not ready or does not
+    respond."""
 
     def show(client: CellClient) -> int:
         state = client.wait_for_cell(cell_arguments.PATIENCE_S)

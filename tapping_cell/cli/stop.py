@@ -1,6 +1,6 @@
-"""Stop a running cell at once: arm, tapper and planner; the stop stays until it is cleared.
+"""Stop arm, tapper and planner of a running cell immediately; the stop stays until it is cleared.
 
-The wired emergency stop is the safe one: this goes over the computer and the network.
+Only the wired emergency stop is a safety function: this command depends on computer and network.
 
     python -m tapping_cell stop
 """
@@ -15,12 +15,12 @@ from tapping_cell.nodes.clients.cell_client import CellClient
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     cell_arguments.add_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 arm and tapper have said that they are stopped, 1 they have not."""
+    """Run the verb. Return 0 if arm and tapper have confirmed the stop, otherwise 1."""
 
     def stop(client: CellClient) -> int:
         client.stop()

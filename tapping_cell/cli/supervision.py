@@ -1,4 +1,4 @@
-"""Which node of a running graph is started again after its end, and when the graph gives up."""
+"""Supervision of a running graph: which nodes are restarted, and when the graph is ended."""
 
 from __future__ import annotations
 
@@ -9,38 +9,38 @@ from tapping_cell.cli.graph import RECORDER, Ended, Graph, NodeDied
 
 MOST_RESTARTS = 3
 WINDOW_S = 120.0
-"""A node that ends for the fourth time within this is not started again."""
+"""Time window in s. A node that ends for the fourth time within it is not restarted."""
 DELAY_S = 1.0
-"""From the end of a node to its new start."""
+"""Delay in s between the end of a node and its restart."""
 ASIDE = (RECORDER, "operator_page")
-"""The cell positions objects without them: their end never ends the others."""
+"""Nodes that the cell does not need for positioning. Their end never ends the other nodes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Incident:
-    """Something that happened to a node, for people."""
+    """Event of a node, for the user."""
 
     node: str
     sentence: str
-    """What happened, with the node's last words, and what is done about it."""
+    """Description of the event, the node's last output, and the reaction."""
     given_up: bool = False
 
 
 class Supervisor:
-    """Starts nodes again that end by themselves. Call :meth:`look` some times a second."""
+    """Restart nodes that end unexpectedly. Call :meth:`look` several times per second."""
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
         self._restarts: dict[str, deque[float]] = {}
         self._due: dict[str, float] = {}
         self.left_alone: dict[str, str] = {}
-        """Nodes beside the cell's work that ended too often, and why."""
+        """Optional nodes that ended too often, with the reasons."""
 
     def look(self, now: float) -> list[Incident]:
-        """What happened since the last time; ``now`` on a steady clock, s.
+        """Return the events since the last call. ``now`` is a monotonic time in s.
 
         Raises:
-            NodeDied: a node that the cell cannot work without ended too often.
+            NodeDied: a required node ended too often.
         """
         incidents = [
             self._ended(ended, now)

@@ -1,8 +1,8 @@
-"""Evaluations over a grid of parameters: ``evaluate --sweep friction=0.1:0.4:7 tolerance=1,0.3``.
+"""Evaluations over a parameter grid: ``evaluate --sweep friction=0.1:0.4:7 tolerance=1,0.3``.
 
-Each point of the grid is one evaluation; the points share the cores. They are kept in the report's
-folder as they end, so that the same command goes on after an interruption. Only what the points
-have in common must stay as it was.
+Each point of the grid is one evaluation; the points share the cores. Completed points are stored in
+the report's folder, so that the same command resumes after an interruption. Only the options that
+the points have in common must be unchanged.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ import numpy as np
 from tapping_cell.planning import PlanningError
 
 POINTS = "points.jsonl"
-"""One line a point: its values, what all have in common, its figures."""
+"""File with one line per point: its values, the common options, and its results."""
 Value = float | str
 Point = dict[str, Value]
 
 
 def _both(name: str) -> Callable[[argparse.Namespace, Value], None]:
-    """A parameter with one number for mm and degrees, or for percent of both."""
+    """Return a setter that uses one number for both mm and degrees, or for both percentages."""
     return lambda arguments, value: setattr(arguments, name, (value, value))
 
 
@@ -61,14 +61,15 @@ PARAMETERS: dict[str, Callable[[argparse.Namespace, Value], None]] = {
     "round-angle": _plain("round_angle"),
     "box": _plain("box"),
 }
-"""What may be swept, in the units of evaluate's options; ``friction`` is the true coefficient."""
+"""Parameters of a sweep, in the units of evaluate's options; ``friction`` is the true
+coefficient."""
 
 
 def read_axis(text: str) -> tuple[str, tuple[Value, ...]]:
-    """Name and values of ``name=first:last:count`` or ``name=value,value``.
+    """Parse name and values from ``name=first:last:count`` or ``name=value,value``.
 
     Raises:
-        PlanningError: no such parameter, or values that are none.
+        PlanningError: the parameter does not exist, or its values are invalid.
     """
     name, _, given = text.partition("=")
     if name not in PARAMETERS:
@@ -96,7 +97,7 @@ def read_axis(text: str) -> tuple[str, tuple[Value, ...]]:
 
 
 def read_axes(texts: Sequence[str]) -> dict[str, tuple[Value, ...]]:
-    """The axes of a sweep; PlanningError for one that is named twice."""
+    """Parse the axes of a sweep. Raises PlanningError if an axis is named twice."""
     axes: dict[str, tuple[Value, ...]] = {}
     for text in texts:
         name, values = read_axis(text)
@@ -107,13 +108,13 @@ def read_axes(texts: Sequence[str]) -> dict[str, tuple[Value, ...]]:
 
 
 def grid(axes: dict[str, tuple[Value, ...]]) -> Iterator[Point]:
-    """Every combination of the values; the last axis runs fastest."""
+    """Yield every combination of the values; the last axis varies fastest."""
     for values in itertools.product(*axes.values()):
         yield dict(zip(axes, values, strict=True))
 
 
 def arguments_at(arguments: argparse.Namespace, point: Point) -> argparse.Namespace:
-    """The options of one point."""
+    """Return the options of one point."""
     chosen = argparse.Namespace(**vars(arguments))
     for name, value in point.items():
         PARAMETERS[name](chosen, value)
@@ -121,10 +122,10 @@ def arguments_at(arguments: argparse.Namespace, point: Point) -> argparse.Namesp
 
 
 class KeptPoints:
-    """The points of a sweep on disk. ``common``: what they have in common.
+    """Completed points of a sweep on disk. ``common``: the common options of the points.
 
     Raises:
-        PlanningError: the folder holds a sweep of something else.
+        PlanningError: the folder contains another sweep.
     """
 
     def __init__(self, folder: Path, common: dict[str, Any]) -> None:
@@ -135,7 +136,7 @@ class KeptPoints:
         text = self._file.read_text(encoding="utf-8") if self._file.exists() else ""
         whole = text[: text.rfind("\n") + 1]
         if whole != text:
-            # The line that an interruption cut short.
+            # Remove a line that an interruption left incomplete.
             self._file.write_text(whole, encoding="utf-8")
         for line in whole.splitlines():
             kept = json.loads(line)
@@ -152,11 +153,11 @@ class KeptPoints:
             self._done[_key(kept["point"])] = kept["figures"]
 
     def get(self, point: Point) -> dict[str, Any] | None:
-        """The figures of a point that is done."""
+        """Return the results of a completed point."""
         return self._done.get(_key(point))
 
     def keep(self, point: Point, figures: dict[str, Any]) -> None:
-        """Write a point down, so that no interruption loses it."""
+        """Store a point on disk, so that an interruption does not lose it."""
         self._done[_key(point)] = figures
         line = json.dumps({"point": point, "common": self._common, "figures": figures})
         with self._file.open("a", encoding="utf-8") as stream:
@@ -176,14 +177,14 @@ def sweep(
     processes: int | None,
     note: Callable[[int], None],
 ) -> list[tuple[Point, dict[str, Any]]]:
-    """The figures of every point; those already kept are not measured again.
+    """Return the results of every point. Stored points are not evaluated again.
 
     Args:
-        points: in the order of the result.
-        kept: where points are kept as they end.
-        measure: figures of a point; can be pickled.
-        processes: how many to use; None for one a core.
-        note: called with the number of points just done.
+        points: points in the order of the result.
+        kept: storage of completed points.
+        measure: function that returns the results of a point; must be picklable.
+        processes: number of processes; None for one per core.
+        note: callback with the number of points just completed.
     """
     missing = [point for point in points if kept.get(point) is None]
     note(len(points) - len(missing))
@@ -216,6 +217,6 @@ def _measure_together(
                 kept.keep(running[done], done.result())
                 note(1)
         except BaseException:
-            # An interruption, or a point that fails: those that have not begun are left out.
+            # After an interruption or a failed point, points that have not started are cancelled.
             pool.shutdown(wait=False, cancel_futures=True)
             raise

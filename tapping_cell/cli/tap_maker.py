@@ -1,5 +1,5 @@
-"""One tap of an experiment after the other: the cell waited for, the object brought back, the tap
-read."""
+"""Make one tap of an experiment after another: wait for the cell, bring the object back, read the
+result."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from tapping_cell.se2 import Pose
 
 READY_PATIENCE_S = 60.0
 BACK_TOLERANCE = (0.015, math.radians(45.0))
-"""Of a goal that brings the object back, m and rad: loose, so that it is quick."""
+"""Tolerance of a goal that brings the object back, in m and rad; large, so that it is fast."""
 NO_ROOM = (
     ErrorCode.TAP_LEAVES_TABLE,
     ErrorCode.TAP_LEAVES_VIEW,
     ErrorCode.NO_TAP_FOUND,
     ErrorCode.NO_CONTACT_FOUND,
 )
-"""Refusals that a better place of the object may cure."""
+"""Refusals that another position of the object may resolve."""
 PASSING = (
     ErrorCode.OBJECT_NOT_SEEN,
     ErrorCode.OBJECT_NOT_AT_REST,
@@ -41,12 +41,12 @@ PASSING = (
     ErrorCode.GOAL_REPLACED,
     ErrorCode.PLANNER_BUSY,
 )
-"""Failures that may pass by themselves: the cell is waited for, then the trial is made again."""
+"""Temporary failures, after which the trial is repeated when the cell is ready again."""
 IN_A_ROW = 3
 
 
 class SeriesStopped(RuntimeError):
-    """The experiment cannot go on; ``code`` of ErrorCode and a sentence. What is done is kept."""
+    """The experiment cannot continue. ``code`` is an ErrorCode. Completed trials are kept."""
 
     def __init__(self, code: int, sentence: str) -> None:
         super().__init__(sentence)
@@ -55,19 +55,19 @@ class SeriesStopped(RuntimeError):
 
 @dataclass(slots=True)
 class TapMaker:
-    """Makes prescribed taps about the middle of the table."""
+    """Make prescribed taps near the middle of the table."""
 
     client: SingleTapClient
     check: Callable[[], None]
-    """Raises where the experiment must end, such as when a node died."""
+    """Raises an exception if the experiment must end, for example because a node died."""
     _failures: int = field(default=0, init=False)
 
     def make(self, striker_speed: float, incidence: float, number: int) -> SingleTap.Result | None:
-        """One tap (m/s, rad), ``number`` of the whole experiment; None where nothing was tapped
-        and it should be tried again.
+        """Make one tap (m/s, rad) with its ``number`` in the whole experiment. Return None if no
+        tap was made and it should be repeated.
 
         Raises:
-            SeriesStopped: it cannot go on.
+            SeriesStopped: the experiment cannot continue.
         """
         self._wait()
         wanted = travel_direction(self.client.object_pose(), number)
@@ -79,7 +79,7 @@ class TapMaker:
         return result
 
     def _untapped(self, code: int, sentence: str) -> None:
-        """What to do about a tap that never began."""
+        """React to a tap that did not start."""
         self._failures += 1
         name = error_codes.name(code)
         if self._failures >= IN_A_ROW or code not in (*NO_ROOM, *PASSING):
@@ -88,7 +88,7 @@ class TapMaker:
             self._bring_back(code, sentence)
 
     def _bring_back(self, code: int, sentence: str) -> None:
-        """Bring the object to the middle of the table by an ordinary goal."""
+        """Bring the object to the middle of the table with an ordinary goal."""
         middle = Pose(0.0, 0.0, self.client.object_pose().theta)
         if self.client.object_pose().distance_to(middle) <= BACK_TOLERANCE[0]:
             raise SeriesStopped(code, f"{error_codes.name(code)}: {sentence}")
@@ -123,8 +123,8 @@ class TapMaker:
 def trial_of(
     client: SingleTapClient, tap: Tap, record: TapRecord, camera_rate: float, trouble: str
 ) -> Trial:
-    """A tap as measured; ``lost`` where the object was not seen after it. ``camera_rate`` in Hz may
-    be NaN, ``trouble`` is what the planner said of it."""
+    """Return a measured tap as a trial, ``lost`` if the object was not visible afterwards.
+    ``camera_rate`` is in Hz and may be NaN; ``trouble`` is the planner's message on the tap."""
     start, end = from_message(record.object_pose), from_message(record.measured_pose.pose)
     lost = not math.isfinite(end.x)
     tip = client.tip_of(int(record.tap_id)) or from_message(record.strike_pose)
@@ -138,7 +138,7 @@ def trial_of(
         trial=0,
         outcome="lost" if lost else "ok",
         striker_speed=record.striker_speed,
-        # NaN without a gate; 0 where the release was not heard of.
+        # The speed is NaN without a speed sensor; 0 means that no release was reported.
         striker_speed_measured=record.measured_speed or math.nan,
         incidence=incidence,
         contact_angle=contact,
@@ -148,7 +148,7 @@ def trial_of(
         end_x=end.x,
         end_y=end.y,
         end_theta=end.theta,
-        # Two looks make a displacement; of one axis of it.
+        # The displacement is the difference of two observations; the value is for one axis.
         displacement_std=math.nan if lost else math.sqrt(spread[0, 0] + spread[1, 1]),
         rotation_std=math.nan if lost else math.sqrt(2 * spread[2, 2]),
         camera_rate_hz=camera_rate,

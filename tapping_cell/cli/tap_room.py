@@ -1,4 +1,4 @@
-"""Whether a prescribed tap can be made at all: asked before anything starts."""
+"""Check whether a prescribed tap is feasible, before any node is started."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tapping_cell.planning import (
 
 
 class TapRoom:
-    """The room that taps of a cell have around the middle of its table."""
+    """Clearance for taps around the middle of a cell's table."""
 
     def __init__(self, cell: Cell) -> None:
         space = assembly.make_strike_space(cell)
@@ -25,7 +25,8 @@ class TapRoom:
         self._view = cell.references.corners().reshape(-1, 2)
 
     def problem(self, striker_speed: float, incidence: float) -> str:
-        """Why a tap (m/s, rad) cannot be made with the object in the middle; empty where it can."""
+        """Return why a tap (m/s, rad) is infeasible with the object in the middle; empty if it is
+        feasible."""
         limits = self._limits
         if not limits.slowest <= striker_speed <= limits.fastest:
             return (

@@ -1,4 +1,4 @@
-"""The trials of a single-tap experiment, one after the other, each recorded before the next."""
+"""Trials of a single-tap experiment, made one after another and recorded immediately."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tapping_cell.report.bag import BagWriter
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """A trial that was made, with the distance in m that was expected of it."""
+    """Completed trial with its expected distance in m."""
 
     run: Run
     trial: Trial
@@ -36,7 +36,7 @@ class Done:
 
 @dataclass(slots=True)
 class TapSeries:
-    """One session of an experiment: from the trials that are there to those of the design."""
+    """One session of an experiment, which makes the missing trials of the design."""
 
     client: SingleTapClient
     folder: Path
@@ -46,17 +46,17 @@ class TapSeries:
     bag: BagWriter
     trials: list[Trial]
     check: Callable[[], None]
-    """Raises where the experiment must end, such as when a node died."""
+    """Raises an exception if the experiment must end, for example because a node died."""
     _maker: TapMaker = field(init=False)
 
     def __post_init__(self) -> None:
         self._maker = TapMaker(self.client, self.check)
 
     def run(self) -> Iterator[Done]:
-        """Make what is left of the design; each trial is on disk when it is yielded.
+        """Make the missing trials of the design. Each trial is on disk when it is yielded.
 
         Raises:
-            SeriesStopped: it cannot go on.
+            SeriesStopped: the experiment cannot continue.
             OSError, RecordError: a record cannot be written.
         """
         for run in self.design.runs:
@@ -75,7 +75,7 @@ class TapSeries:
                     yield done
 
     def _trial(self, run: Run, number: int) -> Done | None:
-        """One trial; None where nothing was tapped and it should be tried again."""
+        """Make one trial. Return None if no tap was made and the trial should be repeated."""
         result = self._maker.make(run.striker_speed, run.incidence, len(self.trials))
         if result is None:
             return None

@@ -1,4 +1,4 @@
-"""What an experiment of single taps has brought, for people and for programs."""
+"""Summary of a single-tap experiment, as text or JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tapping_cell.cli.tap_series import Done
 
 
 def trial_text(done: Done) -> str:
-    """What became of a trial, for people."""
+    """Format the outcome of a trial."""
     trial = completed(done.trial)
     what = f"run {trial.run}, trial {trial.trial}: "
     if trial.outcome != "ok":
@@ -38,7 +38,8 @@ def tell(
     *,
     as_json: bool,
 ) -> None:
-    """The summary: a row a run, and how it ended (code and sentence; 0 and empty: complete)."""
+    """Print the summary: one row per run, and the end (code and message; 0 and empty if
+    complete)."""
     rows = [_row(design, trials, number) for number in range(len(design.runs))]
     code, sentence = end
     if as_json:
@@ -78,7 +79,7 @@ def tell(
 
 
 def _row(design: Design, trials: list[Trial], index: int) -> dict[str, Any]:
-    """What is known of one run."""
+    """Return the results of one run."""
     run = design.runs[index]
     own = [completed(trial) for trial in trials if trial.run == run.number]
     used = [trial for trial in own if trial.outcome == "ok"]
@@ -96,7 +97,7 @@ def _row(design: Design, trials: list[Trial], index: int) -> dict[str, Any]:
 
 
 def _mean_and_deviation(values: list[float]) -> list[float] | None:
-    """Mean and standard deviation; None where there is nothing."""
+    """Return mean and standard deviation; None without values."""
     if not values:
         return None
     deviation = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0

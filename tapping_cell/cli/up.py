@@ -1,9 +1,9 @@
-"""Start the node graph from a configuration, simulated or on hardware, and stay.
+"""Start the node graph from a configuration, simulated or on hardware, and keep it running.
 
-Tells what each node waits for, and "ready" once the cell would take a goal. A node that ends by
-itself is started again, up to three times in two minutes; only where arm, tapper, planner or camera
-stay away, or the simulated world, every node is ended. Ctrl-C ends every node. Goals come from
-another terminal, or from the operator's page.
+Shows the condition that each node waits for, and "ready" once the cell would accept a goal. A node
+that ends unexpectedly is restarted, up to three times in two minutes. After that, all nodes are
+ended if the node is arm, tapper, planner, camera or the simulated world. Ctrl-C ends every node.
+Goals are sent from another terminal, or from the operator's page.
 
     python -m tapping_cell up
     python -m tapping_cell up --page
@@ -50,19 +50,19 @@ from tapping_cell.planning import UnknownPlannerError, require_planner
 from tapping_cell.simulation.truth import TruthFile
 
 STOP_PORT_OFFSET = 1000
-"""From the port of the page to that of its STOP."""
+"""Difference between the port of STOP and the port of the page."""
 LOOK_PERIOD_S = 0.2
 CAMERA = "/dev/video0"
-"""The camera of a cell on hardware unless told otherwise."""
+"""Default camera of a cell on hardware."""
 READY_PATIENCE_S = 60.0
 
 
 class NotReadyInTime(GraphError):
-    """The cell was not ready in time; the sentence says what is missing."""
+    """The cell was not ready in time. The message names the missing conditions."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     parser.add_argument(
         "--hardware", action="store_true", help="real camera, arm and tapper (default: simulated)"
     )
@@ -116,7 +116,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 ended by Ctrl-C, 1 not ready in time or a node is lost, 2 wrong input."""
+    """Run the verb. Return 0 after Ctrl-C, 1 if the cell was not ready in time or a node is lost, 2
+    for wrong input."""
     console = Console(soft_wrap=True, highlight=False)
     end_on_signals()
     try:
@@ -142,10 +143,10 @@ def run(arguments: argparse.Namespace) -> int:
     logs = arguments.logs or Path("runs/up") / key
     parameters = node_parameters(arguments, cell)
     if not arguments.hardware:
-        # Nobody can be hurt in the simulated cell, so that its arm homes by itself.
+        # The simulated arm homes automatically, because it cannot hurt anyone.
         parameters.get("scara_arm", {})["home_on_activate"] = True
     if not arguments.hardware and not has_simulated_ports(cell):
-        # A file of a real cell names real ports: the simulated devices take none of them.
+        # The cell file of real hardware names real ports, which the simulated devices must not use.
         parameters = with_own_ports(parameters)
     graph = Graph(
         nodes,
@@ -167,7 +168,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class _Running:
-    """A graph that was started: watched until Ctrl-C."""
+    """Started graph, which is monitored until Ctrl-C."""
 
     def __init__(
         self,
@@ -181,16 +182,16 @@ class _Running:
         self._nodes = nodes
         self._arguments = arguments
         self._page_log = logs / "operator_page.log"
-        # What an earlier run said of its page holds no longer.
+        # Log entries of an earlier run on its page are no longer valid.
         self._page_seen = self._page_log.stat().st_size if self._page_log.exists() else 0
         self._console = console
         self._supervisor = Supervisor(graph)
 
     def stay(self) -> None:
-        """Get ready, then start again what ends. Returns never.
+        """Wait until the cell is ready, then restart nodes that end. Never returns.
 
         Raises:
-            GraphError: the cell is not ready in time, or a node that it needs is lost.
+            GraphError: the cell is not ready in time, or a required node is lost.
         """
         while True:
             self._get_ready()
@@ -198,14 +199,14 @@ class _Running:
                 time.sleep(LOOK_PERIOD_S)
 
     def _look(self) -> bool:
-        """Start again what has ended; returns whether anything had."""
+        """Restart nodes that have ended. Return whether any had ended."""
         incidents = self._supervisor.look(time.monotonic())
         for incident in incidents:
             self._console.print(f"[red]{incident.node}[/]: {escape(incident.sentence)}")
         return bool(incidents)
 
     def _get_ready(self) -> None:
-        """Show each node until the cell takes a goal."""
+        """Show each node's state until the cell accepts a goal."""
         deadline = time.monotonic() + self._arguments.wait
         told: dict[str, str] = {}
         asked = ""
@@ -219,7 +220,7 @@ class _Running:
                 if self._console.is_terminal:
                     live.update(start_up.table(start.lines))
                 for line in start.lines:
-                    # A value that changes is not worth a new line.
+                    # A line in which only a number changed is not printed again.
                     news = re.sub(r"\d", "", str(line))
                     if told.get(line.node) != news and not self._console.is_terminal:
                         self._console.print(str(line), markup=False)
@@ -241,7 +242,7 @@ class _Running:
         self._tell_page()
 
     def _tell_page(self) -> None:
-        """Say where the operator's page is, once its node has said so in its log."""
+        """Print the address of the operator's page once its node has written it to its log."""
         if not self._page_log.exists():
             return
         text = self._page_log.read_bytes()[self._page_seen :].decode("utf-8", errors="replace")
@@ -253,16 +254,16 @@ class _Running:
 
 
 def require_devices(cell: Cell, arguments: argparse.Namespace) -> None:
-    """Check that the camera and both ports are there, before anything is started.
+    """Check that the camera and both ports exist, before anything is started.
 
     Raises:
-        ConfigurationError: names everything that is missing, and what to do.
+        ConfigurationError: names every missing device and the remedy.
     """
     given = arguments.params.read_text(encoding="utf-8") if arguments.params else ""
     missing = []
     arm = () if cell.file.arm is None else (("arm", cell.file.arm.port),)
     for name, port in (*arm, *(("tapper", board.port) for board in cell.boards)):
-        # A file of parameters may name another port for the node.
+        # A parameter file may name another port for the node.
         if (
             port
             and "port:" not in given
@@ -282,10 +283,10 @@ def require_devices(cell: Cell, arguments: argparse.Namespace) -> None:
 
 
 def page_place(text: str) -> tuple[str, int]:
-    """Address and port of ``PORT`` or ``ADDRESS:PORT``, an address of IPv6 in brackets.
+    """Parse address and port from ``PORT`` or ``ADDRESS:PORT``, with an IPv6 address in brackets.
 
     Raises:
-        argparse.ArgumentTypeError: it is neither.
+        argparse.ArgumentTypeError: the text has neither form.
     """
     found = re.fullmatch(r"(?:(\[[0-9a-fA-F:.]+\]|[^:\[\]]+):)?(\d{1,5})", text)
     if found is None or int(found[2]) > 65535:
@@ -296,7 +297,7 @@ def page_place(text: str) -> tuple[str, int]:
 
 
 def add_truth_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options that say what is true in the simulated world."""
+    """Declare the options that set the simulation parameters."""
     parser.add_argument("--truth", type=Path, help="simulated: truth file of the world")
     parser.add_argument(
         "--truth-object",
@@ -308,7 +309,8 @@ def add_truth_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict[str, object]]:
-    """The parameters of each node that the command line gives; the rest is left to the nodes."""
+    """Return the parameters of each node that the command line sets; nodes use defaults for the
+    rest."""
     place: dict[str, object] = {"cell_file": cell.path} if arguments.cell else {}
     files = dict(place)
     if arguments.object:

@@ -16,12 +16,12 @@ from tapping_cell.hardware.urdf import urdf
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 written, 2 wrong input."""
+    """Run the verb. Return 0 on success, 2 for wrong input."""
     try:
         cell = load_cell(arguments.cell)
     except ConfigurationError as error:

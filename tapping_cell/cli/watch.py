@@ -1,4 +1,4 @@
-"""Watch a running cell in the terminal: state, taps, nodes and events, until Ctrl-C.
+"""Display state, taps, nodes and events of a running cell in the terminal, until Ctrl-C.
 
 python -m tapping_cell watch
 """
@@ -19,7 +19,7 @@ PERIOD_S = 0.2
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of the verb."""
+    """Declare the options of the verb."""
     cell_arguments.add_arguments(parser)
     parser.add_argument(
         "--seconds",
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb; 0 ended, 1 no cell answers."""
+    """Run the verb. Return 0 after Ctrl-C, 1 if no cell responds."""
 
     def follow(client: CellClient) -> int:
         console = Console(highlight=False)

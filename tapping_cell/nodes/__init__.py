@@ -1,4 +1,4 @@
-"""The ROS 2 nodes: parameters, topics and a state machine each, and no mathematics."""
+"""ROS 2 nodes: each has parameters, topics and a state machine, but contains no mathematics."""
 
 MODULES = {
     "overhead_camera": "tapping_cell.nodes.camera.overhead_camera",
@@ -10,4 +10,4 @@ MODULES = {
     "run_recorder": "tapping_cell.nodes.recorder.run_recorder",
     "operator_page": "tapping_cell.nodes.page.operator_page",
 }
-"""The module of each node; setup.py makes the executables of ``ros2 run`` from it."""
+"""Module of each node. setup.py generates the executables of ``ros2 run`` from this table."""

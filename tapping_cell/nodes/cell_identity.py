@@ -1,7 +1,7 @@
-"""What tells one cell on this machine from another: its ROS domain and its namespace.
+"""Identity of a cell on this machine: its ROS domain and its namespace.
 
-Whatever a cell keeps or opens outside ROS (the simulated devices' ports, the goal under way, learnt
-gains) is named by both, below the home folder of its user.
+Every resource of a cell outside ROS (the ports of simulated devices, the stored goal, learnt gains)
+is named after both and lies in the home folder of the user.
 """
 
 from __future__ import annotations
@@ -18,27 +18,28 @@ STATE = Path("~/.ros/tapping_cell")
 
 
 def cell_key(domain: int, namespace: str) -> str:
-    """A file name for the cell: ``domain0`` for the plain one, ``domain7.left`` for ``/left`` in
-    domain 7. ROS names hold no dots, so that no two cells share a key."""
+    """Return a file name for the cell: ``domain0`` for the default namespace of domain 0,
+    ``domain7.left`` for ``/left`` in domain 7. ROS names contain no dots, so no two cells share a
+    key."""
     return ".".join((f"domain{domain}", *filter(None, namespace.split("/"))))
 
 
 def key_of(node: Node) -> str:
-    """The key of the cell that a node belongs to."""
+    """Return the key of the cell that a node belongs to."""
     return cell_key(node.context.get_domain_id(), node.get_namespace())
 
 
 def state_folder(key: str) -> Path:
-    """Where a cell of this user keeps what outlives its nodes."""
+    """Return the folder in which a cell of this user stores files that outlive its nodes."""
     return STATE.expanduser() / key
 
 
 def claim(name: str) -> socket.socket | None:
-    """Hold a name on this machine, for all users, until the returned socket is closed or this
-    process ends; None where another process holds it.
+    """Reserve a name on this machine, for all users, until the returned socket is closed or this
+    process ends. Return None if another process holds the name.
 
-    The name is a Linux abstract socket address: it leaves no file behind, and it reaches exactly as
-    far as the loopback interface does over which the nodes of two cells would meet.
+    The name is a Linux abstract socket address. It leaves no file behind, and its scope is the
+    network namespace, as for the loopback interface over which the nodes of two cells would meet.
     """
     held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:

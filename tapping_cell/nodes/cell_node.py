@@ -1,7 +1,7 @@
-"""What every node of the cell shares: life cycle with autostart, stop, diagnostics, shut-down.
+"""Common base of the cell's nodes: life cycle with autostart, stop, diagnostics, shutdown.
 
-Meanings of the life cycle: unconfigured = nothing is open; inactive = files read, port open, state
-readable, nothing moves; active = may move.
+Life-cycle states: unconfigured = nothing is open; inactive = files are read, the port is open, the
+state is readable, nothing moves; active = the node may move its device.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from tapping_cell.nodes.memory import keep_memory
 
 
 class NodeParameters(Protocol):
-    """What the parameter class of every node has."""
+    """Parameters that every node has."""
 
     @property
     def autostart(self) -> bool:
-        """Whether the node configures and activates itself."""
+        """Return whether the node configures and activates itself automatically."""
 
 
 Parameters = TypeVar("Parameters", bound=NodeParameters)
@@ -44,25 +44,26 @@ Parameters = TypeVar("Parameters", bound=NodeParameters)
 LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
-"""For state that somebody who joins late must know."""
+"""For state that late-joining subscribers must receive."""
 COMMAND = QoSProfile(
     depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
 )
-"""For commands: all arrive, and none is delivered to somebody who was not there."""
+"""For commands: every command is delivered, but none to a subscriber that joins later."""
 BEST_EFFORT_COMMAND = QoSProfile(
     depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
-"""For commands of publishers that do not send again what was lost."""
+"""For commands from publishers that do not resend lost messages."""
 
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PROFILES = {True: "fastdds_profile.xml", False: "fastdds_messages.xml"}
-"""The middleware's profile for what carries pictures, and for what does not."""
+"""Fast DDS profile for nodes that transport images (True) and for other nodes (False)."""
 
 
 class NotReady(RuntimeError):
-    """The node cannot be configured or activated yet; the sentence says why. Tried again.
+    """The node cannot be configured or activated yet, for the reason in the message. The transition
+    is retried.
 
-    ``expected``: every healthy start comes by here, so that it is no warning.
+    ``expected``: the condition is part of every normal start, so it is not logged as a warning.
     """
 
     def __init__(self, sentence: str, expected: bool = False) -> None:
@@ -71,19 +72,19 @@ class NotReady(RuntimeError):
 
 
 class CellNode(LifecycleNode, Generic[Parameters]):
-    """A life-cycle node with parameters from one dataclass, which has a field ``autostart``.
+    """Life-cycle node with parameters from one dataclass, which has a field ``autostart``.
 
-    A subclass creates its publishers and subscriptions in its constructor, so that the graph shows
-    them at once, and overrides :meth:`configure`, :meth:`activate`, :meth:`deactivate`,
+    A subclass creates its publishers and subscriptions in its constructor, so that they appear in
+    the graph immediately, and overrides :meth:`configure`, :meth:`activate`, :meth:`deactivate`,
     :meth:`cleanup`, :meth:`stop_now` and :meth:`health`.
     """
 
     actor = False
-    """True for a node that moves something: its ``stopped`` tells of a latched stop."""
+    """True for a node that moves hardware. Its ``stopped`` reports a latched stop."""
     carries_pictures = True
-    """False for a node that sends and takes no pictures: see :func:`choose_transport`."""
+    """False for a node that neither sends nor receives images: see :func:`choose_transport`."""
     changeable: tuple[str, ...] = ()
-    """Parameters that may be set at run time; :meth:`change` takes them in."""
+    """Parameters that may be set at run time; :meth:`change` applies them."""
 
     def __init__(self, name: str, parameter_class: type[Parameters]) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
@@ -94,45 +95,47 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self.active = False
         """True while the node may act."""
         self.configured = False
-        """True from configured on (inactive or active)."""
+        """True while the node is inactive or active."""
         self.stop_profile = LATCHED
         self.fatal = ""
         self._last_complaint = ""
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Two subscriptions, because one with transient local durability misses volatile publishers
-        # and a volatile one misses a stop that was published before this node came up.
+        # Two subscriptions are needed: a transient local subscription does not match volatile
+        # publishers, and a volatile subscription misses a stop that was published before this node
+        # started.
         for profile in (LATCHED, COMMAND):
             self.create_subscription(Bool, "emergency_stop", self.hear_stop, profile)
         self.create_timer(1.0, self._publish_diagnostics)
         self._autostart = self.create_timer(0.05, self._start) if self.settings.autostart else None
 
-    # What a subclass overrides
+    # Methods that a subclass overrides
 
     def configure(self) -> None:
-        """Read files, open ports. Raises NotReady or ConfigurationError."""
+        """Read files and open ports. Raises NotReady or ConfigurationError."""
 
     def activate(self) -> None:
-        """Begin to act. Raises NotReady."""
+        """Start acting. Raises NotReady."""
 
     def deactivate(self) -> None:
-        """Cease to act."""
+        """Stop acting."""
 
     def cleanup(self) -> None:
-        """Close what configure opened; called at every end, also after a failure."""
+        """Close the resources that configure opened. Called at every shutdown, also after a
+        failure."""
 
     def stop_now(self) -> None:
-        """Stop everything that moves, at once; called from the executor's thread."""
+        """Stop all motion immediately. Called from the executor's thread."""
 
     def change(self, name: str, value: object) -> None:
-        """Take in a parameter that was set at run time. Raises ValueError with a sentence."""
+        """Apply a parameter that was set at run time. Raises ValueError with a message."""
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """Level, sentence and values for /diagnostics."""
+        """Return the level, message and values for /diagnostics."""
         return DiagnosticStatus.OK, "ok", {}
 
     def port_path(self, port: str) -> Path:
-        """Where a port is: ``~`` is the home folder, ``{namespace}`` that of the node, ``{cell}`` a
-        name of this namespace in this ROS domain."""
+        """Return the path of a port. ``~`` is replaced by the home folder, ``{namespace}`` by the
+        node's namespace, and ``{cell}`` by a name of this namespace in this ROS domain."""
         port = port.replace("{namespace}", self.get_namespace().strip("/"))
         return Path(port.replace("{cell}", key_of(self))).expanduser()
 
@@ -140,11 +143,11 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
     @property
     def stopped(self) -> bool:
-        """Whether a stop is latched here."""
+        """Whether this node has a latched stop."""
         return False
 
     def on_configure(self, state: Previous) -> TransitionCallbackReturn:
-        """Life cycle: configure."""
+        """Handle the life-cycle transition "configure"."""
         try:
             self.settings = parameters.read(self, self._parameter_class)
             self.configure()
@@ -161,7 +164,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: Previous) -> TransitionCallbackReturn:
-        """Life cycle: activate."""
+        """Handle the life-cycle transition "activate"."""
         self.active = True
         try:
             self.activate()
@@ -173,25 +176,26 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         return super().on_activate(state)
 
     def on_deactivate(self, state: Previous) -> TransitionCallbackReturn:
-        """Life cycle: deactivate."""
+        """Handle the life-cycle transition "deactivate"."""
         self.active = False
         self.deactivate()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: Previous) -> TransitionCallbackReturn:
-        """Life cycle: clean up."""
+        """Handle the life-cycle transition "cleanup"."""
         self.configured = False
         self.cleanup()
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: Previous) -> TransitionCallbackReturn:
-        """Life cycle: shut down."""
+        """Handle the life-cycle transition "shutdown"."""
         self.active = self.configured = False
         self.cleanup()
         return TransitionCallbackReturn.SUCCESS
 
     def _start(self) -> None:
-        """Bring the node up by itself; a node that is not ready is tried again every second."""
+        """Configure and activate the node automatically, and retry every second while it is not
+        ready."""
         timer = self._autostart
         assert timer is not None
         timer.timer_period_ns = 1_000_000_000
@@ -206,7 +210,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
             timer.cancel()
 
     def _complain(self, sentence: str, expected: bool = False) -> None:
-        """Say why the node is not ready, once for each reason."""
+        """Log the reason why the node is not ready, once per reason."""
         if sentence != self._last_complaint and expected:
             self.get_logger().info(sentence)
         elif sentence != self._last_complaint:
@@ -216,7 +220,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     # Emergency stop
 
     def hear_stop(self, message: Bool) -> None:
-        """Hear a level of ``emergency_stop``."""
+        """Process a message on ``emergency_stop``."""
         if message.data:
             self.stop_now()
 
@@ -252,11 +256,12 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
 
 def choose_transport(pictures: bool) -> None:
-    """Choose the middleware's profile, unless somebody else's stands in the environment.
+    """Select the Fast DDS profile, unless the environment already names a custom profile.
 
-    Without a shared-memory segment of several frames nearly every picture is lost; but the files of
-    shared memory outlive a process that is killed, and its successor meets them again. So only what
-    carries pictures uses it. The middleware reads the variable when the first node is made.
+    Without a shared-memory segment of several frames, nearly every image is lost. However, the
+    shared-memory files outlive a killed process and are found again by its successor, so only nodes
+    that transport images use shared memory. Fast DDS reads the variable when the first node is
+    created.
     """
     chosen = os.environ.get(PROFILE_VARIABLE, "")
     if not chosen or Path(chosen).name in PROFILES.values():
@@ -264,11 +269,11 @@ def choose_transport(pictures: bool) -> None:
 
 
 def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None = None) -> int:
-    """Run one node until Ctrl-C, a termination signal or a fatal error; returns the exit status."""
+    """Run one node until Ctrl-C, a termination signal or a fatal error. Return the exit code."""
     pictures = getattr(make_node, "carries_pictures", True)
     choose_transport(pictures)
-    # The middleware's own default is the local network: a goal of another machine must not move
-    # this arm.
+    # The default discovery range of ROS is the local network. A goal from another machine must not
+    # move this arm.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if pictures:
         keep_memory()
@@ -292,13 +297,14 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
         if refused := security.explain(error):
             print(f"error: {refused}", file=sys.stderr)
             return 1
-        # A signal that arrives in mid-call leaves the call without its context, or, where the
-        # middleware was just warning, with an exception that it does not expect.
+        # A signal that arrives during a call leaves the call without a valid context, or, if the
+        # middleware was logging a warning, raises an exception that the middleware does not expect.
         if rclpy.ok():
             raise
         return 0
     finally:
-        # A launcher sends its own signal after the terminal's: one is enough to end in order.
+        # A launcher sends its own signal after the terminal's signal. The first is enough for an
+        # orderly shutdown.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
         if node is not None:

@@ -1,4 +1,4 @@
-"""Between ROS messages and the library's types; no mathematics beyond quaternions."""
+"""Conversions between ROS messages and library types, with no mathematics beyond quaternions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tapping_cell.vision import CameraPose
 
 
 def to_message(pose: Pose, height: float = 0.0) -> PoseMessage:
-    """A planar pose at a height in m as a ROS pose."""
+    """Convert a planar pose at a height in m to a ROS pose."""
     message = PoseMessage()
     message.position.x, message.position.y, message.position.z = pose.x, pose.y, height
     message.orientation.z = math.sin(pose.theta / 2)
@@ -23,20 +23,20 @@ def to_message(pose: Pose, height: float = 0.0) -> PoseMessage:
 
 
 def from_message(message: PoseMessage) -> Pose:
-    """The planar part of a ROS pose."""
+    """Return the planar part of a ROS pose."""
     q = message.orientation
     theta = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
     return Pose(message.position.x, message.position.y, theta)
 
 
 def is_finite(message: PoseMessage) -> bool:
-    """True where every number of a ROS pose is finite."""
+    """Return whether every number of a ROS pose is finite."""
     p, q = message.position, message.orientation
     return all(math.isfinite(value) for value in (p.x, p.y, p.z, q.x, q.y, q.z, q.w))
 
 
 def camera_to_message(camera: CameraPose) -> PoseMessage:
-    """X_TC, the pose of ``camera_optical`` in ``table``, of a camera over the table."""
+    """Return X_TC, the pose of ``camera_optical`` in ``table``, of a camera above the table."""
     message = PoseMessage()
     place, q = message.position, message.orientation
     place.x, place.y, place.z = (float(value) for value in camera.position)
@@ -45,10 +45,10 @@ def camera_to_message(camera: CameraPose) -> PoseMessage:
 
 
 def camera_from_message(message: PoseMessage) -> CameraPose:
-    """The camera over the table of :func:`camera_to_message`.
+    """Invert :func:`camera_to_message`.
 
     Raises:
-        ValueError: the quaternion has no length.
+        ValueError: the quaternion has zero norm.
     """
     place, q = message.position, message.orientation
     rotation = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix().T
@@ -56,5 +56,5 @@ def camera_from_message(message: PoseMessage) -> CameraPose:
 
 
 def seconds(stamp: TimeMessage) -> float:
-    """A ROS stamp in seconds."""
+    """Convert a ROS stamp to seconds."""
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)

@@ -1,6 +1,6 @@
-"""A service that answers when the answer is known; rclpy answers when its callback returns.
+"""Service server that can respond after its callback has returned, which rclpy does not support.
 
-A callback that waited as a coroutine would keep a single-threaded executor from everything else.
+A callback that waited for the result as a coroutine would block a single-threaded executor.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ Respond = Callable[[Any], None]
 
 
 class _Sends(Protocol):
-    """What rclpy's executor hands a callback's result to."""
+    """Service whose ``send_response`` receives the callback's result from rclpy's executor."""
 
     send_response: Callable[[Any, Any], None]
 
 
 class _Later:
-    """What the callback returns in place of a response, until there is one."""
+    """Placeholder that the callback returns until the response is available."""
 
     def __init__(self, send: Callable[[Any, Any], None]) -> None:
         self._send = send
@@ -43,7 +43,8 @@ class _Later:
 def create_deferred_service(
     node: Node, kind: Any, name: str, serve: Callable[[Any, Respond], None]
 ) -> None:
-    """Offer a service. ``serve`` gets a request and what to call once with its response."""
+    """Create a service. ``serve`` receives a request and a function to call once with its
+    response."""
 
     def callback(request: Any, _: Any) -> _Later:
         later = _Later(send)

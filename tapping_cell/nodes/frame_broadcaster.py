@@ -1,4 +1,4 @@
-"""Frames on ``/tf`` and ``/tf_static``, where tf2_msgs is installed; without it nothing is sent."""
+"""Publish frames on ``/tf`` and ``/tf_static`` if tf2_msgs is installed; otherwise do nothing."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ except ImportError:
     TFMessage = None
 
 DEPTH = 100
-"""Of the queue on ``/tf``, as tf2_ros has it."""
+"""Queue depth of ``/tf``, as in tf2_ros."""
 
 
 class FrameBroadcaster:
-    """The frames of which one node is the authority."""
+    """Publisher of the frames that one node is responsible for."""
 
     def __init__(self, node: Node, *, moving: bool = True) -> None:
-        """``moving``: some of them move, so that ``/tf`` is opened, too."""
+        """``moving``: some frames move, so a publisher on ``/tf`` is created as well."""
         self._node = node
         self._moving = self._fixed = None
         self._fixed_frames: dict[str, TransformStamped] = {}
@@ -34,24 +34,25 @@ class FrameBroadcaster:
 
     @property
     def is_open(self) -> bool:
-        """Whether anything is sent."""
+        """Return whether frames are published."""
         return self._fixed is not None
 
     def send(self, frames: Iterable[TransformStamped]) -> None:
-        """Send where frames are at the time of their stamps."""
+        """Publish the transforms of moving frames, each valid at its stamp."""
         if self._moving is not None and self._node.context.ok():
             self._moving.publish(TFMessage(transforms=list(frames)))
 
     def send_fixed(self, frames: Iterable[TransformStamped]) -> None:
-        """Send where fixed frames are; listeners that join later hear it, too."""
-        # A latched publisher resends its last message alone, so that each holds all frames.
+        """Publish the transforms of fixed frames, also for subscribers that join later."""
+        # A late subscriber receives only the last latched message, so each message contains all
+        # frames.
         self._fixed_frames.update({frame.child_frame_id: frame for frame in frames})
         if self._fixed is not None and self._node.context.ok():
             self._fixed.publish(TFMessage(transforms=list(self._fixed_frames.values())))
 
 
 def transform(parent: str, child: str, pose: Pose, stamp: Time) -> TransformStamped:
-    """The message that says where a frame is: the pose of ``child`` in ``parent``."""
+    """Return the transform message for the pose of ``child`` in ``parent``."""
     made = TransformStamped(child_frame_id=child)
     made.header.frame_id, made.header.stamp = parent, stamp
     place = made.transform.translation

@@ -1,4 +1,4 @@
-"""Small contents that a node keeps on disk over a crash: the goal under way, a stop."""
+"""Small records that a node stores on disk to survive a crash: the current goal, a stop."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from tapping_cell.logic.effects import Content
 
 
 class KeptContent:
-    """One JSON file; its age is that of its last change or touch."""
+    """One JSON file. Its age is the time since its last change or touch."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
     def keep(self, content: Content | None) -> None:
-        """Write it, surviving a loss of power at any moment; None removes it. Raises OSError."""
+        """Write the content, safe against a power loss at any moment. None removes the file. Raises
+        OSError."""
         if content is None:
             self._path.unlink(missing_ok=True)
             return
@@ -31,12 +32,12 @@ class KeptContent:
         part.replace(self._path)
 
     def touch(self) -> None:
-        """Make it young again, where there is one. Raises OSError."""
+        """Reset the age of the file if it exists. Raises OSError."""
         if self._path.exists():
             os.utime(self._path)
 
     def recall(self) -> Content | None:
-        """What was kept; None where nothing was, empty where it cannot be read."""
+        """Return the stored content: None if there is no file, empty if it is unreadable."""
         try:
             found: Any = json.loads(self._path.read_text(encoding="utf-8"))
         except FileNotFoundError:
@@ -46,5 +47,5 @@ class KeptContent:
         return found if isinstance(found, dict) else {}
 
     def age(self) -> float:
-        """Seconds since the last change or touch; raises OSError where there is none."""
+        """Return the seconds since the last change or touch. Raises OSError if there is no file."""
         return time.time() - self._path.stat().st_mtime

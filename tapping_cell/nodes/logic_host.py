@@ -1,7 +1,7 @@
-"""Runs a machine of ``tapping_cell.logic`` in a node: topics, services, jobs, timers.
+"""Run a state machine of ``tapping_cell.logic`` in a node: topics, services, jobs, timers.
 
-Handlers run one at a time under one lock, in the executor's thread or in the worker's; what only
-the executor may do (calls, new subscriptions) is handed to it.
+Handlers run one at a time under one lock, in the executor's thread or in the worker's. Actions that
+only the executor may perform (calls, new subscriptions) are passed to the executor.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from tapping_cell.nodes.message_conversion import Mirrored, from_ros, ros_class,
 from tapping_cell.nodes.worker import Worker
 
 LEVELS_WAIT_S = 0.5
-"""How long publishers of ``emergency_stop`` have to resend their level to a new subscription."""
+"""Time for which publishers of ``emergency_stop`` may resend their level to a new subscription."""
 
 
 Machine = TypeVar("Machine", bound=Logic)
 
 
 class LogicHost(Generic[Machine]):
-    """The host of one machine; ``driver`` is what its jobs work with."""
+    """Host of one state machine. ``driver`` is the device driver that its jobs use."""
 
     def __init__(self, node: CellNode[Any], logic: Machine, folder: Path) -> None:
-        """``folder``: where the cell keeps what must survive a crash."""
+        """``folder``: folder for the cell's files that must survive a crash."""
         self.driver: Any = None
         self._node = node
         self._logic = logic
@@ -64,20 +64,21 @@ class LogicHost(Generic[Machine]):
     # Wiring
 
     def publishes(self, kind: type[Mirrored], topic: str, profile: Any) -> None:
-        """Offer a topic under the name that the machine uses."""
+        """Create a publisher under the topic name that the machine uses."""
         name = ros_class(kind.ROS_TYPE)
         self._publishers[topic] = self._node.create_publisher(name, topic, profile)
 
     def offers(self, kind: Any, topic: str, profile: Any) -> None:
-        """Offer a topic of a ROS type that has no mirror; a subclass publishes on it."""
+        """Create a publisher for a ROS type without a mirror class; a subclass publishes on it."""
         self._publishers[topic] = self._node.create_publisher(kind, topic, profile)
 
     def observes(self, topic: str, observe: Callable[[Any], None]) -> None:
-        """Hand what the machine publishes on a topic to the node, too: a mirror, not ROS's."""
+        """Also pass the machine's messages on a topic to the node, as mirror objects, not ROS
+        messages."""
         self._observers[topic] = observe
 
     def subscribes(self, kind: type[Mirrored], topic: str, profile: Any) -> None:
-        """Hand a topic's messages to the machine."""
+        """Pass the messages of a topic to the machine."""
         self._node.create_subscription(
             ros_class(kind.ROS_TYPE),
             topic,
@@ -86,7 +87,7 @@ class LogicHost(Generic[Machine]):
         )
 
     def serves(self, kind: Any, name: str) -> None:
-        """Hand a service's requests to the machine."""
+        """Pass the requests of a service to the machine."""
 
         def serve(request: Any, respond: Respond) -> None:
             mirror = from_ros(request, kind.Request)
@@ -95,21 +96,21 @@ class LogicHost(Generic[Machine]):
         create_deferred_service(self._node, ros_class(kind.ROS_TYPE), name, serve)
 
     def calls(self, kind: Any, name: str) -> None:
-        """Prepare a service that the machine calls."""
+        """Create a client for a service that the machine calls."""
         self._clients[name] = self._node.create_client(ros_class(kind.ROS_TYPE), name)
 
     # Events
 
     def now(self) -> Now:
-        """The present moment."""
+        """Return the current time."""
         return Now(time.monotonic(), self._node.get_clock().now().nanoseconds)
 
     def lifecycle(self, event: LifecycleEvent) -> None:
-        """Tell the machine of its node's life cycle."""
+        """Notify the machine of a life-cycle event of its node."""
         self._dispatch(lambda now: self._logic.on_lifecycle(event, now))
 
     def hear(self, topic: str, message: Any) -> None:
-        """Hand a message to the machine."""
+        """Pass a message to the machine."""
         if topic == stops.TOPIC and message.data:
             self._stop_publishers |= self._present_publishers()
         self._dispatch(lambda now: self._logic.on_message(topic, message, now))
@@ -121,7 +122,8 @@ class LogicHost(Generic[Machine]):
         answer: Callable[[Any], None],
         feedback: Callable[[Any], None] | None = None,
     ) -> int:
-        """Hand a request to the machine, which answers now or later; returns its token."""
+        """Pass a request to the machine, which responds now or later. Return the request's
+        token."""
         token = next(self._tokens)
         self._requests[token] = answer
         if feedback is not None:
@@ -130,11 +132,12 @@ class LogicHost(Generic[Machine]):
         return token
 
     def cancel(self, token: int) -> None:
-        """Tell the machine that a goal was cancelled."""
+        """Notify the machine that a goal was cancelled."""
         self._dispatch(lambda now: self._logic.on_request("cancel", None, token, now))
 
     def ask(self, query: Callable[[Now], Any]) -> Any:
-        """A side-effect-free question to the machine, in exclusion with its handlers."""
+        """Evaluate a query without side effects on the machine, mutually exclusive with its
+        handlers."""
         with self._lock:
             return query(self.now())
 
@@ -162,7 +165,8 @@ class LogicHost(Generic[Machine]):
 
     def _perform(self, effect: fx.Effect) -> None:
         if isinstance(effect, fx.Publish):
-            # At the node's end the machine still tells its last state; nobody can hear it then.
+            # When the node shuts down, the machine still publishes its last state, but the context
+            # is invalid.
             if self._node.context.ok():
                 self._publishers[effect.topic].publish(to_ros(effect.message))
                 if effect.topic in self._observers:
@@ -185,7 +189,8 @@ class LogicHost(Generic[Machine]):
             self._feedback[effect.token](effect.message)
         elif isinstance(effect, fx.Log):
             log = self._node.get_logger()
-            # One call for each level: rclpy keeps the level of a line of code.
+            # One call per level is needed: rclpy does not allow the level of a logging call to
+            # change.
             if effect.level is fx.LogLevel.ERROR:
                 log.error(effect.sentence)
             elif effect.level is fx.LogLevel.WARNING:
@@ -210,7 +215,7 @@ class LogicHost(Generic[Machine]):
             self._node.get_logger().warning(f"a restart would lose this {what}: {error}")
 
     def later(self, action: Callable[[], None]) -> None:
-        """Do something in the executor's thread, after what it does now."""
+        """Run an action in the executor's thread after its current callback."""
         self._later.append(action)
         self._wake.trigger()
 
@@ -234,7 +239,8 @@ class LogicHost(Generic[Machine]):
         future.add_done_callback(done)
 
     def _ask_stops(self, token: Any) -> None:
-        """Every latched publisher resends its level to a subscription that is new."""
+        """Create a new subscription, so that every latched publisher of a stop resends its
+        level."""
         levels: list[bool] = []
 
         def hear(message: Bool) -> None:
@@ -256,7 +262,7 @@ class LogicHost(Generic[Machine]):
         timer = self._node.create_timer(LEVELS_WAIT_S, settle)
 
     def _present_publishers(self) -> dict[bytes, str]:
-        """Publishers of ``emergency_stop``, by their identity: the names of their nodes."""
+        """Return the node names of the publishers of ``emergency_stop``, by endpoint identifier."""
         return {
             bytes(info.endpoint_gid): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in self._node.get_publishers_info_by_topic(stops.TOPIC)
@@ -265,13 +271,13 @@ class LogicHost(Generic[Machine]):
     # Jobs
 
     def start(self, driver: Any) -> None:
-        """Begin to run jobs on a driver."""
+        """Start to run jobs with a driver."""
         self.driver = driver
         self._worker = Worker(self._node.get_name(), lambda: None, 60.0)
         self._worker.start()
 
     def close(self) -> None:
-        """End the worker after the job under way."""
+        """Stop the worker after the current job."""
         if self._worker is not None:
             self._worker.close()
         self._worker = None
@@ -290,16 +296,16 @@ class LogicHost(Generic[Machine]):
         self._dispatch(lambda now: self._logic.on_job(ended, now))
 
     def abandoned(self, job: int) -> bool:
-        """Whether a job was abandoned."""
+        """Return whether a job was abandoned."""
         return job in self._abandoned
 
     def progress(self, event: fx.JobProgress) -> None:
-        """Hand a job's progress to the machine."""
+        """Pass the progress of a job to the machine."""
         self._dispatch(lambda now: self._logic.on_job(event, now))
 
 
 class _Context:
-    """What a job uses of the host."""
+    """Interface of the host for a job."""
 
     def __init__(self, host: LogicHost[Any], number: int) -> None:
         self._host = host

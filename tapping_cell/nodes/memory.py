@@ -1,22 +1,23 @@
-"""How a process that handles pictures keeps its memory."""
+"""Memory settings for processes that handle images."""
 
 from __future__ import annotations
 
 import ctypes
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-"""Of mallopt(3): M_TRIM_THRESHOLD and M_MMAP_THRESHOLD of glibc's malloc.h."""
+"""Parameters of mallopt(3): M_TRIM_THRESHOLD and M_MMAP_THRESHOLD from glibc's malloc.h."""
 _KEPT = 64 * 1024 * 1024
 _LARGEST = 32 * 1024 * 1024
-"""Bytes of free memory that are kept, and of the largest piece that is (glibc's own greatest)."""
+"""Trim threshold (free memory to keep) and mmap threshold (the maximum that glibc accepts), in
+bytes."""
 
 
 def keep_memory() -> None:
-    """Have freed memory stay with the process, up to 64 MB: to be called once, at its start.
+    """Keep up to 64 MB of freed memory in the process. Call once at the start of the process.
 
-    Otherwise glibc gives a picture's megabytes back to the kernel when they are freed, and every
-    picture meets some thousand pages that must be cleared anew: half of what it costs to receive
-    it. Does nothing with another C library.
+    Otherwise, glibc returns an image's memory to the kernel as soon as it is freed, and each new
+    image needs about a thousand newly zeroed pages, which is half the cost of receiving it. The
+    function does nothing with another C library.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:

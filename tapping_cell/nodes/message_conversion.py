@@ -1,4 +1,4 @@
-"""Between ROS messages and their mirrors in ``tapping_cell.messages``, field by field."""
+"""Convert between ROS messages and their mirrors in ``tapping_cell.messages``, field by field."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Convert = Callable[[Any], Any]
 
 
 class Mirrored(Protocol):
-    """A dataclass of ``tapping_cell.messages``."""
+    """Dataclass of ``tapping_cell.messages``."""
 
     ROS_TYPE: ClassVar[str]
     __dataclass_fields__: ClassVar[dict[str, dataclasses.Field[Any]]]
@@ -27,13 +27,14 @@ Mirror = TypeVar("Mirror", bound=Mirrored)
 
 @cache
 def ros_class(name: str) -> Any:
-    """The ROS class of a mirror's ``ROS_TYPE``: ``package/msg/Name``, ``package/srv/Name.Part``."""
+    """Return the ROS class named by a mirror's ``ROS_TYPE``: ``package/msg/Name`` or
+    ``package/srv/Name.Part``."""
     package, kind, title = name.split("/")
     return operator.attrgetter(title)(importlib.import_module(f"{package}.{kind}"))
 
 
 def to_ros(message: Mirrored) -> Any:
-    """The ROS message of a mirror."""
+    """Convert a mirror to a ROS message."""
     made = ros_class(message.ROS_TYPE)()
     for field in dataclasses.fields(message):
         value = getattr(message, field.name)
@@ -46,14 +47,14 @@ def to_ros(message: Mirrored) -> Any:
 
 
 def from_ros(message: Any, kind: type[Mirror]) -> Mirror:
-    """The mirror of a ROS message."""
+    """Convert a ROS message to its mirror."""
     given = {name: convert(getattr(message, name)) for name, convert in _plan(kind)}
     return kind(**given)
 
 
 @cache
 def _plan(kind: type[Mirrored]) -> tuple[tuple[str, Convert], ...]:
-    """How each field of a mirror is read."""
+    """Return the name and the conversion of each field of a mirror."""
     hints = typing.get_type_hints(kind, vars(messages))
     return tuple((field.name, _reader(hints[field.name])) for field in dataclasses.fields(kind))
 
@@ -63,7 +64,7 @@ def _reader(hint: Any) -> Convert:
         (inner,) = typing.get_args(hint)
         if hasattr(inner, "ROS_TYPE"):
             return lambda values: [from_ros(value, inner) for value in values]
-        # Numbers come as arrays of numpy or of the standard library.
+        # rclpy returns numeric sequences as numpy arrays or as arrays of the standard library.
         return lambda values: [inner(value) for value in values]
     if hasattr(hint, "ROS_TYPE"):
         return lambda value: from_ros(value, hint)

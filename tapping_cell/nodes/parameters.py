@@ -1,7 +1,7 @@
-"""Node parameters declared once: a frozen dataclass of fields with unit and range.
+"""Declare node parameters from a frozen dataclass, whose fields have units and ranges.
 
-The same field declarations serve the YAML files (``configuration.schema``), so a range is written
-in one place and checked in words, at start and at ``ros2 param set``.
+The YAML files use the same field declarations (``configuration.schema``), so each range is defined
+once and is checked, with a readable error message, at start and at ``ros2 param set``.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from tapping_cell.configuration.schema import ConfigurationError, Limits, build
 Parameters = TypeVar("Parameters")
 
 FOREIGN_PREFIXES = ("use_sim_time", "qos_overrides.", "start_type_description_service")
-"""Parameters that belong to rclpy itself."""
+"""Prefixes of the parameters that belong to rclpy itself."""
 
 
 def declare(node: Node, kind: type[Parameters], changeable: tuple[str, ...] = ()) -> None:
     """Declare every field of a parameter class on the node, with description, unit and range.
 
-    The node was made with ``automatically_declare_parameters_from_overrides``, rclpy's way to tell
-    what was given: only so are unknown names found. Those not named in ``changeable`` are read-only
-    once the node runs.
+    The node must be created with ``automatically_declare_parameters_from_overrides``, because only
+    then are unknown parameter names detected. Parameters that are not in ``changeable`` are
+    read-only while the node runs.
 
     Raises:
         ConfigurationError: an override names no parameter of this node, or has the wrong type.
@@ -65,10 +65,10 @@ def declare(node: Node, kind: type[Parameters], changeable: tuple[str, ...] = ()
 
 
 def read(node: Node, kind: type[Parameters]) -> Parameters:
-    """The node's present parameters, checked.
+    """Return the node's current parameters after checking them.
 
     Raises:
-        ConfigurationError: names node, parameter, value and range.
+        ConfigurationError: the message names node, parameter, value and range.
     """
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]
     document: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""SROS 2 in the cell: each node's enclave, and its failures in sentences (docs/security.md)."""
+"""SROS 2 in the cell: enclave of each node and explanation of failures (docs/security.md)."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ ENABLED = "ROS_SECURITY_ENABLE"
 
 
 def is_enabled(environment: Mapping[str, str] = os.environ) -> bool:
-    """True where the environment asks ROS for security."""
+    """Return whether ROS security is enabled in the environment."""
     return environment.get(ENABLED, "") == "true"
 
 
 def enclave_of(node: str) -> str:
-    """The enclave of a node of the cell, as config/security/cell.policy.xml names it."""
+    """Return the enclave of a node of the cell, as named in config/security/cell.policy.xml."""
     return f"/tapping_cell/{node}"
 
 
 def explain(error: BaseException) -> str | None:
-    """What a failure to start with security on means, None where it is about something else."""
+    """Explain a failure to start with security enabled. Return None if security is not the
+    cause."""
     text = str(error)
     if not is_enabled():
         return None

@@ -1,4 +1,4 @@
-"""One thread that makes a driver's blocking calls, so that the node's executor never waits."""
+"""Thread for a driver's blocking calls, so that the node's executor never waits."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ Job = Callable[[], None]
 
 
 class Worker:
-    """Runs jobs one after the other and, while there are none, ``idle`` every ``period`` seconds.
+    """Run jobs one after another. While there are none, call ``idle`` every ``period`` seconds.
 
-    A job or ``idle`` that raises ends the thread; ``error`` then holds what it raised, and the node
-    must look at it: a failure that is to be expected is caught in the job itself.
+    An exception from a job or from ``idle`` ends the thread and is stored in ``error``, which the
+    node must check. A job must catch the failures that it expects.
     """
 
     def __init__(self, name: str, idle: Job, period: float) -> None:
@@ -29,11 +29,11 @@ class Worker:
         self._thread.start()
 
     def submit(self, job: Job) -> None:
-        """Queue a job; from any thread."""
+        """Queue a job, from any thread."""
         self._jobs.put(job)
 
     def close(self, patience: float = 3.0) -> None:
-        """End the thread after the job under way."""
+        """Stop the thread after the current job."""
         self._ending.set()
         self._jobs.put(lambda: None)
         if self._thread.is_alive():

@@ -1,1 +1,1 @@
-"""The sub-verbs of ``calibrate``: one module each, like verbs."""
+"""Sub-verbs of ``calibrate``, with the same module interface as verbs."""

@@ -1,4 +1,5 @@
-"""The record of `calibrate arm` by the running cell: the arm goes about and the camera looks."""
+"""Recording for `calibrate arm` with the running cell: moves the arm and measures the held
+marker."""
 
 from __future__ import annotations
 
@@ -23,24 +24,26 @@ from tapping_cell.se2 import Pose
 
 HEADER = ("shoulder", "elbow", "tool", "x", "y", "theta")
 SPEED = 0.6
-"""Of the farthest joint, rad/s."""
+"""Speed of the fastest joint, rad/s."""
 SPARE = 2
-"""Postures that are kept for each that is wanted: some show the marker outside the picture."""
+"""Number of candidate postures per required pose, because the marker is outside the image in
+some."""
 BLIND = 6
-"""Postures in a row without the marker in view after which it cannot be luck."""
+"""Number of consecutive postures without a visible marker after which the recording is aborted."""
 READY_PATIENCE_S = 30.0
 _SAME_TIP = 0.001
-"""Between two accounts of where the tip is, m: one cell file gives one."""
+"""Maximum difference in m between the tip positions of the given and the running cell's cell
+file."""
 _SAME = 0.03
-"""Recorded joints this near to a posture, in rad, are of it."""
+"""Maximum difference in rad of each joint between a recorded pose and a posture that it covers."""
 
 
 def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
-    """Go on until there are so many poses as are asked for; False where it was interrupted.
+    """Record poses until the requested number is reached. Return False if interrupted.
 
     Raises:
-        CalibrationRefused: the cell or the camera does not do; the sentence says why.
-        RecordError: the file cannot be gone on with.
+        CalibrationRefused: the cell or the camera is unsuitable, for the stated reason.
+        RecordError: the existing file cannot be continued.
     """
     own = cell.arm.ros2_control
     if own is not None and own.chain is not None:
@@ -118,7 +121,7 @@ def _visit(
 
 
 def _check_same_arm(cell: Cell, client: ArmPoseClient, here: Joints) -> None:
-    """Refuse a cell file that is not the running cell's: postures would be others than thought."""
+    """Reject a cell file that is not the running cell's, because it would give wrong postures."""
     assert client.arm_state is not None
     tip = cell.arm.geometry().forward(here)
     thought = cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
@@ -131,7 +134,7 @@ def _check_same_arm(cell: Cell, client: ArmPoseClient, here: Joints) -> None:
 
 
 def _recorded(growing: GrowingCsv, path: Path) -> list[tuple[float, ...]]:
-    """Joints of the poses that are there already."""
+    """Return the joints of the poses that are already recorded."""
     if not growing.rows:
         return []
     table = read_csv(path, RECORD_COLUMNS)

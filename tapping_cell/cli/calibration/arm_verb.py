@@ -1,14 +1,15 @@
-"""Pose of the arm's base and zero of its elbow, from a CSV record of poses.
+"""Calibrate the pose of the arm's base and the zero of its elbow from a CSV record of poses.
 
-One row a pose: the controller's joints (columns shoulder, elbow, tool in rad, or shoulder_deg and
-so on) and, of a marker held by the arm, what the camera saw (x, y in m or x_mm, y_mm; theta or
-theta_deg) in the frame table. Without theta the rows are points of the table that the tip touched.
-20 poses over the whole table, the elbow bent by different angles to both sides, the tool turned.
-Writes a copy of the cell file with the new values in its section arm.
+Each row is one pose: the controller's joints (columns shoulder, elbow, tool in rad, or shoulder_deg
+and so on) and the camera's measurement of a marker held by the arm (x, y in m or x_mm, y_mm; theta
+or theta_deg) in the frame table. Without theta, the rows are points of the table that the tip
+touched. Record 20 poses over the whole table, with different elbow angles to both sides and with
+different tool angles. Writes a copy of the cell file with the new values in its section arm.
 
-With --record the running cell makes the record first: the arm, holding a marker whose object file
-the cell was started with (its height: that of the marker over the table), goes over the table as
-high as it is, and what the camera sees is written pose by pose. Ctrl-C stops; --resume goes on.
+With --record, the running cell makes the record first. The arm holds a marker, with whose object
+file the cell was started (its height is that of the marker above the table). The arm moves over the
+table at its current height, and the camera's measurements are recorded pose by pose. Ctrl-C stops
+the recording; --resume continues it.
 
   python -m tapping_cell calibrate arm poses.csv --cell config/cell.yaml --output cell.yaml
   python -m tapping_cell up --hardware --object held_marker.yaml    # in another terminal, and then
@@ -70,7 +71,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Calibrate; 0 if the file was written, 130 if the recording was interrupted."""
+    """Run the calibration. Return 0 if the file was written, 130 if the recording was
+    interrupted."""
     output = output_of(arguments, ("arm", "calibration"))
     refuse_existing(output)
     cell = load_cell(arguments.cell)
@@ -92,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def record_of(table: CsvTable) -> ArmRecord:
-    """The poses of the good rows; angles only if every row has one."""
+    """Return the poses of the valid rows, with angles only if every row has one."""
     angles = table.values.get("theta")
     if angles is not None and not np.isfinite(angles).all():
         angles = None
@@ -107,16 +109,16 @@ def record_of(table: CsvTable) -> ArmRecord:
 def file_values(
     result: ArmCalibration, cell: Cell, marker: list[float] | None
 ) -> dict[str, float | list[float]]:
-    """What changes in the section arm of the cell file."""
+    """Return the changed values of the section arm in the cell file."""
     v, arm = result.values, cell.arm
     offset = list(arm.joint_offset)
-    # The shoulder's zero of the file goes on, so its part is taken off the base's yaw.
+    # The file's shoulder offset is kept, so it is subtracted from the fitted yaw of the base.
     base = [v["base_x"], v["base_y"], math.remainder(v["base_yaw"] - offset[0], 2 * math.pi)]
     offset[1] = v["elbow_zero"]
     values: dict[str, float | list[float]] = {"base": base, "joint_offset": offset}
     if "upper_arm" in result.deviations:
         values |= {"upper_arm": v["upper_arm"], "forearm": v["forearm"]}
-    # In the fit the tool's heading is the controller's, without the file's zero of the tool.
+    # The fit uses the controller's tool angle, without the tool's zero from the file.
     mount = Pose(v["mount_x"], v["mount_y"], v["mount_angle"])
     into_tool = Pose(0.0, 0.0, -offset[3])
     if marker is not None and result.turns is not None:
@@ -170,7 +172,7 @@ def report(
     table: CsvTable,
     path: Path,
 ) -> dict[str, Any]:
-    """The result for programs: SI."""
+    """Return the result for JSON output, in SI units."""
     return {
         "output": str(path),
         "values": values,
@@ -189,7 +191,7 @@ def report(
 
 
 def lines(found: dict[str, Any]) -> list[str]:
-    """The report for people: mm and degrees."""
+    """Format the report in mm and degrees."""
     rows = []
     for name, value in found["fitted"].items():
         turn = name.endswith(("yaw", "zero", "angle"))

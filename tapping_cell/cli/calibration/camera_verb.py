@@ -1,9 +1,10 @@
-"""Intrinsics of a camera from photographs of a flat target: writes ROS camera_info YAML.
+"""Calibrate the intrinsics of a camera from photographs of a flat target; write ROS camera_info
+YAML.
 
-Print a target (calibrate print --what charuco), fix it to something flat and take about 20
-photographs at the size that the cell will use, focus and zoom locked: the target in every part of
-the image, tilted by 20 to 40 degrees to all sides. Folders stand for the images in them. Exit
-status 1: the photographs do not determine the camera.
+Print a target (calibrate print --what charuco), attach it to a flat surface and take about 20
+photographs at the image size that the cell will use, with focus and zoom locked. Show the target in
+every part of the image, tilted by 20 to 40 degrees in all directions. A folder selects all images
+in it. Exit code 1: the photographs do not determine the camera.
 
   python -m tapping_cell calibrate camera photos/*.png --target charuco --squares 8x6 \\
       --square-size 25 --marker-size 18.75 --dictionary 4X4_250 --output camera_info.yaml
@@ -87,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def counts(word: str) -> tuple[int, int]:
-    """Two counts from a word such as 8x6."""
+    """Parse two counts from a word such as 8x6."""
     found = re.fullmatch(r"(\d+)[xX](\d+)", word)
     if not found:
         raise argparse.ArgumentTypeError(f"{word!r} is no pair of counts such as 8x6")
@@ -95,7 +96,7 @@ def counts(word: str) -> tuple[int, int]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Calibrate; 0 if the file was written."""
+    """Run the calibration. Return 0 if the file was written."""
     output = output_of(arguments)
     refuse_existing(output)
     target = _target(arguments)
@@ -137,10 +138,10 @@ def _target(arguments: argparse.Namespace) -> Target:
 
 
 def image_files(paths: list[Path]) -> list[Path]:
-    """The files, with folders replaced by the images in them, in order of name.
+    """Return the files, with folders replaced by the images in them, sorted by name.
 
     Raises:
-        CalibrationRefused: one is not there, or a folder holds no image.
+        CalibrationRefused: a file does not exist, or a folder contains no image.
     """
     found: list[Path] = []
     for path in paths:
@@ -157,16 +158,16 @@ def image_files(paths: list[Path]) -> list[Path]:
 
 
 def read_grey(path: Path) -> NDArray[np.uint8] | None:
-    """A photograph in grey as the sensor had it: a viewer's rotation is not applied."""
+    """Read a photograph in grey as on the sensor, ignoring the rotation flag of the file."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
     return None if image is None else np.asarray(image, dtype=np.uint8)
 
 
 def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
-    """The size (width, height) of all images.
+    """Return the common size (width, height) of all images.
 
     Raises:
-        CalibrationRefused: names the images of another size, or says that there is none.
+        CalibrationRefused: names the images of another size, or reports that there is no image.
     """
     if not sizes:
         raise CalibrationRefused("none of the files is an image that can be read")
@@ -185,7 +186,7 @@ def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
 def _find(
     paths: list[Path], target: Target, quiet: bool
 ) -> tuple[list[TargetView], tuple[int, int], list[Rejected]]:
-    """The views of the target in the files, the images' size, and the files without a view."""
+    """Return the views of the target, the image size, and the files without a view."""
     images = {}
     unseen: list[Rejected] = []
     for path in paths:
@@ -201,7 +202,7 @@ def _find(
     for path in track(images, "looking for the target", console=console, disable=hidden):
         image = read_grey(path)
         if image is None:
-            continue  # gone since the first look
+            continue  # deleted since it was listed
         found = find_target(image, target, path.name)
         if isinstance(found, str):
             unseen.append(Rejected(path.name, found))
@@ -219,7 +220,7 @@ def _find(
 
 
 def report(result: CameraCalibration, path: Path) -> dict[str, Any]:
-    """The result for programs."""
+    """Return the result for JSON output."""
     model = result.model
     return {
         "output": str(path),
@@ -252,7 +253,7 @@ def report(result: CameraCalibration, path: Path) -> dict[str, Any]:
 
 
 def lines(result: CameraCalibration) -> list[str]:
-    """The result for people."""
+    """Format the result as text."""
     m, d = result.model, result.deviations
     rows = [f"{'view':<28} {'corners':>7} {'rms px':>7} {'tilt deg':>8} {'blur px':>7}"]
     rows += [
@@ -275,10 +276,11 @@ def lines(result: CameraCalibration) -> list[str]:
 
 
 def write_pictures(folder: Path, paths: list[Path], result: CameraCalibration) -> None:
-    """A picture a view with its corners and errors (50 times as long), and one of the coverage.
+    """Write one image per view with its corners and errors (magnified 50 times), and one of the
+    coverage.
 
     Raises:
-        OSError: the folder cannot be written.
+        OSError: the folder is not writable.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = {path.name: path for path in paths}

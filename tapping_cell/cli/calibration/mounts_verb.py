@@ -1,10 +1,10 @@
-"""Line and speed of each fixed tapper, from single taps seen by the camera.
+"""Calibrate line and speed of each fixed tapper from single taps measured by the camera.
 
-One row a tap: tapper (its name in the cell file), speed (m/s; or speed_mm_s) and the object's pose
-at rest before and after it: x_before, y_before, theta_before, x_after, y_after, theta_after (m and
-rad; or with the endings _mm and _deg). Put the object down by hand in the working area, at several
-places along each tapper's line. Twelve taps a tapper are usual. Writes a copy of the cell file with
-the measured positions and directions. A tapper without taps keeps its place.
+Each row is one tap: tapper (its name in the cell file), speed (m/s; or speed_mm_s) and the object's
+pose at rest before and after it: x_before, y_before, theta_before, x_after, y_after, theta_after (m
+and rad; or with the suffixes _mm and _deg). Place the object by hand in the working area, at
+several positions along each tapper's line. Twelve taps per tapper are usual. Writes a copy of the
+cell file with the measured positions and directions. A tapper without taps keeps its values.
 
   python -m tapping_cell calibrate mounts taps.csv --cell config/positioning_cell/cell.yaml \\
       --output cell.yaml
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Calibrate; 0 if the file was written."""
+    """Run the calibration. Return 0 if the file was written."""
     output = output_of(arguments, ("fixed_tappers", "calibration"))
     refuse_existing(output)
     cell = load_cell(arguments.cell, arguments.object)
@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def fit_all(cell: Cell, table: CsvTable) -> list[MountFit]:
-    """Every tapper that has taps, in the order of the cell file.
+    """Fit every tapper that has taps, in the order of the cell file.
 
     Raises:
         RecordError: a row names a tapper that the cell does not have.
@@ -132,7 +132,7 @@ def _provenance(fits: list[MountFit], table: CsvTable, cell: Cell) -> Provenance
 
 
 def report(fits: list[MountFit], table: CsvTable, path: Path, entries: list[str]) -> dict[str, Any]:
-    """The result for programs: SI."""
+    """Return the result for JSON output, in SI units."""
     return {
         "output": str(path),
         "tappers": [
@@ -158,7 +158,7 @@ def report(fits: list[MountFit], table: CsvTable, path: Path, entries: list[str]
 
 
 def lines(found: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as text."""
     rows = [f"{'tapper':<12} {'taps':>5} {'offset mm':>16} {'angle deg':>9} {'speed %':>8}"]
     for fit in found["tappers"]:
         rows.append(

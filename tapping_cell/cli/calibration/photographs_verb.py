@@ -1,7 +1,8 @@
-"""Render photographs of the calibration target or of the reference markers, to try calibration.
+"""Render photographs of the calibration target or of the reference markers, to test the
+calibration.
 
-The pictures are what a camera with the given file would take of the sheets of `calibrate print`:
-lens, point spread, uneven light and noise included.
+The images simulate a camera with the given calibration and the sheets of `calibrate print`,
+including lens distortion, point spread, uneven light and noise.
 
     python -m tapping_cell calibrate photographs --output pictures
     python -m tapping_cell calibrate camera pictures --squares 10x7 --square-size 25 \
@@ -28,10 +29,10 @@ from tapping_cell.vision import CameraModel, CameraPose, ReferenceMap
 from tapping_cell.vision.markers.detection import marker_pattern
 
 TARGET = Target("charuco", 10, 7, 0.025, 0.01875, "4X4_250")
-"""What `calibrate print` prints unless told otherwise."""
+"""Default target of `calibrate print`."""
 MODULES_A_SQUARE = 24
 PIXEL = 0.00025
-"""Of the drawn sheet of reference markers, m."""
+"""Pixel size of the drawn sheet of reference markers, m."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,10 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Render; 0 written.
+    """Render the photographs. Return 0.
 
     Raises:
-        CalibrationRefused: there are pictures in the folder already.
+        CalibrationRefused: the folder already contains images.
     """
     folder: Path = arguments.output
     if folder.exists() and any(folder.iterdir()):
@@ -77,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def target_sheet(target: Target) -> Sheet:
-    """A ChArUco target as it is printed, with a white rim."""
+    """Return a printed ChArUco target with a white margin."""
     n = MODULES_A_SQUARE
     cells = np.indices((target.rows, target.columns)).sum(axis=0) % 2 * 255
     pattern = np.kron(cells, np.ones((n, n))).astype(np.uint8)
@@ -92,7 +93,7 @@ def target_sheet(target: Target) -> Sheet:
 
 
 def table_sheet(references: ReferenceMap) -> Sheet:
-    """The reference markers on one white sheet, in the frame of the table."""
+    """Return the reference markers on one white sheet, in the frame of the table."""
     corners = np.abs(references.corners().reshape(-1, 2)).max(axis=0) + 0.02
     rows, columns = (2 * round(float(half) / PIXEL) for half in corners[::-1])
     pattern = np.full((rows, columns), 255, dtype=np.uint8)
@@ -123,8 +124,8 @@ def _draw(
 def view_of_target(
     random: np.random.Generator, camera: CameraModel, size: tuple[float, float]
 ) -> CameraPose:
-    """The camera over a target of ``size`` in m as a person takes it: tilted by 5 to 40 degrees to
-    any side, anywhere in the picture, filling a third to two thirds of it."""
+    """Return a typical camera pose over a target of ``size`` in m: tilted by 5 to 40 degrees in any
+    direction, with the target anywhere in the image and filling a third to two thirds of it."""
     distance = size[0] / (random.uniform(0.35, 0.65) * camera.width / camera.fx)
     tilt, side = np.radians(random.uniform(5.0, 40.0)), random.uniform(0.0, 2.0 * math.pi)
     x, y = np.sin(tilt) * np.cos(side), np.sin(tilt) * np.sin(side)
@@ -134,7 +135,7 @@ def view_of_target(
 
 
 def view_of_table(random: np.random.Generator, camera: CameraModel, number: int) -> CameraPose:
-    """The camera around the table, all of it in view."""
+    """Return a camera pose around the table that shows the whole table."""
     side = number * math.pi / 3 + random.uniform(-0.3, 0.3)
     height = 0.80 * camera.fx / camera.width + random.uniform(0.0, 0.1)
     place = (0.35 * math.cos(side), 0.35 * math.sin(side), float(height))

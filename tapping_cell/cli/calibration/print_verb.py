@@ -1,18 +1,18 @@
-"""True-to-scale sheets: a target for calibrate camera, the table's reference markers, object
+"""Print true-to-scale sheets: a target for calibrate camera, the table's reference markers, object
 markers.
 
-Print the PDF at 100 % (no "fit to page") and measure the ruler at its foot. With the reference
-markers comes a table file beside the PDF, sheet.table.yaml; when the ruler measures anything but
-100 mm, calibrate table --sheet corrects it. With --output sheet.png one page is written as an image
-of --dpi.
+Print the PDF at 100 % (no "fit to page") and measure the ruler at the bottom of the page. For
+reference markers, a table file sheet.table.yaml is written next to the PDF. If the ruler does not
+measure 100 mm, correct this file with calibrate table --sheet. With --output sheet.png, one page is
+written as an image with a resolution of --dpi.
 
   python -m tapping_cell calibrate print --paper a4 --output sheet.pdf
   python -m tapping_cell calibrate print --paper a1 --what table --table config/table.yaml \\
       --output table.pdf
 
-With --table FILE the page has the reference markers of that file, at their places, and FILE stays
-the table file. Where only small paper is at hand, --what cut prints the same markers one by one, to
-cut out and glue; measure their places with calibrate table afterwards.
+With --table FILE, the page contains the reference markers of that file at their positions, and FILE
+remains the table file. If only small paper is available, --what cut prints the same markers one by
+one, to cut out and glue on; measure their positions with calibrate table afterwards.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the pages, and the table file where there is a page of reference markers."""
+    """Write the pages and, for a page of reference markers, the table file."""
     output: Path = arguments.output.expanduser()
     picture = output.suffix.lower() == ".png"
     if picture and len(arguments.what) != 1:
@@ -133,7 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _pages(arguments: argparse.Namespace) -> tuple[list[Page], str]:
-    """The pages asked for, and the text of the table file."""
+    """Return the requested pages and the text of the table file."""
     paper = paper_size(arguments.paper)
     pages, text = [], ""
     for what in arguments.what:
@@ -159,7 +159,7 @@ def _pages(arguments: argparse.Namespace) -> tuple[list[Page], str]:
 
 
 def _references(arguments: argparse.Namespace, paper: tuple[float, float]) -> ReferenceMap:
-    """The markers of the table file that was given, else those that suit the paper."""
+    """Return the markers of the given table file, or the default markers for the paper size."""
     if arguments.table is not None:
         return load_reference_map(arguments.table.expanduser())
     size = arguments.marker_size / 1e3
@@ -167,6 +167,6 @@ def _references(arguments: argparse.Namespace, paper: tuple[float, float]) -> Re
 
 
 def printed(page: Page) -> PrintedPage:
-    """The page as the report room draws it."""
+    """Convert the page to the input of the report package, which draws it."""
     labels = [(label.x, label.y, label.height, label.text) for label in page.labels]
     return PrintedPage(page.width, page.height, page.shapes, page.lines, labels)

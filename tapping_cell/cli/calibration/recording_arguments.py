@@ -1,4 +1,4 @@
-"""Options of the calibrations that can make their own record with a running cell."""
+"""Options of the calibrations that can record their own data with a running cell."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def check_count(name: str, count: int, least: int) -> None:
-    """Refuse a number of measurements that makes no calibration.
+    """Reject a number of measurements that is insufficient for a calibration.
 
     Raises:
         RecordError: names the option, its value and the range.
@@ -36,5 +36,5 @@ def check_count(name: str, count: int, least: int) -> None:
 
 
 def recording_console(arguments: argparse.Namespace) -> Console:
-    """Where the recording speaks: beside what --json prints."""
+    """Return the console for progress messages, which is stderr with --json."""
     return Console(stderr=arguments.json)

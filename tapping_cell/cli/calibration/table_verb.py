@@ -1,10 +1,11 @@
-"""Map of the reference markers from images of them, or from a printed sheet and its ruler.
+"""Calibrate the map of the reference markers from images, or from a printed sheet and its ruler.
 
-Take six images or more with the calibrated camera, from above and from all sides, each showing
-several markers (move the camera, not the markers). All markers lie flat on the table. The frame is
-that of --table OLD, or its origin is marker --origin with the x axis through marker --x-axis, or
-else it lies in the middle of all markers, along their mean direction. The markers' printed size
-sets the scale; a measured --distance between the middles of two markers is better.
+Take at least six images with the calibrated camera, from above and from all sides, each showing
+several markers (move the camera, not the markers). All markers must lie flat on the table. The
+frame is that of --table OLD. Without it, the origin is marker --origin, and the x axis passes
+through marker --x-axis. Without these, the origin is the centre of all markers, and the x axis is
+along their mean direction. The markers' printed size sets the scale; a measured --distance between
+the centres of two markers is more accurate.
 
   python -m tapping_cell calibrate table views/*.png --camera camera_info.yaml --size 40 \\
       --distance 101 103 660.2 --output table.yaml
@@ -86,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the table file; 0 if it was written."""
+    """Write the table file. Return 0 on success."""
     output = output_of(arguments)
     refuse_existing(output)
     if arguments.sheet is not None:
@@ -101,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _from_sheet(arguments: argparse.Namespace) -> tuple[ReferenceMap, Provenance]:
-    """The map of a printed sheet at the scale that its ruler shows."""
+    """Return the map of a printed sheet at the scale given by its ruler."""
     if arguments.images:
         raise CalibrationRefused("give images or --sheet, not both")
     if arguments.ruler is None:
@@ -131,7 +132,7 @@ def _from_sheet(arguments: argparse.Namespace) -> tuple[ReferenceMap, Provenance
 def _from_images(
     arguments: argparse.Namespace,
 ) -> tuple[ReferenceMap, Provenance, TableCalibration]:
-    """The map from images, in the frame asked for."""
+    """Return the map from images, in the requested frame."""
     if not arguments.images:
         raise CalibrationRefused("give images of the markers, or --sheet with --ruler")
     camera_path = arguments.camera or shared_folder() / "camera_info.yaml"
@@ -174,7 +175,7 @@ def _from_images(
 def _views(
     paths: list[Path], camera: CameraModel, dictionary: str, known: list[int] | None
 ) -> tuple[list[MarkerView], list[str]]:
-    """What the images show, and sentences about those that show nothing."""
+    """Return the marker detections, and messages about images without any."""
     images = {path: read_grey(path) for path in paths}
     unseen = [f"{path.name}: cannot be read" for path, image in images.items() if image is None]
     kept = {path: image for path, image in images.items() if image is not None}
@@ -201,7 +202,7 @@ def _sizes(ids: list[int], size: float) -> Mapping[int, float]:
 def _placed(
     references: ReferenceMap, arguments: argparse.Namespace, old: ReferenceMap | None
 ) -> tuple[ReferenceMap, list[str]]:
-    """The map at the scale and in the frame asked for, and notes about both."""
+    """Return the map at the requested scale and in the requested frame, and notes about both."""
     notes = []
     if arguments.distance:
         references, factor = _at_distance(references, arguments.distance)
@@ -220,7 +221,7 @@ def _placed(
 
 
 def _at_distance(references: ReferenceMap, words: list[str]) -> tuple[ReferenceMap, float]:
-    """The map scaled so that two markers are as far apart as was measured; and the factor."""
+    """Scale the map to a measured distance between two markers. Return the map and the factor."""
     try:
         first, second, wanted = int(words[0]), int(words[1]), float(words[2]) / 1e3
     except ValueError as error:
@@ -241,7 +242,7 @@ def _at_distance(references: ReferenceMap, words: list[str]) -> tuple[ReferenceM
 
 
 def stray_lines(result: TableCalibration) -> list[str]:
-    """A sentence for every marker of an image that was left out."""
+    """Return a message for every marker that was excluded from an image."""
     return [
         f"left out: marker {s.marker} in {s.image}, {s.error:.1f} pixels off" for s in result.strays
     ]
@@ -250,7 +251,7 @@ def stray_lines(result: TableCalibration) -> list[str]:
 def report(
     references: ReferenceMap, record: Provenance, result: TableCalibration | None, path: Path
 ) -> dict[str, Any]:
-    """The result for programs."""
+    """Return the result for JSON output."""
     rows = []
     for number, m in enumerate(references.markers):
         row: dict[str, Any] = {"id": m.id, "x": m.x, "y": m.y, "theta": m.theta, "size": m.size}
@@ -267,7 +268,7 @@ def report(
 
 
 def lines(found: dict[str, Any]) -> list[str]:
-    """The report for people: mm and degrees."""
+    """Format the report in mm and degrees."""
     rows = [f"{'marker':>6} {'x mm':>10} {'y mm':>10} {'theta deg':>10} {'sd mm':>7} images"]
     for m in found["markers"]:
         sd = f"{1e3 * math.hypot(*m['deviations'][:2]):>7.3f}" if "deviations" in m else f"{'':>7}"

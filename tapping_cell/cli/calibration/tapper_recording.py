@@ -1,4 +1,4 @@
-"""The record of `calibrate tapper` by the running cell: taps of many energies and their travels."""
+"""Recording for `calibrate tapper` with the running cell: taps of different energies."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from tapping_cell.nodes.clients.single_tap_client import NoAnswer, SingleTapClie
 
 HEADER = ("energy", "distance", "rotation", "incidence", "distance_std")
 LONGEST = 0.090
-"""Travel in m of the largest tap, as far as the cell's files know; the smallest is the object's."""
+"""Maximum travel in m of the largest tap. The travel of the smallest is defined by the object."""
 _STEP = 0.93
-"""Between largest speeds that are tried until one has room on the table."""
+"""Factor by which the largest speed is reduced until the tap has enough clearance on the table."""
 _USELESS = 4
-"""Taps in a row that cannot be used after which something is wrong."""
+"""Number of consecutive unusable taps after which the recording is aborted."""
 READY_PATIENCE_S = 60.0
 LOOK_AT_RATE_S = 1.0
 _ALIKE = 0.02
 
 
 def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
-    """Go on until there are so many taps as are asked for; False where it was interrupted.
+    """Record taps until the requested number is reached. Return False if interrupted.
 
     Raises:
-        CalibrationRefused: the cell or the object does not do; the sentence says why.
-        RecordError: the file cannot be gone on with.
+        CalibrationRefused: the cell or the object is unsuitable, for the stated reason.
+        RecordError: the existing file cannot be continued.
     """
     session.end_on_signals()
     energies = energies_of(cell)
@@ -66,10 +66,11 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
 
 
 def energies_of(cell: Cell) -> list[float]:
-    """Energies in J, steps alike in ln E, from a short travel to the longest that has room.
+    """Return energies in J, evenly spaced in ln E, from a short travel to the longest with enough
+    clearance.
 
     Raises:
-        CalibrationRefused: there is no room, or the tapper's range is too narrow.
+        CalibrationRefused: there is not enough clearance, or the tapper's range is too narrow.
     """
     tap, curve, room = assembly.make_tap(cell), cell.file.tapper.curve(), TapRoom(cell)
     still = np.zeros(2)
@@ -84,13 +85,14 @@ def energies_of(cell: Cell) -> list[float]:
         if fastest < 1.5 * slowest:
             raise CalibrationRefused(f"no range of taps has room on the table: {problem}")
     low, high = curve.energy_for(slowest), curve.energy_for(fastest)
-    # A hair inside, so that rounding asks for no speed beyond the tapper's.
+    # Slightly inside the range, so that rounding does not exceed the tapper's speed limits.
     return [float(e) for e in np.geomspace(low * (1 + 1e-9), high * (1 - 1e-9), len(SHARES))]
 
 
 def order(energies: list[float], taps: int, done: list[float]) -> Iterator[float]:
-    """The energies still to be tapped of ``taps`` in all, most often the ends of the range, and
-    mixed: what drifts bends no curve, and what was interrupted tells of all."""
+    """Yield the remaining energies of ``taps`` taps, most often the ends of the range. The energies
+    are interleaved, so that drift does not distort the curve, and an interrupted record covers
+    all."""
     wanted = Counter(
         {e: max(1, round(taps * n / sum(SHARES))) for e, n in zip(energies, SHARES, strict=True)}
     )
@@ -98,7 +100,7 @@ def order(energies: list[float], taps: int, done: list[float]) -> Iterator[float
         nearest = min(energies, key=lambda e: abs(math.log(e / energy)))
         if abs(math.log(nearest / energy)) < _ALIKE:
             wanted[nearest] -= 1
-    # The shares of each energy spread evenly over the recording.
+    # The taps of each energy are spread evenly over the recording.
     yield from (
         energy
         for _, energy in sorted(
@@ -165,7 +167,7 @@ def _row(energy: float, trial: Trial) -> tuple[float, ...]:
 
 
 def _recorded(growing: GrowingCsv, path: Path) -> list[float]:
-    """Energies of the taps that are there already."""
+    """Return the energies of the taps that are already recorded."""
     if not growing.rows:
         return []
     return [float(energy) for energy in read_csv(path, RECORD_COLUMNS).values["energy"]]

@@ -1,15 +1,15 @@
-"""Draw to speed of the tapper, from how far the object went.
+"""Calibrate the tapper's curve from draw to speed, from the travel of the object after each tap.
 
-One row a tap: energy (J; or energy_mJ) and distance (m; or distance_mm) that the object travelled;
-where there are such columns also its rotation (rad; or rotation_deg) and the incidence of the
-striker against the normal of the contact (rad; or incidence_deg; 0 without). About 30 taps through
-the object's middle, at six energies or more from the smallest tap to the largest. Friction and
+Each row is one tap: energy (J; or energy_mJ) and distance (m; or distance_mm) travelled by the
+object. Optional columns are its rotation (rad; or rotation_deg) and the incidence of the striker
+relative to the contact normal (rad; or incidence_deg; default 0). Record about 30 taps through the
+object's centre, at six or more energies from the smallest tap to the largest. Friction and
 restitution come from the object file. Writes a copy of the cell file with the new curve in its
-section tapper. A column distance_std gives what the camera leaves of each travel (else 0.1 mm).
+section tapper. A column distance_std gives the camera's error of each travel (default 0.1 mm).
 
-With --record the running cell makes the record first: taps about the middle of the table, from the
-smallest that the object's file names to the largest that surely stays on the table and in view,
-most of them at the two ends of that range. Ctrl-C stops; --resume goes on.
+With --record, the running cell makes the record first: taps near the middle of the table, from the
+smallest in the object file to the largest that certainly stays on the table and in view, most of
+them at the two ends of that range. Ctrl-C stops the recording; --resume continues it.
 
   python -m tapping_cell calibrate tapper taps.csv --cell config/cell.yaml --output cell.yaml
   python -m tapping_cell up --hardware                              # in another terminal, and then
@@ -66,7 +66,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Calibrate; 0 if the file was written, 130 if the recording was interrupted."""
+    """Run the calibration. Return 0 if the file was written, 130 if the recording was
+    interrupted."""
     output = output_of(arguments, ("tapper", "calibration"))
     refuse_existing(output)
     cell = load_cell(arguments.cell, arguments.object)
@@ -96,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def record_of(table: CsvTable) -> TapRecord:
-    """The taps of the good rows; what is not said is 0."""
+    """Return the taps of the valid rows. Missing values are 0."""
     zero = np.zeros(len(table.rows))
     return TapRecord(
         energies=table.values["energy"],
@@ -141,7 +142,7 @@ def _provenance(result: TapperCalibration, table: CsvTable, object_path: Path) -
 
 
 def report(result: TapperCalibration, table: CsvTable, path: Path) -> dict[str, Any]:
-    """The result for programs: SI, relative numbers."""
+    """Return the result for JSON output: SI units, relative numbers."""
     return {
         "output": str(path),
         "energies": list(result.energies),
@@ -160,7 +161,7 @@ def report(result: TapperCalibration, table: CsvTable, path: Path) -> dict[str, 
 
 
 def lines(found: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as text."""
     rows = [f"{'energy mJ':>10} {'taps':>5} {'moved':>5} {'mm/s':>8} {'scatter %':>9}"]
     for d in found["draws"]:
         scatter = "" if d["scatter"] is None else f"{100 * d['scatter']:.1f}"

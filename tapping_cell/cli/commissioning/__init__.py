@@ -1,1 +1,1 @@
-"""The steps of commissioning a cell, from nothing configured to the first goal."""
+"""Steps for commissioning a cell, from no configuration to the first goal."""

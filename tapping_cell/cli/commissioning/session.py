@@ -1,4 +1,4 @@
-"""A commissioning session: its folder, what was measured, the person, and the nodes that run."""
+"""Commissioning session: its folder, its measurements, the person, and the running nodes."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ HEARTBEAT_S = 0.05
 
 
 class StepFailed(RuntimeError):
-    """A step did not prove what it must; the sentence says what was measured and what to do."""
+    """A step failed. The message contains the measurement and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """What a step measured."""
+    """Measurements of a step."""
 
     sentence: str
     values: Mapping[str, float | str] = field(default_factory=dict)
-    """With the unit in the name, such as ``residual_mm``."""
+    """Values by name; the name ends in the unit, such as ``residual_mm``."""
 
 
 @dataclass(slots=True)
 class Session:
-    """One folder: ``config`` with the files of the cell, ``commission.json`` with the proofs."""
+    """One folder: ``config`` with the cell's files, ``commission.json`` with the measurements."""
 
     folder: Path
     console: Console
@@ -54,28 +54,28 @@ class Session:
 
     @property
     def config(self) -> Path:
-        """The folder of the cell's files."""
+        """Folder of the cell's files."""
         return self.folder / "config"
 
     @property
     def cell_file(self) -> Path:
-        """The cell file that the session makes."""
+        """Cell file that the session creates."""
         return self.config / "cell.yaml"
 
     def cell(self) -> Cell:
-        """The cell as it is configured by now."""
+        """Load the cell in its current configuration."""
         return load_cell(self.cell_file)
 
     # The record
 
     def load(self) -> None:
-        """Go on with what the folder holds."""
+        """Load the completed steps from the folder."""
         record = self.folder / RECORD
         if record.exists():
             self.proofs = json.loads(record.read_text(encoding="utf-8"))
 
     def prove(self, step: str, proof: Proof, seconds: float) -> None:
-        """Keep a step's proof."""
+        """Store a step's measurements."""
         made = datetime.now().astimezone().isoformat(timespec="seconds")
         self.proofs[step] = {**asdict(proof), "seconds": round(seconds, 1), "made": made}
         temporary = self.folder / (RECORD + ".part")
@@ -85,14 +85,15 @@ class Session:
     # The person
 
     def instruct(self, sentence: str) -> None:
-        """Tell the person what to do, and wait until it is done; nobody is asked unattended."""
+        """Show an instruction and wait until the person confirms it. Do nothing in unattended
+        mode."""
         if self.unattended:
             return
         self.console.print(f"[cyan]>[/] {escape(sentence)}")
         self.console.input("  press Enter when that is so, Ctrl-C to stop (it can be resumed) ")
 
     def ask(self, question: str, default: str) -> str:
-        """A person's answer; the default unattended."""
+        """Return a person's answer, or the default in unattended mode."""
         if self.unattended:
             return default
         self.console.print(f"[cyan]?[/] {escape(question)} \\[{escape(default)}]")
@@ -101,10 +102,10 @@ class Session:
     # Other verbs
 
     def verb(self, *words: str) -> dict[str, Any]:
-        """Run a verb that prints one JSON object.
+        """Run a verb that prints one JSON object, and return this object.
 
         Raises:
-            StepFailed: with what the verb said.
+            StepFailed: with the verb's error message.
         """
         from tapping_cell.cli import main
 
@@ -127,9 +128,10 @@ class Session:
     def running(
         self, set_up: bool = False, truth: Path | None = None, only_world: bool = False
     ) -> Iterator[Graph]:
-        """The cell's nodes with the files of this session; ended at the end of the block.
+        """Run the cell's nodes with the files of this session until the end of the block.
 
-        ``truth``: simulated, other true parameters. ``only_world``: simulated, the devices alone.
+        ``truth``: other simulation parameters. ``only_world``: start only ``sim_world``. Both apply
+        only to the simulated cell.
         """
         files = {"cell_file": self.cell_file}
         parameters: dict[str, dict[str, object]] = {
@@ -152,12 +154,12 @@ class Session:
 
     @property
     def ports(self) -> Path:
-        """Where the simulated devices' ports are."""
+        """Folder of the simulated devices' ports."""
         return self.folder / "ports"
 
 
 class _Enabling(ClientNode):
-    """Simulated and in set-up mode, holds the enabling key as a person would at the page."""
+    """Hold the enabling key of the simulated cell in set-up mode, as a person does on the page."""
 
     def __init__(self, session: Session, set_up: bool) -> None:
         super().__init__("commission_enabling")
@@ -185,7 +187,7 @@ def wait(condition: Any, patience: float, what: str, graph: Graph) -> None:
     """Wait until a condition holds.
 
     Raises:
-        StepFailed: it does not within ``patience`` s.
+        StepFailed: it does not hold within ``patience`` s.
     """
     deadline = time.monotonic() + patience
     while not condition():

@@ -1,4 +1,4 @@
-"""What is done and measured in each step of commissioning."""
+"""Actions and measurements of each commissioning step."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ from tapping_cell.se2 import Pose
 READY_S = 90.0
 HOMING_S = 180.0
 JOINT_STEP = 0.1
-"""By which each turning joint is moved to show its direction, rad."""
+"""Rotation of each revolute joint that shows its direction, rad."""
 SPEED = 1.0
-"""Of the farthest joint, rad/s; a quarter of it in set-up mode."""
+"""Speed of the fastest joint, rad/s; a quarter of it in set-up mode."""
 LIMIT_SHARE = 0.9
-"""Of the way from the park posture to each limit that is gone to."""
+"""Fraction of the distance from the park posture to each limit that a joint moves."""
 ARM_POSES, TAPS = 10, 10
 LOOKS = 20
 REST_SPREAD = 0.0005
-"""Greatest standard deviation of the object's place at rest, m."""
+"""Maximum standard deviation of the object's position at rest, m."""
 HELD = (0.012, -0.004, 0.3)
-"""Simulated: pose of the object on the striker while the arm is calibrated: m, m, rad."""
+"""Simulated pose of the object on the striker during the arm calibration: m, m, rad."""
 GOAL = Pose(0.02, 0.0, 0.2)
-"""From where the object lies to the first goal: m, m, rad."""
+"""Displacement from the object's position to the first goal: m, m, rad."""
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One step."""
+    """One commissioning step."""
 
     name: str
     title: str
@@ -60,7 +60,7 @@ class Step:
 
 
 def files(session: Session) -> Proof:
-    """Copy the files to start from, and check them."""
+    """Copy the initial files and check them."""
     if not session.config.exists():
         shutil.copytree(shared_folder(), session.config, ignore=shutil.ignore_patterns("security"))
     return _checked(session)
@@ -75,7 +75,7 @@ def _checked(session: Session) -> Proof:
 
 
 def ports(session: Session) -> Proof:
-    """Find the serial ports of arm and tapper: who answers there is asked in the next step."""
+    """Find the serial ports of arm and tapper. The next step identifies the devices."""
     if not session.hardware:
         return Proof("the simulated cell brings its own ports")
     known = ", ".join(known_ports())
@@ -141,7 +141,7 @@ def camera(session: Session) -> Proof:
 
 
 def table(session: Session) -> Proof:
-    """Measure where the reference markers are."""
+    """Measure the positions of the reference markers."""
     pictures = session.folder / "table"
     _photographs(session, pictures, "table", 6)
     table_file = session.config / "table.yaml"
@@ -155,7 +155,7 @@ def table(session: Session) -> Proof:
 
 
 def _photographs(session: Session, folder: Path, what: str, count: int) -> None:
-    """Have the pictures: the person's, or rendered ones in simulation."""
+    """Provide the images: from the person, or rendered in simulation."""
     if folder.exists() and any(folder.iterdir()):
         return
     if session.hardware:
@@ -183,7 +183,7 @@ def homing(session: Session) -> Proof:
 
 
 def _home(session: Session, client: CellClient, graph: Graph) -> float:
-    """Home and wait until the cell may go on; the time that it took, s."""
+    """Home the arm and wait until the cell may continue. Return the duration in s."""
 
     def arm() -> str:
         return str(client.state()["arm"]["state"])
@@ -199,7 +199,7 @@ def _home(session: Session, client: CellClient, graph: Graph) -> float:
             client.home()
             break
         except NotDone as refused:
-            # The enabling device may just now be pressed.
+            # The person may not have pressed the enabling device yet.
             if time.monotonic() > deadline:
                 raise StepFailed(str(refused)) from refused
             time.sleep(0.5)
@@ -210,7 +210,7 @@ def _home(session: Session, client: CellClient, graph: Graph) -> float:
 
 
 def _clear(session: Session, client: CellClient, graph: Graph) -> None:
-    """End a stop or fault that an earlier session left: it is kept over restarts."""
+    """Clear a stop or fault of an earlier session, which is stored across restarts."""
     session.instruct(
         f"{client.mode().sentence}: remove the cause, see that everybody is clear of the cell, and"
         " press the clear button at the tapper"
@@ -229,7 +229,7 @@ def _clear(session: Session, client: CellClient, graph: Graph) -> None:
 
 @contextmanager
 def _homed(session: Session, **options: Any) -> Iterator[tuple[Graph, ArmPoseClient]]:
-    """A running cell with a homed arm that can be sent."""
+    """Run a cell with a homed arm that is ready to move."""
     with session.running(**options) as graph:
         with CellClient() as client:
             _home(session, client, graph)
@@ -239,7 +239,7 @@ def _homed(session: Session, **options: Any) -> Iterator[tuple[Graph, ArmPoseCli
 
 
 def joints(session: Session) -> Proof:
-    """Show each joint's direction, then go near each limit, in set-up mode."""
+    """Move each joint to show its direction, then near each limit, in set-up mode."""
     values: dict[str, float | str] = {}
     arm = session.cell().arm
     lower, upper = Joints(*arm.lower), Joints(*arm.upper)
@@ -284,7 +284,7 @@ def joints(session: Session) -> Proof:
 
 
 def object_at_rest(session: Session) -> Proof:
-    """See the object at rest, again and again."""
+    """Measure the pose of the object at rest several times."""
     session.instruct("put the object on the middle of the table, its marker up")
     with _homed(session, set_up=True) as (graph, client):
         places: list[Pose] = []
@@ -318,7 +318,7 @@ def object_at_rest(session: Session) -> Proof:
 
 
 def first_tap(session: Session) -> Proof:
-    """One tap at the lowest energy, in set-up mode."""
+    """Make one tap at the lowest energy, in set-up mode."""
     session.instruct(
         "close the guard and hold the enabling device: one tap at the tapper's lowest energy"
     )
@@ -338,7 +338,7 @@ def first_tap(session: Session) -> Proof:
 
 
 def arm(session: Session) -> Proof:
-    """Calibrate the arm's base and elbow with what the camera sees of a held marker."""
+    """Calibrate the arm's base and elbow from camera measurements of a held marker."""
     truth = None
     if not session.hardware:
         content = yaml.safe_load((shared_folder() / "truth" / "default.yaml").read_text("utf-8"))
@@ -406,7 +406,7 @@ def goal(session: Session) -> Proof:
 
 
 def _first_goal(here: Pose) -> Pose:
-    """The first goal: a little towards the middle from where the object lies."""
+    """Return the first goal, a short distance towards the middle from the object's position."""
     towards = math.copysign(GOAL.x, -here.x)
     return here._replace(x=here.x + towards, theta=here.theta + GOAL.theta)
 

@@ -1,1 +1,2 @@
-"""The nodes that read the camera and measure poses: ``overhead_camera`` and ``camera_pose``."""
+"""The nodes ``overhead_camera``, which reads the camera, and ``camera_pose``, which measures
+poses."""

@@ -1,8 +1,8 @@
-"""The seeing node: pictures in, the object's pose on the table with its covariance out.
+"""Pose measurement node: receives images and publishes the object's pose with its covariance.
 
-Further objects (key ``objects`` of the cell file, parameter ``other_object_files``) are looked at
-in turn, the one that ``plan_state`` names in every picture. Each look is published on
-``other_objects``, and what is known of all objects on ``object_states``.
+Further objects (key ``objects`` of the cell file, parameter ``other_object_files``) are measured in
+turn; the object that ``plan_state`` names is measured in every image. Each measurement is published
+on ``other_objects``, and the latest states of all objects on ``object_states``.
 """
 
 from __future__ import annotations
@@ -74,15 +74,16 @@ CODES = {
 }
 
 WATCH_PERIOD_S = 0.05
-"""Between two looks whether pictures still come."""
+"""Period of the check for missing images."""
 SILENCE_TOLD_EVERY = 5
-"""Looks in vain between two reports of a silent camera."""
+"""Number of failed checks between two reports of a silent camera."""
 CAMERA_PERIOD_S = 1.0
-"""Between two reports of where the camera is."""
+"""Period at which the camera pose is published."""
 STAMP_AHEAD_S = 1.0
-"""How far a picture's stamp may lie ahead of this node's clock."""
+"""Maximum time by which an image stamp may be ahead of this node's clock."""
 MOST_LATE = 15
-"""Pictures in a row with stamps before the last good one: half a second of them is no accident."""
+"""Consecutive images with stamps before the last accepted stamp, after which tracking restarts.
+They span about half a second, which is too long for reordered messages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +166,8 @@ class CameraPose(CellNode[Parameters]):
         self._pictures = self.create_subscription(
             self._picture_type,
             self._picture_topic,
-            # With what the middleware says of the message, which rclpy has but does not declare.
+            # The callback also receives the message info of the middleware, which rclpy supports at
+            # run time but not in its type annotations.
             cast(Callable[[Image], None], self._on_image),
             images.COMPRESSED_PICTURES if compressed else images.PICTURES,
         )
@@ -182,11 +184,11 @@ class CameraPose(CellNode[Parameters]):
         self._camera, self._calibration = None, ()
 
     def cleanup(self) -> None:
-        """Forget the track."""
+        """Discard the track."""
         self._tracker = None
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """Pictures seen and what is wrong with them."""
+        """Report the number of processed images and the current error."""
         values: dict[str, object] = {
             "pictures": self._frames,
             "pictures passed over": self._backlog.passed_over,
@@ -216,7 +218,7 @@ class CameraPose(CellNode[Parameters]):
             self._tracker = self._camera = None
             return
         if camera == self._cell.camera:
-            camera = self._cell.camera  # the file knows the standard deviations, too
+            camera = self._cell.camera  # the calibration file also contains the standard deviations
         self._camera_problem = ""
         self._camera = camera
         self._make_trackers(camera, self._cell)
@@ -236,7 +238,8 @@ class CameraPose(CellNode[Parameters]):
         self._backlog.answered(time.time())
 
     def _newest(self, message: Image, info: dict[str, int]) -> Image:
-        """This picture, or one that waits behind it where this is stale (``Backlog``)."""
+        """Return this image, or a newer one from the queue if this image is stale (see
+        ``Backlog``)."""
         self._backlog.arrived(_arrival(info))
         while self._backlog.stale(time.time()):
             with self._pictures.handle:
@@ -264,7 +267,7 @@ class CameraPose(CellNode[Parameters]):
             return
         ahead = stamp - 1e-9 * self.get_clock().now().nanoseconds
         if ahead > STAMP_AHEAD_S:
-            # Taken for good, it would make every true stamp after it a late one.
+            # If this stamp were accepted, every correct stamp after it would count as late.
             self._refuse(
                 message,
                 ErrorCode.STAMP_INVALID,
@@ -289,7 +292,7 @@ class CameraPose(CellNode[Parameters]):
         self._publish_others(message, others)
 
     def _say_no_camera(self, picture: Image) -> None:
-        """Pictures come, but nobody says what camera takes them."""
+        """Report that images arrive without a camera calibration."""
         now = time.monotonic()
         if self._camera_problem:
             self._refuse(picture, ErrorCode.CAMERA_NOT_CALIBRATED, self._camera_problem)
@@ -304,7 +307,7 @@ class CameraPose(CellNode[Parameters]):
             )
 
     def _count_late(self, observation: Observation) -> None:
-        """A clock that was set back makes every picture late: then all begins anew."""
+        """Restart tracking when the camera's clock was set back, which makes every image late."""
         self._late = self._late + 1 if observation.problem is Problem.LATE_FRAME else 0
         if self._late >= MOST_LATE and self._camera is not None and self._cell is not None:
             self.get_logger().warning(
@@ -335,14 +338,15 @@ class CameraPose(CellNode[Parameters]):
         self._note(observation)
 
     def _note(self, observation: Observation) -> None:
-        """What does not spoil the pose but must be known: a covered reference, a moved camera."""
+        """Log a warning that does not invalidate the pose: a covered reference, a moved camera."""
         if observation.visible and observation.sentence != self._notice:
             self._notice = observation.sentence
             if self._notice:
                 self.get_logger().warning(self._notice)
 
     def _tell_camera(self, picture: Image) -> None:
-        """Say where the camera is over the table: what turns a pixel into a place on it."""
+        """Publish the camera pose in ``table``, which is needed to project pixels onto the
+        table."""
         assert self._tracker is not None
         now, view = time.monotonic(), self._tracker.view
         if view is None or now - self._camera_told_at < CAMERA_PERIOD_S:
@@ -352,7 +356,8 @@ class CameraPose(CellNode[Parameters]):
         message.header.stamp = picture.header.stamp
         message.header.frame_id = TABLE
         self._camera_publisher.publish(message)
-        # The camera is fixed over the table: what is sent anew is a better estimate.
+        # The camera is fixed relative to the table, so each new transform is only a better
+        # estimate.
         stamp = message.header.stamp
         self._broadcaster.send_fixed([transform(TABLE, "camera_optical", message.pose, stamp)])
 
@@ -381,13 +386,14 @@ class CameraPose(CellNode[Parameters]):
         self._picture_publisher.publish(annotated)
 
     def _watch(self) -> None:
-        """Say so when no picture comes."""
+        """Report when no image arrives."""
         now = time.monotonic()
         silent = now - self._heard
         if not self.active or silent <= self.settings.silence_limit:
             self._missed = 0
             return
-        # Where this process itself was held up, a picture waits: it is taken before the next look.
+        # If this process itself was delayed, an image is already queued and is processed before the
+        # next check.
         self._missed += 1
         if self._missed % SILENCE_TOLD_EVERY == 2:
             empty = Image()
@@ -401,12 +407,13 @@ class CameraPose(CellNode[Parameters]):
 
 
 def _arrival(info: dict[str, int]) -> float:
-    """When a message came to this process (s, system's clock), as far as the middleware says so."""
+    """Return the time (s, system clock) at which the middleware received a message. Return the
+    current time if the middleware does not report it."""
     return 1e-9 * info["received_timestamp"] or time.time()
 
 
 def _empty_state(picture: Image, name: str, code: int, sentence: str) -> ObjectState:
-    """What is said of an object of which nothing is known."""
+    """Return the state of an object without a measurement."""
     state = ObjectState(object_id=name, error_code=code, error_msg=sentence if code else "")
     state.header.stamp = picture.header.stamp
     state.header.frame_id = "table"
@@ -414,7 +421,7 @@ def _empty_state(picture: Image, name: str, code: int, sentence: str) -> ObjectS
 
 
 def _state_of(picture: Image, name: str, observation: Observation) -> ObjectState:
-    """What an observation says of an object."""
+    """Convert an observation to an object state."""
     state = _empty_state(picture, name, CODES[observation.problem], observation.sentence)
     state.visible = observation.visible
     state.at_rest = observation.at_rest

@@ -1,20 +1,20 @@
-"""Which of the pictures that wait are looked at, where they come faster than they are answered."""
+"""Selection of queued images to process when they arrive faster than they can be processed."""
 
 from __future__ import annotations
 
 LONGEST_WAIT_S = 0.15
-"""A picture that waited longer is passed over where a newer one waits, too: a machine that was busy
-for so long is caught up with at once. Shorter jams are worked off picture by picture, so that a
+"""An image that waited longer is dropped if a newer image is queued, so that the node catches up
+immediately after a long delay. After shorter delays, every queued image is processed, so that the
 track has no gaps."""
 SHORTEST_WAIT_S = 0.005
 _SHARE = 0.2
-"""Weight of the newest in the means of the times between pictures and for one."""
+"""Weight of the newest sample in the moving averages of arrival interval and processing time."""
 _FULL = 0.9
-"""Share of the time between pictures, from which on the time for one leaves none to catch up."""
+"""Ratio of processing time to arrival interval above which the node cannot catch up."""
 
 
 class Backlog:
-    """Compares how fast pictures come with how fast they are answered; all times in s."""
+    """Compare the arrival rate of images with their processing rate. All times are in s."""
 
     def __init__(self) -> None:
         self.passed_over = 0
@@ -24,35 +24,36 @@ class Backlog:
         self._each: float | None = None
 
     def arrived(self, when: float) -> None:
-        """A picture is taken from the queue that came at ``when``."""
+        """Record that an image that arrived at ``when`` was taken from the queue."""
         if self._arrived is not None:
             self._between = _mean(self._between, when - self._arrived)
         self._arrived = when
 
     def answered(self, now: float) -> None:
-        """The picture taken last has been dealt with."""
+        """Record that the last image has been processed."""
         last, arrived = self._answered, self._arrived
-        # Only what waited and was taken up at once says how long a picture takes.
+        # The processing time is known only if the image was already queued and was processed
+        # immediately.
         if last is not None and arrived is not None and arrived < last:
             self._each = _mean(self._each, now - last)
         self._answered = now
 
     def stale(self, now: float) -> bool:
-        """Whether a newer picture is better than the one taken last, if there is one."""
+        """Return whether a newer image, if one is queued, should replace the last one."""
         assert self._arrived is not None
         waited = now - self._arrived
         return waited > LONGEST_WAIT_S or (waited > SHORTEST_WAIT_S and self.overrun)
 
     @property
     def overrun(self) -> bool:
-        """Whether pictures come faster than they are answered."""
+        """Whether images arrive faster than they are processed."""
         if self._each is None or self._between is None:
             return False
         return self._each > _FULL * self._between
 
     @property
     def sentence(self) -> str:
-        """What there is to say of it."""
+        """Warning for diagnostics; empty if there is no overrun."""
         if not self.overrun:
             return ""
         assert self._each is not None and self._between is not None

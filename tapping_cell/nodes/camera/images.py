@@ -1,4 +1,4 @@
-"""Between ROS images and numpy arrays."""
+"""Conversions between ROS images and numpy arrays."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ from tapping_cell.vision import CameraError, CameraModel
 PICTURES = QoSProfile(
     depth=15, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
-"""Sensor data with a queue of half a second: a busy machine delays pictures, but loses none."""
+"""Sensor data with a queue of half a second, so that a busy machine delays images without losing
+any."""
 COMPRESSED_PICTURES = QoSProfile(
     depth=15, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
 )
-"""For a network, which loses packets: what is lost is sent again."""
+"""Reliable, because a network loses packets: lost data are sent again."""
 RAW = "camera/image_raw"
 COMPRESSED = f"{RAW}/compressed"
-"""As image_transport names it."""
+"""Topic name according to image_transport."""
 
 
 @dataclass(frozen=True, slots=True)
 class Encoding:
-    """Bytes a pixel, and OpenCV's conversion to grey where one is needed."""
+    """Bytes per pixel and, if required, OpenCV's conversion to grey."""
 
     size: int
     conversion: int | None = None
@@ -49,24 +50,26 @@ ENCODINGS = {
     "uyvy": Encoding(2, cv2.COLOR_YUV2GRAY_UYVY),
     "yuv422_yuy2": Encoding(2, cv2.COLOR_YUV2GRAY_YUY2),
     "yuyv": Encoding(2, cv2.COLOR_YUV2GRAY_YUY2),
-    # ROS names the first two pixels of the first two rows; OpenCV those one row and column later.
+    # ROS names a Bayer pattern by its top left 2x2 pixels, OpenCV by the pixels of the second row,
+    # second and third column.
     "bayer_rggb8": Encoding(1, cv2.COLOR_BayerBG2GRAY),
     "bayer_bggr8": Encoding(1, cv2.COLOR_BayerRG2GRAY),
     "bayer_gbrg8": Encoding(1, cv2.COLOR_BayerGR2GRAY),
     "bayer_grbg8": Encoding(1, cv2.COLOR_BayerGB2GRAY),
 }
-"""Encodings (sensor_msgs/image_encodings.h) that a camera may send."""
+"""Accepted image encodings (sensor_msgs/image_encodings.h)."""
 
 
 class ImageRefused(ValueError):
-    """An image message that does not hold what it says."""
+    """Image message whose content contradicts its header fields."""
 
 
 def unpack(message: Image) -> NDArray[np.uint8]:
-    """The bytes of an image message, shape (height, width, bytes a pixel); no copy without padding.
+    """Return the bytes of an image message, shape (height, width, bytes per pixel). They are
+    copied only if the rows are padded.
 
     Raises:
-        ImageRefused: unknown encoding, or fewer bytes than the size needs.
+        ImageRefused: the encoding is unknown, or there are fewer bytes than the size requires.
     """
     encoding = ENCODINGS.get(message.encoding)
     if encoding is None:
@@ -86,7 +89,7 @@ def unpack(message: Image) -> NDArray[np.uint8]:
 
 
 def compress(message: Image, quality: int) -> CompressedImage:
-    """An image message of mono8 as JPEG, as image_transport sends it."""
+    """Compress a mono8 image message to JPEG, in the format of image_transport."""
     pixels = unpack(message)[..., 0]
     _, coded = cv2.imencode(".jpg", pixels, (cv2.IMWRITE_JPEG_QUALITY, quality))
     made = CompressedImage(header=message.header, format=f"{message.encoding}; jpeg compressed ")
@@ -97,10 +100,11 @@ def compress(message: Image, quality: int) -> CompressedImage:
 
 
 def to_grey(message: Image | CompressedImage) -> NDArray[np.uint8]:
-    """The grey picture of an image message, shape (height, width).
+    """Return the grey image of an image message, shape (height, width).
 
     Raises:
-        ImageRefused: unknown encoding, fewer bytes than the size needs, or no JPEG or PNG.
+        ImageRefused: the encoding is unknown, there are fewer bytes than the size requires, or the
+            data are neither JPEG nor PNG.
     """
     if isinstance(message, CompressedImage):
         return _decompress(message)
@@ -111,7 +115,7 @@ def to_grey(message: Image | CompressedImage) -> NDArray[np.uint8]:
     if conversion is None and pixels.ndim == 2:
         return pixels
     if conversion is None:
-        # The upper byte of 16 bits is all that 8 can hold.
+        # Conversion from 16 to 8 bits keeps only the upper byte.
         upper = cv2.extractChannel(pixels, 0 if message.is_bigendian else 1)
         return np.asarray(upper, dtype=np.uint8)
     try:
@@ -134,12 +138,12 @@ def _decompress(message: CompressedImage) -> NDArray[np.uint8]:
 
 
 def to_message(picture: NDArray[np.uint8], encoding: str) -> Image:
-    """An image message; the header is the caller's."""
+    """Convert an image to a message. The caller fills in the header."""
     message = Image()
     message.height, message.width = picture.shape[:2]
     message.encoding = encoding
     message.step = picture.nbytes // picture.shape[0]
-    # An array.array is handed over as it is; a list would be checked number by number.
+    # rclpy accepts an array.array directly but checks a list element by element.
     data = array.array("B")
     data.frombytes(np.ascontiguousarray(picture).data)
     message.data = data
@@ -147,7 +151,7 @@ def to_message(picture: NDArray[np.uint8], encoding: str) -> Image:
 
 
 def to_camera_info(camera: CameraModel) -> CameraInfo:
-    """The calibration as ROS publishes it; the header is the caller's."""
+    """Convert the calibration to a camera_info message. The caller fills in the header."""
     message = CameraInfo(width=camera.width, height=camera.height)
     message.distortion_model = camera.distortion_model
     message.d = list(camera.distortion)
@@ -158,7 +162,8 @@ def to_camera_info(camera: CameraModel) -> CameraInfo:
 
 
 def calibration_of(message: CameraInfo) -> tuple[object, ...]:
-    """What of a camera_info message :func:`from_camera_info` reads, to be compared."""
+    """Return the fields of a camera_info message that :func:`from_camera_info` reads, for
+    comparison."""
     d, k, roi = bytes(message.d), message.k.tobytes(), message.roi
     part = (roi.x_offset, roi.y_offset, roi.width, roi.height)
     binning = (message.binning_x, message.binning_y)
@@ -166,11 +171,11 @@ def calibration_of(message: CameraInfo) -> tuple[object, ...]:
 
 
 def from_camera_info(message: CameraInfo) -> CameraModel:
-    """The calibration of a camera_info message.
+    """Convert a camera_info message to a camera model.
 
     Raises:
-        tapping_cell.vision.CameraError: the camera is not calibrated, its lens model not known, or
-            its pictures are not the whole sensor's.
+        tapping_cell.vision.CameraError: the camera is not calibrated, its lens model is unknown, or
+            its images do not show the whole sensor.
     """
     roi = message.roi
     whole = (0, 0, message.width, message.height)

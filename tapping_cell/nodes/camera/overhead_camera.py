@@ -1,4 +1,4 @@
-"""The camera's node: pictures from a device, a video file or a folder, with their calibration."""
+"""Camera node: publishes images from a device, video file or folder, with their calibration."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.worker import Worker
 
 LISTENER_WAIT_S = 5.0
-"""How long a file or folder waits for somebody to listen before its first picture."""
+"""Time for which a file or folder waits for a subscriber before its first image."""
 REOPEN_PERIOD_S = 1.0
-"""Between two tries to open a source that went away."""
+"""Period between two attempts to reopen a lost source."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,25 +100,25 @@ class OverheadCamera(CellNode[Parameters]):
             raise NotReady(str(error)) from error
 
     def activate(self) -> None:
-        """Begin to send pictures."""
+        """Start to publish images."""
         self._worker = Worker("camera", self._take, 0.0)
         self._worker.start()
 
     def deactivate(self) -> None:
-        """Cease to send pictures."""
+        """Stop publishing images."""
         worker, self._worker = self._worker, None
         if worker is not None:
             worker.close()
 
     def cleanup(self) -> None:
-        """Give the source back."""
+        """Release the source."""
         self.deactivate()
         if self._source is not None:
             self._source.close()
         self._source = None
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """Pictures sent, and what keeps the source from delivering."""
+        """Report the number of published images and any error of the source."""
         values: dict[str, object] = {"hardware_id": self.settings.source, "pictures": self._frames}
         failure = None if self._worker is None else self._worker.error
         if failure is not None:
@@ -139,7 +139,7 @@ class OverheadCamera(CellNode[Parameters]):
         return open_source(str(Path(self.settings.source).expanduser()), self._settings)
 
     def _take(self) -> None:
-        """One picture, or another try to open the source; in the worker's thread."""
+        """Publish one image or try to reopen the source. Runs in the worker's thread."""
         if self._ended:
             time.sleep(0.1)
             return
@@ -189,17 +189,18 @@ class OverheadCamera(CellNode[Parameters]):
         except RuntimeError:  # rclpy's RCLError, which has no public name
             if self.context.ok():
                 raise
-            return  # the process is being ended
+            return  # the process is shutting down
         self._frames += 1
 
     def _say(self, sentence: str) -> None:
-        """Report trouble, once for each kind."""
+        """Log a problem, once per kind."""
         if sentence != self._problem:
             self.get_logger().error(sentence)
         self._problem = sentence
 
     def _pause(self, period: float, done: Callable[[], int] = lambda: 0) -> None:
-        """Wait for a period (s), but not longer than the node lives or than until ``done``."""
+        """Wait for a period in s, or until the node is destroyed or ``done`` returns a nonzero
+        value."""
         end = time.monotonic() + period
         while time.monotonic() < end and self._worker is not None and not done():
             time.sleep(0.05)

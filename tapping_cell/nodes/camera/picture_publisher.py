@@ -1,4 +1,4 @@
-"""The camera's topics as image_transport names them: raw, compressed and the calibration."""
+"""Camera topics with the names of image_transport: raw images, compressed images, calibration."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from tapping_cell.nodes.camera import images
 
 
 class PicturePublisher:
-    """Publishes pictures; compressed ones only while somebody subscribes to them."""
+    """Publish images; compressed images only while they have a subscriber."""
 
     def __init__(self, node: Node, quality: int) -> None:
-        """``quality`` of the JPEG pictures, 1 to 100."""
+        """``quality``: JPEG quality, 1 to 100."""
         self._quality = quality
         self._raw = node.create_publisher(Image, images.RAW, images.PICTURES)
         self._compressed = node.create_publisher(
@@ -21,11 +21,11 @@ class PicturePublisher:
         self._info = node.create_publisher(CameraInfo, "camera/camera_info", images.PICTURES)
 
     def listeners(self) -> int:
-        """How many subscribe to pictures."""
+        """Number of subscribers to the images."""
         return self._raw.get_subscription_count() + self._compressed.get_subscription_count()
 
     def publish(self, picture: Image, info: CameraInfo) -> None:
-        """Publish a picture and its calibration, which gets the picture's stamp."""
+        """Publish an image and its calibration, which receives the image's stamp."""
         info.header.stamp = picture.header.stamp
         self._info.publish(info)
         self._raw.publish(picture)

@@ -1,7 +1,6 @@
-"""The client that calibrates the arm: bring it to postures, and look where the camera sees what it
-holds.
+"""Client for arm calibration: moves the arm to postures and measures the marker that it holds.
 
-Not an executable of its own: the command line's `calibrate arm --record` uses it.
+It is not an executable of its own. The verb `calibrate arm --record` uses it.
 """
 
 from __future__ import annotations
@@ -25,32 +24,33 @@ from tapping_cell.nodes.conversions import from_message
 from tapping_cell.se2 import Pose
 
 ARRIVED = 0.01
-"""Joints this near to those asked for, in rad, are the posture."""
+"""Maximum distance of each joint from its target, in rad, at which the posture is reached."""
 MOVE_PATIENCE_S = 30.0
 LOOK_PATIENCE_S = 10.0
 UNSEEN_PATIENCE_S = 3.0
-"""The longest wait for a look at rest, and for the marker to come into view at all."""
+"""Timeout for an observation at rest, and for the marker to come into view at all."""
 PICTURES = 10
-"""At rest, that a look is fused of."""
+"""Number of images at rest that are fused into an observation."""
 _POLL_S = 0.02
 
 
 class ArmRefused(RuntimeError):
-    """The arm did not go where it was sent; the sentence is its own."""
+    """The arm did not reach its target. The message is the arm's own."""
 
 
 class Seen(NamedTuple):
-    """The arm's joints as read back, and the pose of what it holds in ``table``."""
+    """Measured joint positions and the pose in ``table`` of the marker that the arm holds."""
 
     joints: Joints
     pose: Pose
 
 
 class ArmPoseClient(GoalClient):
-    """A :class:`GoalClient` that sends the arm to postures; use as a context manager."""
+    """:class:`GoalClient` that moves the arm to postures. Use as a context manager."""
 
     def __init__(self, namespace: str = "", own_driver: Ros2ControlSection | None = None) -> None:
-        """``own_driver``: of an arm that tells its joints itself, by its own names."""
+        """``own_driver``: driver section of an arm that publishes its joint states itself, with its
+        own joint names."""
         super().__init__("arm_pose_client", namespace)
         self._names = own_driver.joints if own_driver else Joints._fields
         self._joints: JointState | None = None
@@ -61,7 +61,8 @@ class ArmPoseClient(GoalClient):
         self.node.create_subscription(JointState, topic, self._on_joints, 10)
 
     def missing(self) -> list[str]:
-        """What still keeps the arm from being sent, in words; empty when it is ready."""
+        """Return the conditions that still prevent motion of the arm, as text; empty when it is
+        ready."""
         if self.arm_state is None or self._trajectories.get_subscription_count() == 0:
             return ["the arm's driver is not up"]
         if self.arm_state.state != ArmState.IDLE:
@@ -73,18 +74,18 @@ class ArmPoseClient(GoalClient):
         return []
 
     def joints(self) -> Joints | None:
-        """As read back last; None before."""
+        """Return the last measured joint positions, or None before the first."""
         if self._joints is None:
             return None
         known = dict(zip(self._joints.name, self._joints.position, strict=True))
         return Joints(*(known[name] for name in self._names))
 
     def visit(self, target: Joints, speed: float, check: Callable[[], None]) -> Seen | None:
-        """Go to a posture at ``speed`` (rad/s of the farthest joint) and look; None where the
-        camera does not see what the arm holds at rest there.
+        """Go to a posture at ``speed`` (rad/s of the fastest joint) and take an observation. Return
+        None if the camera does not detect the marker at rest there.
 
         Raises:
-            ArmRefused: the arm is not there in time, or says why it does not go.
+            ArmRefused: the arm is not there in time, or reports why it does not move.
         """
         sent = self.node.get_clock().now()
         arrived = self.go(target, speed, check)
@@ -94,10 +95,11 @@ class ArmPoseClient(GoalClient):
         return None if seen is None else Seen(here, from_message(seen.pose.pose))
 
     def go(self, target: Joints, speed: float, check: Callable[[], None]) -> Time:
-        """Go to a posture at ``speed`` (rad/s of the farthest joint); when it was read back there.
+        """Go to a posture at ``speed`` (rad/s of the fastest joint). Return the time at which the
+        measured joints reached it.
 
         Raises:
-            ArmRefused: the arm is not there in time, or says why it does not go.
+            ArmRefused: the arm is not there in time, or reports why it does not move.
         """
         sent = self.node.get_clock().now()
         self._command(target, speed)
@@ -116,7 +118,7 @@ class ArmPoseClient(GoalClient):
         self._executor.create_task(self._trajectories.publish, message)
 
     def _arrival(self, target: Joints, sent: Time, check: Callable[[], None]) -> Time:
-        """When the arm was read back at the posture."""
+        """Return the time at which the measured joints reached the posture."""
         deadline = time.monotonic() + MOVE_PATIENCE_S
         while time.monotonic() < deadline:
             check()
@@ -135,7 +137,8 @@ class ArmPoseClient(GoalClient):
         )
 
     def _look(self, sent: Time, arrived: Time, check: Callable[[], None]) -> ObjectState | None:
-        """The first look at rest that began after the arm was sent and ended after it arrived."""
+        """Return the first observation at rest that began after the command and ended after the
+        arrival."""
         begun = shown = time.monotonic()
         while (now := time.monotonic()) < min(begun + LOOK_PATIENCE_S, shown + UNSEEN_PATIENCE_S):
             check()

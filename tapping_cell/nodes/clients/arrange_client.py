@@ -1,6 +1,6 @@
-"""The client that sends an arrangement of several objects and follows it.
+"""Client that sends an arrangement of several objects and monitors it.
 
-Not an executable of its own: the verbs `arrange` and `demo --objects` use it.
+It is not an executable of its own. The verbs `arrange` and `demo --objects` use it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ STATES = {
 
 @dataclass(frozen=True, slots=True)
 class ObjectEnd:
-    """How far one object is. Residuals in m and rad, NaN where nothing is known."""
+    """Remaining error of one object, in m and rad, NaN if unknown."""
 
     name: str
     state: str
@@ -53,7 +53,7 @@ class ObjectEnd:
 
 @dataclass(frozen=True, slots=True)
 class ObjectTapped:
-    """A tap was measured."""
+    """Event: the result of a tap was measured."""
 
     number: int
     name: str
@@ -62,7 +62,7 @@ class ObjectTapped:
 
 @dataclass(frozen=True, slots=True)
 class ArrangementEnded:
-    """The end; error_code 0 is success."""
+    """Event: the arrangement ended; error_code 0 means success."""
 
     error_code: int
     error_msg: str
@@ -74,16 +74,16 @@ Event = ObjectTapped | ArrangementEnded
 
 
 class ArrangeClient(ClientNode):
-    """Hears what an arrangement needs, sends it and follows it; use as a context manager."""
+    """Receive the topics for an arrangement, send it and monitor it. Use as a context manager."""
 
     def __init__(self, name: str = "arrange_client", namespace: str = "") -> None:
         super().__init__(name, namespace)
         self.poses: dict[str, Pose] = {}
-        """Where the objects are seen at rest, by name."""
+        """Measured poses of the objects at rest, by name."""
         self.true_poses: dict[str, Pose] = {}
-        """Where they truly are, in the simulated world."""
+        """True poses of the objects in the simulated world."""
         self.contacts: list[tuple[str, str]] = []
-        """Names of objects that truly met, in the simulated world."""
+        """Names of the objects in each true contact in the simulated world."""
         self.planner_active = False
         self._arm: ArmState | None = None
         self._tapper: TapperState | None = None
@@ -100,11 +100,12 @@ class ArrangeClient(ClientNode):
         subscribe(ObjectContact, "true_contacts", self._on_contact, 10)
 
     def accepts_goals(self) -> bool:
-        """Whether the planner's action is there."""
+        """Return whether the planner's action server is available."""
         return bool(self._action.server_is_ready())
 
     def missing(self, names: frozenset[str] = frozenset()) -> list[str]:
-        """What still keeps the cell from arranging these objects, in words."""
+        """Return the conditions that still prevent the cell from arranging these objects, as
+        text."""
         reasons = []
         if not self.accepts_goals() or not self.planner_active:
             reasons.append("the planner is not up")
@@ -117,7 +118,7 @@ class ArrangeClient(ClientNode):
 
     @property
     def answered(self) -> bool:
-        """Whether the planner has answered the arrangement sent last."""
+        """Return whether the planner has responded to the last arrangement."""
         return self._handle is not None
 
     def send(self, layout: LayoutFile) -> None:
@@ -138,11 +139,11 @@ class ArrangeClient(ClientNode):
             one.goal_pose.pose = to_message(Pose(*goal.pose))
             message.goals.append(one)
         self._taps, self._handle = 0, None
-        # Sent from the executor's thread, as in ``GoalClient``.
+        # Sent from the executor's thread, for the same reason as in ``GoalClient``.
         self._executor.create_task(self._send, message)
 
     def cancel(self, patience: float = 5.0) -> bool:
-        """Cancel the arrangement; False where there is none."""
+        """Cancel the arrangement. Return False if there is none."""
         handle = self._handle
         if handle is None:
             return False
@@ -155,7 +156,7 @@ class ArrangeClient(ClientNode):
         return done.wait(patience)
 
     def events(self, poll: float = 0.2) -> Iterator[Event | None]:
-        """Events as they come, and None in between."""
+        """Yield events as they arrive, and None in between."""
         while True:
             try:
                 event = self._events.get(timeout=poll)
@@ -211,7 +212,8 @@ class ArrangeClient(ClientNode):
 
 
 def residuals(poses: Mapping[str, Pose], layout: LayoutFile) -> dict[str, tuple[float, float]]:
-    """Distance (m) and rotation (rad) of each object from its goal; NaN where it is not seen."""
+    """Return distance (m) and rotation (rad) of each object from its goal, NaN if it is not
+    visible."""
     found = {}
     for goal in layout.goals:
         pose, wanted = poses.get(goal.object), Pose(*goal.pose)

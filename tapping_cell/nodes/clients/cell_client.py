@@ -1,7 +1,7 @@
-"""The client that watches a whole cell and gives its commands: what the page does, for a terminal.
+"""Client that monitors and commands a whole cell from a terminal, as the page does in a browser.
 
-Not an executable of its own: the command line's verbs `up`, `status`, `watch`, `home`, `stop`,
-`clear` and `commission` use it.
+It is not an executable of its own. The verbs `up`, `status`, `watch`, `home`, `stop`, `clear` and
+`commission` use it.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ _POLL_S = 0.05
 
 
 class NoCell(RuntimeError):
-    """Nobody of a cell answers; the sentence says what to do."""
+    """No node of a cell responds. The message states the remedy."""
 
 
 class NotDone(RuntimeError):
-    """The cell did not do what was asked; the sentence says why."""
+    """The cell did not execute a command. The message states the reason."""
 
 
 class CellClient(ClientNode):
@@ -77,14 +77,14 @@ class CellClient(ClientNode):
 
         return hear
 
-    # What is the case
+    # State
 
     def mode(self) -> Mode:
-        """The whole cell in a word, with sentence and code."""
+        """Return the mode of the whole cell, with message and code."""
         return self.in_executor(self._view.mode)
 
     def state(self) -> dict[str, Any]:
-        """Everything that the page shows, and the nodes."""
+        """Return the state that the page shows, and the nodes."""
 
         def gather() -> dict[str, Any]:
             self._view.simulated = self._watch.runs("sim_world")
@@ -94,10 +94,10 @@ class CellClient(ClientNode):
         return self.in_executor(gather)
 
     def wait_for_cell(self, patience: float) -> dict[str, Any]:
-        """The state once every node of a cell was heard, or what is known after ``patience`` s.
+        """Return the state once a message of every node has arrived, or after ``patience`` s.
 
         Raises:
-            NoCell: nobody was heard.
+            NoCell: no message has arrived.
         """
         deadline = time.monotonic() + patience
         while True:
@@ -120,13 +120,14 @@ class CellClient(ClientNode):
             " python -m tapping_cell up, or choose the cell with ROS_DOMAIN_ID and --namespace"
         )
 
-    # What it is told
+    # Commands
 
     def stop(self) -> None:
-        """Stop arm and tapper, which ends the planner's goal; returns when both have said so.
+        """Stop arm and tapper, which ends the planner's goal. Return when both have confirmed the
+        stop.
 
         Raises:
-            NotDone: names who did not confirm the stop.
+            NotDone: names the devices that did not confirm the stop.
         """
         asked: dict[str, Future] = {}
         actors = self._actors()
@@ -149,15 +150,15 @@ class CellClient(ClientNode):
             )
 
     def _actors(self) -> tuple[str, ...]:
-        """The actors of this cell: no arm where its tappers are fixed."""
+        """Return the actors of this cell. A cell with fixed tappers has no arm."""
         has_arm = self.in_executor(lambda: self._view.has_arm)
         return tuple(actor for actor in ACTORS if has_arm or actor != ARM)
 
     def clear(self) -> list[str]:
-        """Clear stop and faults of arm and tapper; returns what they say.
+        """Clear the stop and the faults of arm and tapper. Return their responses.
 
         Raises:
-            NotDone: one of them refuses; the sentence is its own.
+            NotDone: a device refuses, with its own message.
         """
         answers = [self._call(self._clear[actor], actor) for actor in self._actors()]
         refused = [words for good, words in answers if not good]
@@ -166,14 +167,14 @@ class CellClient(ClientNode):
         return [words for _, words in answers]
 
     def home(self) -> str:
-        """Begin to home the arm. Raises NotDone: the arm's own sentence."""
+        """Start homing the arm. Raises NotDone with the arm's own message."""
         good, words = self._call(self._home, "scara_arm")
         if not good:
             raise NotDone(words)
         return words
 
     def press_button(self) -> str:
-        """Press the clear button at the simulated tapper. Raises NotDone: there is none."""
+        """Press the clear button of the simulated tapper. Raises NotDone if there is none."""
         good, words = self._call(self._button, "sim_world")
         if not good:
             raise NotDone(words)

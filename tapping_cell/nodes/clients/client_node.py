@@ -1,4 +1,4 @@
-"""What the clients of a running cell share: a node in a context and a thread of its own."""
+"""Common base of the clients of a running cell: a node with its own context and thread."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class ClientNode:
-    """Use as a context manager: the thread runs meanwhile."""
+    """Node that is spun in a thread while its context manager is active."""
 
     def __init__(self, name: str, namespace: str = "") -> None:
         self._context = Context()
@@ -39,7 +39,7 @@ class ClientNode:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        # First the thread, then what it works with: rclpy's shutdown does not wait for a callback.
+        # The thread ends first, because rclpy's shutdown does not wait for a running callback.
         self._ended.set()
         self._thread.join(2.0)
         self._executor.shutdown()
@@ -54,10 +54,10 @@ class ClientNode:
             return
 
     def in_executor(self, function: Callable[[], T], patience: float = 5.0) -> T:
-        """Call in the executor's thread and wait for what it returns.
+        """Call a function in the executor's thread and return its result.
 
         Raises:
-            TimeoutError: the executor did not come to it.
+            TimeoutError: the executor did not run the function in time.
         """
         done = threading.Event()
         found: list[T] = []

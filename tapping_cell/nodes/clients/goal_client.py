@@ -1,6 +1,7 @@
-"""The client of a running cell: is it ready, send a goal, hear every tap, learn the result.
+"""Client of a running cell: checks that it is ready, sends a goal, reports every tap and the
+result.
 
-Not an executable of its own: the command line's verbs `demo` and `goal` use it.
+It is not an executable of its own. The verbs `demo` and `goal` use it.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from tapping_cell.se2 import Pose
 
 @dataclass(frozen=True, slots=True)
 class PhaseChanged:
-    """The planner went on to another phase of a tap."""
+    """Event: the planner entered another phase of a tap."""
 
     phase: str
     taps: int
@@ -48,7 +49,8 @@ class PhaseChanged:
 
 @dataclass(frozen=True, slots=True)
 class TapDone:
-    """A tap was measured; ``true_pose`` is None where no ground truth is published."""
+    """Event: the result of a tap was measured. ``true_pose`` is None without published ground
+    truth."""
 
     record: TapRecord
     residual_distance: float
@@ -58,7 +60,7 @@ class TapDone:
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """The goal has ended; error_code 0 is success."""
+    """Event: the goal has ended; error_code 0 means success."""
 
     error_code: int
     error_msg: str
@@ -70,21 +72,22 @@ class Finished:
 
 @dataclass(frozen=True, slots=True)
 class TapProposed:
-    """A tap waits for a person's confirmation."""
+    """Event: a tap waits for a person's confirmation."""
 
     tap: PlannedTap
 
 
 @dataclass(frozen=True, slots=True)
 class PlannerLost:
-    """The planner that took the goal is gone or silent; it may come back and resume the goal."""
+    """Event: the planner with the goal has gone or is silent. It may come back and resume the
+    goal."""
 
 
 Event = PhaseChanged | TapDone | TapProposed | PlannerLost | Finished
 
 
 class GoalClient(ClientNode):
-    """Hears what a goal needs, sends it and follows it; use as a context manager."""
+    """Receive the topics for a goal, send it and monitor it. Use as a context manager."""
 
     def __init__(self, name: str = "goal_client", namespace: str = "") -> None:
         super().__init__(name, namespace)
@@ -93,9 +96,9 @@ class GoalClient(ClientNode):
         self.tapper_state: TapperState | None = None
         self.true_pose: Pose | None = None
         self.last_run = ""
-        """Folder of the run that the recorder finished last; empty until it has."""
+        """Folder of the run that the recorder finished last; empty before the first."""
         self.planner_active = False
-        """Whether the planner has said what it does, which it does once it is active."""
+        """Whether the planner has published its state, which it does once it is active."""
         self._true_pose_heard = 0.0
         self._events: queue.Queue[Event] = queue.Queue()
         self._taps_heard = 0
@@ -106,7 +109,7 @@ class GoalClient(ClientNode):
         self._confirm = self.node.create_client(ConfirmTap, "confirm_tap")
         self._handle: ClientGoalHandle | None = None
         self._sent = 0
-        """Goals sent so far; the latest one's number."""
+        """Number of goals sent so far, which is also the number of the latest goal."""
         self._action = ActionClient(self.node, PositionObject, "position_object")
         subscribe = self.node.create_subscription
         subscribe(ObjectState, "object_state", self._on_object_state, 10)
@@ -117,11 +120,12 @@ class GoalClient(ClientNode):
         subscribe(PoseStamped, "ground_truth", self._on_ground_truth, 10)
 
     def accepts_goals(self) -> bool:
-        """Whether the planner's action is there."""
+        """Return whether the planner's action server is available."""
         return bool(self._action.server_is_ready())
 
     def missing(self) -> list[str]:
-        """What still keeps the cell from taking a goal, in words; empty when it is ready."""
+        """Return the conditions that still prevent the cell from accepting a goal, as text; empty
+        when it is ready."""
         reasons = []
         if not self._action.server_is_ready():
             reasons.append("the planner is not up")
@@ -147,7 +151,7 @@ class GoalClient(ClientNode):
         return reasons
 
     def object_pose(self) -> Pose:
-        """The object's measured pose in ``table``."""
+        """Return the object's measured pose in ``table``."""
         assert self.object_state is not None
         return from_message(self.object_state.pose.pose)
 
@@ -160,10 +164,11 @@ class GoalClient(ClientNode):
         probe: bool = False,
         ask: bool = False,
     ) -> None:
-        """Send a goal in ``table``; a tolerance (m, rad) of 0 is the cell's own. ``probe``: begin
-        with a few of the smallest taps. ``ask``: every tap waits for confirmation.
+        """Send a goal in ``table``. A tolerance (m, rad) of 0 selects the cell's default.
+        ``probe``: start with a few of the smallest taps. ``ask``: every tap waits for confirmation.
 
-        The goal's stamp is that of the ``look`` that it is relative to, where there is one.
+        If the goal is relative to an observation ``look``, it receives the stamp of this
+        observation.
         """
         message = PositionObject.Goal()
         message.goal_pose.header.frame_id = "table"
@@ -174,8 +179,8 @@ class GoalClient(ClientNode):
         message.probe, message.ask = probe, ask
         self._taps_heard, self._phase, self._handle, self._proposed = 0, "", None, 0
         self._watch = GoalWatch(goal, self._planners(), time.monotonic())
-        # Sent from the executor's thread: from another one the response can overtake rclpy's own
-        # note of the request, and is then dropped.
+        # Sent from the executor's thread, because from another thread the response can arrive
+        # before rclpy has registered the request, and is then dropped.
         self._executor.create_task(self._send, message)
 
     def _send(self, message: PositionObject.Goal) -> None:
@@ -186,11 +191,12 @@ class GoalClient(ClientNode):
 
     @property
     def answered(self) -> bool:
-        """Whether the planner has answered the goal sent last."""
+        """Return whether the planner has responded to the last goal."""
         return self._handle is not None
 
     def cancel(self, patience: float = 5.0) -> bool:
-        """Cancel the goal and wait until the cell has taken that in; False where there is none."""
+        """Cancel the goal and wait until the cell has confirmed this. Return False if there is no
+        goal."""
         handle = self._handle
         if handle is None:
             return False
@@ -203,7 +209,8 @@ class GoalClient(ClientNode):
         return done.wait(patience)
 
     def events(self, poll: float = 0.2) -> Iterator[Event | None]:
-        """Events as they come, and None in between so that the caller can look at other things."""
+        """Yield events as they arrive, and None in between, so that the caller can do other
+        work."""
         while True:
             event: Event
             try:
@@ -219,10 +226,10 @@ class GoalClient(ClientNode):
                 return
 
     def confirm(self, tap_id: int, confirm: bool, patience: float = 5.0) -> ConfirmTap.Response:
-        """Answer for a tap that waits for confirmation: make it, or skip it.
+        """Confirm a tap that waits for confirmation, or skip it.
 
         Raises:
-            TimeoutError: the planner did not answer.
+            TimeoutError: the planner did not respond.
         """
         answers: queue.Queue[ConfirmTap.Response] = queue.Queue()
 
@@ -239,12 +246,13 @@ class GoalClient(ClientNode):
             ) from None
 
     def _planners(self) -> frozenset[bytes]:
-        """Who publishes ``plan_state`` now."""
+        """Return the current publishers of ``plan_state``."""
         found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name("plan_state"))
         return frozenset(bytes(publisher.endpoint_gid) for publisher in found)
 
     def _look_after_planner(self) -> PlannerLost | Finished | None:
-        """That the planner is gone, told once; or the end of a goal that nobody will answer."""
+        """Report once that the planner is gone, or return the end of a goal that will get no
+        response."""
         watch, heard = self._watch, self._plan
         if watch is None:
             return None
@@ -266,7 +274,8 @@ class GoalClient(ClientNode):
         )
 
     def settled_truth(self, patience: float = 1.0) -> Pose | None:
-        """The object's true pose from a message newer than this call; None where there is none."""
+        """Return the object's true pose from a message newer than this call; None if none
+        arrives."""
         asked = time.monotonic()
         while time.monotonic() < asked + patience:
             if self._true_pose_heard > asked:
@@ -287,7 +296,7 @@ class GoalClient(ClientNode):
         self.planner_active = True
         self._plan = message, time.monotonic()
         if self._watch is not None and self._watch.gone:
-            self._follow(message)  # a planner that resumed the goal has no feedback for it
+            self._follow(message)  # a planner that resumed the goal sends no feedback for it
 
     def _on_last_run(self, message: String) -> None:
         self.last_run = message.data
@@ -323,7 +332,7 @@ class GoalClient(ClientNode):
     def _on_result(self, future: object, number: int) -> None:
         result: PositionObject.Result = future.result().result  # type: ignore[attr-defined]
         if number < self._sent and result.error_code == ErrorCode.GOAL_REPLACED:
-            return  # a goal that was sent again, unanswered, took its own place
+            return  # this goal was sent again before a response, and replaced itself
         if result.records:
             self._hear(
                 result.records[-1],

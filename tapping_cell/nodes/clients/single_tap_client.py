@@ -1,6 +1,6 @@
-"""The client of single-tap experiments: prescribed taps, everything heard, records of each.
+"""Client for single-tap experiments: makes prescribed taps and records the data of each.
 
-Not an executable of its own: the command line's verb `single-tap` uses it.
+It is not an executable of its own. The verb `single-tap` uses it.
 """
 
 from __future__ import annotations
@@ -38,11 +38,12 @@ from tapping_cell.se2 import Pose
 
 BEFORE_S = 1.0
 AFTER_S = 0.7
-"""A track begins so long before the release and ends so long after the object came to rest."""
+"""A track starts this time before the release and ends this time after the object came to rest."""
 KEPT_POSES = 4000
 LONGEST_TAP_S = 120.0
 LONGEST_AWAY_S = 3.0
-"""An action server that discovery misses for longer has gone; for less, it only looks so."""
+"""An action server that is undiscovered for longer than this has gone. Shorter gaps are discovery
+errors."""
 LATCHED_QUALITY = Quality(1, latched=True)
 RECORDED: tuple[tuple[type, str, Any, Quality], ...] = (
     (PoseWithCovarianceStamped, "object_pose", 50, Quality()),
@@ -53,15 +54,15 @@ RECORDED: tuple[tuple[type, str, Any, Quality], ...] = (
     (PlanState, "plan_state", LATCHED, LATCHED_QUALITY),
     (PoseStamped, "ground_truth", 50, Quality()),
 )
-"""What goes into the bag: type, topic, quality of the subscription and as written."""
+"""Content of the bag: type, topic, QoS of the subscription, and QoS recorded in the bag."""
 
 
 class NoAnswer(RuntimeError):
-    """The planner did not answer; the sentence says what to do."""
+    """The planner did not respond. The message states the remedy."""
 
 
 class SingleTapClient(GoalClient):
-    """A :class:`GoalClient` that makes prescribed taps, too; use as a context manager."""
+    """:class:`GoalClient` that also makes prescribed taps. Use as a context manager."""
 
     def __init__(self, name: str = "single_tap_client", namespace: str = "") -> None:
         super().__init__(name, namespace)
@@ -75,7 +76,8 @@ class SingleTapClient(GoalClient):
             self.node.create_subscription(kind, topic, self._keeper(kind, topic), profile, raw=True)
 
     def missing(self) -> list[str]:
-        """What still keeps the cell from taking a tap, in words; empty when it is ready."""
+        """Return the conditions that still prevent the cell from making a tap, as text; empty when
+        it is ready."""
         reasons = super().missing()
         if not reasons and not self._single.server_is_ready():
             reasons.append("the planner does not serve single_tap: it is of an older version")
@@ -83,11 +85,11 @@ class SingleTapClient(GoalClient):
 
     @property
     def simulated(self) -> bool:
-        """Whether a simulated world answers the taps."""
+        """Return whether the taps are made in a simulated world."""
         return bool(self.node.count_publishers("ground_truth") > 0)
 
     def camera_rate(self, look_for: float, check: Callable[[], None]) -> float:
-        """Poses a second, from those of the next ``look_for`` s; NaN where none comes."""
+        """Measure the number of poses per second for ``look_for`` s; NaN if no pose arrives."""
         self._poses.clear()
         end = time.monotonic() + look_for
         while time.monotonic() < end:
@@ -103,18 +105,18 @@ class SingleTapClient(GoalClient):
         slack: float,
         check: Callable[[], None],
     ) -> SingleTap.Result:
-        """Make one tap and wait for its result; SI, ``direction`` and ``slack`` in rad.
+        """Make one tap and wait for its result. SI units, ``direction`` and ``slack`` in rad.
 
         An exception from ``check``, or a KeyboardInterrupt, cancels the tap.
 
         Raises:
-            NoAnswer: the planner went away.
+            NoAnswer: the planner has gone.
         """
         message = SingleTap.Goal(
             striker_speed=striker_speed, incidence=incidence, direction=direction, slack=slack
         )
         self._handle = None
-        # As in GoalClient.send: from the executor's thread.
+        # Sent from the executor's thread, as in GoalClient.send.
         self._executor.create_task(self._send_tap, message)
         begun = there = time.monotonic()
         try:
@@ -135,7 +137,7 @@ class SingleTapClient(GoalClient):
         )
 
     def track_of(self, record: TapRecord) -> Track | None:
-        """The object's poses around a tap, one for each picture; None where there are none."""
+        """Return the object's poses around a tap, one for each image; None if there are none."""
         fired, rest = seconds(record.fired_at), seconds(record.at_rest_at)
         until = rest + AFTER_S if rest > 0 else math.inf
         rows: list[tuple[float, ...]] = []
@@ -159,20 +161,21 @@ class SingleTapClient(GoalClient):
         return Track(table[:, 0] - table[0, 0], *table[:, 1:].T)
 
     def tip_of(self, tap_id: int) -> Pose | None:
-        """Where the striker's tip was read back for a tap; None where the arm did not say."""
+        """Return the measured pose of the striker tip for a tap; None if the arm did not publish
+        it."""
         return self._tips.get(tap_id)
 
     def begin_bag(self, bag: BagWriter) -> None:
-        """Make the topics known to a bag."""
+        """Register the topics in a bag."""
         for kind, topic, _, quality in RECORDED:
             name = kind.__module__.split(".")[0] + "/msg/" + kind.__name__
             bag.add_topic(self.node.resolve_topic_name(topic), name, quality)
 
     def write_bag(self, bag: BagWriter) -> None:
-        """Write what was heard since the last call, as a whole piece.
+        """Write the messages received since the last call as one chunk.
 
         Raises:
-            OSError: the disk is full or away.
+            OSError: the disk is full or not available.
         """
         while self._heard:
             heard = self._heard.popleft()
@@ -206,6 +209,7 @@ class SingleTapClient(GoalClient):
 
 
 def rate_of(stamps: list[float]) -> float:
-    """Frames a second, from their times in s: by the shorter steps, since a lost frame is none."""
+    """Return the frame rate in Hz from the frame times in s. It is based on the shorter intervals,
+    so that lost frames have no effect."""
     steps = [after - before for before, after in pairwise(stamps) if after > before]
     return 1.0 / float(np.quantile(steps, 0.2)) if steps else math.nan

@@ -1,1 +1,1 @@
-"""The nodes of the two serial devices, ``scara_arm`` and ``tapper_trigger``."""
+"""The nodes ``scara_arm`` and ``tapper_trigger`` of the two serial devices."""

@@ -1,4 +1,4 @@
-"""What the nodes of the two serial devices share: a machine, its driver, and how both begin."""
+"""Common base of the two device nodes: a state machine, its driver, and their start-up."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from tapping_cell.nodes.cell_node import LATCHED, CellNode, NotReady, Parameters
 from tapping_cell.nodes.logic_host import LogicHost
 
 URGENCY = 1
-"""Priority among the processes of real-time scheduling: the lowest, above all ordinary ones."""
+"""Real-time priority: the lowest, which is still above all ordinary processes."""
 
 
 class DeviceDriver(Protocol):
-    """What both drivers can do."""
+    """Interface common to both drivers."""
 
     def connect(self, timeout: float) -> Any:
-        """Open the line and identify who answers."""
+        """Open the port and identify the device."""
 
     def stop(self) -> bool:
-        """Stop on the wire, at once; from any thread."""
+        """Send the stop command to the device immediately, from any thread."""
 
     def close(self) -> None:
-        """Close the line."""
+        """Close the port."""
 
 
 Driver = TypeVar("Driver", bound=DeviceDriver)
 
 
 class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
-    """A node that hosts a device's machine. Whatever is decided is decided there."""
+    """Node that hosts the state machine of a device. The state machine makes all decisions."""
 
     actor = True
     carries_pictures = False
@@ -66,12 +66,13 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         return self.logic.stopped
 
     def connect(self, driver: Driver, port: str, cell: Cell, read: Callable[[Any], Any]) -> Any:
-        """Connect, and tell the machine; returns what ``connect`` answers.
+        """Connect to the device and notify the machine. Return the result of ``driver.connect``.
 
-        ``port``: its path, for diagnostics. ``read``: makes of that answer what the machine gets.
+        ``port``: path of the port, for diagnostics. ``read``: converts that result for the machine.
 
         Raises:
-            NotReady: the device is not there or not understood; tried again by the life cycle.
+            NotReady: the device is absent or its response is not understood; the life cycle
+                retries.
         """
         try:
             answer = driver.connect(timeout=self.logic.patience)
@@ -79,7 +80,7 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         except HardwareFault as fault:
             driver.close()
             if fault.reason is FaultReason.PORT_MISSING and not port.startswith("/dev/"):
-                # No device of the system: a simulated one, which starts about now.
+                # Not a system device, so it belongs to a simulated device that is just starting.
                 waits = f"the simulated device has not opened {port} yet; start sim_world"
                 self.host.lifecycle(Unreachable(HardwareFault(fault.reason, waits)))
                 raise NotReady(waits, expected=True) from fault
@@ -92,11 +93,11 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         return answer
 
     def activate(self) -> None:
-        """Let the machine act."""
+        """Allow the machine to act."""
         self.host.lifecycle(Activated())
 
     def deactivate(self) -> None:
-        """Have the machine end what is under way."""
+        """Make the machine end its current action."""
         self.host.lifecycle(Deactivated())
 
     def cleanup(self) -> None:
@@ -108,17 +109,18 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         self.driver = None
 
     def hear_stop(self, message: Bool) -> None:
-        """Hand a level of the emergency stop to the machine, which stops the wire at once."""
+        """Pass an emergency stop message to the machine, which stops the device immediately."""
         self.host.hear(stops.TOPIC, messages.Bool(data=message.data))
 
 
 def run_driver(
     make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None = None
 ) -> int:
-    """Run a driver's node; where the system allows it, ahead of ordinary processes.
+    """Run a driver's node with real-time priority if the system permits it.
 
-    An emergency stop must not wait for a processor that others keep busy. Every thread that is
-    made from here on inherits the scheduling. Who may not choose it runs as before.
+    An emergency stop must not wait while other processes occupy the processor. Every thread created
+    from here on inherits the scheduling policy. Without permission, the node runs with its normal
+    priority.
     """
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(URGENCY))

@@ -1,4 +1,5 @@
-"""The way to a digital output of a robot: a service or a topic out, guard and read-back in."""
+"""Link to a robot's digital output: a service or topic for commands, topics for guard and
+read-back."""
 
 from __future__ import annotations
 
@@ -22,21 +23,21 @@ from tapping_cell.nodes.kept_content import KeptContent
 
 KEPT_REQUESTS = 100
 INPUT = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Hears reliable publishers too; a level that is lost is followed by the next."""
+"""Also receives from reliable publishers. A lost message is superseded by the next."""
 KINDS = {"topic": Bool, "commands": Float64MultiArray, "pulse": Float64}
 
 
 class KeptShot:
-    """The greatest shot number in a file of the cell's state folder."""
+    """Highest shot number so far, stored in a file of the cell's state folder."""
 
     def __init__(self, folder: Path) -> None:
         self._file = folder / "shot.json"
         self._content = KeptContent(self._file)
 
     def recall(self) -> int:
-        """The greatest shot that may have been sent.
+        """Return the highest shot number that may have been sent.
 
-        Raises ValueError where the file cannot be read.
+        Raises ValueError if the file is unreadable.
         """
         found = self._content.recall()
         shot = 0 if found is None else found.get("shot")
@@ -48,7 +49,7 @@ class KeptShot:
         return shot
 
     def keep(self, shot: int) -> None:
-        """Keep it, surviving a loss of power. Raises OSError."""
+        """Store the shot number, safe against a power loss. Raises OSError."""
         self._content.keep({"shot": shot})
 
 
@@ -79,17 +80,17 @@ class RosOutputLink(RosLink):
 
     @property
     def name(self) -> str:
-        """The service or topic that switches the output."""
+        """Name of the service or topic that switches the output."""
         return self._section.name
 
     @property
     def interface(self) -> str:
-        """How the output is switched."""
+        """Interface type of the output."""
         return self._section.interface
 
     @property
     def times_pulse(self) -> bool:
-        """Whether the other side times the pulse."""
+        """Whether the receiver times the pulse."""
         return self._section.interface == "pulse"
 
     @property
@@ -105,11 +106,11 @@ class RosOutputLink(RosLink):
         return tuple(self._publishers(self.name))
 
     def sleep(self, duration: float) -> None:
-        """Let time pass."""
+        """Sleep for a duration in s."""
         time.sleep(max(duration, 0.0))
 
     def stop(self, data: bytes) -> bool:
-        """From any thread: latch the stop, and switch off."""
+        """Latch the stop and switch the output off, from any thread."""
         self._stopped = True
         with self._lock:
             self._send(False, 0.0)
@@ -121,19 +122,19 @@ class RosOutputLink(RosLink):
 
     @property
     def guard(self) -> Heard | None:
-        """Whether the guard is closed."""
+        """Last message on whether the guard is closed."""
         with self._heard:
             return self._guard
 
     @property
     def read_back(self) -> Heard | None:
-        """Whether the output is on, as it was read back last."""
+        """Last read-back of whether the output is on."""
         with self._heard:
             return self._read_back
 
     @property
     def last_on(self) -> float:
-        """When a read-back last told that the output is on, s."""
+        """Time of the last read-back that reported the output as on, in s."""
         with self._heard:
             return self._last_on
 
@@ -152,20 +153,20 @@ class RosOutputLink(RosLink):
     # Output
 
     def switch(self, on: bool) -> int:
-        """Send a level; returns a number to ask ``answer`` with."""
+        """Send a level. Return a request number for ``answer``."""
         with self._lock:
-            # A stop that comes now finds the lock, and its switching off follows.
+            # A stop that arrives now waits for the lock and then switches the output off.
             self._require()
             return self._send(on, 0.0)
 
     def pulse(self, duration: float) -> int:
-        """Send a pulse that the other side times; 0 ends one."""
+        """Send a pulse that the receiver times. A duration of 0 ends a pulse."""
         with self._lock:
             self._require()
             return self._send(duration > 0, duration)
 
     def answer(self, number: int) -> Answer:
-        """What became of a request."""
+        """Return the outcome of a request."""
         if self._client is None:
             return Answer.UNTOLD
         future = self._futures.get(number)

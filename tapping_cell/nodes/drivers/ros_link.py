@@ -1,7 +1,7 @@
-"""What every way to a robot's own ROS driver has: a node, a thread, a latched stop.
+"""Common base of the links to a robot's own ROS driver: a node, a thread, a latched stop.
 
-The node and the thread are its own, so that the age of what is heard does not depend on what else
-the driver's node does, and so that a driver's blocking call can wait for it.
+A link has its own node and thread, so that the age of received messages does not depend on the load
+of the driver's node, and so that a blocking driver call can wait for messages.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ POLL_S = 0.05
 
 
 class RosLink(ABC):
-    """A link whose topics are open as long as the object: who comes later is found at the next
-    ``open``.
+    """Link whose topics stay open for the lifetime of the object. The next ``open`` finds a peer
+    that started later.
 
-    A subclass makes its topics and services on ``_node``, then calls ``_start``. It notifies
-    ``_heard`` of news; ``_lock`` keeps what is sent and a stop apart.
+    A subclass creates its topics and services on ``_node``, then calls ``_start``. It notifies
+    ``_heard`` of new messages. ``_lock`` serialises commands and stops.
     """
 
     def __init__(self, parent: Node, suffix: str) -> None:
@@ -47,19 +47,19 @@ class RosLink(ABC):
     @property
     @abstractmethod
     def name(self) -> str:
-        """Of what the link leads to."""
+        """Name of the peer: a controller, service or topic."""
 
     @property
     def is_open(self) -> bool:
-        """Whether the other side was there at the last ``open``."""
+        """Whether the peer was present at the last ``open``."""
         return self._open
 
     def now(self) -> float:
-        """The steady clock, s."""
+        """Return the monotonic clock, in s."""
         return time.monotonic()
 
     def open(self, timeout: float) -> None:
-        """Wait until the other side takes what is sent.
+        """Wait until the peer is ready to receive commands.
 
         Raises HardwareFault: PORT_MISSING, STOPPED.
         """
@@ -75,7 +75,7 @@ class RosLink(ABC):
         self._open = True
 
     def close(self) -> None:
-        """Use the other side no more; the topics stay open."""
+        """Stop using the peer. The topics stay open."""
         self._open = False
 
     def destroy(self) -> None:
@@ -89,11 +89,11 @@ class RosLink(ABC):
         self._node.destroy_node()
 
     def release(self) -> None:
-        """End the latch of ``stop``."""
+        """Clear the latch of ``stop``."""
         self._stopped = False
 
     def wait(self, duration: float) -> None:
-        """Wait for news, for up to ``duration`` s.
+        """Wait up to ``duration`` s for a new message.
 
         Raises HardwareFault: STOPPED, DISCONNECTED.
         """
@@ -104,23 +104,23 @@ class RosLink(ABC):
 
     @abstractmethod
     def _present(self) -> bool:
-        """Whether the other side is there."""
+        """Return whether the peer is present."""
 
     @abstractmethod
     def _absence(self) -> str:
-        """What is said where it is not."""
+        """Return the error message for an absent peer."""
 
     def _found(self) -> None:  # noqa: B027 - most links have nothing to do
-        """It is there: forget what was heard before."""
+        """Discard previously received data when the peer has been found."""
 
     def _before_destruction(self) -> None:  # noqa: B027
-        """Destroy what the node does not destroy with itself."""
+        """Destroy resources that the node does not destroy itself."""
 
     def _start(self) -> None:
         self._thread.start()
 
     def _publishers(self, topic: str) -> list[str]:
-        """Other nodes that publish on a topic."""
+        """Return the other nodes that publish on a topic."""
         own = self._node.get_name(), self._node.get_namespace()
         return sorted(
             f"{info.node_namespace.rstrip('/')}/{info.node_name}"

@@ -1,4 +1,4 @@
-"""The arm's node: the host of ``logic.arm``, with the arm's driver."""
+"""Node of the arm: hosts ``logic.arm`` with the arm's driver."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
             self.host.observes("joint_states", self._send_links)
 
     def configure(self) -> None:
-        """Read the cell file, open the port, identify the controller."""
+        """Read the cell file, open the port and identify the controller."""
         files = self.settings
         cell = load_cell(files.cell_file or None, object_path=files.object_file or None)
         arm = cell.arm
@@ -101,7 +101,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
             self.get_logger().warning(remark)
 
     def destroy_node(self) -> None:
-        """End the link with the node."""
+        """Destroy the link together with the node."""
         if self._link is not None:
             self._link.destroy()
         super().destroy_node()  # type: ignore[no-untyped-call]
@@ -109,7 +109,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
     def _link_to(
         self, section: Ros2ControlSection, max_acceleration: Sequence[float]
     ) -> RosTrajectoryLink:
-        """The link to the arm's own driver, kept while the cell file is not changed."""
+        """Return the link to the arm's own driver. It is kept until the cell file changes."""
         if self._link is not None and self._linked_to != section:
             self._link.destroy()
             self._link = None
@@ -119,7 +119,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
         return self._link
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """Port, firmware, homing and counters."""
+        """Report port, firmware, homing and counters."""
         driver, (code, sentence) = self.driver, self.logic.trouble
         if driver is None:
             return DiagnosticStatus.WARN, sentence, {}
@@ -166,7 +166,7 @@ def _link_transform(frame: LinkFrame, stamp: Time) -> TransformStamped:
 
 
 def make_logic(parameters: Parameters) -> ArmLogic:
-    """The arm's machine for these parameters."""
+    """Return the arm's state machine for these parameters."""
     return ArmLogic(
         ArmOptions(
             parameters.home_on_activate,

@@ -1,4 +1,4 @@
-"""The tapper's node: the host of ``logic.tapper``, with the tapper's driver."""
+"""Node of the tapper: hosts ``logic.tapper`` with the tapper's driver."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver | OutputTapperDriver]):
         self.host.calls(messages.HoldStill, "hold_still")
 
     def configure(self) -> None:
-        """Read the cell file, open the port, open a session, which discharges the tapper."""
+        """Read the cell file, open the port and start a session, which discharges the tapper."""
         cell = load_cell(self.settings.cell_file or None)
         if self.settings.board >= len(cell.boards):
             raise ConfigurationError(
@@ -126,13 +126,13 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver | OutputTapperDriver]):
         self.connect(driver, port, cell, lambda reply: reply)
 
     def destroy_node(self) -> None:
-        """End the link with the node."""
+        """Destroy the link together with the node."""
         if self._link is not None:
             self._link.destroy()
         super().destroy_node()  # type: ignore[no-untyped-call]
 
     def _output_driver(self, tapper: TapperSection, section: OutputSection) -> OutputTapperDriver:
-        """The driver of a digital output; its link is kept while the cell file is not changed."""
+        """Return the driver of a digital output. Its link is kept until the cell file changes."""
         if self.settings.set_up:
             raise ConfigurationError(
                 "parameter set_up is true, but tapper.dialect is io: set-up mode needs the tapper's"
@@ -148,7 +148,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver | OutputTapperDriver]):
         return OutputTapperDriver(self._link, tapper.output_settings(), memory)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """Port, firmware and counters."""
+        """Report port, firmware and counters."""
         driver, (code, sentence) = self.driver, self.logic.trouble
         if driver is None:
             return DiagnosticStatus.WARN, sentence, {}
@@ -172,7 +172,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver | OutputTapperDriver]):
 
 
 def make_logic(parameters: Parameters) -> TapperLogic:
-    """The tapper's machine for these parameters."""
+    """Return the tapper's state machine for these parameters."""
     limits = PeerLimits(
         parameters.arm_freshness,
         parameters.silence_limit,

@@ -1,4 +1,4 @@
-"""The way to an arm's own ROS driver: joint states in, trajectories out, by topic or action."""
+"""Link to an arm's own ROS driver: receives joint states, sends trajectories by topic or action."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ except ImportError:
     FollowJointTrajectory = None
 
 KEPT_S = 1.0
-"""For how long samples are kept."""
+"""Time for which samples are kept."""
 STATUS = {4: GoalState.SUCCEEDED}
-"""Of an action's result; every other is a failure."""
+"""Goal state for each status code of an action result. Every other code means failure."""
 ENDINGS = {5: "cancelled, as by another program's trajectory", 6: "aborted"}
 
 
@@ -44,7 +44,7 @@ class RosTrajectoryLink(RosLink):
     """See :class:`~tapping_cell.hardware.trajectory_link.TrajectoryLink`.
 
     Raises:
-        ConfigurationError: the action is asked for and control_msgs is not installed.
+        ConfigurationError: the action interface is requested, but control_msgs is not installed.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class RosTrajectoryLink(RosLink):
         self._progress = Progress(GoalState.UNTOLD)
         self._topic = f"{section.controller}/joint_trajectory"
         self._publisher = self._node.create_publisher(JointTrajectory, self._topic, COMMAND)
-        # Best effort hears reliable publishers too, and a lost state is followed by the next.
+        # Best effort also matches reliable publishers, and the next message replaces a lost state.
         self._node.create_subscription(
             JointState, section.joint_states, self._hear, qos_profile_sensor_data
         )
@@ -89,7 +89,7 @@ class RosTrajectoryLink(RosLink):
         return self._section.controller
 
     def stop(self, data: bytes) -> bool:
-        """From any thread: latch the stop, and brake."""
+        """Latch the stop and brake, from any thread."""
         self._stopped = True
         reached = self.brake()
         with self._heard:
@@ -97,10 +97,10 @@ class RosTrajectoryLink(RosLink):
         return reached
 
     def brake(self) -> bool:
-        """From any thread: have the controller bring the arm to rest, and cancel its goal.
+        """Make the controller bring the arm to rest and cancel its goal, from any thread.
 
-        A joint_trajectory_controller refuses an empty trajectory on its topic, so that braking is a
-        trajectory of one point.
+        A joint_trajectory_controller rejects an empty trajectory on its topic, so the brake command
+        is a trajectory with a single point.
         """
         with self._lock:
             reached = self._publisher.get_subscription_count() > 0
@@ -118,13 +118,13 @@ class RosTrajectoryLink(RosLink):
 
     @property
     def samples(self) -> Sequence[JointSample]:
-        """What was heard in the last second, the newest last."""
+        """Samples received in the last second, newest last."""
         with self._heard:
             return tuple(self._samples)
 
     @property
     def other_names(self) -> Sequence[str]:
-        """Joint names of the last message that lacked some of ours."""
+        """Joint names of the last message that lacked some of this arm's joints."""
         return self._other_names
 
     @property
@@ -146,7 +146,7 @@ class RosTrajectoryLink(RosLink):
         if speeds is not None and not all(map(math.isfinite, speeds)):
             speeds = None
         stamp = Time.from_msg(message.header.stamp).nanoseconds
-        # A state without a stamp is as old as the network makes it; its broadcaster should stamp.
+        # A state without a stamp counts as new on arrival; joint_state_broadcaster should stamp it.
         age = 1e-9 * (self._node.get_clock().now().nanoseconds - stamp) if stamp else 0.0
         sample = JointSample(
             received - max(age, 0.0),
@@ -165,14 +165,14 @@ class RosTrajectoryLink(RosLink):
 
     @property
     def interface(self) -> str:
-        """How trajectories are sent: topic or action."""
+        """How trajectories are sent: by topic or by action."""
         by_action = self._action is not None and (
             self._section.interface == "action" or self._action.server_is_ready()
         )
         return "action" if by_action else "topic"
 
     def send(self, points: Sequence[TrajectoryPoint]) -> None:
-        """Send a trajectory, which replaces the one under way."""
+        """Send a trajectory, which replaces the current one."""
         self._require()
         if not self._present():
             self._open = False
@@ -183,7 +183,8 @@ class RosTrajectoryLink(RosLink):
             )
         message = self._message(points)
         with self._lock:
-            # A stop that comes now finds the lock, and its braking follows the trajectory.
+            # A stop that arrives now waits for the lock, so that it brakes after this trajectory is
+            # sent.
             self._require()
             self._goal += 1
             self._course = Course(self.samples[-1].positions, points)
@@ -196,11 +197,11 @@ class RosTrajectoryLink(RosLink):
         self._executor.create_task(self._send_goal, number, message)
 
     def progress(self) -> Progress:
-        """What became of the trajectory that was sent last."""
+        """Return the progress of the last trajectory."""
         return self._progress
 
     def _send_goal(self, number: int, message: JointTrajectory) -> None:
-        """In the link's thread: send a goal, unless a stop has come since."""
+        """Send a goal, unless a stop was latched in the meantime. Runs in the link's thread."""
         with self._lock:
             if number != self._goal:
                 return
@@ -212,7 +213,7 @@ class RosTrajectoryLink(RosLink):
         handle = answer.result()
         with self._lock:
             if number != self._goal:
-                # A stop came while the goal was on its way.
+                # A stop arrived while the goal was being sent.
                 if handle.accepted:
                     handle.cancel_goal_async()
                 return
@@ -238,7 +239,7 @@ class RosTrajectoryLink(RosLink):
             )
 
     def _message(self, points: Sequence[TrajectoryPoint]) -> JointTrajectory:
-        """With no stamp: to be begun at once."""
+        """Build the message with a zero stamp, so that the trajectory starts immediately."""
         message = JointTrajectory(joint_names=list(self._joints))
         for point in points:
             told = JointTrajectoryPoint(
@@ -250,7 +251,7 @@ class RosTrajectoryLink(RosLink):
         return message
 
     def _present(self) -> bool:
-        """Whether the controller is there."""
+        """Return whether the controller is present."""
         if self._section.interface == "action":
             return bool(self._action.server_is_ready())
         return self._publisher.get_subscription_count() > 0

@@ -1,1 +1,2 @@
-"""What the node `operator_page` is made of: the web server, what it shows, and the page itself."""
+"""Parts of the node `operator_page`: the web server, the displayed state, and the web page
+itself."""

@@ -1,4 +1,4 @@
-"""What the page shows of the cell: the last word of everybody, as JSON in mm and degrees."""
+"""State of the cell for the page: the last message of every node, as JSON in mm and degrees."""
 
 from __future__ import annotations
 
@@ -63,23 +63,24 @@ def _now() -> Now:
 
 
 def triple(pose: Pose) -> Numbers:
-    """A pose or displacement as [mm, mm, degrees]; None for what is not a number."""
+    """Convert a pose or displacement to [mm, mm, degrees], with None for values that are not
+    finite."""
     angle = math.remainder(pose.theta, math.tau) if math.isfinite(pose.theta) else math.nan
     return [shown(1e3 * pose.x), shown(1e3 * pose.y), shown(math.degrees(angle))]
 
 
 def shown(value: float, digits: int = 2) -> float | None:
-    """A number for the page; None where there is none."""
+    """Round a number for the page; None if it is not finite."""
     return round(value, digits) if math.isfinite(value) else None
 
 
 def pose_text(pose: Pose) -> str:
-    """A pose for people."""
+    """Format a pose as text."""
     return f"x {1e3 * pose.x:.1f} mm, y {1e3 * pose.y:.1f} mm, {math.degrees(pose.theta):.1f} deg"
 
 
 class Mode(NamedTuple):
-    """The whole cell in a word: stopped, fault, waiting for a person, moving, not ready, ready."""
+    """Mode of the whole cell: stopped, fault, waiting for a person, moving, not ready, ready."""
 
     word: str
     sentence: str
@@ -87,17 +88,17 @@ class Mode(NamedTuple):
 
 
 def with_code(sentence: str, code: int) -> str:
-    """A sentence with the number of its code, where it has one."""
+    """Append the error code to a message if there is one."""
     return f"{sentence} ({code})" if code else sentence
 
 
 def counted(number: int, thing: str) -> str:
-    """A number of things, as in "1 tap" and "3 taps"."""
+    """Format a count, as in "1 tap" and "3 taps"."""
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 class CellView:
-    """Hears the topics; called in the executor's thread alone."""
+    """Collect the topics that the page displays. Called only in the executor's thread."""
 
     def __init__(self) -> None:
         self._monitor = CellMonitor(SILENCE_LIMIT_S)
@@ -112,43 +113,43 @@ class CellView:
         self.emergency_stop = False
         self.held_by_page = False
         self.stops: dict[str, tuple[str, ...]] = {}
-        """What stopped each actor and was not reset."""
+        """Causes of each actor's stop that have not been reset."""
         self.simulated = False
 
     @property
     def has_arm(self) -> bool:
-        """Whether the cell has an arm, as far as its tappers have said."""
+        """Whether the cell has an arm, according to the last tapper state."""
         return self._monitor.has_arm
 
     def on_object(self, message: ObjectState) -> None:
-        """Take in ``object_state``."""
+        """Process ``object_state``."""
         self._monitor.on_object(message, _now())
 
     def on_arm(self, message: ArmState) -> None:
-        """Take in ``arm_state``."""
+        """Process ``arm_state``."""
         self._monitor.on_arm(message, _now())
 
     def on_tapper(self, message: TapperState) -> None:
-        """Take in ``tapper_state``."""
+        """Process ``tapper_state``."""
         self._monitor.on_tapper(message, _now())
 
     def forget(self) -> None:
-        """Nobody looks any more: what is heard next is new. The taps and the log are kept."""
+        """Discard the received states when no page is open. The taps and the log are kept."""
         self._monitor = CellMonitor(SILENCE_LIMIT_S)
         self.stops.clear()
         self._mode = ""
 
     def note(self, text: str, kind: str = "", at: float | None = None) -> None:
-        """Add a line to what happened; ``kind`` is "good", "bad" or nothing, ``at`` in s."""
+        """Add a log entry. ``kind`` is "good", "bad" or empty, ``at`` is the time in s."""
         self._log.append({"time": round(at or time.time(), 1), "text": text, "kind": kind})
 
     def note_own_goal(self, goal: Pose, who: str) -> None:
-        """A goal is sent from a page."""
+        """Log that a page sends a goal."""
         self._own_goal = goal
         self.note(f"goal {pose_text(goal)} sent from the page ({who})")
 
     def on_plan(self, message: PlanState) -> None:
-        """Hear ``plan_state``: a new goal, a tap, an end."""
+        """Process ``plan_state``: a new goal, a tap, an end."""
         before, self._plan = self._plan, message
         self._plan_heard = time.monotonic()
         tap = message.last_tap
@@ -166,7 +167,7 @@ class CellView:
                 self.note(f"goal {pose_text(goal)}")
 
     def on_report(self, message: GoalReport) -> None:
-        """Hear ``goal_report``: how a goal ended, also one that was refused."""
+        """Process ``goal_report``: the end of a goal, including a refused goal."""
         if message == self._report:
             return
         self._report = message
@@ -177,19 +178,21 @@ class CellView:
             sentence, kind = f"goal reached after {counted(message.taps, 'tap')}", "good"
         elif message.state == PlanState.CANCELED:
             kind = ""
-        # The last report is told again to whoever joins: it happened when it was made.
+        # The last report is sent again to every new subscriber, so the log entry has the report's
+        # stamp.
         self.note(sentence, kind, seconds(message.header.stamp))
 
     @property
     def busy(self) -> bool:
-        """Whether a goal is under way."""
+        """Whether a goal is active."""
         plan = self._plan
         return plan is not None and plan.state not in (PlanState.IDLE, *FINAL_STATES)
 
     def mode(self) -> Mode:
-        """The whole cell in a word, a sentence, and the code where there is one."""
+        """Return the mode of the whole cell with a message and, if there is one, the code."""
         arm, tapper = self._monitor.arm, self._monitor.tapper
-        # What to do follows the semicolon, in words of services; the page shows its own list.
+        # The text after the semicolon recommends services; the page shows its own recovery steps
+        # instead.
         stopped = [
             state.error_msg.partition(";")[0]
             for state, value in ((arm, ArmState.STOPPED), (tapper, TapperState.STOPPED))
@@ -224,7 +227,7 @@ class CellView:
         return Mode("ready", "the cell takes a goal")
 
     def state(self) -> dict[str, object]:
-        """Everything that changes."""
+        """Return all values that change."""
         mode = self.mode()
         sentence = with_code(mode.sentence, mode.code)
         if mode.word != self._mode:
@@ -260,7 +263,7 @@ class CellView:
         )
 
     def _blocked(self, mode: Mode) -> str:
-        """Why no goal can be sent now; empty where one can."""
+        """Return the reason why no goal can be sent now, or an empty text."""
         arm = self._monitor.arm
         if mode.word in ("stopped", "fault"):
             what = "is stopped" if mode.word == "stopped" else "has a fault"
@@ -270,7 +273,7 @@ class CellView:
         return ""
 
     def _set_up_state(self) -> dict[str, bool]:
-        """Whether the cell is in set-up mode, and whether an enabling device is held."""
+        """Return whether the cell is in set-up mode, and whether an enabling device is held."""
         arm, tapper = self._monitor.arm, self._monitor.tapper
         on = (arm is not None and arm.set_up) or (tapper is not None and tapper.set_up)
         return {"on": on, "enabled": arm is not None and arm.enabled}
@@ -322,13 +325,13 @@ class CellView:
 
     @property
     def planned(self) -> PlannedTap | None:
-        """The tap that is planned now, and not yet told how it ended."""
+        """Current planned tap, if its end has not been reported yet."""
         tap = self._plan.planned_tap if self._plan is not None else None
         return tap if tap is not None and tap.tap_id else None
 
     @property
     def blocked(self) -> str:
-        """Why no goal can be sent now; empty where one can."""
+        """Reason why no goal can be sent now, or an empty text."""
         return self._blocked(self.mode())
 
     def _device(self, who: str, words: dict[int, str]) -> dict[str, object]:
@@ -343,7 +346,8 @@ class CellView:
 
 
 def planned_row(plan: PlanState) -> dict[str, object] | None:
-    """The planned tap in mm and degrees, and whether it waits for confirmation; None for none."""
+    """Return the planned tap in mm and degrees, and whether it waits for confirmation; None without
+    one."""
     tap = plan.planned_tap
     if not tap.tap_id:
         return None
@@ -372,9 +376,8 @@ def planned_row(plan: PlanState) -> dict[str, object] | None:
 
 
 def tap_row(tap: TapRecord, goal: Pose) -> dict[str, object]:
-    """One tap: displacements in mm and degrees, table axes, and the distances and angles to the
-    goal before and after it.
-    """
+    """Return one tap: displacements in mm and degrees, in table axes, and the distances and angles
+    to the goal before and after the tap."""
     before, predicted = from_message(tap.object_pose), from_message(tap.predicted_pose)
     measured = from_message(tap.measured_pose.pose)
     seen = math.isfinite(measured.x)
@@ -400,5 +403,5 @@ def tap_row(tap: TapRecord, goal: Pose) -> dict[str, object]:
 
 
 def displacement(before: Pose, after: Pose) -> Pose:
-    """From one pose to another, in table axes."""
+    """Return the displacement between two poses, in table axes."""
     return Pose(after.x - before.x, after.y - before.y, before.rotation_to(after))

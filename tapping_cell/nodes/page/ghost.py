@@ -1,8 +1,9 @@
-"""The ghost: an outline of the object that a person drags over the picture to say where to.
+"""Goal preview ("ghost"): an outline of the object that a person drags over the image to set a
+goal.
 
-The camera's model and pose turn a pixel into a place at the height of the object's top, and back.
-Pictures are addressed by (u, v) in widths and heights from the top left corner, so that the page
-may show them at any size.
+The camera's model and pose map a pixel to a point at the height of the object's top, and back. An
+image point (u, v) is given in fractions of the image's width and height from the top left corner,
+so that the page may show the image at any size.
 """
 
 from __future__ import annotations
@@ -19,25 +20,28 @@ from tapping_cell.se2 import Pose, transform_points
 from tapping_cell.vision import View
 
 HANDLE_BEYOND = 0.03
-"""m from the outline's farthest point to the handle that turns the ghost."""
+"""Distance in m from the farthest point of the outline to the handle that rotates the ghost."""
 ARROW, ARROW_AHEAD = 0.06, 0.012
-"""m of the striker's line that is drawn behind and before the tip of the striker at rest."""
+"""Length in m of the striker's line that is drawn behind and before the tip of the striker at
+rest."""
 ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
-"""Standard deviations of a plane normal distribution that hold 95 % of it."""
+"""Radius of the ellipse that contains 95 % of a bivariate normal distribution, in standard
+deviations."""
 FARTHEST = 5.0
-"""m from the table's origin; a pixel that sees farther sees no table."""
+"""Maximum distance in m from the table's origin. A pixel that maps to a point beyond it does not
+show the table."""
 SIDE = 0.001
-"""m of the step by which the picture's right is found on the table."""
+"""Step in m for determining the direction on the table that points to the right in the image."""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ghost:
-    """Maps between picture and table.
+    """Mapping between image and table.
 
-    ``outline`` (N, 2) in the object's frame and ``height`` of its top, both in m; ``refusal`` gives
-    the planner's sentence for a goal that it would refuse, or an empty one.
+    ``outline`` (N, 2) in the object's frame and ``height`` of its top are in m. ``refusal`` returns
+    the planner's message for a goal that it would refuse, or an empty text.
     """
 
     view: View
@@ -46,10 +50,10 @@ class Ghost:
     refusal: Callable[[Pose], str]
 
     def answer(self, request: Move | Turn | Place) -> dict[str, object]:
-        """The ghost's pose (mm, degrees) and its picture, for the page.
+        """Return the ghost's pose (mm, degrees) and its drawing for the page.
 
         Raises:
-            BadRequest: the pixel sees no place on the table.
+            BadRequest: the pixel does not show the table.
         """
         pose = self.pose(request)
         corners = transform_points(pose, self.outline)
@@ -71,9 +75,10 @@ class Ghost:
     def planned(
         self, before: Pose, strike: Pose, predicted: Pose, covariance: Array
     ) -> dict[str, object]:
-        """How a planned tap is drawn, in shares of the picture: the striker's ``arrow``, the
-        predicted ``outline``, the ``way`` of the centre, the ``ellipse`` that holds the centre with
-        95 %. ``covariance`` (2, 2) of the predicted centre, m^2."""
+        """Return the drawing of a planned tap in fractions of the image size: the ``arrow`` of the
+        striker, the predicted ``outline``, the ``way`` of the centre, and the ``ellipse`` that
+        contains the centre with a probability of 95 %. ``covariance`` (2, 2) of the predicted
+        centre is in m^2."""
         values, axes = np.linalg.eigh(covariance)
         radii = ELLIPSE_95 * np.sqrt(np.maximum(values, 0.0))
         around = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)
@@ -88,10 +93,10 @@ class Ghost:
         }
 
     def pose(self, request: Move | Turn | Place) -> Pose:
-        """The pose that a request means.
+        """Return the pose that a request refers to.
 
         Raises:
-            BadRequest: the pixel sees no place on the table.
+            BadRequest: the pixel does not show the table.
         """
         if isinstance(request, Place):
             return request.pose
@@ -107,7 +112,7 @@ class Ghost:
         return np.array([self.view.camera.width, self.view.camera.height], dtype=float)
 
     def _place(self, u: float, v: float) -> tuple[float, float]:
-        # Pixels count from the middle of the first one.
+        # Pixel coordinates have their origin at the centre of the first pixel.
         pixel = np.array([u, v]) * self._size() - 0.5
         with np.errstate(all="ignore"):
             x, y = (float(value) for value in self.view.on_plane(pixel, self.height))
@@ -122,9 +127,10 @@ class Ghost:
         return [[round(float(u), 5), round(float(v), 5)] for u, v in near]
 
     def _right(self, x: float, y: float) -> int:
-        """The table's axis that points most to the right in the picture: 0, 90, 180 or -90 degrees.
+        """Return the direction on the table that points most to the right in the image: 0, 90, 180
+        or -90 degrees.
 
-        The arrow keys move the ghost along the table's axes, as the picture shows them.
+        The arrow keys move the ghost along the table's axes as they appear in the image.
         """
         ends = [[x, y], [x + SIDE, y], [x, y + SIDE]]
         here, along_x, along_y = self.view.project(ends, self.height)

@@ -1,7 +1,8 @@
-"""Goals that wait for their turn, and goals with names. Pure: the page's node sends them.
+"""Queue of goals, and named goals. This module has no side effects: the page's node sends the
+goals.
 
-A queue moves nothing until a person runs it. It sends the next goal when the last one was reached,
-and holds at every other end: what stopped one goal may stop the next.
+The queue starts only when a person runs it. It sends the next goal when the last one was reached,
+and pauses after any other result, because the cause may also affect the next goal.
 """
 
 from __future__ import annotations
@@ -17,57 +18,57 @@ MOST_NAMES = 50
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A goal in ``table``, with its tolerance in m and rad; 0 for the cell's own."""
+    """Goal in ``table``, with its tolerance in m and rad, where 0 selects the cell's default."""
 
     pose: Pose
     tolerance: tuple[float, float] = (0.0, 0.0)
 
 
 class QueueFull(ValueError):
-    """There is no place for one more; the sentence says how many there are."""
+    """The queue or list is full. The message states the limit."""
 
 
 class GoalQueue:
-    """Goals in their order."""
+    """Ordered queue of goals."""
 
     def __init__(self) -> None:
         self._numbers = itertools.count(1)
         self._waiting: dict[int, Wanted] = {}
         self.running = False
-        """Whether the next goal follows when the last one was reached."""
+        """Whether the next goal is sent when the last one was reached."""
         self.held = ""
-        """Why the queue does not run any more, where it ended by itself."""
+        """Reason why the queue paused automatically, or an empty text."""
 
     def rows(self) -> list[tuple[int, Wanted]]:
-        """Numbers and goals, in order."""
+        """Return the numbers and goals in order."""
         return list(self._waiting.items())
 
     def add(self, goal: Wanted) -> None:
-        """Put a goal behind the others. Raises QueueFull."""
+        """Append a goal. Raises QueueFull."""
         if len(self._waiting) >= MOST_WAITING:
             raise QueueFull(f"{MOST_WAITING} goals wait already; remove one, or run the queue")
         self._waiting[next(self._numbers)] = goal
 
     def remove(self, number: int) -> bool:
-        """Take a goal out; False where none has this number."""
+        """Remove a goal. Return False if no goal has this number."""
         return self._waiting.pop(number, None) is not None
 
     def run(self) -> None:
-        """Send goals from now on."""
+        """Start sending goals."""
         self.running, self.held = bool(self._waiting), ""
 
     def hold(self, why: str = "") -> None:
-        """Send none until it is run again."""
+        """Send no goals until the queue is run again."""
         if self.running:
             self.running, self.held = False, why
 
     def ended(self, reached: bool, sentence: str) -> None:
-        """A goal of the cell has ended, whoever sent it."""
+        """Process the end of any goal of the cell, whoever sent it."""
         if not reached:
             self.hold(f"The queue holds: {sentence}")
 
     def next(self, busy: bool, blocked: str) -> Wanted | None:
-        """The goal to be sent now; it leaves the queue. None while there is none to send."""
+        """Remove and return the goal to send now, or None if none is to be sent."""
         if blocked:
             self.hold(f"The queue holds. {blocked}")
         if not self.running or busy:
@@ -79,10 +80,10 @@ class GoalQueue:
 
 
 class NamedGoals:
-    """Poses in ``table`` by name, as a file keeps them: [m, m, rad]."""
+    """Named poses in ``table``, stored in a file as [m, m, rad]."""
 
     def __init__(self, content: object = None) -> None:
-        """``content``: of ``as_content``; what cannot be read of it is left out."""
+        """``content``: output of ``as_content``. Unreadable entries are ignored."""
         self._poses: dict[str, Pose] = {}
         if isinstance(content, dict):
             for name, values in content.items():
@@ -93,19 +94,19 @@ class NamedGoals:
                 self._poses[str(name)] = Pose(x, y, theta)
 
     def rows(self) -> list[tuple[str, Pose]]:
-        """Names and poses, by name."""
+        """Return names and poses, sorted by name."""
         return sorted(self._poses.items(), key=lambda row: row[0].casefold())
 
     def keep(self, name: str, pose: Pose) -> None:
-        """Give a pose a name, in place of what had it. Raises QueueFull."""
+        """Store a pose under a name, replacing the previous pose. Raises QueueFull."""
         if name not in self._poses and len(self._poses) >= MOST_NAMES:
             raise QueueFull(f"{MOST_NAMES} goals have names already; remove one")
         self._poses[name] = pose
 
     def forget(self, name: str) -> bool:
-        """Remove a name; False where there is none."""
+        """Remove a name. Return False if it does not exist."""
         return self._poses.pop(name, None) is not None
 
     def as_content(self) -> dict[str, list[float]]:
-        """For a file."""
+        """Return the content for a file."""
         return {name: list(pose) for name, pose in self._poses.items()}

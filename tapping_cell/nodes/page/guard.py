@@ -1,8 +1,8 @@
-"""Who may speak to the page: the right Host, the right Origin, the right token.
+"""Access control of the page by Host header, Origin header and token.
 
-A browser lets every web site open a WebSocket to every address. The Origin says which site asks,
-the Host says by which name: a site that makes its own name point here (DNS rebinding) is known by
-a name that is not this machine's.
+A browser lets any web site open a WebSocket to any address. The Origin header identifies the web
+site, and the Host header contains the requested host name. A site that resolves its own name to
+this machine (DNS rebinding) is detected because that name does not belong to this machine.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 
 
 def is_loopback(address: str) -> bool:
-    """Whether an address to bind to is reached from this machine alone."""
+    """Return whether a bind address is reachable only from this machine."""
     if address == "localhost":
         return True
     try:
@@ -29,26 +29,25 @@ def is_loopback(address: str) -> bool:
 
 
 def make_token() -> str:
-    """A new token of 128 random bits, fit for a URL."""
+    """Return a new token of 128 random bits that is valid in a URL."""
     return secrets.token_urlsafe(16)
 
 
 @dataclass(frozen=True, slots=True)
 class Guard:
-    """What a request must show."""
+    """Requirements for a request."""
 
     names: tuple[str, ...]
-    """Host names under which the page may be asked for."""
+    """Host names by which the page may be requested."""
     token: str
-    """What a page must know; empty: nothing."""
+    """Token that a page must send; empty if none is required."""
     addresses: bool
-    """Whether any address in numbers is taken as Host, too: it cannot be rebound."""
+    """Whether any numeric address is accepted as Host as well, since it cannot be rebound."""
 
     @classmethod
     def make(cls, address: str, more_names: Iterable[str], token: str) -> Guard:
-        """For a server bound to ``address``; without a token given, one is made where the page is
-        reached from other machines.
-        """
+        """Return the guard of a server bound to ``address``. If no token is given, one is generated
+        if the page is reachable from other machines."""
         local = is_loopback(address)
         own = () if local else (socket.gethostname(), f"{socket.gethostname()}.local")
         names = {name.strip().lower() for name in (*LOOPBACK_NAMES, *own, *more_names)}
@@ -61,11 +60,11 @@ class Guard:
     def refusal(
         self, host: str, origin: str | None, *, command: bool, page_port: int | None = None
     ) -> str:
-        """Why a request is refused, in words; empty where it is not.
+        """Return the reason why a request is refused, or an empty text.
 
-        ``host`` and ``origin`` are the request's headers; a ``command`` (a WebSocket, a POST) must
-        have an Origin, a page that is only read need not. ``page_port`` is where the page is served
-        that may ask, where that is not the port of the request itself.
+        ``host`` and ``origin`` are the headers of the request. A ``command`` (a WebSocket, a POST)
+        must have an Origin; a read-only request need not. ``page_port`` is the port of the page
+        that may send the request, if it differs from the port of the request.
         """
         name = host_name(host)
         if name is None or not self._known(name):
@@ -82,7 +81,7 @@ class Guard:
         return ""
 
     def admits(self, token: object) -> bool:
-        """Whether a token is the right one; takes the same time for every wrong one."""
+        """Return whether a token is correct. The comparison takes constant time."""
         if not self.token:
             return True
         given = token if isinstance(token, str) else ""
@@ -105,7 +104,7 @@ def _plain(text: str) -> bool:
 
 
 def host_name(host: str) -> str | None:
-    """The name in a Host header, without port and brackets; None where it is malformed."""
+    """Return the host name in a Host header, without port and brackets; None if it is malformed."""
     if not _plain(host) or any(sign in host for sign in "/@?#\\"):
         return None
     try:
@@ -117,15 +116,14 @@ def host_name(host: str) -> str | None:
 
 
 def _with_port(name: str, port: int) -> str:
-    """Name and port as a browser writes them in Origin: without the port of http itself."""
+    """Return name and port as in an Origin header, which omits the default port of HTTP."""
     shown = f"[{name}]" if ":" in name else name
     return shown if port == 80 else f"{shown}:{port}"
 
 
 def urls(address: str, port: int, token: str) -> list[str]:
-    """Where the page is opened. The token stands behind the #: browsers never send that part, so it
-    is in nobody's log.
-    """
+    """Return the URLs of the page. The token follows the #, because browsers never send that part,
+    so that no log contains it."""
     tail = f":{port}/" + (f"#token={token}" if token else "")
     if is_loopback(address):
         return [f"http://{'[::1]' if address == '::1' else 'localhost'}{tail}"]
@@ -138,10 +136,10 @@ def urls(address: str, port: int, token: str) -> list[str]:
 
 
 def _outward_address() -> str:
-    """This machine's address on its network; empty where it has none. Sends nothing."""
+    """Return this machine's address on its network, or an empty text. No packet is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect(("192.0.2.1", 9))  # an address of documentation (RFC 5737)
+            probe.connect(("192.0.2.1", 9))  # documentation address (RFC 5737)
         except OSError:
             return ""
         found: str = probe.getsockname()[0]

@@ -1,4 +1,4 @@
-"""The state of every node of the cell: life cycle and diagnostics. Runs only while a page looks."""
+"""Life-cycle state and diagnostics of every node of the cell. Active only while a page is open."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from rclpy.task import Future
 
 ARM = "scara_arm"
 CORE = ("camera_pose", "tap_planner", ARM, "tapper_trigger")
-"""Nodes that a cell has, besides one of CAMERAS; without ARM where its tappers are fixed."""
+"""Required nodes of a cell, in addition to one of CAMERAS. ARM is not required with fixed
+tappers."""
 CAMERAS = ("sim_world", "overhead_camera")
 SILENCE_LIMIT_S = 3.5
-"""Age of the last diagnostics, which come every second, beyond which a node counts as silent."""
+"""Maximum age of the last diagnostics, which are sent every second, before a node counts as
+silent."""
 PATIENCE_S = 3.0
 LEVELS = {
     DiagnosticStatus.OK: "ok",
@@ -25,13 +27,13 @@ LEVELS = {
     DiagnosticStatus.STALE: "error",
 }
 NOT_YET = "no diagnostics yet"
-"""Sentence of a node that was just found."""
+"""Message for a node that was just discovered."""
 GET_STATE = "lifecycle_msgs/srv/GetState"
 
 
 @dataclass(slots=True)
 class _Peer:
-    """What is known of one node."""
+    """Latest information on one node."""
 
     client: Client | None = None
     asked: Future | None = None
@@ -43,21 +45,21 @@ class _Peer:
 
 
 class NodeWatch:
-    """Watches the nodes of its own namespace; made, used and closed in the executor's thread."""
+    """Monitor the nodes of its own namespace. Create, use and close it in the executor's thread."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._prefix = node.get_namespace().rstrip("/") + "/"
         self._peers: dict[str, _Peer] = {}
         self.has_arm = True
-        """Whether the cell has an arm, whose node is then missed."""
+        """Whether the cell has an arm, whose node is then required."""
         self._subscription = node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, 10
         )
         self._timer = node.create_timer(1.0, self.look)
 
     def close(self) -> None:
-        """Cease to watch."""
+        """Stop monitoring."""
         self._node.destroy_timer(self._timer)
         self._node.destroy_subscription(self._subscription)
         for peer in self._peers.values():
@@ -65,7 +67,7 @@ class NodeWatch:
                 self._node.destroy_client(peer.client)
 
     def look(self) -> None:
-        """Ask every node for its life-cycle state."""
+        """Query the life-cycle state of every node."""
         found = set()
         for service, types in self._node.get_service_names_and_types():
             name = self._own_name(service.removesuffix("/get_state"))
@@ -103,7 +105,7 @@ class NodeWatch:
                 peer.sentence, peer.heard_at = status.message, time.monotonic()
 
     def _own_name(self, name: str) -> str:
-        """A node's name without the namespace; empty for a node of another cell."""
+        """Return a node's name without the namespace; empty for a node of another cell."""
         if not name.startswith(self._prefix):
             return ""
         rest = name[len(self._prefix) :]
@@ -111,16 +113,16 @@ class NodeWatch:
 
     @property
     def core(self) -> tuple[str, ...]:
-        """The nodes that this cell must have, besides a camera."""
+        """Return the required nodes of this cell, except for the camera."""
         return tuple(name for name in CORE if self.has_arm or name != ARM)
 
     def runs(self, name: str) -> bool:
-        """Whether a node of this name is up."""
+        """Return whether a node of this name is running."""
         peer = self._peers.get(name)
         return peer is not None and bool(peer.life)
 
     def rows(self) -> list[dict[str, str]]:
-        """One row for every node: name, life cycle, level (ok, warn, error) and a sentence."""
+        """Return one row per node: name, life-cycle state, level (ok, warn, error) and message."""
         cameras = [name for name in CAMERAS if name in self._peers] or [CAMERAS[-1]]
         names = [*cameras, *self.core]
         names += sorted(set(self._peers) - set(names))

@@ -1,8 +1,8 @@
-"""The operator's page: one web page that shows the cell, takes goals and stops it.
+"""Operator's web page, which shows the cell, accepts goals and stops the cell.
 
-Serves on this machine alone unless `address` says otherwise; then it demands a token. STOP is
-served by a process of its own, which also publishes it. While no page is open this node subscribes
-to little more than the planner's states.
+It is reachable only from this machine unless `address` is set; then it requires a token. A separate
+process serves STOP and publishes it. While no page is open, this node subscribes to little more
+than the planner's states.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ from tapping_cell.vision import CameraError, CameraModel, View
 
 STATE_PERIOD_S = 0.2
 ANSWER_S = 5.0
-"""Within which the planner answers a goal; later the queue counts it as lost."""
+"""Timeout for the planner's response to a goal, after which the queue counts the goal as lost."""
 LONGEST_PATH = 4096
 STOP_NOT_SENT = (
     "the stop was NOT sent: the process that serves it is starting; press again, or use the wired "
@@ -147,7 +147,7 @@ class Parameters:
 
 
 class OperatorPage(CellNode[Parameters]):
-    """See the module's docstring. A :class:`server.Backend`."""
+    """See the module's docstring. Implements :class:`server.Backend`."""
 
     def __init__(self) -> None:
         super().__init__("operator_page", Parameters)
@@ -182,7 +182,7 @@ class OperatorPage(CellNode[Parameters]):
         self._named_file = KeptContent(state_folder(key_of(self)) / "named_goals.json")
         self._named = NamedGoals(self._named_file.recall())
         self._answer_due = -math.inf
-        """Until then, on the steady clock, the planner may yet answer a goal that was sent."""
+        """Monotonic time until which the planner may still respond to the last goal."""
         self._drawn: tuple[int, dict[str, object]] | None = None
         self._last_run = ""
         self._clearing: list[server.Answer] = []
@@ -194,7 +194,8 @@ class OperatorPage(CellNode[Parameters]):
     # Life cycle
 
     def configure(self) -> None:
-        """Read the cell, and the map of the table by which the planner refuses goals."""
+        """Read the cell file, and the map of the table that determines which goals the planner
+        refuses."""
         cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
         check = _goal_check(cell)
 
@@ -205,7 +206,7 @@ class OperatorPage(CellNode[Parameters]):
         self._cell, self._refusal = cell, refusal
 
     def activate(self) -> None:
-        """Open the ports and say where the page is."""
+        """Open the ports and log the address of the page."""
         address = self.settings.address
         rules = guard.Guard.make(address, self.settings.host_names.split(","), self.settings.token)
         sockets = self._bind("port", self.settings.port)
@@ -234,7 +235,7 @@ class OperatorPage(CellNode[Parameters]):
             self.get_logger().info(f"operator page: {url}")
 
     def _bind(self, parameter: str, port: int) -> list[socket.socket]:
-        """Listen at a port of the page. Raises NotReady."""
+        """Listen on a port of the page. Raises NotReady."""
         try:
             return server.bind(self.settings.address, port)
         except OSError as error:
@@ -262,7 +263,7 @@ class OperatorPage(CellNode[Parameters]):
         self.deactivate()
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """Where the page is, without its token, and how many are open."""
+        """Report the address of the page, without its token, and the number of open pages."""
         places = ", ".join(url.partition("#")[0] for url in self.urls)
         values: dict[str, object] = {"url": places, "pages": self._pages}
         if self._server is None:
@@ -272,20 +273,20 @@ class OperatorPage(CellNode[Parameters]):
         return DiagnosticStatus.OK, "ok", values
 
     def hear_stop(self, message: Bool) -> None:
-        """Show the level, too."""
+        """Also show an emergency stop message on the page."""
         super().hear_stop(message)
         self._view.emergency_stop = message.data
         if message.data:
             self._queue.hold("The queue holds: the cell was stopped.")
 
     def _on_report(self, message: GoalReport) -> None:
-        """A goal ended, whoever sent it: the queue goes on, or holds."""
+        """Continue or pause the queue when a goal ended, whoever sent it."""
         self._view.on_report(message)
         sentence = with_code(message.error_msg, message.error_code)
         self._queue.ended(message.error_code == ErrorCode.NONE, sentence)
 
     def _advance_queue(self) -> None:
-        """Send the next goal of a queue that runs."""
+        """Send the next goal if the queue is running."""
         if not self._queue.running or not self._action.server_is_ready():
             return
         busy = self._view.busy or time.monotonic() < self._answer_due
@@ -294,7 +295,7 @@ class OperatorPage(CellNode[Parameters]):
             self._send_goal(goal, "queue", lambda _: None)
 
     def _on_last_run(self, message: String) -> None:
-        """A run was recorded. Where it is only tells where to look: nothing is read from there."""
+        """Update the list of runs. The received path is only displayed; nothing is read from it."""
         self._last_run = message.data[:LONGEST_PATH]
         self._list_runs()
 
@@ -305,7 +306,7 @@ class OperatorPage(CellNode[Parameters]):
     # While a page is open
 
     def on_pages(self, count: int) -> None:
-        """Watch the cell while at least one page is open (server's thread)."""
+        """Monitor the cell while at least one page is open. Called in the server's thread."""
         self._do(self._watch_cell, count)
 
     def _watch_cell(self, count: int) -> None:
@@ -347,7 +348,8 @@ class OperatorPage(CellNode[Parameters]):
         self._view.forget()
 
     def _on_camera_info(self, message: CameraInfo) -> None:
-        """One is enough: it is the same with every picture."""
+        """Store the calibration. One message suffices, because all images have the same
+        calibration."""
         try:
             self._camera = images.from_camera_info(message)
         except CameraError:
@@ -404,7 +406,8 @@ class OperatorPage(CellNode[Parameters]):
         self._server.show(state)
 
     def _planned_drawing(self) -> dict[str, object] | None:
-        """The planned tap in shares of the picture; made once for each."""
+        """Return the drawing of the planned tap in fractions of the image size. Computed once per
+        tap."""
         tap, ghost = self._view.planned, self._ghost
         if tap is None or ghost is None:
             self._drawn = None
@@ -421,7 +424,7 @@ class OperatorPage(CellNode[Parameters]):
         return self._drawn[1]
 
     def _runs_hint(self) -> str:
-        """Why the list of runs may lack some; empty where it does not."""
+        """Return the reason why the list of runs may be incomplete, or an empty text."""
         if self._last_run and Path(self._last_run).parent != self.runs.folder:
             return (
                 f"The last run was recorded to {self._last_run}; the page serves only runs in "
@@ -431,10 +434,10 @@ class OperatorPage(CellNode[Parameters]):
             return "Runs are not recorded: run_recorder is not running."
         return ""
 
-    # What pages ask for; greet and on_request are called by the server
+    # Requests of pages: the server calls greet and on_request
 
     def greet(self) -> dict[str, object]:
-        """What a page must know of the cell."""
+        """Return the constant information on the cell that a page needs."""
         assert self._cell is not None
         return {
             "cell": self._cell.file.name,
@@ -449,7 +452,7 @@ class OperatorPage(CellNode[Parameters]):
         }
 
     def on_request(self, page: object, request: Request, who: str, answer: server.Answer) -> None:
-        """Serve a page's request (server's thread)."""
+        """Process a page's request. Called in the server's thread."""
         if isinstance(request, (Move, Turn, Place)):
             if self._previews is not None:
                 self._previews.ask(page, (request, answer))
@@ -492,12 +495,12 @@ class OperatorPage(CellNode[Parameters]):
                 self._clear_actors(answer)
 
     def _do(self, function: Callable[..., None], *arguments: object) -> None:
-        """Call in the executor's thread, from any other."""
+        """Call a function in the executor's thread, from any other thread."""
         if self.executor is not None:
             self.executor.create_task(function, *arguments)
 
     def _answer_preview(self, asked: tuple[Move | Turn | Place, server.Answer]) -> None:
-        """Where a dragged goal lies (the previews' thread)."""
+        """Send the pose of a dragged goal. Called in the previews' thread."""
         request, answer = asked
         ghost = self._ghost
         try:
@@ -524,7 +527,7 @@ class OperatorPage(CellNode[Parameters]):
     def _set_parameter(
         self, name: str, value: bool | str, words: str, who: str, answer: server.Answer
     ) -> None:
-        """Change a parameter of the planner that may change while it runs."""
+        """Change a run-time parameter of the planner."""
 
         def told(future: Future) -> None:
             result = future.result().results[0]
@@ -587,7 +590,7 @@ class OperatorPage(CellNode[Parameters]):
         self._answer_due = time.monotonic() + ANSWER_S
 
         def taken(future: Future) -> None:
-            self._answer_due = time.monotonic() + STATE_PERIOD_S  # until plan_state tells of it
+            self._answer_due = time.monotonic() + STATE_PERIOD_S  # until plan_state contains it
             handle = future.result()
             if not handle.accepted:
                 answer(_answer("goal", False, "the planner did not take the goal"))
@@ -620,13 +623,13 @@ class OperatorPage(CellNode[Parameters]):
                 )
             )
 
-        # The zero id asks for every goal, whoever sent it.
+        # A zero goal id cancels every goal, whoever sent it.
         self._call(self._cancel_client, CancelGoal.Request(), "cancel", "the planner", answer, done)
         self._view.note(f"cancel pressed on the page ({who})")
 
     def _clear(self, who: str, answer: server.Answer) -> None:
         self._view.note(f"clearing asked for on the page ({who})")
-        # The actors refuse to clear while a stop is held: the page's own is released first.
+        # The actors refuse to clear while a stop is held, so the page's own stop is released first.
         if self._stop is None or not self._stop.held:
             self._clear_actors(answer)
         elif self._stop.release():
@@ -645,7 +648,8 @@ class OperatorPage(CellNode[Parameters]):
         self._call(self._home_client, Trigger.Request(), "home", "scara_arm", answer)
 
     def _enable(self, held: bool) -> None:
-        """Relay each heartbeat of a held key; without the next one the cell counts it released."""
+        """Relay each heartbeat of a held key. When the next one is missing, the key counts as
+        released."""
         self._enabling.publish(Bool(data=held))
 
     def _press_button(self, _: str, answer: server.Answer) -> None:
@@ -662,7 +666,8 @@ class OperatorPage(CellNode[Parameters]):
         answer: server.Answer,
         done: Callable[[Future], None] | None = None,
     ) -> None:
-        """Call a service; the page hears what it says, or that nobody is there."""
+        """Call a service. The page receives its response, or a message that no server is
+        available."""
         if not client.service_is_ready():
             answer(_answer(to, False, f"{name}: does not answer; is it up?"))
             return
@@ -675,7 +680,7 @@ class OperatorPage(CellNode[Parameters]):
 
 
 def _goal_check(cell: Cell) -> Callable[[Pose], Refusal | None]:
-    """By what the planner of this cell refuses goals."""
+    """Return a function that checks goals as the planner of this cell does."""
     if cell.file.arm is None:
         fixed = assembly.make_fixed_space(cell)
         return lambda pose: check_fixed_goal(pose, fixed)

@@ -1,4 +1,4 @@
-"""From an image message to a JPEG for the page."""
+"""Convert an image message to a JPEG for the page."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from tapping_cell.nodes.camera.images import ImageRefused, to_grey, unpack
 
 
 def to_jpeg(message: Image, quality: int) -> bytes:
-    """A JPEG of an image message, quality 1 to 100; in colour where it is bgr8 or rgb8.
+    """Return an image message as JPEG, quality 1 to 100, in colour if its encoding is bgr8 or rgb8.
 
     Raises:
-        ImageRefused: unknown encoding, or fewer bytes than the size needs.
+        ImageRefused: the encoding is unknown, or there are fewer bytes than the size requires.
     """
     picture = unpack(message) if message.encoding in ("bgr8", "rgb8") else to_grey(message)
     if message.encoding == "rgb8":

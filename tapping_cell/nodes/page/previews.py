@@ -1,7 +1,7 @@
-"""Answers to drags of the goal's preview, computed in a thread of their own.
+"""Responses to drags of the goal preview, computed in a separate thread.
 
-Of each page only its newest request is kept: what a dragging hand asked before is worth nothing.
-Pages are served in turn, so that one that asks often does not keep the others waiting.
+Only the newest request of each page is kept, because a drag makes earlier requests obsolete. Pages
+are served in turn, so that a page with many requests does not delay the others.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _logger = logging.getLogger(__name__)
 
 
 class Previews(Generic[Asked]):
-    """Serves the newest request of each page."""
+    """Process the newest request of each page."""
 
     def __init__(self, serve: Callable[[Asked], None]) -> None:
         self._serve = serve
@@ -28,13 +28,13 @@ class Previews(Generic[Asked]):
         self._thread.start()
 
     def ask(self, page: object, asked: Asked) -> None:
-        """Serve a page's request, unless a newer one of the same page comes first."""
+        """Queue a page's request. A newer request of the same page replaces it."""
         with self._changed:
-            self._waiting[page] = asked  # a page that waits already keeps its turn
+            self._waiting[page] = asked  # a page that is already waiting keeps its position
             self._changed.notify()
 
     def close(self) -> None:
-        """End the thread after what it serves now."""
+        """End the thread after its current request."""
         with self._changed:
             self._closing = True
             self._waiting.clear()
@@ -52,5 +52,5 @@ class Previews(Generic[Asked]):
             try:
                 self._serve(asked)
             except Exception:
-                # A defect in one preview must not end all others.
+                # A defect in one preview must not end the thread.
                 _logger.exception("a goal's preview failed")

@@ -1,4 +1,4 @@
-"""The way back after a stop, a fault or a start without a homed arm: numbered steps."""
+"""Numbered recovery steps after a stop, a fault or a start without a homed arm."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ TAPPER_HALTED = (TapperState.STOPPED, TapperState.FAULT)
 
 
 class Step(NamedTuple):
-    """One step: what a person does, and the page's command that does it, where there is one."""
+    """One step: a person's action, and the command of the page that performs it, if there is
+    one."""
 
     text: str
     state: str
-    """done, now or later."""
+    """One of: done, now, later."""
     command: str = ""
 
 
 class Recovery:
-    """Follows the cell from a halt until it may take goals again; steps tick themselves off."""
+    """Track the cell from a halt until it accepts goals again; completed steps are marked
+    automatically."""
 
     def __init__(self) -> None:
         self._halted = False
@@ -34,11 +36,11 @@ class Recovery:
         simulated: bool,
         has_arm: bool = True,
     ) -> list[Step]:
-        """What is to be done, in order; empty where nothing is.
+        """Return the required steps in order; empty if none are required.
 
-        ``arm`` and ``tapper`` are the states that are heard now, None where there is none.
-        ``holders`` names who holds a stop as far as it is known. In a simulated cell the page can
-        press the button at the tapper. A cell without an arm needs no homing.
+        ``arm`` and ``tapper`` are the latest states, None if there is none. ``holders`` are the
+        known names of the nodes that hold a stop. In a simulated cell, the page can press the
+        button at the tapper. A cell without an arm needs no homing.
         """
         tapper_halted = tapper is not None and tapper.state in TAPPER_HALTED
         halted = tapper_halted or (arm is not None and arm.state in ARM_HALTED)

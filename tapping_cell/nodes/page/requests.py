@@ -1,4 +1,4 @@
-"""What a browser may say: one JSON object a message, read strictly into a dataclass."""
+"""Requests of a browser: one JSON object per message, parsed strictly into a dataclass."""
 
 from __future__ import annotations
 
@@ -9,34 +9,35 @@ from dataclasses import dataclass
 from tapping_cell.se2 import Pose
 
 LARGEST_MESSAGE = 4096
-"""Bytes of a message; the longest that the page sends has about 200."""
+"""Maximum number of bytes in a message. The page's longest message has about 200."""
 LARGEST_NUMBER = 1e6
-"""Of millimetres and degrees: what is beyond is no typing error of a person."""
+"""Maximum absolute value of lengths in mm and angles in degrees."""
 
 
 class BadRequest(ValueError):
-    """A message that cannot be served; the sentence says why."""
+    """The message is not a valid request, for the stated reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """The first message: may I come in?"""
+    """First message of a page, which requests access."""
 
     token: object
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The page has drawn this picture and may get the next."""
+    """The page has drawn this image and is ready for the next."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """Where does the ghost lie when its centre is seen at (u, v) of the picture?
+    """Query the ghost's pose when its centre appears at (u, v) in the image.
 
-    ``u`` and ``v`` in widths and heights of the picture from its top left corner; angle in rad.
+    ``u`` and ``v`` are fractions of the image's width and height from its top left corner; the
+    angle is in rad.
     """
 
     number: int
@@ -47,7 +48,7 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """How does the ghost lie when its handle is seen at (u, v) of the picture? x and y in m."""
+    """Query the ghost's pose when its handle appears at (u, v) in the image. x and y are in m."""
 
     number: int
     x: float
@@ -58,7 +59,7 @@ class Turn:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where is the ghost seen when it lies at this pose of the table?"""
+    """Query the ghost's position in the image when it lies at this pose on the table."""
 
     number: int
     pose: Pose
@@ -66,7 +67,8 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class SendGoal:
-    """Bring the object to this pose, within a tolerance in m and rad; 0 for the cell's own."""
+    """Move the object to this pose, within a tolerance in m and rad, where 0 selects the cell's
+    default."""
 
     pose: Pose
     tolerance: tuple[float, float] = (0.0, 0.0)
@@ -74,7 +76,7 @@ class SendGoal:
 
 @dataclass(frozen=True, slots=True)
 class QueueGoal:
-    """Put a goal behind those that wait."""
+    """Append a goal to the queue."""
 
     pose: Pose
     tolerance: tuple[float, float] = (0.0, 0.0)
@@ -82,14 +84,14 @@ class QueueGoal:
 
 @dataclass(frozen=True, slots=True)
 class Unqueue:
-    """Take the goal with this number out of the queue."""
+    """Remove the goal with this number from the queue."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class NameGoal:
-    """Keep a pose under a name."""
+    """Store a pose under a name."""
 
     name: str
     pose: Pose
@@ -104,7 +106,7 @@ class ForgetGoal:
 
 @dataclass(frozen=True, slots=True)
 class Confirm:
-    """Make the tap with this id that waits for confirmation, or skip it."""
+    """Make or skip the tap with this id, which waits for confirmation."""
 
     tap_id: int
     confirm: bool
@@ -112,7 +114,7 @@ class Confirm:
 
 @dataclass(frozen=True, slots=True)
 class SetAsk:
-    """Ask before every tap from now on, or do not."""
+    """Set whether every tap from now on requires confirmation."""
 
     ask: bool
 
@@ -126,13 +128,13 @@ class SetPlanner:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One of COMMANDS, which needs no more words."""
+    """One of COMMANDS, without arguments."""
 
     name: str
 
 
 Frequent = Hello | Seen | Move | Turn | Place
-"""What a page sends while somebody drags; only the newest of it counts."""
+"""Messages that a page sends during a drag. Only the newest one is processed."""
 Request = (
     Frequent
     | SendGoal
@@ -177,10 +179,10 @@ LONGEST_NAME = 40
 
 
 def parse(text: str | bytes) -> Request:
-    """A request out of a message. On the wire mm and degrees, as people type them.
+    """Parse a message. It contains values in mm and degrees, as people type them.
 
     Raises:
-        BadRequest: with a sentence, for whatever is not one.
+        BadRequest: the message is invalid, for the stated reason.
     """
     if isinstance(text, bytes):
         raise BadRequest("the message is binary; a JSON object in text is expected")
@@ -233,7 +235,7 @@ def _pose(content: dict[str, object]) -> Pose:
 
 
 def _tolerance(content: dict[str, object]) -> tuple[float, float]:
-    """mm and degrees on the wire; what is left out is the cell's own."""
+    """Parse a tolerance in mm and degrees. A missing value selects the cell's default."""
     given = {"position_tolerance": 0.0, "angle_tolerance": 0.0, **content}
     position, angle = (_number(given, name) for name in ("position_tolerance", "angle_tolerance"))
     return 1e-3 * position, math.radians(angle)
@@ -260,7 +262,7 @@ def _number(content: dict[str, object], name: str) -> float:
     value = content.get(name)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise BadRequest(f"{name} is {_shown(value)}, not a number; type one such as 12.5")
-    if not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:  # also what is not a number at all
+    if not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:  # also rejects NaN
         raise BadRequest(
             f"{name} is {_shown(value)}; a number between -{LARGEST_NUMBER:g} and "
             f"{LARGEST_NUMBER:g} is expected"
@@ -276,7 +278,7 @@ def _whole(content: dict[str, object], name: str) -> int:
 
 
 def _shown(value: object) -> str:
-    """A value as JSON writes it, short enough for a sentence."""
+    """Return a value as JSON, shortened for an error message."""
     if isinstance(value, (list, dict)):
         return "a list" if isinstance(value, list) else "an object"
     shown = json.dumps(value)

@@ -1,7 +1,7 @@
-"""The recorder's run folders, for the page: listed, found by name and packed to download.
+"""Access of the page to the recorder's run folders: list, find by name, and pack for download.
 
-A name from outside only chooses among what lies directly in the recorder's folder. Links are not
-followed, and a folder without a run's ``summary.json`` is not served.
+A requested name only selects a folder directly in the recorder's folder. Links are not followed,
+and a folder without a run's ``summary.json`` is not served.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SUMMARY = "summary.json"
 REPORT = "report.html"
 MOST_ROWS = 40
 LARGEST_SUMMARY = 4_000_000
-"""Bytes of a summary that is read."""
+"""Maximum number of bytes of a summary."""
 
 
 class Runs:
@@ -30,9 +30,11 @@ class Runs:
         self._rows: dict[str, tuple[int, dict[str, object]]] = {}
 
     def rows(self) -> list[dict[str, object]]:
-        """The latest runs, newest first: name, time, outcome, goal, taps, residual, error, report.
+        """Return the latest runs, newest first: name, time, outcome, goal, taps, residual, error,
+        report.
 
-        Times in s, poses as [mm, mm, degrees] and residuals as [mm, degrees]; None where unknown.
+        Times are in s, poses are [mm, mm, degrees] and residuals [mm, degrees]; unknown values are
+        None.
         """
         found = []
         for name, changed in self._summaries():
@@ -44,7 +46,7 @@ class Runs:
         return found
 
     def find(self, name: str) -> Path | None:
-        """The folder of a run; None where there is no run of this name."""
+        """Return the folder of a run, or None if there is no run of this name."""
         if not is_run_name(name):
             return None
         path = self.folder / name
@@ -56,18 +58,19 @@ class Runs:
             return None
 
     def report(self, name: str) -> Path | None:
-        """The report of a run, where it has one."""
+        """Return the report of a run, or None if there is none."""
         run = self.find(name)
         report = run / REPORT if run is not None else None
         return report if report and report.is_file() and not report.is_symlink() else None
 
     def archive(self, name: str) -> Path | None:
-        """A ZIP file of a run, which the caller removes; None where there is no such run.
+        """Return a ZIP file of a run, which the caller removes, or None if there is no such run.
 
-        Links are left out, whatever they point to. Bags are compressed already, and only stored.
+        Links are omitted, whatever their target. Bags are already compressed, so they are only
+        stored.
 
         Raises:
-            OSError: the run cannot be read, or there is no room for the file.
+            OSError: the run is unreadable, or the disk is full.
         """
         run = self.find(name)
         if run is None:
@@ -92,7 +95,7 @@ class Runs:
         return archive
 
     def _summaries(self) -> list[tuple[str, int]]:
-        """Names and changes of the latest runs, newest first."""
+        """Return names and modification times of the latest runs, newest first."""
         found = []
         try:
             with os.scandir(self.folder) as entries:
@@ -140,7 +143,7 @@ class Runs:
 
 
 def _number(value: object) -> float | None:
-    """A finite number; None for anything else."""
+    """Return a finite number; None for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         return None
     return round(float(value), 3)

@@ -1,10 +1,10 @@
-"""The web server of the operator's page: a thread of its own with tornado's loop.
+"""Web server of the operator's page: a separate thread with tornado's event loop.
 
-Nothing in here knows ROS. The node is a :class:`Backend`, whose methods are called in the server's
-thread and must not block; what the node has to show it hands over with :meth:`PageServer.show`,
+This module does not depend on ROS. The node is a :class:`Backend`, whose methods are called in the
+server's thread and must not block. The node passes its content to :meth:`PageServer.show`,
 :meth:`PageServer.show_runs` and :meth:`PageServer.show_picture` from any thread. Every page gets
-only the latest state and picture: one that is slow sees fewer, one that does not read at all is
-dropped.
+only the latest state and image: a slow page receives fewer of them, and a page that does not read
+at all is disconnected.
 """
 
 from __future__ import annotations
@@ -48,22 +48,23 @@ from tapping_cell.nodes.page.runs import Runs
 STATIC = Path(__file__).parent / "static"
 MOST_PAGES = 16
 HELLO_PATIENCE_S = 5.0
-"""How long a connection may be silent before it says who it is."""
+"""Timeout for the first message of a connection."""
 WRITE_PATIENCE_S = 5.0
-"""How long a page may take to read what it was sent."""
+"""Timeout for a page to read its data."""
 PING_PERIOD_S = 5.0
 MOST_MESSAGES = 100
-"""Of one page in a second; the connection of a page with more is closed."""
+"""Maximum number of messages of one page per second, beyond which its connection is closed."""
 MOST_COMMANDS = 10
-"""Goals and commands of one page in a second; more are refused. A stop is never refused."""
+"""Maximum number of goals and commands of one page per second; further ones are refused. A stop is
+never refused."""
 MOST_ANSWERS = 64
-"""Waiting for one page to read them."""
+"""Maximum number of queued responses for one page."""
 MOST_DOWNLOADS = 2
-"""At the same time; packing a run takes a thread and room on the disk."""
+"""Maximum number of concurrent downloads. Packing a run needs a thread and disk space."""
 PIECE_PATIENCE_S = 60.0
-"""How long a download may stand still."""
+"""Timeout of a download without progress."""
 
-# Codes of a WebSocket's end, 4000 to 4999 being for programs' own use.
+# WebSocket close codes; 4000 to 4999 are reserved for private use.
 BAD_TOKEN = 4401
 TOO_MANY_PAGES = 4409
 TOO_MANY_MESSAGES = 4429
@@ -76,7 +77,8 @@ REPORT_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'; sandbox"
 )
-"""A report is shown as it was written, but whatever is in it runs nothing and knows no origin."""
+"""Content security policy of a report: it is shown unchanged, but its content cannot run scripts
+and has no origin."""
 HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -87,36 +89,36 @@ HEADERS = {
     "Server": "tapping cell",
 }
 PICTURE_HEADER = struct.Struct("!Idd")
-"""Before the JPEG: number of the picture, its stamp and its age when sent, both in s."""
+"""Header before the JPEG: number of the image, its stamp and its age when sent, both in s."""
 
 Answer = Callable[[dict[str, object]], None]
-"""Gives a page its answer; from any thread."""
+"""Function that sends a page its response, from any thread."""
 
 
 class Backend(Protocol):
-    """What the node does for the pages. Called in the server's thread; must not block."""
+    """Interface of the node for the pages. Called in the server's thread; must not block."""
 
     def greet(self) -> dict[str, object]:
-        """What does not change while the node is active."""
+        """Return the values that are constant while the node is active."""
 
     def on_pages(self, count: int) -> None:
-        """So many pages look now."""
+        """Process a change in the number of open pages."""
 
     def on_request(self, page: object, request: Request, who: str, answer: Answer) -> None:
-        """A page asks for something."""
+        """Process a request of a page."""
 
     @property
     def runs(self) -> Runs:
-        """The recorded runs."""
+        """Return the recorded runs."""
 
 
 class PageServer:
-    """Serves the page on sockets that are already bound."""
+    """Serve the page on sockets that are already bound."""
 
     def __init__(
         self, guard: Guard, backend: Backend, sockets: list[socket.socket], stop_port: int
     ) -> None:
-        """``stop_port``: where :mod:`tapping_cell.nodes.page.stop_server` serves STOP."""
+        """``stop_port``: port on which :mod:`tapping_cell.nodes.page.stop_server` serves STOP."""
         self.guard = guard
         self.backend = backend
         self.pages: set[PageSocket] = set()
@@ -132,7 +134,7 @@ class PageServer:
         self._thread = threading.Thread(target=self._run, name="operator page", daemon=True)
 
     def start(self) -> None:
-        """Serve, in a thread of its own."""
+        """Start the server in a separate thread."""
         self._thread.start()
         self._ready.wait(5.0)
 
@@ -145,24 +147,24 @@ class PageServer:
 
     @property
     def wants_picture(self) -> bool:
-        """Whether a page waits for a picture; from any thread."""
+        """Whether a page waits for an image. May be called from any thread."""
         return any(page.wants_picture for page in tuple(self.pages))
 
     def show(self, state: dict[str, object]) -> None:
-        """Show this state to every page; from any thread."""
+        """Send this state to every page, from any thread."""
         self._call(self._show, json.dumps({"type": "state", **state}, allow_nan=False))
 
     def show_runs(self, runs: list[dict[str, object]]) -> None:
-        """Show the list of runs to every page; from any thread."""
+        """Send the list of runs to every page, from any thread."""
         content = {"type": "runs", "folder": str(self.backend.runs.folder), "runs": runs}
         self._call(self._show_runs, json.dumps(content, allow_nan=False))
 
     def show_picture(self, jpeg: bytes, stamp: float, age: float) -> None:
-        """Show a picture to every page that waits for one; from any thread."""
+        """Send an image to every page that waits for one, from any thread."""
         self._call(self._show_picture, jpeg, stamp, age)
 
     def later(self, give: Callable[[dict[str, object]], None], answer: dict[str, object]) -> None:
-        """Give an answer in the server's thread; from any thread."""
+        """Send a response in the server's thread, from any thread."""
         self._call(give, answer)
 
     # In the server's thread
@@ -173,7 +175,7 @@ class PageServer:
             return
         try:
             loop.call_soon_threadsafe(function, *arguments)
-        except RuntimeError:  # the loop has ended: nobody is there to be told
+        except RuntimeError:  # the event loop has ended, so there is no page left
             return
 
     def _run(self) -> None:
@@ -235,7 +237,7 @@ class PageServer:
             page.show_picture(self._pictures, frame)
 
     def join(self, page: PageSocket) -> bool:
-        """Let a page in, where there is room."""
+        """Admit a page if the limit is not reached."""
         if len(self.pages) >= MOST_PAGES:
             return False
         self.pages.add(page)
@@ -248,33 +250,33 @@ class PageServer:
         return True
 
     def leave(self, page: PageSocket) -> None:
-        """A page is gone."""
+        """Remove a closed page."""
         if page in self.pages:
             self.pages.remove(page)
             self.backend.on_pages(len(self.pages))
 
     def knows(self, key: str) -> bool:
-        """Whether a key is that of an open page; it allows to read the runs."""
+        """Return whether a key belongs to an open page, which may read the runs."""
         return any(secrets.compare_digest(page.key, key) for page in self.pages)
 
 
 class _Guarded(RequestHandler):
-    """What every handler checks first."""
+    """Checks that precede every handler."""
 
     command = False
     server: PageServer
 
     def set_default_headers(self) -> None:
-        """The security headers go with every answer, also with refusals."""
+        """Set the security headers of every response, including refusals."""
         for name, value in HEADERS.items():
             self.set_header(name, value)
         name = host_name(self.request.host) or ""
-        # A policy cannot name an address of IPv6.
+        # A content security policy cannot contain an IPv6 address.
         place = f"http://{'*' if ':' in name else name}:{self.settings['stop_port']}"
         self.set_header("Content-Security-Policy", PAGE_POLICY.format(stop=place))
 
     def prepare(self) -> None:
-        """Refuse a wrong Host or Origin, or a path that is none, before anything else happens."""
+        """Refuse a wrong Host or Origin, or an invalid path, before any other processing."""
         if not unquote(self.request.path).isprintable():
             self.refuse(400, "the path holds characters that no path has")
             return
@@ -285,48 +287,48 @@ class _Guarded(RequestHandler):
             self.refuse(403, refusal)
 
     def refuse(self, status: int, sentence: str) -> None:
-        """End the request with a sentence."""
+        """End the request with an error message."""
         self.set_status(status)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(sentence + "\n")
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """Errors in a few words and without a trace."""
+        """Return a short error message without a traceback."""
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"{status_code} {responses[status_code]}\n")
 
 
 class FileHandler(_Guarded, StaticFileHandler):
-    """The page's files: index.html, style.css, page.js and the icon."""
+    """Serve the files of the page: index.html, style.css, page.js and the icon."""
 
     def initialize(self, server: PageServer, path: str, default_filename: str) -> None:  # type: ignore[override]
-        """Keep the server."""
+        """Store the server."""
         self.server = server
         super().initialize(path, default_filename)
 
 
 class StopPortHandler(_Guarded):
-    """Where STOP is served."""
+    """Serve the port number of STOP."""
 
     def initialize(self, server: PageServer, port: int) -> None:
-        """Keep the server."""
+        """Store the server."""
         self.server = server
         self._port = port
 
     def get(self) -> None:
-        """The port's number."""
+        """Return the port number."""
         self.write(str(self._port))
 
 
 class RunHandler(_Guarded):
-    """Reports and archives of recorded runs, for whoever has a page open."""
+    """Serve reports and archives of recorded runs to everyone who has a page open."""
 
     def initialize(self, server: PageServer) -> None:
-        """Keep the server."""
+        """Store the server."""
         self.server = server
 
     async def get(self, key: str, name: str, what: str) -> None:
-        """The report as a page, or the run's archive piece by piece."""
+        """Send the report as a page, or the run's archive in chunks."""
         if not self.server.knows(key):
             self.refuse(403, "this link belongs to a page that is closed; use one of an open page")
         elif what == "run.zip":
@@ -355,7 +357,7 @@ class RunHandler(_Guarded):
             self.set_header("Content-Type", "application/zip")
             self.set_header("Content-Disposition", f'attachment; filename="{_plain(name)}.zip"')
             with path.open("rb") as file:
-                path.unlink()  # however the download ends, nothing is left
+                path.unlink()  # removed whether or not the download succeeds
                 await self._send_file(file)
         except OSError as error:
             self.refuse(500, f"the run '{name}' cannot be packed: {error.strerror or error}")
@@ -376,7 +378,7 @@ class PageSocket(_Guarded, WebSocketHandler):
     command = True
 
     def initialize(self, server: PageServer) -> None:
-        """Keep the server."""
+        """Store the server."""
         self.server = server
         self.joined = False
         self.key = secrets.token_urlsafe(16)
@@ -391,15 +393,15 @@ class PageSocket(_Guarded, WebSocketHandler):
 
     @property
     def wants_picture(self) -> bool:
-        """Whether the page has drawn the last picture that it was sent."""
+        """Whether the page has drawn the last image that it received."""
         return self.joined and not self._awaited
 
     def check_origin(self, origin: str) -> bool:
-        """Done before, in :meth:`prepare`."""
+        """Accept every origin, because :meth:`prepare` has already checked it."""
         return True
 
     def open(self, *_: str, **__: str) -> None:
-        """Wait for the page's first word."""
+        """Wait for the page's first message."""
         self.set_nodelay(True)
         self._tasks = [
             asyncio.ensure_future(self._expect_hello()),
@@ -412,8 +414,8 @@ class PageSocket(_Guarded, WebSocketHandler):
             self.close(BAD_TOKEN, "no hello")
 
     def on_message(self, message: str | bytes) -> None:
-        """Serve one message; whatever it holds, the page gets an answer in words."""
-        if self.ws_connection is None:  # closed from here; what was still on its way is not served
+        """Process one message. Whatever its content, the page receives a readable response."""
+        if self.ws_connection is None:  # closed by the server, so remaining messages are ignored
             return
         if self._messages.add() > MOST_MESSAGES:
             self.close(TOO_MANY_MESSAGES, "too many messages in a second")
@@ -442,7 +444,7 @@ class PageSocket(_Guarded, WebSocketHandler):
             )
 
     def _is_too_much(self, request: Request) -> bool:
-        """Whether a page asks for more than the node should be kept busy with."""
+        """Return whether a page exceeds its request limit."""
         if request == Command("stop") or isinstance(request, Frequent):
             return False
         return self._commands.add() > MOST_COMMANDS
@@ -458,20 +460,20 @@ class PageSocket(_Guarded, WebSocketHandler):
             self.joined = True
 
     def on_close(self) -> None:
-        """The page is gone."""
+        """Remove the closed page."""
         self.joined = False
         for task in self._tasks:
             task.cancel()
         self.server.leave(self)
 
-    # To the page
+    # Messages to the page
 
     def answer(self, content: dict[str, object]) -> None:
-        """Send an answer; they all arrive, in order."""
+        """Send a response. All responses arrive in order."""
         self.send(json.dumps(content, allow_nan=False))
 
     def send(self, text: str) -> None:
-        """Send a text; they all arrive, in order."""
+        """Send a text. All texts arrive in order."""
         if len(self._answers) >= MOST_ANSWERS:
             self.close(TOO_MANY_MESSAGES, "more messages at once than can be answered")
             return
@@ -479,19 +481,19 @@ class PageSocket(_Guarded, WebSocketHandler):
         self._wake.set()
 
     def show(self, state: str) -> None:
-        """Send a state, in place of one that was not sent yet."""
+        """Send a state, replacing an unsent one."""
         self._state = state
         self._wake.set()
 
     def show_picture(self, number: int, frame: bytes) -> None:
-        """Send a picture, unless the page is still busy with the last one."""
+        """Send an image, unless the page is still busy with the last image."""
         if self.wants_picture:
             self._awaited = number % 2**32
             self._picture = frame
             self._wake.set()
 
     async def _write(self) -> None:
-        """Send what there is, one after the other, and end with a page that does not read."""
+        """Send the pending messages one by one, and disconnect a page that does not read."""
         try:
             while True:
                 await self._wake.wait()
@@ -510,7 +512,8 @@ class PageSocket(_Guarded, WebSocketHandler):
             self._drop()
 
     def _drop(self) -> None:
-        """End with a page that does not read; a closing handshake would wait for it."""
+        """Disconnect a page that does not read, without the closing handshake, which would
+        block."""
         stream = self.ws_connection.stream if self.ws_connection is not None else None
         if stream is not None:
             stream.close()
@@ -520,14 +523,14 @@ class PageSocket(_Guarded, WebSocketHandler):
 
 
 class _Count:
-    """Counts what happens within the present second."""
+    """Count events within the current second."""
 
     def __init__(self) -> None:
         self._second = 0
         self._count = 0
 
     def add(self) -> int:
-        """One more; the number of this second."""
+        """Count one event. Return the count of this second."""
         second = int(time.monotonic())
         self._count = self._count + 1 if second == self._second else 1
         self._second = second
@@ -535,14 +538,14 @@ class _Count:
 
 
 def _plain(name: str) -> str:
-    """A file's name as a header takes it."""
+    """Return a file name that is valid in a header."""
     return re.sub(r"[^\w.+-]", "_", name, flags=re.ASCII)
 
 
 def bind(address: str, port: int) -> list[socket.socket]:
-    """Sockets that listen; for localhost those of IPv4 and, where there is one, of IPv6.
+    """Return listening sockets; for localhost an IPv4 socket and, if available, an IPv6 socket.
 
     Raises:
-        OSError: the port is taken, or the address is not this machine's.
+        OSError: the port is in use, or the address does not belong to this machine.
     """
     return bind_sockets(port, address or None, backlog=32)

@@ -1,4 +1,4 @@
-"""The page's hold on the process that serves STOP: started, watched and started again."""
+"""Supervision of the process that serves STOP: starts, monitors and restarts it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ END_PATIENCE_S = 2.0
 
 
 class StopLink:
-    """Keeps one process that serves STOP on sockets that are already bound.
+    """Keep one process running that serves STOP on sockets that are already bound.
 
-    A stop that was held when the process died is held again by the next.
+    A stop that was held when the process died is held again by its successor.
     """
 
     def __init__(
@@ -32,9 +32,8 @@ class StopLink:
         topic: str,
         on_level: Callable[[bool, str], None],
     ) -> None:
-        """``topic`` of the stop, resolved; ``on_level`` is told of each stop, with who asked for
-        it, and of each release (in a thread of this link).
-        """
+        """``topic``: resolved name of the stop topic. ``on_level``: called for each stop, with its
+        author, and for each release, in a thread of this link."""
         self.held = False
         self.ready = threading.Event()
         self._sockets = sockets
@@ -53,11 +52,11 @@ class StopLink:
         self._thread.start()
 
     def stop(self, who: str) -> bool:
-        """Hold the stop; False where the process does not take it. Does not block."""
+        """Hold the stop. Return False if the process does not accept it. Does not block."""
         return self._send({"do": "stop", "who": who})
 
     def release(self) -> bool:
-        """A person releases the stop; False where the process does not take it."""
+        """Release the stop for a person. Return False if the process does not accept it."""
         return self._send({"do": "release"})
 
     def close(self) -> None:
@@ -81,7 +80,7 @@ class StopLink:
                 return False
             try:
                 os.write(process.stdin.fileno(), json.dumps(request).encode() + b"\n")
-            except (OSError, ValueError):  # it has died, or has not read for long
+            except (OSError, ValueError):  # the process has died, or has not read for too long
                 return False
         return True
 

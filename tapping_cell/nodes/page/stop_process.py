@@ -1,8 +1,8 @@
-"""The process that serves STOP and publishes the page's ``emergency_stop``.
+"""Process that serves STOP and publishes the page's ``emergency_stop``.
 
-Started by :class:`tapping_cell.nodes.page.stop_link.StopLink`, which writes its configuration and
-then its requests to standard input, a JSON value a line, and reads each change of the level from
-standard output. It ends when standard input does, so it never outlives the page.
+:class:`tapping_cell.nodes.page.stop_link.StopLink` starts it and writes first its configuration and
+then its requests to standard input, one JSON value per line. It reads each change of the level from
+standard output. The process ends when standard input is closed, so it never outlives the page.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NODE = "operator_page_stop"
 
 def main() -> int:
     """Serve until standard input ends."""
-    # The page's node ends this process; a Ctrl-C in the terminal reaches both.
+    # The page's node ends this process. A Ctrl-C in the terminal reaches both.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.getLogger("tornado").setLevel(logging.CRITICAL)  # malformed requests are not logged
     configuration = json.loads(sys.stdin.readline())
@@ -58,7 +58,8 @@ async def _serve(configuration: dict[str, Any], publish: Any) -> None:
     output = sys.stdout.fileno()
 
     def report(held: bool, who: str) -> None:
-        # A parent that does not read must not stop the stop: what it misses, `check` tells.
+        # A parent that does not read must not block the stop. A `check` request returns what it
+        # missed.
         try:
             os.write(output, json.dumps({"held": held, "who": who}).encode() + b"\n")
         except BlockingIOError:

@@ -1,9 +1,9 @@
-"""The HTTP server of STOP, with a port of its own: nothing else that pages do can delay it.
+"""HTTP server of STOP, on its own port, so that no other traffic of the pages can delay it.
 
-One request is one JSON object in plain text, ``{"do": "stop", "token": ...}`` or ``{"do": "check",
-...}``, and the answer is ``{"held": ...}``. A stop needs no connection that was opened before: when
-too many are open, the oldest is closed for the newest, so that nobody can occupy the places. A
-check, and whatever is refused, is answered slowly, which limits what one connection can ask for.
+A request is one JSON object in plain text, ``{"do": "stop", "token": ...}`` or ``{"do": "check",
+...}``, and the response is ``{"held": ...}``. A stop needs no existing connection. When too many
+connections are open, the oldest is closed for the newest, so that nobody can occupy all of them. A
+check and every refused request are answered slowly, which limits the request rate of a connection.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ from tapping_cell.nodes.page.guard import Guard
 LONGEST_BODY = 1024
 MOST_CONNECTIONS = 256
 REPEAT_PERIOD_S = 0.02
-"""Stops within this time of the last are published together, as one."""
+"""Stops within this time after the last one are published once."""
 SLOW_ANSWER_S = 0.1
 
 
 class StopLevel:
-    """The page's own stop: held from STOP until a person releases it."""
+    """Stop state of the page: held from STOP until a person releases it."""
 
     def __init__(
         self, publish: Callable[[bool], None], report: Callable[[bool, str], None], held: bool
     ) -> None:
-        """``publish`` the level to the cell; ``report`` it, and who asked, to the page's node.
+        """``publish``: sends the level to the cell. ``report``: sends it, and its author, to the
+        node.
 
-        With ``held`` a stop goes on that was held before this process started.
+        ``held``: continue a stop that was held before this process started.
         """
         self.held = held
         self._publish = publish
@@ -47,7 +48,8 @@ class StopLevel:
             self._publish_now()
 
     def stop(self, who: str) -> None:
-        """Hold the stop. Published also where it is held: somebody may have reset the actors."""
+        """Hold the stop. It is published even if already held, because the actors may have been
+        reset."""
         self.held = True
         wait = self._published_at + REPEAT_PERIOD_S - time.monotonic()
         if wait <= 0:
@@ -57,7 +59,7 @@ class StopLevel:
             self._repeat = asyncio.get_running_loop().call_later(wait, self._publish_again)
 
     def release(self) -> None:
-        """A person ends the stop."""
+        """Release the stop for a person."""
         if self._repeat is not None:
             self._repeat.cancel()
             self._repeat = None
@@ -75,22 +77,22 @@ class StopLevel:
 
 
 class StopHandler(RequestHandler):
-    """One stop, or one check that a stop would be heard."""
+    """Handle one stop, or one check that a stop would be received."""
 
     def initialize(self, level: StopLevel, guard: Guard, page_port: int) -> None:
-        """Keep what every request needs."""
+        """Store the objects that every request needs."""
         self._level = level
         self._guard = guard
         self._page_port = page_port
 
     def set_default_headers(self) -> None:
-        """Nothing is stored, sniffed or framed."""
+        """Set headers against caching, content sniffing and framing."""
         self.set_header("Cache-Control", "no-store")
         self.set_header("X-Content-Type-Options", "nosniff")
         self.set_header("Server", "tapping cell")
 
     async def post(self) -> None:
-        """Serve a request."""
+        """Process a request."""
         origin = self.request.headers.get("Origin")
         refusal = self._guard.refusal(
             self.request.host, origin, command=True, page_port=self._page_port
@@ -123,22 +125,22 @@ class StopHandler(RequestHandler):
         self.write(sentence + "\n")
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """Errors in a few words and without a trace."""
+        """Return a short error message without a traceback."""
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"{status_code} {responses[status_code]}\n")
 
 
 class StopServer(HTTPServer):
-    """Serves on sockets that are already bound; the oldest connection makes room for the newest."""
+    """Serve on sockets that are already bound. The oldest connection is closed for the newest."""
 
     def initialize(self, *arguments: Any, **options: Any) -> None:
-        """Begin without connections."""
+        """Initialise without connections."""
         super().initialize(*arguments, **options)
         self._streams: list[IOStream] = []
 
     @classmethod
     def make(cls, level: StopLevel, guard: Guard, page_port: int) -> StopServer:
-        """A server of the level for pages of ``guard`` that are served at ``page_port``."""
+        """Return a server of the level for pages of ``guard`` that are served at ``page_port``."""
         handlers: list[Any] = [
             ("/", StopHandler, {"level": level, "guard": guard, "page_port": page_port})
         ]
@@ -152,7 +154,7 @@ class StopServer(HTTPServer):
         )
 
     def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
-        """Take a new connection."""
+        """Accept a new connection."""
         self._streams = [each for each in self._streams if not each.closed()]
         while len(self._streams) >= MOST_CONNECTIONS:
             self._streams.pop(0).close()

@@ -1,1 +1,1 @@
-"""The planning node ``tap_planner``: goals in, one tap command after another out."""
+"""The planning node ``tap_planner``: receives goals and publishes one tap command after another."""

@@ -1,4 +1,4 @@
-"""Action servers whose goals are worked on by a timer, and answered when the result is known."""
+"""Action servers whose goals are processed by a timer and finished when the result is known."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from rclpy.node import Node
 
 
 class DeferredActionServer:
-    """The actions of one node; every goal is accepted, so that its refusal is a numbered result."""
+    """Action servers of one node. Every goal is accepted, so that a rejection has a result with a
+    code."""
 
     def __init__(
         self,
@@ -19,7 +20,7 @@ class DeferredActionServer:
         actions: Mapping[str, tuple[type, Callable[[ServerGoalHandle], None]]],
         on_cancel: Callable[[ServerGoalHandle], CancelResponse],
     ) -> None:
-        """``actions``: by name, the type and what to call with each goal."""
+        """``actions``: for each action name, its type and a callback for each goal."""
         self._results: dict[bytes, Any] = {}
         self._servers = [
             ActionServer(
@@ -35,14 +36,15 @@ class DeferredActionServer:
         ]
 
     def close(self) -> None:
-        """Withdraw the actions; to be called before the node is destroyed, which leaves them."""
+        """Destroy the action servers. Call before the node is destroyed, which does not destroy
+        them."""
         for server in self._servers:
             server.destroy()
 
     def answer(self, handle: ServerGoalHandle, result: Any) -> None:
-        """End a goal with its result."""
-        # The goal is executed only now, when its result is known: an execute callback that waits
-        # would keep the single-threaded executor busy at full load.
+        """Finish a goal with its result."""
+        # The goal is executed only now, because an execute callback that waits for the result would
+        # occupy the single-threaded executor completely.
         self._results[bytes(handle.goal_id.uuid)] = result
         handle.execute()
 

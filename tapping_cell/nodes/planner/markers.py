@@ -1,7 +1,7 @@
-"""The cell as markers for RViz and Foxglove, in ``table``.
+"""Markers of the cell for RViz and Foxglove, in ``table``.
 
-Outlines of table, object, goal and predicted end, the goal's tolerance, the tap's arrow, keep-outs,
-the region in which an object can be worked on, and the way that the object has come.
+They show the outlines of table, object, goal and predicted final pose, the goal tolerance, the
+arrow of the tap, keep-out zones, the workspace of the object, and the path of the object so far.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ def cell_markers(
     region: Marker | None = None,
     others: Sequence[KeepOut | None] = (),
 ) -> MarkerArray:
-    """The table, the object, the goal and the tap under way; what is not there is taken away.
+    """Return markers of the table, object, goal and current tap. Absent items are deleted.
 
-    ``way``: where the object lay before each tap of this goal. ``region``: of
-    :func:`region_marker`. ``others``: the further objects, None for one not on the table.
+    ``way``: poses of the object before each tap of this goal. ``region``: result of
+    :func:`region_marker`. ``others``: further objects, None for an object that is not on the table.
     """
     table, keep_outs = cell.file.table, cell.file.keep_outs
     half = np.array([table.length, table.width]) / 2
@@ -99,7 +99,8 @@ def cell_markers(
 
 
 def region_marker(edges: Points) -> Marker:
-    """The region in which an object can be worked on, by its edges (n, 2, 2) in m: made once."""
+    """Return the marker of the object's workspace from its edges (n, 2, 2) in m. Computed only
+    once."""
     return _points("workable", Marker.LINE_LIST, edges.reshape(-1, 2), LINE_WIDTH / 2, GREY)
 
 
@@ -109,13 +110,13 @@ def _circle(radius: float) -> Points:
 
 
 def _sector(radius: float, half_angle: float) -> Points:
-    """Where the object's heading may end."""
+    """Return the sector of accepted final headings."""
     ends = radius * np.stack([np.cos([half_angle] * 2), np.sin([-half_angle, half_angle])], axis=-1)
     return np.array([ends[0], (0.0, 0.0), ends[1]])
 
 
 def _points(name: str, kind: int, points: Points, size: float, colour: ColorRGBA) -> Marker:
-    """Points (n, 2) in ``table`` as one marker of the kind."""
+    """Return one marker of this kind from points (n, 2) in ``table``."""
     marker = Marker(ns=name, type=kind, action=Marker.ADD, color=colour)
     marker.pose.orientation.w = 1.0
     marker.scale.x = marker.scale.y = size

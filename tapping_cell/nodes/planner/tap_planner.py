@@ -1,4 +1,4 @@
-"""The planning node: hosts the planner's machine; goals come by topic or action."""
+"""Planning node: hosts the planner's state machine and receives goals by topic or action."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Parameters(PlannerSettings):
 
 
 class PlannerHost(LogicHost[PlannerLogic]):
-    """Draws the planner's scenes as markers."""
+    """Publish the planner's scenes as markers."""
 
     def _perform(self, effect: effects.Effect) -> None:
         if not (isinstance(effect, effects.Publish) and isinstance(effect.message, Scene)):
@@ -90,8 +90,9 @@ class TapPlanner(CellNode[Parameters]):
         host.publishes(messages.ArrangementState, "arrangement_state", LATCHED)
         host.publishes(messages.GoalReport, "goal_report", LATCHED)
         host.offers(MarkerArray, "markers", LATCHED)
-        # A reliable subscription hears no best-effort publisher, and a best-effort one may miss
-        # what a reliable publisher sends: with both, a goal that comes twice counts once.
+        # A reliable subscription does not match best-effort publishers, and a best-effort
+        # subscription may miss messages of a reliable publisher. With both, a goal received twice
+        # counts once.
         self._goals_heard: deque[int] = deque(maxlen=COMMAND.depth)
         for profile in (COMMAND, BEST_EFFORT_COMMAND):
             self.create_subscription(
@@ -120,7 +121,7 @@ class TapPlanner(CellNode[Parameters]):
     # Life cycle
 
     def configure(self) -> None:
-        """Read the files, make the planning method and the map of the table."""
+        """Read the files, create the planning method and the map of the table."""
         settings = self.settings
         cell = load_cell(settings.cell_file or None, settings.object_file or None)
         others = load_further_objects(cell, settings.other_object_files)
@@ -145,20 +146,20 @@ class TapPlanner(CellNode[Parameters]):
         self.host.lifecycle(Configured(cell, goals, kept_goal=kept, kept_goal_age=age))
 
     def activate(self) -> None:
-        """Let the machine act."""
+        """Allow the machine to act."""
         self.host.lifecycle(Activated())
 
     def deactivate(self) -> None:
-        """Have the machine give up its goal."""
+        """Make the machine abort its goal."""
         self.host.lifecycle(Deactivated())
 
     def cleanup(self) -> None:
-        """An orderly end is an end of the goal, too."""
+        """Deactivate the machine: an orderly shutdown also ends the goal."""
         self.host.lifecycle(ShutDown())
         self.host.close()
 
     def change(self, name: str, value: object) -> None:
-        """Take another planning method, or begin or cease to ask before every tap."""
+        """Change the planning method, or whether every tap requires confirmation."""
         if name == "ask":
             request = messages.SetBool.Request(data=bool(value))
             self.host.request("ask", request, lambda _: None)
@@ -166,17 +167,17 @@ class TapPlanner(CellNode[Parameters]):
             self.logic.goals.use(str(value))
 
     def hear_stop(self, message: Bool) -> None:
-        """Hand a level of the emergency stop to the machine, which gives up its goal."""
+        """Pass an emergency stop message to the machine, which aborts its goal."""
         self.host.hear(stops.TOPIC, messages.Bool(data=message.data))
 
     def destroy_node(self) -> None:
-        """End the actions, too: rclpy leaves them where they are, and clients would see half of a
-        planner until they are collected as garbage."""
+        """Also destroy the action servers, which rclpy does not destroy. Otherwise, clients would
+        see an incomplete planner until garbage collection."""
         self._actions.close()
         CellNode.destroy_node(self)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """The state and the goal's remaining error."""
+        """Report the state and the remaining error of the goal."""
         last = self.logic.last
         values: dict[str, object] = {
             "state": self.logic.state.value,
@@ -229,7 +230,8 @@ class TapPlanner(CellNode[Parameters]):
         token = self._tokens.get(bytes(handle.goal_id.uuid))
         if token is None:
             return CancelResponse.REJECT
-        # After this callback: the goal must be told to be cancelled before its result comes.
+        # Runs after this callback, because the goal must be in state "canceling" before its result
+        # is set.
         self.host.later(lambda: self.host.cancel(token))
         return CancelResponse.ACCEPT
 

@@ -1,4 +1,4 @@
-"""The frames of ``/tf`` for the planner's goals, where tf2_ros is installed."""
+"""Lookup of the frames of the planner's goals on ``/tf``, if tf2_ros is installed."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ except ImportError:
     tf2_ros = None
 
 KEPT_S = 60.0
-"""How long transforms are kept: as old as the stamp of a goal may be."""
+"""Time for which transforms are kept, which is the maximum age of a goal's stamp."""
 NEWEST_S = 0.5
-"""How far a goal's stamp may lie beyond the newest transform, which then stands for it."""
+"""Maximum time by which a goal's stamp may be newer than the newest transform, which is then
+used."""
 
 
 class TfFrames:
-    """What was heard on ``/tf`` and ``/tf_static``."""
+    """Buffer of the transforms on ``/tf`` and ``/tf_static``."""
 
     def __init__(self, node: Node) -> None:
         self._buffer = tf2_ros.Buffer(cache_time=Duration(seconds=KEPT_S))
@@ -63,7 +64,7 @@ class TfFrames:
         )
 
     def _known(self) -> list[str]:
-        """The frames that are connected to ``table``."""
+        """Return the frames that are connected to ``table``."""
         heard = yaml.safe_load(self._buffer.all_frames_as_yaml()) or {}
         names = set(heard) | {entry["parent"] for entry in heard.values()}
         connected = (n for n in names - {TABLE} if self._buffer.can_transform(TABLE, n, Time()))
@@ -71,5 +72,5 @@ class TfFrames:
 
 
 def open_frames(node: Node) -> Frames:
-    """The frames of ``/tf``; ``table`` alone where tf2_ros is not installed."""
+    """Return the frames of ``/tf``, or only ``table`` if tf2_ros is not installed."""
     return TableOnly() if tf2_ros is None else TfFrames(node)

@@ -1,1 +1,1 @@
-"""The node ``run_recorder``: a run folder for every goal."""
+"""The node ``run_recorder``, which writes a run folder for every goal."""

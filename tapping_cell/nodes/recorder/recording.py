@@ -1,4 +1,4 @@
-"""One goal being recorded: its folder, its bag, and the page that is made of them."""
+"""Recording of one goal: its folder, its bag, and the report page made from them."""
 
 from __future__ import annotations
 
@@ -26,12 +26,13 @@ MEGABYTE = 1_000_000
 
 
 class CannotRecord(RuntimeError):
-    """The run cannot be recorded; the sentence says why and what to do."""
+    """The run cannot be recorded. The message states the reason and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """One message as it came: its topic as resolved, ROS time in ns, its CDR bytes."""
+    """A received message: resolved topic name, ROS time of reception in ns, serialised CDR
+    bytes."""
 
     topic: str
     stamp: int
@@ -40,7 +41,7 @@ class Heard:
 
 @dataclass(frozen=True, slots=True)
 class RecordedTopic:
-    """How a topic stands in the bag."""
+    """Type and settings of a topic in the bag."""
 
     kind: str
     quality: Quality
@@ -49,13 +50,16 @@ class RecordedTopic:
 def new_folder(
     parent: Path, name: str, most_runs: int, least_free: float, prepared: bool = False
 ) -> Path:
-    """Make the folder of a run that does not exist yet; ``least_free`` in bytes.
+    """Create a folder for a run. It must not exist yet. ``least_free`` is in bytes.
 
-    ``prepared``: a folder of this name that holds no run yet was made for this one, as the verb
-    demo does for the nodes' logs; else it is that of a cell that began a run in the same second.
+    ``prepared``: a folder of this name without a run was created for this run, as the verb demo
+    does for the nodes' logs. Otherwise, an existing folder belongs to another cell whose run
+    started in the same second.
 
     Raises:
-        CannotRecord: too many runs, too little room, or the folder cannot be made.
+        CannotRecord: there are too many runs, the free disk space is too small, or the folder
+            cannot
+            be created.
     """
     try:
         parent.mkdir(parents=True, exist_ok=True)
@@ -83,11 +87,11 @@ def new_folder(
 
 
 def check_room(folder: Path, least_free: float) -> None:
-    """See that the disk has room.
+    """Check the free disk space.
 
     Raises:
-        CannotRecord: it has not.
-        OSError: the disk is away.
+        CannotRecord: the free space is too small.
+        OSError: the disk is not available.
     """
     free = shutil.disk_usage(folder).free
     if free < least_free:
@@ -98,7 +102,7 @@ def check_room(folder: Path, least_free: float) -> None:
 
 
 def run_name(began: float, namespace: str, goal: Any) -> str:
-    """A name that tells when, in which namespace and where to (mm, mm, degrees)."""
+    """Return a run name with start time, namespace and goal (mm, mm, degrees)."""
     when = datetime.fromtimestamp(began).strftime("%Y-%m-%d_%H-%M-%S")
     pose = goal.pose
     turn = 2 * math.degrees(math.atan2(pose.orientation.z, pose.orientation.w))
@@ -109,7 +113,7 @@ def run_name(began: float, namespace: str, goal: Any) -> str:
 
 
 def cell_notes(cell: Cell | None, seed: int) -> dict[str, Any]:
-    """What a run knows of its configuration."""
+    """Return the notes of a run on its configuration."""
     notes: dict[str, Any] = {"versions": versions(), "seed": seed if seed >= 0 else None}
     if cell is not None:
         table = cell.file.table
@@ -130,13 +134,13 @@ def cell_notes(cell: Cell | None, seed: int) -> dict[str, Any]:
 
 
 class Recording:
-    """A run's folder with its bag open; every method is called from the recorder's own thread."""
+    """Run folder with an open bag. Every method is called from the recorder's own thread."""
 
     def __init__(self, folder: Path, topics: dict[str, RecordedTopic], types: MessageTypes) -> None:
-        """Begin a bag of these topics, by resolved name.
+        """Open a bag for these topics, given by resolved name.
 
         Raises:
-            CannotRecord: the bag cannot be made.
+            CannotRecord: the bag cannot be created.
         """
         self.folder = folder
         try:
@@ -149,10 +153,10 @@ class Recording:
             raise CannotRecord(f"{folder} cannot be written ({error.strerror})") from error
 
     def write(self, messages: Iterable[Heard]) -> None:
-        """Write messages and hand them to the operating system.
+        """Write messages and flush them to the operating system.
 
         Raises:
-            OSError: the disk is full or away.
+            OSError: the disk is full or not available.
         """
         for message in messages:
             self._bag.write(message.topic, message.stamp, message.data)
@@ -162,25 +166,27 @@ class Recording:
         """Close the bag.
 
         Raises:
-            OSError: the disk is full or away.
+            OSError: the disk is full or not available.
         """
         self._bag.close()
 
     def tell(self, pictures: bool) -> None:
-        """Write summary, taps and, where there is time, picture and page, out of the bag.
+        """Write the summary and the taps from the bag and, if ``pictures`` is set, the image and
+        the page.
 
         Raises:
-            BagError, OSError: there is nothing to tell, or it cannot be written.
+            BagError, OSError: the bag contains no run, or the files cannot be written.
         """
         write_folder(self.folder, pictures=pictures)
 
 
 def is_own_goal(plan: PlanState, method_of_experiments: str) -> bool:
-    """Whether a plan_state speaks of a goal that is to be recorded; single taps keep records."""
+    """Return whether a plan_state belongs to a goal to record. Single taps have their own
+    records."""
     busy = plan.state in WORKING_STATES
     return bool(busy and plan.goal.header.frame_id and plan.planner != method_of_experiments)
 
 
 def same_goal(plan: PlanState, other: PlanState | GoalReport) -> bool:
-    """Whether two reports speak of the same goal."""
+    """Return whether two reports refer to the same goal."""
     return bool(plan.goal == other.goal)

@@ -1,13 +1,14 @@
-"""What a run's folder may be called; the recorder and the page hold to the same rule."""
+"""Validity rule for run folder names, shared by the recorder and the page."""
 
 from __future__ import annotations
 
 LONGEST_NAME = 120
-"""Bytes in UTF-8: file systems take 255, and the recorder adds a number where a name is taken."""
+"""Maximum length in bytes of UTF-8. File systems allow 255, and the recorder appends a number if
+the name is taken."""
 
 
 def is_run_name(name: str) -> bool:
-    """Whether a folder of this name, and of no other place, can hold a run."""
+    """Return whether this name is valid for a run folder and contains no path to another place."""
     return (
         bool(name)
         and name.isprintable()

@@ -1,7 +1,7 @@
-"""The recorder: for every goal a run folder with bag, tables, picture and page. It moves nothing.
+"""Recorder: writes a run folder with bag, tables, image and page for every goal. It moves nothing.
 
-It listens and writes, in a thread of its own; when it cannot write it says so on /diagnostics, and
-the goal goes on. Messages of the last seconds are kept, so that a bag begins before its goal.
+It writes in a separate thread. A write failure is published on /diagnostics, and the goal
+continues. Messages of the last seconds are buffered, so that a bag starts before its goal.
 """
 
 from __future__ import annotations
@@ -66,18 +66,19 @@ from tapping_cell.report.message_types import MessageTypes
 from tapping_cell.report.run_reader import NOTES, PICTURES
 
 LEAD_S = 2.0
-"""How long before its goal a bag begins."""
+"""Time before its goal at which a bag starts."""
 TAIL_S = 1.0
-"""How long after its end a bag goes on, for the last look."""
+"""Time after the end of its goal at which a bag ends, so that it contains the final observation."""
 SILENCE_S = 30.0
-"""A planner that said nothing for so long is gone: the recording ends without the goal's end."""
+"""Timeout for messages of the planner, after which the recording ends without the end of the
+goal."""
 END_PATIENCE_S = 4.0
 WRITE_PERIOD_S = 0.5
 REPEATED_WITHIN_S = 10.0
-"""The same refusal again within this time makes no folder of its own."""
+"""A refusal that is repeated within this time gets no folder of its own."""
 LONGEST_PATH = 1024
 DEPTH = 200
-"""Messages that may wait while a busy machine keeps this node from its work."""
+"""Maximum number of queued messages while a busy machine delays this node."""
 
 _STREAM = QoSProfile(
     depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
@@ -109,7 +110,7 @@ FRAMES: dict[str, type] = {
     "ground_truth": PoseStamped,
     "object_pose": PoseWithCovarianceStamped,
 }
-"""What comes with every picture: heard only while a goal is under way."""
+"""Topics with a message per image: subscribed to only while a goal is active."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +153,7 @@ class Parameters:
 
 
 def checked_folder(folder: str) -> str:
-    """The parameter ``folder``. Raises ValueError with a sentence."""
+    """Check the parameter ``folder``. Raises ValueError with a message."""
     if not folder or not folder.isprintable() or len(folder) > LONGEST_PATH:
         raise ValueError(
             f"folder has {len(folder)} characters; give a path of 1 to {LONGEST_PATH} characters "
@@ -162,7 +163,7 @@ def checked_folder(folder: str) -> str:
 
 
 def checked_name(name: str) -> str:
-    """The parameter ``name``. Raises ValueError with a sentence."""
+    """Check the parameter ``name``. Raises ValueError with a message."""
     if name and not is_run_name(name):
         raise ValueError(
             f"name is '{name[:40]}' with {len(name)} characters; give at most {LONGEST_NAME} that "
@@ -174,7 +175,8 @@ def checked_name(name: str) -> str:
 class RunRecorder(CellNode[Parameters]):
     """See the module's docstring.
 
-    The executor's thread only notes what comes; ``_worker`` writes it, ``_teller`` draws.
+    The executor's thread only queues received messages; ``_worker`` writes them, and ``_teller``
+    draws the report.
     """
 
     changeable = ("folder", "name", "picture_rate")
@@ -209,7 +211,7 @@ class RunRecorder(CellNode[Parameters]):
             self._listen(name, kind, _STATE)
         for name, kind in STREAMS.items():
             self._know(name, kind, Quality())
-            # Best effort hears every publisher of goals.
+            # Best effort matches every publisher of goals.
             self._listen(name, kind, BEST_EFFORT_COMMAND if name == "goal_pose" else _STREAM)
         for name, kind in FRAMES.items():
             self._know(name, kind, Quality(reliable=kind is not CameraInfo))
@@ -248,7 +250,7 @@ class RunRecorder(CellNode[Parameters]):
     # Life cycle
 
     def configure(self) -> None:
-        """Read the files that a run writes down, and begin to work."""
+        """Read the files that a run records, and start the worker."""
         try:
             self._folder = checked_folder(self.settings.folder)
             self._name = checked_name(self.settings.name)
@@ -262,18 +264,20 @@ class RunRecorder(CellNode[Parameters]):
         self._teller = Worker("teller", lambda: None, 60.0)
         self._teller.start()
         for topic in self._topics.values():
-            # Looked up once, now: a goal's first messages are not to wait for it.
+            # The definition is loaded once here, so that the first messages of a goal are not
+            # delayed by it.
             self._types.definition(topic.kind)
 
     def deactivate(self) -> None:
-        """End the recording under way."""
+        """End the current recording."""
         self._conclude(pictures=False)
 
     def cleanup(self) -> None:
-        """End the recording under way, in short: who ends the node does not wait long."""
+        """End the current recording without drawing, because the node may be killed after a short
+        time."""
         if self._worker is not None:
             self._conclude(pictures=False)
-            # Closing drops what is queued; whoever ends the node waits 5 s before it is killed.
+            # Closing discards queued jobs, and a node that is being stopped is killed after 5 s.
             written = threading.Event()
             self._worker.submit(written.set)
             written.wait(END_PATIENCE_S)
@@ -283,7 +287,7 @@ class RunRecorder(CellNode[Parameters]):
             self._worker = self._teller = None
 
     def change(self, name: str, value: object) -> None:
-        """Take another folder, name or rate for the next run."""
+        """Change folder, name or rate for the next run."""
         if name == "picture_rate":
             self._picture_rate = float(str(value))
         elif name == "folder":
@@ -292,7 +296,7 @@ class RunRecorder(CellNode[Parameters]):
             self._name = checked_name(str(value))
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """What is recorded, and what keeps it from being."""
+        """Report the current recording and any error that prevents it."""
         recording = self._recording
         values: dict[str, object] = {
             "folder": os.path.abspath(self._folder),
@@ -306,13 +310,13 @@ class RunRecorder(CellNode[Parameters]):
             return DiagnosticStatus.ERROR, self._trouble, values
         return DiagnosticStatus.OK, "ok", values
 
-    # What is heard: the executor's thread
+    # Reception: the executor's thread
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
     def _note(self, heard: Heard, latched: bool, seldom: bool) -> None:
-        """Keep a message for the bag under way, or for the one that begins next."""
+        """Buffer a message for the current bag or the next one."""
         with self._lock:
             last = self._latched.get(heard.topic)
             if seldom and last is not None and heard.stamp - last.stamp < 1_000_000_000:
@@ -344,7 +348,8 @@ class RunRecorder(CellNode[Parameters]):
         self._begin(plan, refused=False)
 
     def _is_late(self, plan: PlanState) -> bool:
-        """Whether a report is older than the end of its goal: topics overtake each other."""
+        """Return whether a report is older than the end of its goal, since topics are not
+        ordered."""
         end = self._end
         if end is None or not same_goal(plan, end):
             return False
@@ -358,7 +363,7 @@ class RunRecorder(CellNode[Parameters]):
             if self._plan is not None and same_goal(self._plan, report):
                 self._ends_at = time.monotonic() + TAIL_S
             return
-        # Latched: the last report is told again to whoever joins.
+        # The topic is latched, so the last report is sent again to every new subscriber.
         age = 1e-9 * self._now() - seconds(report.header.stamp)
         code, sentence, at = self._refusal
         repeated = (code, sentence) == (report.error_code, report.error_msg)
@@ -371,14 +376,14 @@ class RunRecorder(CellNode[Parameters]):
             self._ends_at = time.monotonic()
 
     def _begin(self, plan: PlanState, refused: bool) -> None:
-        """Open a recording with what was heard in the last seconds."""
+        """Start a recording with the messages of the last seconds."""
         began = seconds(plan.header.stamp)
         name = self._name or run_name(began, self.get_namespace(), plan.goal)
         notes = {**self._notes, "began": began, "refused": refused}
         with self._lock:
             lead = list(self._lead)
             first = lead[0].stamp if lead else self._now()
-            # What is latched was said longer ago than the lead: it stands at the bag's beginning.
+            # Latched messages older than the lead time are written at the start of the bag.
             told = {message.topic for message in lead}
             old = [
                 Heard(message.topic, first, message.data)
@@ -420,7 +425,7 @@ class RunRecorder(CellNode[Parameters]):
             self._conclude(pictures=True)
 
     def _conclude(self, pictures: bool) -> None:
-        """End the recording under way, if there is one."""
+        """End the current recording, if any."""
         with self._lock:
             if self._plan is None:
                 return
@@ -436,7 +441,7 @@ class RunRecorder(CellNode[Parameters]):
         if self._worker is not None:
             self._worker.submit(job)
 
-    # What is written: the worker's thread
+    # Writing: the worker's thread
 
     def _open(self, folder: Path, name: str) -> None:
         try:
@@ -468,7 +473,8 @@ class RunRecorder(CellNode[Parameters]):
             self._complain(f"recording to {recording.folder} was given up: {error}")
 
     def _keep_picture(self, data: bytes, stamp: int) -> None:
-        """Make a JPEG of a picture; coded here, so that the executor's thread hears everything."""
+        """Compress an image to JPEG here rather than in the executor's thread, which must not lose
+        messages."""
         message = deserialize_message(data, Image)
         try:
             if message.encoding != "bgr8":
@@ -503,7 +509,8 @@ class RunRecorder(CellNode[Parameters]):
             recording.close()
         except OSError as error:
             self._complain(f"the bag in {recording.folder} has no end: {error}")
-        # The tables at once; drawing takes seconds, in which the next goal may begin.
+        # The tables are written immediately. Drawing takes seconds, during which the next goal may
+        # start.
         self._tell(recording, pictures=False)
         if pictures and self._teller is not None:
             self._teller.submit(lambda: self._announce(recording, pictures=True))
@@ -517,14 +524,15 @@ class RunRecorder(CellNode[Parameters]):
             self._complain(f"the summary of the run in {recording.folder} is incomplete: {error}")
 
     def _announce(self, recording: Recording, pictures: bool) -> None:
-        """Say that a run folder is complete, once it is."""
+        """Publish that a run folder is complete."""
         if pictures:
             self._tell(recording, pictures=True)
         self._runs += 1
         try:
             self._last_run.publish(String(data=str(recording.folder)))
         except RuntimeError:
-            # Ctrl-C has ended the context: nobody hears it, and the folder is complete.
+            # Ctrl-C has shut down the context, so nothing can be published, but the folder is
+            # complete.
             if self.context.ok():
                 raise
         self.get_logger().info(f"recorded {recording.folder}")
@@ -535,7 +543,7 @@ class RunRecorder(CellNode[Parameters]):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the node, a little behind the others where the machine is short of time."""
+    """Run the node with a slightly lower priority than the other nodes."""
     os.nice(5)
     return run(RunRecorder, arguments)
 

@@ -1,1 +1,1 @@
-"""The node ``sim_world``: the simulated camera and the simulated serial devices."""
+"""The node ``sim_world``, which simulates the camera and the serial devices."""

@@ -1,6 +1,6 @@
-"""The simulated world: camera pictures out, and two serial devices on pseudo-terminals.
+"""Simulated world: publishes camera images and emulates two serial devices on pseudo-terminals.
 
-The cell's object and its further objects lie on one table and collide where they meet.
+The cell's object and its further objects share one table and collide on contact.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class SimWorld(CellNode[Parameters]):
         self.create_timer(1.0 / self.settings.frame_rate, self._expose)
 
     def configure(self) -> None:
-        """Make the world and open the two ports."""
+        """Create the world and open the two ports."""
         settings = self.settings
         cell = load_cell(settings.cell_file or None, settings.object_file or None)
         refuse_own_drivers(cell)
@@ -140,8 +140,8 @@ class SimWorld(CellNode[Parameters]):
             SceneObject(one.outline, file.seen()) for one, file in zip(others, further, strict=True)
         ]
         renderer = make_renderer(cell, truth.camera, own.outline, settings.seed, shown)
-        # Drawn once before the devices are there: the first picture takes longest, and an emulated
-        # board must not be kept waiting.
+        # The first image is rendered before the devices exist, because it takes longest and would
+        # delay the emulated boards.
         renderer.render(list(world.poses.values()))
         self._claim = claim(f"world/{key_of(self)}")
         if self._claim is None:
@@ -181,7 +181,7 @@ class SimWorld(CellNode[Parameters]):
         )
 
     def cleanup(self) -> None:
-        """Close the ports; the devices are gone."""
+        """Close the ports and remove the devices."""
         if self._devices is not None:
             self._devices.close()
         self._devices = None
@@ -191,11 +191,11 @@ class SimWorld(CellNode[Parameters]):
         self._late.clear()
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        """Pictures sent."""
+        """Report the number of published images."""
         return DiagnosticStatus.OK, "ok", {"pictures": self._frames}
 
     def _on_strike(self, tip: Pose, height: float, speed: float, now: float) -> float:
-        """The tapper was released, and measures its speed; called from the emulator's thread."""
+        """Simulate a strike and return its measured speed. Called from the emulator's thread."""
         with self._lock:
             if self._world is None:
                 return speed
@@ -205,7 +205,7 @@ class SimWorld(CellNode[Parameters]):
     def _on_fixed_strike(
         self, tip: Pose, height: float, speed: float, tapper: TapperSection, now: float
     ) -> tuple[float, float]:
-        """A tapper at a fixed mount was released; called from its emulator's thread."""
+        """Simulate a strike of a tapper at a fixed mount. Called from its emulator's thread."""
         with self._lock:
             if self._world is None:
                 return speed, tapper.stroke
@@ -216,7 +216,7 @@ class SimWorld(CellNode[Parameters]):
             return self._world.gate_speed(speed), travel
 
     def _expose(self) -> None:
-        """Take a picture where one is due; send the one whose latency is over."""
+        """Take an image when it is due, and publish an image when its latency has passed."""
         if not self.active or self._world is None:
             return
         assert self._renderer is not None and self._truth is not None
@@ -232,7 +232,8 @@ class SimWorld(CellNode[Parameters]):
             )
             contacts = self._world.take_contacts()
         if taken == now:
-            # Kept through a slide: a switch of tasks between the two clocks would shift a picture.
+            # The offset is constant during a slide, because a task switch between the readings of
+            # the two clocks would shift the stamp of an image.
             self._world_began = Time(nanoseconds=clock - round(1e9 * now))
         stamp = self._world_began + Duration(seconds=taken - camera.exposure / 2)
         self._publish_truth(middle, stamp)
@@ -248,7 +249,7 @@ class SimWorld(CellNode[Parameters]):
         self._send_late()
 
     def _poses_at(self, time: float) -> dict[str, Pose]:
-        """The objects' true poses: on the table, or the cell's own one held by the arm."""
+        """Return the true poses of the objects, on the table or held by the arm."""
         assert self._world is not None and self._truth is not None and self._devices is not None
         self._world.advance(time)
         poses, held = dict(self._world.poses), self._truth.arm.holds
@@ -295,7 +296,7 @@ class SimWorld(CellNode[Parameters]):
         self._contact_publisher.publish(message)
 
     def _on_clear_button(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Stand in for the person who presses the button at the tapper after a stop."""
+        """Simulate the person who presses the clear button at the tapper after a stop."""
         if self._devices is not None:
             self._devices.press_clear_button()
         response.success = self._devices is not None
