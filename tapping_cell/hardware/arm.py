@@ -204,11 +204,11 @@ class ArmDriver:
         """Move straight in joint space; return when idle and read back within tolerance.
 
         ``speed``: fraction of the maximum joint speeds, in (0, 1]. ``deadline``: time of the
-        transport's clock; None computes it from the move's duration. ``via``: intermediate joints
-        that are not verified, so skipping them must be harmless if their line is lost.
-        ``via_speed``: speed up to ``via``. Raises HardwareFault: OUT_OF_RANGE, NOT_HOMED,
-        POSITION_LOST, POSITION_MISMATCH, TIMEOUT (the arm is then stopped), ALARM, STOPPED,
-        BOARD_RESET, REJECTED, DISCONNECTED.
+        transport's clock; None computes it from the move's duration. ``via``: intermediate joints.
+        Their arrival is not verified, so it must be harmless if they are skipped. ``via_speed``:
+        speed up to ``via``. Raises HardwareFault: OUT_OF_RANGE, NOT_HOMED, POSITION_LOST,
+        POSITION_MISMATCH, TIMEOUT (the arm is then stopped), ALARM, STOPPED, BOARD_RESET, REJECTED,
+        DISCONNECTED.
         """
         goal = Joints(*joints)
         first_speed = speed if via_speed is None else via_speed
@@ -514,8 +514,8 @@ class ArmDriver:
     def _noted(self, fault: HardwareFault) -> HardwareFault:
         """Apply the consequences of a fault and return the fault to raise.
 
-        Once a fault is latched, the latched fault is returned, because a controller may restart
-        after an alarm and a stop ends in an alarm.
+        A latched fault takes precedence, because later ones are often its consequence: an alarm can
+        be followed by a restart, and a stop causes an alarm.
         """
         if self._stopped.is_set() and fault.reason in OF_A_STOP:
             # The alarm or reset that a stop causes in the controller is not a separate fault.

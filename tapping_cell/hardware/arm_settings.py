@@ -32,9 +32,9 @@ class ArmSettings:
     reply_timeout: float = 2.0
     """Longest wait for the answer to a request, s."""
     move_factor: float = 1.5
-    """Factor on the computed duration of a move in its time limit."""
+    """Time limit of a move as a multiple of its computed duration, plus ``move_margin``."""
     move_margin: float = 2.0
-    """Time that is added to the time limit of a move, s."""
+    """Constant part of the time limit of a move, s."""
     tolerance_angle: float = 1e-3
     """Largest difference between a target and the position read back, rad."""
     tolerance_quill: float = 1e-4
@@ -56,7 +56,7 @@ class ArmReading:
     joints: Joints
     moving: bool
     alarm: str
-    """Reason why the controller refuses to move; empty if it does not."""
+    """Reason why the controller refuses to move; empty if it accepts moves."""
     measured: bool
     """False if the controller can only report the commanded position."""
     stamp: float

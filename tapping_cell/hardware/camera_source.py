@@ -31,7 +31,7 @@ OLDEST_STAMP_S = 2.0
 
 
 class CameraSourceError(RuntimeError):
-    """A source cannot be opened or stopped delivering images; opening it again may succeed."""
+    """A source cannot be opened, or has stopped delivering images; opening it again may succeed."""
 
 
 class SourceEnded(CameraSourceError):
@@ -63,7 +63,7 @@ class Device:
     """A V4L2 device through OpenCV.
 
     Raises:
-        CameraSourceError: the device cannot be opened, or stopped delivering images.
+        CameraSourceError: the device cannot be opened, or has stopped delivering images.
     """
 
     def __init__(self, name: str, settings: CameraSettings) -> None:

@@ -42,7 +42,7 @@ class ChainSettings:
     """Start values for the SCARA's joints, and tolerances of the striker's pose."""
 
     park: tuple[float, ...]
-    """SCARA joints that select the first inverse solution: rad, rad, m, rad."""
+    """SCARA joints to which the first solution must be nearest: rad, rad, m, rad."""
     tilt: float = 0.01
     """Largest angle between the striker's z axis and the vertical, rad."""
     travel_height: float = 0.06

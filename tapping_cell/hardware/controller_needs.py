@@ -21,20 +21,20 @@ Four = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class ControllerNeeds:
-    """Minimum settings of the four axes; None skips the check of a setting."""
+    """Required settings of the four axes; None skips the check of a setting."""
 
     speed: Four | None = None
-    """Maximum speed, units/s; with less, a move takes longer than the driver computes."""
+    """Speed that must be allowed, units/s; otherwise moves take longer than computed."""
     acceleration: Four | None = None
-    """Acceleration, units/s^2; with less, a move takes longer than the driver computes."""
+    """Acceleration that must be allowed, units/s^2; otherwise moves take longer than computed."""
     travel: Four | None = None
-    """Range between the joint limits, in units, that soft limits must allow."""
+    """Travel that soft limits must allow, in units: the range between the joint limits."""
     steps: Four | None = None
     """Exact steps per unit; with another value the arm moves by a wrong angle or distance."""
 
 
 def needs_of(geometry: ScaraGeometry, steps_per_unit: Sequence[float] = ()) -> ControllerNeeds:
-    """Return the needs of an arm; an empty ``steps_per_unit`` accepts any steps per unit."""
+    """Return the required settings of an arm; empty ``steps_per_unit`` accepts any value."""
 
     def units(values: Sequence[float]) -> Four:
         a, b, c, d = (scale * value for scale, value in zip(TO_UNITS, values, strict=True))

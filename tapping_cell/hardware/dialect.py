@@ -42,7 +42,7 @@ class AxisReading:
     axes: Axes
     moving: bool
     alarm: str
-    """Reason why the controller refuses to move; empty if it does not."""
+    """Reason why the controller refuses to move; empty if it accepts moves."""
     measured: bool
     """False if the controller can only report the commanded position (Marlin's ``M114``)."""
     asked: float
@@ -62,7 +62,7 @@ class LineCounters:
 
 
 class ArmDialect(Protocol):
-    """A controller's command language over one transport. Deadlines are in the transport's clock.
+    """A controller's command language over one transport. Deadlines are times of its clock.
 
     Every call raises HardwareFault: TIMEOUT, DISCONNECTED, STOPPED, ALARM, BOARD_RESET, REJECTED.
     """
@@ -84,7 +84,7 @@ class ArmDialect(Protocol):
         """
 
     def inspect(self, deadline: float) -> tuple[Firmware, list[Finding]]:
-        """Identify the firmware and compare its settings with the needs; nothing moves."""
+        """Identify the firmware and compare its settings with the required ones; nothing moves."""
 
     def store(self, finding: Finding, deadline: float) -> None:
         """Send the command of a finding; raises ValueError if only a person may change it."""
@@ -106,9 +106,9 @@ class ArmDialect(Protocol):
         """Process incoming data for up to ``duration`` s without sending a query."""
 
     def home(self, axes: Axes | None, deadline: float) -> None:
-        """Run the firmware's homing cycle, verify that it ran, and declare its end as ``axes``.
+        """Run the firmware's homing cycle, verify that it ran, and declare its end position.
 
-        ``axes`` None keeps the firmware's own values. Raises HOMING_FAILED.
+        ``axes``: end position; None keeps the firmware's own values. Raises HOMING_FAILED.
         """
 
     def set_position(self, axes: Axes, deadline: float) -> None:

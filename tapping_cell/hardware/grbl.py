@@ -22,7 +22,7 @@ STOP = FEED_HOLD + SOFT_RESET
 """Feed hold, then soft reset: real-time bytes that the controller executes ahead of its queue."""
 
 LONGEST_LINE = 512
-"""Maximum bytes without an end of line, after which the input is treated as noise."""
+"""Number of bytes without an end of line after which the input is treated as noise."""
 
 STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool")
 
@@ -132,7 +132,7 @@ Frame = Ok | Error | Alarm | Banner | Setting | NamedSetting | Message | Status 
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """Result of ``decode``: ``frame`` is None if more bytes are needed; ``rest`` is not decoded."""
+    """A decoded frame (None if more bytes are needed), and the bytes not decoded yet."""
 
     frame: Frame | None
     rest: bytes

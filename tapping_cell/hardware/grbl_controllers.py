@@ -28,7 +28,7 @@ class GrblController:
     has_files: bool = False
     """Whether most settings are named and stored in a file; ``$$`` then lists only some."""
     homing_masks: tuple[int, ...] = ()
-    """Settings that select the axes of each homing cycle; empty if the firmware build does."""
+    """Settings that select the axes of each homing cycle; empty if the build selects them."""
     alarms: Mapping[int, str] = field(default_factory=dict)
     """Alarms with a meaning that differs from Grbl's or that Grbl does not have."""
     cuts_torque_on_alarm: bool = True
@@ -67,7 +67,7 @@ CONTROLLERS = (GRBL, MEGA_5X, GRBL_HAL, FLUID_NC)
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Identity in the answer to ``$I``."""
+    """Identity of a controller from its answer to ``$I``."""
 
     controller: GrblController
     version: str

@@ -127,7 +127,7 @@ class GrblDialect:
         return firmware
 
     def inspect(self, deadline: float) -> tuple[Firmware, list[Finding]]:
-        """Identify the firmware and compare its settings with the needs; nothing moves."""
+        """Identify the firmware and compare its settings with the required ones; nothing moves."""
         offset = self._offset if self._frozen else None
         self._forget()
         self._count = 0
@@ -154,7 +154,7 @@ class GrblDialect:
         """Query the status until two consecutive reports agree on the state and the position.
 
         The line has no checksum; requiring two equal reports makes a garbled digit harmless. The
-        work offset is only in every 30th report, so the first reading may take 30 reports.
+        work offset is sent at least every 30th report, so the first reading may take that many.
         """
         last: grbl.Status | None = None
         while True:
@@ -169,7 +169,7 @@ class GrblDialect:
             self._start_move(move.target, move.feed, deadline)
 
     def _start_move(self, target: Axes, feed: float, deadline: float) -> None:
-        """Send one move; if its answer is lost it is not resent, the position read back decides."""
+        """Send one move. It is not resent if its answer is lost; the position read back decides."""
         line = grbl.move_line(self._settings.letters, target, feed)
         try:
             self._command(line, min(deadline, self._transport.now() + REPLY_TIMEOUT))
@@ -251,14 +251,14 @@ class GrblDialect:
             self.set_position(axes, deadline)
 
     def set_position(self, axes: Axes, deadline: float) -> None:
-        """Send ``G92``, which a reset clears, then the mark that proves no reset happened."""
+        """Send ``G92`` and the mark. A reset clears both, so the mark proves that none happened."""
         self._offset, self._frozen = None, False
         self._command(grbl.set_position_line(self._settings.letters, axes), deadline)
         self._command(MARK_LINE, deadline)
         while self._offset is None:
             self._ask_status(deadline)
-        # From here on the offset is fixed and only the machine position counts. If a bit error
-        # turns a line into another G92, the arm is then found not to be where it was sent.
+        # From here on the offset is fixed and only the machine position counts. A line that a bit
+        # error turns into another G92 is then detected as a position mismatch.
         self._frozen = True
         self._marked = True
 
@@ -357,8 +357,8 @@ class GrblDialect:
     def _command(self, line: bytes, deadline: float) -> list[grbl.Frame]:
         """Send one line, wait for its ``ok``, and return the frames received before it.
 
-        An ``ok`` does not identify its line. If the ``ok`` of an earlier line is outstanding, the
-        line is resynchronised first, so that this ``ok`` is not taken for the new line's.
+        An ``ok`` does not identify its line. If the ``ok`` of an earlier line is outstanding, it
+        is awaited first, so that it is not taken for the answer to this line.
         """
         if self._unanswered:
             self._resynchronise(deadline)
@@ -549,7 +549,7 @@ class GrblDialect:
         return findings
 
     def _compare(self, deadline: float) -> list[Finding]:
-        """Compare the controller's settings with the needs."""
+        """Compare the controller's settings with the required ones."""
         heard = self._retried(b"$$\n", deadline)
         found = {frame.number: frame.value for frame in heard if isinstance(frame, grbl.Setting)}
         controller, settings = self._controller, self._settings
@@ -634,7 +634,7 @@ class GrblDialect:
         return told.get(name[1:], "missing").strip()
 
     def _limits(self, found: Mapping[int, float]) -> list[Finding]:
-        """Compare the controller's steps, rates, accelerations and travels with the needs."""
+        """Compare steps, rates, accelerations and travels with the required ones."""
         needs, columns = self._settings.needs, self._columns
 
         def four(first: int) -> tuple[list[str], list[float]]:
@@ -658,7 +658,10 @@ class GrblDialect:
     # Position at the end of homing.
 
     def _learn_homed_place(self, found: Mapping[int, float]) -> None:
-        """Compute the homed position from ``$$``: $27 off the end in $23; zero in some builds."""
+        """Compute the machine position after homing from ``$$``.
+
+        It is $27 away from the end that $23 selects, or zero in some builds.
+        """
         self._homed_unknown = ""
         self._homed_place = list(self._settings.home_place or ())
         needed = [23, 27, *(130 + column for column in self._columns)]

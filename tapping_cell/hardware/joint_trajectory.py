@@ -31,7 +31,7 @@ STRAIGHT = 1 - 1e-6
 COURSE_SAMPLES = 200
 """Number of samples of a trajectory in the search for the point nearest to the arm."""
 COURSE_WIDTH = 0.05
-"""Maximum distance from its trajectory of an arm that counts as following it, rad or m."""
+"""Maximum distance between an arm and a trajectory that it is following, rad or m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +154,7 @@ class Course:
 def brake_point(
     positions: Sequence[float], velocities: Sequence[float], max_acceleration: Sequence[float]
 ) -> TrajectoryPoint:
-    """Return the point where all joints stop together, the slowest at its full deceleration."""
+    """Return the point where all joints stop together, after the longest braking time of any."""
     slowest = max(abs(v) / a for v, a in zip(velocities, max_acceleration, strict=True))
     duration = max(slowest, LEAST_TIME)
     return TrajectoryPoint(

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 LONGEST_LINE = 512
-"""Maximum bytes without an end of line, after which the input is treated as noise."""
+"""Number of bytes without an end of line after which the input is treated as noise."""
 
 QUICK_STOP = b"\nM410\n"
 """Immediate stop for firmware with the emergency parser; the first newline ends a partial line."""
@@ -142,7 +142,7 @@ Frame = (
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """Result of ``decode``: ``frame`` is None if more bytes are needed; ``rest`` is not decoded."""
+    """A decoded frame (None if more bytes are needed), and the bytes not decoded yet."""
 
     frame: Frame | None
     rest: bytes

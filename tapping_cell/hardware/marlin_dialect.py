@@ -28,7 +28,7 @@ SHORT_SILENCE = 0.6
 """Longest silence during any other line, which is answered immediately, s."""
 LONG_CODES = ("M400", "G28")
 REPEAT_SILENCE = 0.4
-"""Longest silence after a line is resent, s; it is answered at once unless already accepted."""
+"""Longest silence after a line is resent, s; a line that was already accepted has no answer."""
 DRAIN_SILENCE = 0.05
 """Silence after which the line counts as drained, s."""
 POLL_PERIOD = 0.02
@@ -113,7 +113,7 @@ class MarlinDialect:
         return firmware
 
     def inspect(self, deadline: float) -> tuple[Firmware, list[Finding]]:
-        """Identify the firmware and compare its settings with the needs; nothing moves."""
+        """Identify the firmware and compare its settings with the required ones; nothing moves."""
         self._buffer = b""
         self._frames.clear()
         self._known = False
@@ -465,7 +465,7 @@ class MarlinDialect:
         return {}
 
     def _compare(self, deadline: float) -> list[Finding]:
-        """Compare steps, rates, accelerations and soft end stops with the needs."""
+        """Compare steps, rates, accelerations and soft end stops with the required ones."""
         needs = self._settings.needs
         if needs == ControllerNeeds():
             return []
@@ -502,7 +502,7 @@ class MarlinDialect:
         if not self._steps or not set(letters) <= set(frame.counts):
             return AxisReading(commanded, False, "", False, asked)
         actual = tuple(frame.counts[a] / self._steps[a] for a in letters)
-        # Commanded values are rounded to 0.01; a larger difference plus one step means motion.
+        # Commanded values are rounded to 0.01; a difference beyond that and one step is motion.
         moving = any(
             abs(a - c) > 0.006 + 1 / self._steps[letter]
             for a, c, letter in zip(actual, commanded, letters, strict=True)

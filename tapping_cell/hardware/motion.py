@@ -80,7 +80,7 @@ def strike_path(
     fast = settings.travel_speed
     slow_from = goal._replace(quill=goal.quill + settings.near_height)
     brief = slow_from.quill >= above.quill - 1e-9
-    # If the line of the fast step is lost, the whole descent is slow, which is harmless.
+    # If the command of the fast step is lost, the whole descent is slow, which is harmless.
     lower = Waypoint(goal, near, "lower", None if brief else slow_from, None if brief else fast)
     return _moves(
         Joints(*current),
@@ -137,7 +137,7 @@ def raise_step(
         )
         solution = geometry.inverse(behind, geometry.branch_of(start), near=start)
         if solution.joints is not None:
-            # If the line of this step is lost, the striker rises vertically, which is harmless.
+            # If the command of this step is lost, the striker rises vertically, which is harmless.
             low = via = solution.joints
     raised = low._replace(quill=max(start.quill, _clear_quill(geometry, settings)))
     # Only the step backwards is near the object, so raising may be fast.

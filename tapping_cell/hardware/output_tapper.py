@@ -8,7 +8,7 @@ computer falls silent. The driver takes these measures instead:
 - A shot number is stored on disk before the shot is sent, so that no restart sends it again.
 - The guard must have been reported closed within ``guard_timeout``, and a read-back must be off.
 - If no read-back showed the output on, the outcome is UNKNOWN and the camera must decide.
-- If the output is not proven off afterwards, the session ends and no shot is accepted until it is.
+- If the output is not proven off afterwards, the session ends; a new one requires the proof.
 
 The driver assumes, but cannot enforce, that a request takes effect within ``latency``.
 """
@@ -66,8 +66,8 @@ class OutputTapperSettings:
     """Longest silence of the guard input and of the read-back, s."""
 
     def pulse_for(self, energy: float) -> float:
-        """Return the pulse length in s, interpolated linearly in the root of the energy, as is the
-        striker's speed."""
+        """Return the pulse length in s, interpolated linearly in the square root of the energy, as
+        the striker's speed is."""
         return float(np.interp(math.sqrt(energy), np.sqrt(self.energies), self.pulses))
 
 

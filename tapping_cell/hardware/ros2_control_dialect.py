@@ -26,7 +26,7 @@ LEAST_RATE = 20.0
 RATE_WINDOW = 0.5
 """Time over which the rate is measured, s."""
 CLOCK_LIMIT = 0.1
-"""Maximum time of a stamp in the future, s; a greater one is from an unsynchronised clock."""
+"""Maximum time by which a stamp is in the future, s; more means unsynchronised clocks."""
 WAIT = 0.02
 """Longest wait between checks for a sample, s."""
 
@@ -39,7 +39,7 @@ class Ros2ControlSettings:
     max_acceleration: tuple[float, ...]
     """Maximum accelerations, rad/s^2 or m/s^2."""
     tolerance: tuple[float, ...]
-    """Position tolerances of the arm, rad or m; a joint at rest may vary by half of its value."""
+    """Position tolerances of the arm, rad or m; joints at rest may vary by half of them."""
     state_timeout: float = 0.25
     """Longest silence of the joint states, s."""
     axes: tuple[str, ...] = ()
@@ -59,7 +59,7 @@ class Ros2ControlDialect:
 
     @property
     def units(self) -> Sequence[float]:
-        """Units per rad or m of each joint, which are all 1."""
+        """Controller units per rad or m of each joint; all are 1."""
         return (1.0,) * len(self._names)
 
     @property

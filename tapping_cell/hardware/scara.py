@@ -101,12 +101,12 @@ def _wrap(angle: Array) -> Array:
 
 
 def _into_range(angle: Array, low: float, high: float, near: float) -> tuple[Array, Array]:
-    """Return the equivalent of ``angle`` in [low, high] nearest to ``near``, and its excess over
-    the range (0 if it is inside)."""
+    """Return ``angle`` with whole turns added to be in [low, high] and nearest to ``near``, and
+    its excess over the range (0 if it is inside)."""
     turns = _wrap(angle)[..., None] + 2 * math.pi * np.arange(-2, 3)
     excess = np.maximum(np.maximum(low - turns, turns - high), 0.0)
     excess = np.where(excess <= LIMIT_SLACK, 0.0, excess)
-    # The excess decides first; the distance to `near` only among equivalents inside the range.
+    # The excess decides first; the distance to `near` only among angles inside the range.
     order = np.where(excess > 0, 1e3 + excess, np.abs(turns - near) * 1e-3)
     best = np.argmin(order, axis=-1)[..., None]
     return (
@@ -232,8 +232,8 @@ class ScaraGeometry:
     ) -> ManySolutions:
         """Return joints for tip poses (..., 4) = x, y, z, yaw in ``arm_base`` on one elbow side.
 
-        ``near``: joints (4,); of equivalent shoulder and tool angles, the nearest to these are
-        returned (zero when None).
+        ``near``: joints (4,). Whole turns are added to the shoulder and tool angles to bring them
+        nearest to these (to zero when None).
         """
         p = np.asarray(poses, dtype=float)
         close = np.zeros(4) if near is None else np.asarray(near, dtype=float)

@@ -180,7 +180,7 @@ def pose_matrix(pose: ArrayLike) -> Array:
 
 
 def _terms(joint: ChainJoint) -> tuple[Array, Array, Array]:
-    """Return the 4 x 4 terms of a joint's transform; the caller's comment gives the formula."""
+    """Return the terms (fixed, sine, cosine) of a joint's transform, 4 x 4 each."""
     origin = np.asarray(joint.origin, dtype=np.float64)
     x, y, z = joint.axis
     first: Array = np.zeros((4, 4))

@@ -104,7 +104,7 @@ class SerialTransport:
                 readable, _, _ = select.select([port], [], [], wait)
                 if readable:
                     # After an unplug, `in_waiting` raises a bare OSError and `read` a
-                    # SerialException. An end of file is readable with no bytes waiting.
+                    # SerialException. At end of file it is readable with no bytes waiting.
                     return bytes(port.read(max(port.in_waiting, 1)))
             except (OSError, ValueError, TypeError) as error:
                 raise self._lost(error) from error

@@ -166,7 +166,7 @@ class TapperDriver:
     def release_impossible_after(self) -> float:
         """Time of the host's steady clock, in s, after which no shot sent so far can be released.
 
-        This includes shots of an earlier process and holds whatever frames were lost.
+        This includes shots of an earlier process, and lost frames do not change it.
         """
         return self._release_by
 
@@ -543,8 +543,8 @@ class TapperDriver:
         return reply
 
     def _exchange(self, frame: bytes, sequence: int, attempts: int) -> Reply | None:
-        """Send the same frame until the reply to its sequence number arrives; None if it does
-        not."""
+        """Send a frame up to ``attempts`` times until its reply arrives; return None without a
+        reply."""
         for attempt in range(attempts):
             self.counters.retries += attempt > 0
             reply = self._send(frame, sequence, self.settings.reply_timeout)

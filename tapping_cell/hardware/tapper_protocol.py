@@ -145,7 +145,7 @@ class Bad:
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """Result of ``decode``: ``frame`` is None if more bytes are needed; ``rest`` is not decoded."""
+    """A decoded frame (None if more bytes are needed), and the bytes not decoded yet."""
 
     frame: Reply | OtherFirmware | Bad | None
     rest: bytes

@@ -109,7 +109,7 @@ def _bars(geometry: ScaraGeometry) -> dict[str, _Bar]:
 
 
 def _efforts(geometry: ScaraGeometry, bars: dict[str, _Bar]) -> tuple[float, float, float, float]:
-    """Return torques in N m and the quill's force in N at maximum acceleration, stretched out."""
+    """Return torques (N m) and the quill's force (N) at maximum acceleration, arm stretched out."""
     rod, tool = bars["quill_rod"], bars["tool"]
     reach = geometry.forearm
     elbow = bars["forearm"].about_z(0.0) + rod.about_z(reach) + tool.about_z(reach)

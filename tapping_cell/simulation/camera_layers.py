@@ -24,9 +24,9 @@ INK = 0.06
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """A centred texture (rows, columns, 2) of reflectance times coverage, and coverage.
+    """A texture (rows, columns, 2) around the origin, with ``texel`` as the texel size in m.
 
-    ``texel``: size of a texel, m.
+    Its channels are reflectance times coverage, and coverage.
     """
 
     texture: Array32

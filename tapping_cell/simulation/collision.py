@@ -133,8 +133,8 @@ def impact(
 
 
 def _separation(points: Array, polygon: Array) -> tuple[float, Array, Array] | None:
-    """Return the largest distance of the points from a polygon along one of its outward edge
-    normals, that normal, and the nearest point; None for a polygon without edges."""
+    """Return the largest separation of the points from a polygon over its edge normals (separating
+    axis theorem), that outward normal, and the nearest point; None for a polygon without edges."""
     if polygon.shape[0] < 3:
         return None
     edges = np.roll(polygon, -1, axis=0) - polygon

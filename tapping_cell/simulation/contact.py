@@ -236,7 +236,7 @@ class Contact:
             flight.y += half * flight.vy
             flight.left -= step * flight.speed
             if flight.left <= 0 and flight.speed > 0:
-                flight.vx = flight.vy = 0.0  # the end of its stroke stops it dead
+                flight.vx = flight.vy = 0.0  # the end of the stroke stops the striker
             elapsed += step
         flight.dent = max(0.0, dent)
         return Motion(x, y, theta, vx, vy, omega), elapsed

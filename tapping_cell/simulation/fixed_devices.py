@@ -24,7 +24,7 @@ RETURN_SPEED = 1.0
 
 OnFixedStrike = Callable[[Pose, float, float, TapperSection, float], tuple[float, float]]
 """Callback of a release: true tip pose in ``table``, its height in m, commanded speed in m/s, the
-tapper, time in s. Returns the speed that the speed gate measures, m/s, and the tip's travel, m."""
+tapper, time in s. Returns the speed measured by the speed gate, m/s, and the tip's travel, m."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -170,7 +170,7 @@ class Slide:
         return after, length
 
     def rest(self, motion: Motion) -> tuple[Motion, float]:
-        """Return the final motion at rest and the elapsed time in s.
+        """Integrate until the body is at rest; return its motion then and the elapsed time in s.
 
         Raises:
             ValueError: friction does not stop the body within a minute, as on a steep slope.

@@ -16,7 +16,7 @@ LEAVE_STEPS = 400
 HYSTERESIS_LIMIT = 50
 """Step count from which the switch must be open."""
 SLACK = 6
-"""Maximum difference, in steps, between the switch and its closing position at homing."""
+"""Maximum difference, in steps, between where the switch closes and where it did at homing."""
 SETTLE_TIME = 0.002
 """Time for which the switch level must be constant to count, s; no steps are made meanwhile."""
 WAKE_TIME = 0.010
@@ -173,7 +173,7 @@ class SpringDrive:
         self._begin(self._phase, now)
 
     def set_switch(self, stuck: bool | None, now: float) -> None:
-        """Make the front switch stuck closed (True), stuck open (False), or working (None)."""
+        """Set the front switch to stuck closed (True), stuck open (False), or working (None)."""
         self._take(now)
         self._stuck = stuck
         self._begin(self._phase, now)

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SimulatedTaps:
-    """Places the striker where the planner's mechanics require and simulates the tap.
+    """Simulates taps, with the striker placed as the planner's mechanics compute.
 
     model: mechanics of the planner, which convert a displacement into a strike; content: object
     file that the truth is relative to; standoff: distance from the tip at rest to the contact, m;
