@@ -242,7 +242,7 @@ class ChainLink:
         )
 
     def _expected(self, time: float) -> Array:
-        """Return the SCARA's planned position at ``time``, or its last position without a plan."""
+        """Return the SCARA's planned position at ``time``; without a plan, its last position."""
         if self._course is None:
             return self._near
         began, stretch, course = self._course

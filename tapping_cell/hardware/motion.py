@@ -202,7 +202,7 @@ def check_limits(geometry: ScaraGeometry, joints: Sequence[float]) -> None:
 
 
 def _clear_quill(geometry: ScaraGeometry, settings: MotionSettings) -> float:
-    """Return the quill value with the tip at travel height."""
+    """Return the quill value at which the tip is at travel height."""
     clear = settings.travel_height - geometry.tip_height
     if clear > geometry.upper[2] + 1e-9:
         raise HardwareFault(

@@ -92,7 +92,7 @@ class OutputTapperDriver:
 
     @property
     def connected(self) -> bool:
-        """Whether the output is available and was proven off, as far as known."""
+        """Whether the output is available and was proven off, as far as is known."""
         return self._connected and self._link.is_open
 
     @property

@@ -49,7 +49,7 @@ class SerialTransport:
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open, as far as known."""
+        """Whether the port is open, as far as is known."""
         return self._port is not None
 
     def now(self) -> float:

@@ -139,7 +139,7 @@ class TapperDriver:
 
     @property
     def connected(self) -> bool:
-        """Whether a session is open, as far as known."""
+        """Whether a session is open, as far as is known."""
         return self._boot is not None and self._transport.is_open
 
     @property

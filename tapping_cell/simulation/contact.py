@@ -21,7 +21,7 @@ from tapping_cell.simulation.sliding import Acceleration, Motion
 TOUCH_M = 1e-8
 """Maximum distance between ball and object that counts as contact, m."""
 SMALLEST_RESTITUTION = 0.05
-"""Lower limit of the restitution; below it the unloading spring would need too short steps."""
+"""Lower limit of the restitution; below it the unloading spring would need very short steps."""
 _STEPS = 100
 """Steps per contact time in a contact that determines the object's launch."""
 _COARSE_STEPS = 10

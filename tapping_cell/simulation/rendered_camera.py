@@ -128,7 +128,7 @@ class SceneRenderer:
         self.view = View(camera, pose)
         self.settings = settings or SceneSettings()
         self._random = np.random.default_rng(seed)
-        # The coverage of whole pixels already includes a pixel's own area.
+        # Pixel coverage already averages over a pixel's area, so the point spread excludes it.
         self._point_spread = max(0.1, np.sqrt(max(0.0, self.settings.blur**2 - 1.0 / 12.0)))
         distance = float(pose.position[2])
         pixel = distance / camera.fx
@@ -337,7 +337,7 @@ class SceneRenderer:
         return np.round(field * np.float32(self.settings.noise * _FRACTION)).astype(np.int16)
 
     def _noise_field(self) -> NDArray[np.int16]:
-        """Return a random window of the noise pool, of about 200 000 different ones."""
+        """Return one of about 200 000 windows of the noise pool, chosen at random."""
         camera = self.view.camera
         _, rows, columns = self._noise.shape
         which = self._random.integers(self._noise.shape[0])

@@ -16,7 +16,7 @@ LEAVE_STEPS = 400
 HYSTERESIS_LIMIT = 50
 """Step count from which the switch must be open."""
 SLACK = 6
-"""Maximum difference, in steps, between where the switch closes and where it did at homing."""
+"""Maximum difference of the switch's closing position from that at homing, steps."""
 SETTLE_TIME = 0.002
 """Time for which the switch level must be constant to count, s; no steps are made meanwhile."""
 WAKE_TIME = 0.010
@@ -34,7 +34,7 @@ class SpringMechanism:
     step_rate: float = 4000.0
     """Step rate, 1/s."""
     longest_draw: int = 12000
-    """Maximum draw, steps."""
+    """Maximum position of the carriage when charging, steps."""
     switch_hysteresis: float = 24.0
     """Distance between the switch's closing and opening positions, steps."""
     back_drive: float = 4000.0
@@ -123,7 +123,7 @@ class SpringDrive:
         return self.mechanism.can_store(energy)
 
     def charge(self, energy: float, now: float) -> None:
-        """Draw the spring to store ``energy`` in J."""
+        """Charge the spring with ``energy`` in J."""
         self.out(self.mechanism.steps_for(energy), now)
 
     def stored(self, now: float) -> float:
@@ -146,7 +146,7 @@ class SpringDrive:
         self._begin(Phase.LEAVING, now, wake)
 
     def out(self, steps: int, now: float) -> None:
-        """Draw the spring by ``steps``, if the position is known."""
+        """Charge the spring to the position ``steps``, if the present position is known."""
         if self._phase is Phase.HOLDING:
             self._target, self._opened = steps, False
             self._begin(Phase.OUT, now)

@@ -94,7 +94,7 @@ def _face(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
 
 
 def _rim(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
-    """Return points along the outline, weighted by their length of it."""
+    """Return points along the outline, weighted by the length that each represents."""
     if isinstance(body, Polygon):
         lengths = body.edge_lengths
         points, shares = [], []

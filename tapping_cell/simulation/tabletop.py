@@ -25,9 +25,9 @@ SHORTEST_STEP_S, LONGEST_STEP_S = 1e-4, 2e-3
 TOUCHING_M = 2e-5
 """Distance below which objects touch, m."""
 NOTED_SPEED = 0.001
-"""Closing speed below which a contact is not reported, m/s, as of objects that slide together."""
+"""Minimum closing speed of a reported contact, m/s; excludes objects sliding side by side."""
 APART_S = 0.05
-"""Time after a contact within which another one of the same objects is not reported, s."""
+"""Time after a contact within which further ones of the same two objects are ignored, s."""
 START_GAP_M = 0.04
 """Minimum gap between a randomly placed object and the others, m."""
 EDGE_M = 0.06
@@ -179,7 +179,7 @@ class Tabletop:
         return contacts
 
     def _spread(self, truth: TruthFile) -> None:
-        """Place the further objects as the truth file says, or at random free poses."""
+        """Place the further objects at the poses of the simulation parameters, or at random."""
         own, *further = self.worlds
         for name, start in zip(further, truth.further_starts, strict=False):
             self.worlds[name].place(Pose(*start))
@@ -203,7 +203,7 @@ class Tabletop:
             world.advance(self._now)
 
     def _pairs(self) -> list[tuple[str, str, float]]:
-        """Return the pairs of which one moves, with an upper bound of the closing speed, m/s."""
+        """Return each pair with a moving object, and an upper bound of its closing speed, m/s."""
         speeds = {}
         for name, world in self.worlds.items():
             vx, vy, omega = world.twist

@@ -24,7 +24,7 @@ class SimulatedTaps:
     """Simulates taps, with the striker placed as the planner's mechanics compute.
 
     model: mechanics of the planner, which convert a displacement into a strike; content: object
-    file that the truth is relative to; standoff: distance from the tip at rest to the contact, m;
+    file to which ``truth`` is relative; standoff: distance from the tip at rest to the contact, m;
     stroke: maximum travel of the tip, m; round_position, round_angle: increments to which the tip's
     pose at rest is rounded (m, rad), 0 for none.
     """
@@ -48,7 +48,7 @@ class SimulatedTaps:
         """Return true displacements (n, 3) of taps on objects at ``poses``, planned for ``seen``.
 
         All arrays but ``gains`` are (n, 3) in table axes. The first two of ``gains`` (n, 4) also
-        multiply distance and rotation; the other two are ignored, because the truth file gives the
+        multiply distance and rotation; the other two are ignored, because ``truth`` gives the
         centre of mass. A tap that misses moves nothing.
         """
         plan = self.model.plan(commanded, seen)

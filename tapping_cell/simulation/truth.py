@@ -1,7 +1,7 @@
 """Parameters of the simulated world that planners do not receive: ``config/truth/*.yaml``.
 
 Factors multiply the values of the object, cell and camera files, and offsets are added to them, so
-that one truth file applies to every object.
+that one file applies to every object.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ class ArmTruth:
 
 @dataclass(frozen=True, slots=True)
 class MountsTruth:
-    """True lines of travel of fixed tappers, drawn with the seed around the cell file's."""
+    """True lines of travel of fixed tappers, drawn at random around those of the cell file."""
 
     offset: float = quantity(
         "standard deviation of a line beside its place", "m", 0.0, 0.01, default=0.0002

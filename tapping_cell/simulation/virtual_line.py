@@ -36,7 +36,7 @@ class VirtualClock:
     def step(self, until: float, reading: FaultLayer | None = None) -> None:
         """Go to the next event of any line, at most to ``until``; raises HangError past the limit.
 
-        ``reading``: the line on whose bytes to the host the caller waits.
+        ``reading``: the line from which the caller waits for bytes.
         """
         times = [t for line in self._lines if (t := line.next_on_line()) is not None]
         if reading is not None and (output := reading.next_event()) is not None:
@@ -69,7 +69,7 @@ class VirtualTransport:
 
     @property
     def is_open(self) -> bool:
-        """Whether the line is open, as far as known."""
+        """Whether the line is open, as far as is known."""
         return self._absences is not None
 
     def now(self) -> float:

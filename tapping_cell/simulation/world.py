@@ -35,7 +35,7 @@ class _Scatter:
     turn: float
 
     def apply(self, before: Motion, after: Motion) -> Motion:
-        """Return the motion after a contact with its change of the twist scattered."""
+        """Return the motion after a contact, with random errors on its change of the twist."""
         vx, vy = after.vx - before.vx, after.vy - before.vy
         cos, sin = math.cos(self.turn), math.sin(self.turn)
         return after._replace(
@@ -105,7 +105,7 @@ class World:
         self.solid = Solid.of(body, offset, inertia)
         """The object's shape for collisions with other objects."""
         self._random = np.random.default_rng(random)
-        # A separate generator, so that the scatter of a tap does not depend on being measured.
+        # A separate generator, so that measuring the speed does not change a tap's scatter.
         self._gate_random = self._random.spawn(1)[0]
         self._tap: _Tap | None = None
         self._now = -math.inf
@@ -131,7 +131,7 @@ class World:
 
     @property
     def pose(self) -> Pose:
-        """Pose of the object at the time of the last ``advance``."""
+        """Pose of the object at the time that the world was last advanced to."""
         motion = self._motion()
         x, y = self._truth.support.mass_offset
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
@@ -143,13 +143,13 @@ class World:
 
     @property
     def twist(self) -> tuple[float, float, float]:
-        """Velocity of the centre of mass in table, m/s, and spin, rad/s, at that time."""
+        """Velocity of the centre of mass (m/s, in table) and spin (rad/s) at the last ``advance``."""
         motion = self._motion()
         return motion.vx, motion.vy, motion.omega
 
     @property
     def motion(self) -> Motion:
-        """Pose and twist of the centre of mass at that time."""
+        """Pose and twist of the centre of mass at the last ``advance``."""
         return self._motion()
 
     def go_on(self, motion: Motion) -> None:
@@ -176,7 +176,7 @@ class World:
         self._cut(self._centred(pose))
 
     def take_striker(self, striker: Striker, stroke: float) -> None:
-        """Change the striker and its stroke in m, because each of several tappers has its own."""
+        """Change the striker and its stroke in m; with several tappers, each has its own."""
         self._stroke = stroke
         if striker != self._striker:
             self._striker, self._contact = striker, self._contact_with(striker)
