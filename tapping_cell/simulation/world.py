@@ -143,7 +143,7 @@ class World:
 
     @property
     def twist(self) -> tuple[float, float, float]:
-        """Velocity of the centre of mass (m/s, in table) and spin (rad/s) at the last ``advance``."""
+        """Velocity (m/s, in table) and spin (rad/s) of the centre of mass, as of ``motion``."""
         motion = self._motion()
         return motion.vx, motion.vy, motion.omega
 
