@@ -27,8 +27,8 @@ REPLY_TIMEOUT = 0.5
 REST_PATIENCE = 15.0
 """Longest wait before homing for the last move of another program to end, s."""
 EARLY = 0.002
-"""Time before the computed end of a move when polling starts, s. A move starts before its ``ok``
-arrives."""
+"""Time from the start of polling to the computed end of a move, s. Polling starts early because a
+move starts before its ``ok`` arrives."""
 POLL_PERIODS = (0.002, 0.02)
 """First and longest time between status queries at the end of a move, s; it doubles with each
 query. During the move the controller is not queried."""

@@ -34,8 +34,8 @@ DRAIN_SILENCE = 0.05
 POLL_PERIOD = 0.02
 """Time between position queries while the last steps of a move are made, s."""
 EARLY = 0.003
-"""Time before the computed end of a move when polling starts, s. A move starts before its ``ok``
-arrives."""
+"""Time from the start of polling to the computed end of a move, s. Polling starts early because a
+move starts before its ``ok`` arrives."""
 FIRST_NUMBERS = (1000, 100_000_000)
 """Range of the first line number; a board that was reset counts from 0 instead."""
 RESET_PAUSE = 0.5

@@ -131,7 +131,7 @@ class SpringDrive:
         return self.mechanism.energy_at(self.place(now))
 
     def at_mounts(self, now: float) -> int:
-        """Return 0, because no switches at mounts exist; the tapper is on an arm."""
+        """Return 0, because a tapper on an arm has no switches at mounts."""
         return 0
 
     def released(self, channel: int, now: float) -> None:

@@ -143,7 +143,7 @@ class World:
 
     @property
     def twist(self) -> tuple[float, float, float]:
-        """Velocity (m/s, in table) and spin (rad/s) of the centre of mass, as of ``motion``."""
+        """Present velocity (m/s, in table) and spin (rad/s) of the centre of mass."""
         motion = self._motion()
         return motion.vx, motion.vy, motion.omega
 
