@@ -1,5 +1,6 @@
-"""The devices: SCARA kinematics, serial codecs, transport, the arm's and the tapper's drivers.
+"""Hardware drivers: SCARA kinematics, serial codecs, transport, and the arm and tapper drivers.
 
-Nothing here knows ROS or simulation. Blocking calls belong to one worker thread; ``stop()`` may be
-called from any thread. Time is the transport's steady clock, in s.
+This package does not depend on ROS or on the simulation. Blocking calls belong to one worker
+thread; ``stop()`` may be called from any thread. Times are those of the transport's steady clock,
+in s.
 """

@@ -1,7 +1,8 @@
-"""The arm's driver: safe moves of a SCARA through a controller's dialect.
+"""Arm driver: safe moves of a SCARA through a controller dialect.
 
-Success of a move is: idle, and a position read back within tolerance. No motion before homing;
-after a stop, a reset or an alarm everything is forgotten and homing is demanded again.
+A move succeeds when the controller is idle and the position read back is within tolerance. The arm
+does not move before homing. A stop, a reset or an alarm discards the position and requires a new
+homing.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.transport import Connection
 
 MOVE_ATTEMPTS = 3
-"""A line that was lost or garbled is sent again this often while the arm stands where it stood."""
+"""Maximum number of times a move is sent. It is repeated only while the arm has not moved."""
 
 FRESHNESS = 0.05
-"""A reading younger than this is not asked for again before a move, s."""
+"""Maximum age of a reading that is reused at the start of a move, s."""
 LEAST_FEED = 0.001
-"""The slowest feed that a line can carry, units/min."""
+"""Lowest feed rate that a move line can carry, units/min."""
 
 UNHOMING = frozenset(
     {
@@ -49,29 +50,29 @@ UNHOMING = frozenset(
         FaultReason.HOMING_FAILED,
     }
 )
-"""Faults after which the arm's position is not trusted."""
+"""Faults after which the arm's position is no longer trusted."""
 
 
 OF_A_STOP = (FaultReason.STOPPED, FaultReason.ALARM, FaultReason.BOARD_RESET)
-"""What a call can end with because somebody stopped the arm."""
+"""Reasons with which a call can fail because the arm was stopped."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Path:
-    """Places that the arm passes, the first where it stands, and the speed of each leg as a share
-    of the joints' largest speeds."""
+    """Waypoints of a move, starting at the current position, and the speed of each leg as a
+    fraction of the maximum joint speeds."""
 
     places: tuple[Joints, ...]
     speeds: tuple[float, ...]
 
     def legs(self) -> Iterator[tuple[Joints, Joints, float]]:
-        """Start, end and speed of each leg."""
+        """Yield the start, end and speed of each leg."""
         for (start, end), speed in zip(pairwise(self.places), self.speeds, strict=True):
             yield start, end, speed
 
 
 class ArmDriver:
-    """One arm on one line. All calls block and belong to one thread; ``stop`` to any."""
+    """Driver of one arm on one line. All calls but ``stop`` block and belong to one thread."""
 
     def __init__(
         self,
@@ -95,12 +96,12 @@ class ArmDriver:
 
     @property
     def firmware(self) -> Firmware | None:
-        """Who answered at the last connect."""
+        """Firmware that answered at the last connect; None before the first one."""
         return self._firmware
 
     @property
     def connected(self) -> bool:
-        """Whether the line is open and the controller was understood."""
+        """Whether the line is open and the controller was identified."""
         return self._connected and self._transport.is_open
 
     @property
@@ -110,13 +111,13 @@ class ArmDriver:
 
     @property
     def fault(self) -> HardwareFault | None:
-        """The latched fault or stop that ``clear_fault`` ends; None when the arm may move."""
+        """The latched fault or stop, until ``clear_fault``; None when the arm may move."""
         if self._fault is None and self._stopped.is_set():
             return self._stop_fault()
         return self._fault
 
     def now(self) -> float:
-        """The clock of ``ArmReading.stamp``, s."""
+        """Return the current time of the clock of ``ArmReading.stamp``, s."""
         return self._transport.now()
 
     @property
@@ -125,12 +126,12 @@ class ArmDriver:
         return self._dialect.counters
 
     def connect(self, timeout: float = 5.0) -> Firmware:
-        """Open the line, identify the controller, read where it is.
+        """Open the line, identify the controller, and read the position.
 
-        ``timeout``: longest wait for the port, and then for the controller to answer, s. Homing
-        survives a reconnect only when the controller proves that it was not reset and stands where
-        it stood. Raises HardwareFault: PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE,
-        SETTINGS_MISMATCH, TIMEOUT, NEEDS_PERSON; the port is closed then.
+        ``timeout``: longest wait for the port, and then for the controller's answer, s. Homing
+        remains valid after a reconnect only if the controller proves that it was not reset and the
+        arm has not moved. If connecting fails, the port is closed. Raises HardwareFault:
+        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, SETTINGS_MISMATCH, TIMEOUT, NEEDS_PERSON.
         """
         self._connected = False
         self._fresh = None
@@ -153,12 +154,12 @@ class ArmDriver:
         return firmware
 
     def close(self) -> None:
-        """Close the line; homing is kept only if the next connect proves it."""
+        """Close the line; the next connect decides whether homing remains valid."""
         self._connected = False
         self._transport.close()
 
     def home(self, strategy: HomingStrategy) -> Joints:
-        """Find out or declare where the arm is, read it back, and allow motion.
+        """Home the arm, or declare its position, verify the position read back, and allow motion.
 
         Raises HardwareFault: HOMING_FAILED, POSITION_MISMATCH, OUT_OF_RANGE, ALARM, STOPPED.
         """
@@ -179,7 +180,7 @@ class ArmDriver:
         return joints
 
     def read(self) -> ArmReading:
-        """Ask the controller where the arm is; before homing the joints mean nothing."""
+        """Read the arm's state from the controller; joint values are invalid before homing."""
         self._require_line()
         try:
             self._fresh = self._read()
@@ -188,7 +189,7 @@ class ArmDriver:
         return self._fresh
 
     def read_joints(self) -> Joints:
-        """The joints, by question to the controller; raises NOT_HOMED before homing."""
+        """Return the joint values from a current reading; raises NOT_HOMED before homing."""
         self._require_ready(homed=True)
         return (self._recent() or self.read()).joints
 
@@ -200,13 +201,14 @@ class ArmDriver:
         via: Iterable[float] | None = None,
         via_speed: float | None = None,
     ) -> ArmReading:
-        """Move straight in joint space; returns when idle and read back within tolerance.
+        """Move straight in joint space; return when idle and read back within tolerance.
 
-        ``speed``: fraction of the joint speeds, in (0, 1]. ``deadline``: time of the transport's
-        clock, computed from the move when None. ``via``: joints on the way, which nobody confirms:
-        for where it does no harm if their line is lost; ``via_speed``: up to there. Raises
-        HardwareFault: OUT_OF_RANGE, NOT_HOMED, POSITION_LOST, POSITION_MISMATCH, TIMEOUT (the arm
-        is then stopped), ALARM, STOPPED, BOARD_RESET, REJECTED, DISCONNECTED.
+        ``speed``: fraction of the maximum joint speeds, in (0, 1]. ``deadline``: time of the
+        transport's clock; None computes it from the move's duration. ``via``: intermediate joints.
+        Their arrival is not verified, so it must be harmless if they are skipped. ``via_speed``:
+        speed up to ``via``. Raises HardwareFault: OUT_OF_RANGE, NOT_HOMED, POSITION_LOST,
+        POSITION_MISMATCH, TIMEOUT (the arm is then stopped), ALARM, STOPPED, BOARD_RESET, REJECTED,
+        DISCONNECTED.
         """
         goal = Joints(*joints)
         first_speed = speed if via_speed is None else via_speed
@@ -225,7 +227,7 @@ class ArmDriver:
             raise self._noted(fault) from fault.__cause__
 
     def follow(self, path: Iterable[Waypoint]) -> ArmReading:
-        """Take the waypoints one by one, settle, and read back once more; raises as ``move_to``."""
+        """Move to each waypoint in turn, settle, and verify the end; raises as ``move_to``."""
         last: Joints | None = None
         for waypoint in path:
             self.move_to(
@@ -235,14 +237,14 @@ class ArmDriver:
         return self.settle(last)
 
     def settle(self, goal: Joints | None) -> ArmReading:
-        """Let ``settle_time`` pass since the last move; the arm must still stand at ``goal``."""
+        """Wait until ``settle_time`` has passed since the last move and verify ``goal`` again."""
         self._require_ready(homed=True)
         rested = self._fresh.stamp if self._fresh is not None else self._transport.now()
         try:
             self._wait(rested + self.settings.settle_time)
             reading = self._arrive(self._transport.now(), self._reply_deadline())
             if goal is not None and not self._agrees(goal, reading.joints):
-                # One garbled report must not count: this asks until two agree.
+                # One garbled report must not count; _read() repeats until two reports agree.
                 reading = self._read()
                 if reading.moving or not self._agrees(goal, reading.joints):
                     raise self._mismatch(goal, reading.joints)
@@ -251,17 +253,17 @@ class ArmDriver:
         return reading
 
     def stop(self) -> bool:
-        """From any thread: stop at once; latches until ``clear_fault``.
+        """Stop the arm immediately and latch the stop until ``clear_fault``; from any thread.
 
-        Returns whether the stop bytes went out on the line. Best effort: the emergency stop is a
-        wire.
+        Returns whether the stop bytes were sent. This is best effort; the emergency stop is wired
+        in hardware.
         """
         self._stopped.set()
         self.counters.stops += 1
         return self._transport.stop(self._dialect.stop_bytes)
 
     def clear_fault(self, timeout: float = 5.0) -> None:
-        """End a latched fault or stop, opening the line again where it was lost.
+        """Clear a latched fault or stop, and reopen the line if it was lost.
 
         After a stop, an alarm or a reset the arm must be homed again.
         """
@@ -282,7 +284,7 @@ class ArmDriver:
                 self.close()
             noted = self._noted(fault)
             if must_unlock:
-                # What could not be cleared stays latched.
+                # A fault that could not be cleared stays latched.
                 self._fault = first or noted
             raise noted from fault.__cause__
         self._fault = None
@@ -318,7 +320,7 @@ class ArmDriver:
         return reading
 
     def _start(self) -> ArmReading:
-        """Where the arm stands before a move: where the last one left it."""
+        """Return the reading before a move; verify that the arm is where the last move ended."""
         start = self._recent() or self._read()
         self._fresh = None
         if start.alarm:
@@ -342,23 +344,24 @@ class ArmDriver:
         return start
 
     def _follow(self, path: _Path, deadline: float) -> tuple[ArmReading, HardwareFault | None]:
-        """Send a path, and what is left of it again where a garbled line was refused or lost.
+        """Send a path, and repeat the remaining part if a line was lost or rejected.
 
-        Returns the last reading, and why the arm is not at the path's end; None where it is.
+        Returns the last reading, and the reason why the arm is not at the end of the path (None
+        when it is).
         """
         goal = path.places[-1]
         for attempt in range(MOVE_ATTEMPTS):
             self.counters.retries += attempt > 0
-            # From here on the arm may be anywhere on the path.
+            # From here on the arm may be at any point of the path.
             self._confirmed = None
             refusal = self._send(path, deadline)
             if refusal is None:
                 reading = self._arrive(self._transport.now() + self._duration(path), deadline)
             elif len(path.places) > 2:
-                # The line before the refused one may be under way.
+                # The move before the rejected line may still be in progress.
                 self._arrive(self._transport.now(), deadline)
             if refusal is not None or not self._agrees(goal, reading.joints):
-                # One garbled report must not count: this asks until two agree.
+                # One garbled report must not count; _read() repeats until two reports agree.
                 reading = self._read()
             if not reading.moving and self._agrees(goal, reading.joints):
                 return reading, None
@@ -372,7 +375,7 @@ class ArmDriver:
         return sum(move_duration(self.geometry, a, b, speed) for a, b, speed in path.legs())
 
     def _send(self, path: _Path, deadline: float) -> HardwareFault | None:
-        """Send what leads from place to place; returns the controller's refusal of a step."""
+        """Send the moves of a path; return the fault if the controller rejected one of them."""
         moves: list[StraightMove] = []
         for start, goal, speed in path.legs():
             target = self._to_axes(goal)
@@ -388,7 +391,7 @@ class ArmDriver:
             self._dialect.start_moves(moves, deadline)
         except HardwareFault as fault:
             if fault.reason is FaultReason.UNREACHABLE:
-                # Found before anything was sent.
+                # The fault was found before anything was sent.
                 self._confirmed = path.places[0]
             if fault.reason is not FaultReason.REJECTED:
                 raise
@@ -396,7 +399,7 @@ class ArmDriver:
         return None
 
     def _arrive(self, expected_end: float, deadline: float) -> ArmReading:
-        """Wait for rest; the time of asking is the time of the reading."""
+        """Wait until the arm is at rest; the reading is stamped with the time of its request."""
         return self._in_joints(self._dialect.finish_move(expected_end, deadline))
 
     def _home_by_firmware(self) -> Joints:
@@ -436,7 +439,7 @@ class ArmDriver:
         return reading.joints
 
     def _recent(self) -> ArmReading | None:
-        """The last reading while it is young enough to begin a move with."""
+        """Return the last reading if it is recent enough to start a move from; else None."""
         fresh = self._fresh
         if fresh is None or self._transport.now() - fresh.stamp > FRESHNESS:
             return None
@@ -455,7 +458,7 @@ class ArmDriver:
         return self._converted(reading)
 
     def _converted(self, reading: AxisReading) -> ArmReading:
-        """In joint values, believed or not."""
+        """Convert a reading to joint values, even if the position cannot be trusted."""
         return ArmReading(
             self._to_joints(reading.axes),
             reading.moving,
@@ -474,7 +477,7 @@ class ArmDriver:
         return self._transport.now() + self.settings.reply_timeout
 
     def _wait(self, until: float) -> None:
-        """Rest without missing a stop; what comes on the line meanwhile belongs to the dialect."""
+        """Wait, and let the dialect process incoming data so that a stop is not missed."""
         while (left := until - self._transport.now()) > 0:
             self._dialect.idle(left)
 
@@ -509,11 +512,13 @@ class ArmDriver:
             raise HardwareFault(FaultReason.NOT_HOMED, "the arm is not homed: home it first")
 
     def _noted(self, fault: HardwareFault) -> HardwareFault:
-        """Draw the consequences of a fault; returns the one to raise: the first cause, once one is
-        latched, for a controller that raises an alarm then restarts, and a stop ends in an alarm.
+        """Apply the consequences of a fault and return the fault to raise.
+
+        A latched fault takes precedence, because later ones are often its consequence: an alarm can
+        be followed by a restart, and a stop causes an alarm.
         """
         if self._stopped.is_set() and fault.reason in OF_A_STOP:
-            # What a stop does to the controller is no fault of its own.
+            # The alarm or reset that a stop causes in the controller is not a separate fault.
             fault = self._fault or self._stop_fault()
         if fault is self._fault:
             return fault
@@ -525,14 +530,14 @@ class ArmDriver:
         return fault
 
     def _latch(self, fault: HardwareFault) -> HardwareFault:
-        """Keep the first fault until it is cleared; the position is not trusted from here on."""
+        """Latch the first fault until it is cleared; the position is no longer trusted."""
         self._homed = False
         self._confirmed = None
         self._fault = self._fault or fault
         return self._fault
 
     def _halted(self, fault: HardwareFault) -> HardwareFault:
-        """Stop an arm whose motion has not ended, and latch why."""
+        """Stop an arm whose motion has not ended, and latch the reason."""
         said = "the arm was stopped" if self.stop() else "a stop could not be sent to it"
         return self._latch(
             HardwareFault(fault.reason, f"{fault}; {said}: clear the fault and home again")

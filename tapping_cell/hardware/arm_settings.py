@@ -1,4 +1,4 @@
-"""What the arm's driver is told and what it tells: homing, tolerances, readings, counts."""
+"""Data of the arm driver: homing strategies, settings, readings, counters."""
 
 from __future__ import annotations
 
@@ -9,38 +9,38 @@ from tapping_cell.hardware.scara import Joints
 
 
 class HomingStrategy(Enum):
-    """How the arm learns where it is."""
+    """Method by which the arm's position is established."""
 
     FIRMWARE = "firmware"
-    """The controller's own cycle with home switches (``$H``, ``G28``)."""
+    """The controller's own homing cycle with home switches (``$H``, ``G28``)."""
     MANUAL_POSE = "manual_pose"
-    """A person has moved the arm to the marked pose; it is declared to be there."""
+    """A person moves the arm to the marked pose, which is then declared as its position."""
     NONE = "none"
-    """The controller knows its position by itself (absolute encoders)."""
+    """No homing: the controller knows its position (absolute encoders)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArmSettings:
-    """The arm's wiring, homing and tolerances; SI."""
+    """Wiring, homing and tolerances of the arm, in SI units."""
 
     axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
-    """Direction of each controller axis against the joint: 1 or -1."""
+    """Direction of each controller axis relative to its joint: 1 or -1."""
     home_joints: tuple[float, float, float, float] | None = (0.0, 1.5708, 0.0, 0.0)
-    """Joints where homing ends or the marked pose stands; None trusts the firmware's own zero."""
+    """Joint values at the end of homing or at the marked pose; None uses the firmware's zero."""
     homing_timeout: float = 60.0
-    """s."""
+    """Longest duration of homing, s."""
     reply_timeout: float = 2.0
-    """Longest time without any answer to a question, s."""
+    """Longest wait for the answer to a request, s."""
     move_factor: float = 1.5
-    """A move may take this times its computed duration ..."""
+    """Time limit of a move as a multiple of its computed duration, plus ``move_margin``."""
     move_margin: float = 2.0
-    """... and this much more, s."""
+    """Constant part of the time limit of a move, s."""
     tolerance_angle: float = 1e-3
     """Largest difference between a target and the position read back, rad."""
     tolerance_quill: float = 1e-4
-    """The same for the quill, m."""
+    """Largest difference between a target and the position read back, of the quill, m."""
     settle_time: float = 0.15
-    """Rest after the last waypoint of a path before it counts as reached, s."""
+    """Rest after the last waypoint of a path before the arm counts as arrived, s."""
     quill_brake: bool = False
     """Whether a brake or a counterweight holds the quill while its motor has no power."""
 
@@ -51,21 +51,21 @@ class ArmSettings:
 
 @dataclass(frozen=True, slots=True)
 class ArmReading:
-    """Where the arm is, read from the controller."""
+    """State of the arm, read from the controller."""
 
     joints: Joints
     moving: bool
     alarm: str
-    """Empty, or why the controller refuses to move."""
+    """Reason why the controller refuses to move; empty if it accepts moves."""
     measured: bool
-    """False where the controller can only repeat what it was commanded."""
+    """False if the controller can only report the commanded position."""
     stamp: float
-    """Time of the transport's steady clock just before the question was sent, s."""
+    """Time of the transport's steady clock just before the request was sent, s."""
 
 
 @dataclass(slots=True)
 class ArmCounters:
-    """Figures for diagnostics."""
+    """Counters for diagnostics."""
 
     moves: int = 0
     retries: int = 0

@@ -1,4 +1,4 @@
-"""What of the arm can hide the table from a camera: round bars along its links, quill and tool."""
+"""Shape of the arm for camera occlusion: round bars along its links, quill and tool."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from tapping_cell.hardware.scara import ScaraGeometry
 Array = NDArray[np.float64]
 
 QUILL_RADIUS = 0.012
-"""m; a quill that is thicker is covered by the margin of whoever asks."""
+"""Radius of the quill, m; callers cover a thicker quill by their own margin."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArmShape:
-    """Dimensions beside those of the kinematics, m."""
+    """Dimensions of the arm beyond those of its kinematics, m."""
 
     link_half_width: float = 0.03
     link_thickness: float = 0.04
     link_clearance: float = 0.03
-    """Undersides of the links over the tip with the quill at zero."""
+    """Height of the links' undersides above the tip with the quill at zero."""
     tool_half_width: float = 0.009
     tool_length: float = 0.12
-    """From the tip backwards along the line of travel."""
+    """Length of the tool from the tip backwards along the line of travel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bars:
-    """Round bars of N poses of an arm: ``start`` and ``end`` (N, K, 3), ``radius`` (K,), in m."""
+    """Round bars of N arm poses: ``start`` and ``end`` (N, K, 3), ``radius`` (K,), in m."""
 
     start: Array
     end: Array
@@ -38,9 +38,9 @@ class Bars:
 
 
 def arm_bars(geometry: ScaraGeometry, shape: ArmShape, joints: ArrayLike) -> Bars:
-    """The bars, in ``arm_base``, of an arm with joints (N, 4).
+    """Return the bars of an arm with joints (N, 4), in ``arm_base``.
 
-    A link is as many bars, one over the other, as its thickness needs.
+    Each link consists of several bars, stacked over its thickness.
     """
     given = np.asarray(joints, dtype=float)
     q = given + geometry.joint_offset
@@ -64,7 +64,7 @@ def arm_bars(geometry: ScaraGeometry, shape: ArmShape, joints: ArrayLike) -> Bar
 
 
 def _levels(shape: ArmShape) -> int:
-    """So that neighbours lie no farther apart than half the width."""
+    """Return the number of bars per link, spaced at most half the link's width apart."""
     return 2 + int(shape.link_thickness / shape.link_half_width)
 
 
@@ -73,6 +73,6 @@ def _direction(angle: Array) -> Array:
 
 
 def _at(place: Array, height: ArrayLike) -> Array:
-    """Places (N, 2) at a height, or one for each."""
+    """Return points (N, 3) from points (N, 2) and one common height or one height each."""
     z = np.broadcast_to(np.asarray(height, dtype=float), (len(place),))
     return np.concatenate([place, z[:, None]], axis=1)

@@ -1,8 +1,8 @@
-"""Where pictures come from: a camera of the system, a video file, a folder of images.
+"""Image sources: a camera of the system, a video file, or a folder of images.
 
-Every picture comes with the time of its capture on the steady clock (``time.monotonic``): of a
-device the driver's own stamp of the buffer, where it has one, so that neither the queue nor a busy
-machine makes a picture look younger than it is.
+Every image has its capture time on the steady clock (``time.monotonic``). For a camera this is the
+driver's timestamp of the buffer, if it has one, so that queueing or a busy machine does not make an
+image appear newer than it is.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ Picture = NDArray[np.uint8]
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 MANUAL_EXPOSURE = 1
-"""V4L2_EXPOSURE_MANUAL of the control V4L2_CID_EXPOSURE_AUTO."""
+"""Value V4L2_EXPOSURE_MANUAL of the control V4L2_CID_EXPOSURE_AUTO."""
 EXPOSURE_UNIT_S = 1e-4
-"""Unit of the control V4L2_CID_EXPOSURE_ABSOLUTE."""
+"""Unit of the control V4L2_CID_EXPOSURE_ABSOLUTE, s."""
 
 
 OLDEST_STAMP_S = 2.0
-"""A driver's stamp older than this is on another clock, and is not used."""
+"""Maximum age of a driver timestamp, s; an older one is from another clock and is ignored."""
 
 
 class CameraSourceError(RuntimeError):
-    """A source that cannot be opened or stopped to deliver; it may be opened again later."""
+    """A source cannot be opened, or has stopped delivering images; opening it again may succeed."""
 
 
 class SourceEnded(CameraSourceError):
-    """A file or folder has no more pictures: opening it again would begin it again."""
+    """A file or folder has no more images; opening it again would start from the beginning."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A picture (height, width) or (height, width, channels), 8 bit; when it was captured (s,
-    steady clock); and a sentence on pictures before it that were left out."""
+    """An 8-bit image (height, width) or (height, width, channels), its capture time (s, steady
+    clock), and a message about images that were skipped before it."""
 
     picture: Picture
     captured: float
@@ -50,7 +50,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class CameraSettings:
-    """What a device is asked for. ``exposure`` in s, 0 leaves it to the device; ``rate`` in Hz."""
+    """Settings requested from a device; ``exposure`` in s (0: automatic), ``rate`` in Hz."""
 
     width: int
     height: int
@@ -63,7 +63,7 @@ class Device:
     """A V4L2 device through OpenCV.
 
     Raises:
-        CameraSourceError: it cannot be opened, or stopped to deliver.
+        CameraSourceError: the device cannot be opened, or has stopped delivering images.
     """
 
     def __init__(self, name: str, settings: CameraSettings) -> None:
@@ -78,7 +78,7 @@ class Device:
             cv2.CAP_PROP_FRAME_WIDTH: settings.width,
             cv2.CAP_PROP_FRAME_HEIGHT: settings.height,
             cv2.CAP_PROP_FPS: settings.rate,
-            # One buffered picture: an older one would be stamped as new.
+            # With a longer buffer, an old image would be stamped as new.
             cv2.CAP_PROP_BUFFERSIZE: 1,
         }
         if settings.exposure > 0:
@@ -96,7 +96,7 @@ class Device:
             )
 
     def read(self) -> Frame:
-        """The next picture, as soon as the device has it."""
+        """Wait for the next image and return it."""
         good, picture = self._capture.read()
         if not good:
             raise CameraSourceError(
@@ -107,16 +107,16 @@ class Device:
         return Frame(eight_bit(picture), captured_at(stamp, now))
 
     def close(self) -> None:
-        """Give the device back."""
+        """Release the device."""
         self._capture.release()
 
 
 class Playback:
-    """Pictures from a file or a folder, at a steady rate.
+    """Images from a file or a folder, at a constant rate.
 
     Raises:
-        CameraSourceError: it cannot be opened, or holds no picture that can be decoded.
-        SourceEnded: at the end, where it does not begin again.
+        CameraSourceError: the source cannot be opened, or contains no image that can be decoded.
+        SourceEnded: the last image was read and ``loop`` is not set.
     """
 
     def __init__(self, name: str, settings: CameraSettings) -> None:
@@ -127,13 +127,13 @@ class Playback:
         self._delivered = 0
 
     def read(self) -> Frame:
-        """The next picture, when it is due; those that cannot be decoded are left out."""
+        """Return the next image when it is due; images that cannot be decoded are skipped."""
         left_out: list[str] = []
         picture = self._next(left_out)
         if picture is None and self._settings.loop:
             self._pictures = self._all()
             picture = self._next(left_out)
-        # A source that is to begin again does not end: it went away, or its pictures did.
+        # A looping source cannot end: if it has no image, the source or its images were removed.
         if picture is None and (self._delivered == 0 or self._settings.loop):
             raise CameraSourceError(
                 f"{self._name} holds no picture that can be decoded; replace it"
@@ -160,7 +160,7 @@ class Playback:
         return None
 
     def close(self) -> None:
-        """Close the file; of a folder nothing is held open between two pictures."""
+        """Close the file; a folder is not kept open between images."""
         self._pictures = iter(())
 
     def _all(self) -> Iterator[Picture | str]:
@@ -169,7 +169,7 @@ class Playback:
 
 
 def _folder_pictures(folder: Path) -> Iterator[Picture | str]:
-    """The pictures by name; the path of one that cannot be decoded."""
+    """Return the images in order of name, or the path of an image that cannot be decoded."""
     try:
         files = sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
     except OSError as error:
@@ -206,28 +206,29 @@ def _video_pictures(file: Path) -> Iterator[Picture]:
 
 
 def eight_bit(picture: NDArray[Any]) -> Picture:
-    """A picture with 8 bits a channel; of 16 bits the upper ones (cameras align them so)."""
+    """Convert an image to 8 bits per channel; of 16 bits the upper 8 are kept."""
     if picture.dtype == np.uint16:
         return np.asarray(picture >> 8, dtype=np.uint8)
     if picture.dtype != np.uint8:
-        # Floating point images run from 0 to 1.
+        # Floating-point images have values from 0 to 1.
         return np.asarray(np.clip(np.rint(picture * 255.0), 0, 255), dtype=np.uint8)
     return np.asarray(picture, dtype=np.uint8)
 
 
 def captured_at(stamp: float, now: float) -> float:
-    """When a picture read at ``now`` was captured (s, steady clock), from the driver's ``stamp``.
+    """Return the capture time (s, steady clock) of an image read at ``now``.
 
-    V4L2 drivers stamp on the steady clock; one that does not is told by an age that cannot be.
+    V4L2 drivers set ``stamp`` on the steady clock. A stamp with an impossible age is from another
+    clock, so ``now`` is returned instead.
     """
     return stamp if 0.0 <= now - stamp < OLDEST_STAMP_S else now
 
 
 def open_source(name: str, settings: CameraSettings) -> Device | Playback:
-    """A camera by device path or number, a video file, or a folder of pictures.
+    """Open a camera by device path or number, a video file, or a folder of images.
 
     Raises:
-        CameraSourceError: there is nothing of that name, or it cannot be opened.
+        CameraSourceError: nothing has that name, or it cannot be opened.
     """
     path = Path(name)
     if name.isdigit() or str(path).startswith("/dev/"):
@@ -241,7 +242,7 @@ def open_source(name: str, settings: CameraSettings) -> Device | Playback:
 
 
 def to_grey(picture: Picture) -> Picture:
-    """A picture of one channel, from one of one, three (BGR) or four."""
+    """Convert an image of one, three (BGR) or four channels to one channel."""
     if picture.ndim == 2:
         return picture
     code = cv2.COLOR_BGR2GRAY if picture.shape[2] == 3 else cv2.COLOR_BGRA2GRAY

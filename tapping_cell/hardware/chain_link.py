@@ -1,12 +1,12 @@
-"""An arm of any kinematics in the place of a SCARA that the cell plans and moves with.
+"""Adapter that lets an arm of any kinematics act as the SCARA that the cell plans for.
 
-The cell file describes a SCARA whose tip goes where the real arm's striker can go, upright all the
-way. This link stands between that SCARA's driver and the real arm's trajectory controller: a
-trajectory of the SCARA's joints becomes one of the real joints along the same way of the tip, found
-by inverse kinematics point by point from where the arm stands, and the real joint states become the
-SCARA's joints by forward kinematics. So every check of the driver (in position, at rest, moved by
-somebody) is made of what the real joints tell. A straight move of the SCARA's quill is a straight
-vertical move of the striker.
+The cell file describes a SCARA whose tip can reach only poses that the real arm's striker can reach
+upright. This link connects the SCARA's driver with the real arm's trajectory controller. Inverse
+kinematics converts a trajectory of the SCARA's joints point by point to the real joints, starting
+from their current position, so that the tip follows the same path. Forward kinematics converts the
+measured real joint states to the SCARA's joints, so every check of the driver (in position, at
+rest, moved externally) uses the real joint states. A straight move of the SCARA's quill is a
+straight vertical move of the striker.
 """
 
 from __future__ import annotations
@@ -24,35 +24,34 @@ from tapping_cell.hardware.serial_chain import Array, SerialChain
 from tapping_cell.hardware.trajectory_link import JointSample, Progress, TrajectoryLink
 
 STEP = 0.02
-"""Between two points of a trajectory, s."""
+"""Time between two points of a trajectory, s."""
 LEAST_STEP = 0.005
-"""A point nearer to a corner than this is left out, s."""
+"""Minimum time between an intermediate point and a corner, s; closer points are left out."""
 LONGEST_STRETCH = 1.4
 LONGEST_DELAY = 1.5
-"""A trajectory may take this times its duration and this much more, s, so that no joint exceeds its
-speed; the driver's deadline allows 1.5 times and 2 s."""
+"""Limits on slowing a trajectory down to respect the joint speeds: it may take this factor times
+its duration, plus this delay in s. The driver's deadline allows 1.5 times and 2 s."""
 SPEED_STEP = 1e-3
-"""Over which joint speeds are carried over, s."""
+"""Time step of the finite difference that converts joint speeds, s."""
 TURNS = 12.6
-"""Widened limits with which the SCARA's joints are computed, rad: the driver checks the true
-ones."""
+"""Widened limits used to compute the SCARA's joints, rad; the driver checks the real limits."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChainSettings:
-    """Where the SCARA's joints are looked for, and how upright the striker must be."""
+    """Start values for the SCARA's joints, and tolerances of the striker's pose."""
 
     park: tuple[float, ...]
-    """Joints of the SCARA near which the first ones are looked for: rad, rad, m, rad."""
+    """SCARA joints to which the first solution must be nearest: rad, rad, m, rad."""
     tilt: float = 0.01
-    """Greatest angle between the striker's z and the vertical, rad."""
+    """Largest angle between the striker's z axis and the vertical, rad."""
     travel_height: float = 0.06
-    """The tip may be turned about itself by a whole turn, where a joint would else be beyond its
-    limit, only on a way that is nowhere lower, m."""
+    """Minimum tip height of a path on which the tip may make a full turn about its axis, m. Such a
+    turn keeps a joint within its limits."""
 
 
 class ChainLink:
-    """A :class:`~tapping_cell.hardware.trajectory_link.TrajectoryLink` of the SCARA's joints."""
+    """A :class:`~tapping_cell.hardware.trajectory_link.TrajectoryLink` in SCARA joints."""
 
     def __init__(
         self,
@@ -82,27 +81,27 @@ class ChainLink:
 
     @property
     def is_open(self) -> bool:
-        """Whether the controller was there at the last ``open``."""
+        """Whether the controller was available at the last ``open``."""
         return self._link.is_open
 
     @property
     def interface(self) -> str:
-        """How trajectories are sent."""
+        """Interface through which trajectories are sent: topic or action."""
         return self._link.interface
 
     @property
     def other_names(self) -> Sequence[str]:
-        """Joint names of the last message that lacked some of the arm's."""
+        """Joint names of the last message that lacked some of the arm's joints."""
         return self._link.other_names
 
     @property
     def rivals(self) -> Sequence[str]:
-        """Other nodes that could send the controller trajectories."""
+        """Other nodes that could send trajectories to the controller."""
         return self._link.rivals
 
     @property
     def samples(self) -> Sequence[JointSample]:
-        """What was heard in the last second as the SCARA's joints, the newest last."""
+        """Joint states received in the last second, as SCARA joints, newest last."""
         heard = self._link.samples
         kept = self._converted
         self._converted = {}
@@ -112,45 +111,45 @@ class ChainLink:
         return tuple(self._converted.values())
 
     def now(self) -> float:
-        """The steady clock, s."""
+        """Return the time of the steady clock, s."""
         return self._link.now()
 
     def open(self, timeout: float) -> None:
-        """Wait until the controller takes trajectories."""
+        """Wait until the controller accepts trajectories."""
         self._course = None
         self._near = np.array(self._settings.park, dtype=np.float64)
         self._converted = {}
         self._link.open(timeout)
 
     def close(self) -> None:
-        """Use the controller no more."""
+        """Disconnect from the controller."""
         self._link.close()
 
     def stop(self, data: bytes) -> bool:
-        """From any thread: latch the stop, and brake."""
+        """Latch the stop and brake; from any thread."""
         return self._link.stop(data)
 
     def release(self) -> None:
-        """End the latch of ``stop``."""
+        """Release the latch of ``stop``."""
         self._link.release()
 
     def wait(self, duration: float) -> None:
-        """Wait for the next sample, for up to ``duration`` s."""
+        """Wait for the next sample for up to ``duration`` s."""
         self._link.wait(duration)
 
     def brake(self) -> bool:
-        """From any thread: have the arm come to rest at once."""
+        """Brake the arm to rest immediately; from any thread."""
         return self._link.brake()
 
     def progress(self) -> Progress:
-        """What became of the trajectory that was sent last."""
+        """Return the state of the last trajectory."""
         return self._link.progress()
 
     def send(self, points: Sequence[TrajectoryPoint]) -> None:
-        """Send the real arm along the way of the SCARA's tip.
+        """Move the real arm along the path of the SCARA's tip.
 
-        Raises HardwareFault: UNREACHABLE before anything is sent, where a joint would be beyond
-        its limit or much too fast; as the real link else.
+        Raises HardwareFault: UNREACHABLE, before anything is sent, if a joint would exceed its
+        limit or greatly exceed its speed; otherwise the faults of the real link.
         """
         start = self.samples[-1]
         course = Course(start.positions, points)
@@ -181,8 +180,8 @@ class ChainLink:
         self._course = (self.now(), stretch, course)
 
     def _along(self, course: Course, times: Array, real: Array) -> Array:
-        """Joints of the real arm at each time, from where it stands; what it leans is taken out on
-        the way."""
+        """Return the real arm's joints at each time, starting at its current position ``real``; any
+        initial tilt of the striker is removed gradually along the path."""
         tips = self._geometry.forward_many(course.at(times)[0])
         high = bool(np.min(tips[:, 2]) > self._settings.travel_height - 1e-3)
         part = times / times[-1]
@@ -217,12 +216,12 @@ class ChainLink:
         return solution.joints
 
     def _stretch(self, times: Array, joints: Array) -> float:
-        """By how much longer the way must take than planned; at least 1."""
+        """Return the factor (at least 1) by which the planned duration must be extended."""
         speeds = np.abs(np.diff(joints, axis=0)) / np.diff(times)[:, None]
         return max(1.0, float(np.max(speeds / self._chain.max_speed)))
 
     def _scara(self, sample: JointSample) -> JointSample:
-        """A sample of the real joints as one of the SCARA's."""
+        """Convert a sample of the real joints to SCARA joints."""
         near = self._expected(sample.measured)
         place, doubt = self._converted_place(np.array(sample.positions), near)
         if not doubt:
@@ -243,7 +242,7 @@ class ChainLink:
         )
 
     def _expected(self, time: float) -> Array:
-        """Where the SCARA is on its course; else where it was last."""
+        """Return the SCARA's planned position at ``time``; without a plan, its last position."""
         if self._course is None:
             return self._near
         began, stretch, course = self._course
@@ -251,8 +250,8 @@ class ChainLink:
         return np.asarray(place[0])
 
     def _converted_place(self, joints: Array, near: Array) -> tuple[Array, str]:
-        """Joints of the SCARA with the tip where the real arm's striker is, nearest to some, and
-        why they are not to be believed."""
+        """Return the SCARA joints, nearest to ``near``, that put the tip at the real striker, and
+        the reason why they cannot be trusted (empty if they can)."""
         pose = self._chain.forward(joints)
         if not np.all(np.isfinite(pose)):
             return np.full(4, np.nan), ""
@@ -282,7 +281,7 @@ class ChainLink:
 
 
 def upright(tip: Array) -> Array:
-    """4 by 4 of a tip pose x, y, z, yaw in ``arm_base``."""
+    """Return the 4 x 4 matrix of a tip pose x, y, z, yaw in ``arm_base``."""
     x, y, z, yaw = tip
     cos, sin = math.cos(yaw), math.sin(yaw)
     return np.array(
@@ -291,7 +290,7 @@ def upright(tip: Array) -> Array:
 
 
 def _times(points: Sequence[TrajectoryPoint]) -> Array:
-    """The corners' times and those between, from 0, s."""
+    """Return the times of the corners and of intermediate points, from 0, s."""
     corners = np.array([0.0, *(point.time for point in points)])
     between = np.arange(STEP, corners[-1], STEP)
     apart = np.min(np.abs(between[:, None] - corners), axis=1) > LEAST_STEP

@@ -1,4 +1,4 @@
-"""A serial chain from the URDF that comes with an arm."""
+"""Construction of a serial chain from an arm's URDF."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def chain_from_urdf(
     base: Array,
     tool: Array,
 ) -> SerialChain:
-    """The joints from ``base_link`` to ``tip_link``, which must be ``joints`` in their order.
+    """Return the chain from ``base_link`` to ``tip_link``, which must contain exactly ``joints``.
 
-    ``base``, ``tool``: as for :class:`SerialChain`. Raises ValueError for a text that is no URDF
-    (a xacro file must be expanded first), for links that are not joined, for other joints, and for
-    a joint without limits.
+    ``base``, ``tool``: as for :class:`SerialChain`. Raises ValueError if the text is not a URDF (a
+    xacro file must be expanded first), if the links are not connected, if the joints or their order
+    differ, or if a joint has no limits.
     """
     try:
         robot = ElementTree.fromstring(text)

@@ -1,6 +1,6 @@
-"""What the arm's configuration asks of its controller's own settings, and what was found there.
+"""Required controller settings for an arm, and their comparison with the actual settings.
 
-All in the controller's units: degrees for the revolute axes, mm for the quill, and seconds.
+All values are in the controller's units: degrees for the revolute axes, mm for the quill, and s.
 """
 
 from __future__ import annotations
@@ -14,27 +14,27 @@ from tapping_cell.hardware.finding import Finding
 from tapping_cell.hardware.scara import ScaraGeometry
 
 TOLERANCE = 1e-3
-"""Relative difference forgiven in a setting."""
+"""Maximum relative difference of a setting that counts as equal."""
 
 Four = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class ControllerNeeds:
-    """What the four axes must at least be allowed to do; None is not looked at."""
+    """Required settings of the four axes; None skips the check of a setting."""
 
     speed: Four | None = None
-    """Units/s: a slower controller makes a move last longer than the driver computes."""
+    """Speed that must be allowed, units/s; otherwise moves take longer than computed."""
     acceleration: Four | None = None
-    """Units/s^2: the same."""
+    """Acceleration that must be allowed, units/s^2; otherwise moves take longer than computed."""
     travel: Four | None = None
-    """Units between the joint limits: what soft limits must leave free."""
+    """Travel that soft limits must allow, in units: the range between the joint limits."""
     steps: Four | None = None
-    """Steps per unit, exactly: else the arm moves by another angle than it says."""
+    """Exact steps per unit; with another value the arm moves by a wrong angle or distance."""
 
 
 def needs_of(geometry: ScaraGeometry, steps_per_unit: Sequence[float] = ()) -> ControllerNeeds:
-    """The needs of an arm; ``steps_per_unit`` empty: whatever the controller has."""
+    """Return the required settings of an arm; empty ``steps_per_unit`` accepts any value."""
 
     def units(values: Sequence[float]) -> Four:
         a, b, c, d = (scale * value for scale, value in zip(TO_UNITS, values, strict=True))
@@ -53,9 +53,9 @@ def needs_of(geometry: ScaraGeometry, steps_per_unit: Sequence[float] = ()) -> C
 def at_least(
     names: Sequence[str], found: Sequence[float], needed: Four | None, command: str = ""
 ) -> list[Finding]:
-    """A finding for each setting that must not be smaller than needed.
+    """Return a finding for each setting that has a minimum.
 
-    ``command``: how it is set, with ``{name}`` and ``{value}``.
+    ``command``: template of the command that sets it, with ``{name}`` and ``{value}``.
     """
     return [
         Finding(
@@ -72,7 +72,7 @@ def at_least(
 def exactly(
     names: Sequence[str], found: Sequence[float], needed: Four | None, command: str = ""
 ) -> list[Finding]:
-    """A finding for each setting that must be just what is needed; ``command`` as above."""
+    """Return a finding for each setting that must match exactly; ``command`` as in at_least."""
     return [
         Finding(
             name,
@@ -86,7 +86,7 @@ def exactly(
 
 
 def refuse(findings: Sequence[Finding]) -> None:
-    """Raise HardwareFault (SETTINGS_MISMATCH) where a need is not met."""
+    """Raise HardwareFault (SETTINGS_MISMATCH) if a finding is not met."""
     differences = [finding.sentence for finding in findings if not finding.met]
     if differences:
         raise HardwareFault(

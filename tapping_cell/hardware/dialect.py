@@ -1,4 +1,4 @@
-"""What the arm's driver needs of a controller's language."""
+"""Interface between the arm driver and a controller's command language."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ AXIS_COUNT = 4
 
 
 Axes = tuple[float, ...]
-"""Axis values in the controller's units (``ArmDialect.units``), in the order of the joints."""
+"""Axis values in the controller's units (``ArmDialect.units``), in joint order."""
 
 
 class StraightMove(NamedTuple):
@@ -25,35 +25,35 @@ class StraightMove(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Firmware:
-    """Who answered on connect."""
+    """Identity of the controller's firmware."""
 
     name: str
     version: str
     continued: bool
-    """True when the controller proved that it was not reset since this driver last set it up."""
+    """Whether the controller proved that it was not reset since this driver last set it up."""
     remarks: tuple[str, ...] = ()
-    """What a person should know of this firmware's build, in sentences."""
+    """Sentences about this firmware build that a person should know."""
 
 
 @dataclass(frozen=True, slots=True)
 class AxisReading:
-    """One reading of the controller."""
+    """One state reading of the controller."""
 
     axes: Axes
     moving: bool
     alarm: str
-    """Empty, or why the controller refuses to move."""
+    """Reason why the controller refuses to move; empty if it accepts moves."""
     measured: bool
-    """False where the controller can only say what it was commanded (Marlin's ``M114``)."""
+    """False if the controller can only report the commanded position (Marlin's ``M114``)."""
     asked: float
-    """Time of the transport's clock just before the question was sent, s."""
+    """Time of the transport's clock just before the request was sent, s."""
     powerless: bool = False
-    """The motors may be, or have been, without power: the position is not known."""
+    """Whether the motors are or may have been without power, so the position is unknown."""
 
 
 @dataclass(slots=True)
 class LineCounters:
-    """What happened on the line since the driver was made."""
+    """Communication counters since the driver was created."""
 
     retries: int = 0
     resends: int = 0
@@ -62,7 +62,7 @@ class LineCounters:
 
 
 class ArmDialect(Protocol):
-    """A controller's language over one transport. Deadlines are times of the transport's clock.
+    """A controller's command language over one transport. Deadlines are times of its clock.
 
     Every call raises HardwareFault: TIMEOUT, DISCONNECTED, STOPPED, ALARM, BOARD_RESET, REJECTED.
     """
@@ -71,47 +71,48 @@ class ArmDialect(Protocol):
 
     @property
     def units(self) -> Sequence[float]:
-        """Units of each axis to one rad or m of its joint."""
+        """Controller units per rad or m of each joint."""
 
     @property
     def stop_bytes(self) -> bytes:
-        """What stops the motion at once, sent outside the queue."""
+        """Bytes that stop the motion immediately, sent outside the queue."""
 
     def connect(self, deadline: float) -> Firmware:
-        """Talk to the controller on a line just opened.
+        """Identify and set up the controller on a newly opened line.
 
-        Raises UNKNOWN_FIRMWARE and SETTINGS_MISMATCH as well.
+        Also raises UNKNOWN_FIRMWARE and SETTINGS_MISMATCH.
         """
 
     def inspect(self, deadline: float) -> tuple[Firmware, list[Finding]]:
-        """Who is on the line and how its settings compare with what is needed; nothing moves."""
+        """Identify the firmware and compare its settings with the required ones; nothing moves."""
 
     def store(self, finding: Finding, deadline: float) -> None:
-        """Send the command of a finding; ValueError for one that only a person may mend."""
+        """Send the command of a finding; raises ValueError if only a person may change it."""
 
     def read(self, deadline: float) -> AxisReading:
-        """Ask where the axes are."""
+        """Read the positions and state of the axes."""
 
     def start_moves(self, moves: Sequence[StraightMove], deadline: float) -> None:
-        """Send moves that follow each other; returns once they are taken."""
+        """Send consecutive moves; return when the controller has accepted them."""
 
     def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
-        """Wait until nothing moves any more; asks little before ``expected_end``.
+        """Wait until all motion has ended, with few queries before ``expected_end``.
 
-        The reading is one report: what differs from the target must be read again to be believed.
+        The result is a single report. A caller that finds a difference from the target must read
+        again to confirm it.
         """
 
     def idle(self, duration: float) -> None:
-        """Listen for up to ``duration`` s without asking anything."""
+        """Process incoming data for up to ``duration`` s without sending a query."""
 
     def home(self, axes: Axes | None, deadline: float) -> None:
-        """Run the firmware's own homing cycle, prove that it ran, declare its end to be ``axes``.
+        """Run the firmware's homing cycle, verify that it ran, and declare its end position.
 
-        ``axes`` None keeps the firmware's own values. Raises HOMING_FAILED.
+        ``axes``: end position; None keeps the firmware's own values. Raises HOMING_FAILED.
         """
 
     def set_position(self, axes: Axes, deadline: float) -> None:
-        """Declare where the axes stand."""
+        """Declare the current position of the axes."""
 
     def clear(self, deadline: float) -> None:
-        """After a stop or an alarm: bring the controller back to where it takes moves."""
+        """After a stop or an alarm, return the controller to a state that accepts moves."""

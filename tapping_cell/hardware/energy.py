@@ -1,8 +1,8 @@
-"""Striker speed against the energy that the tapper stores, from measured pairs.
+"""Striker speed as a function of the tapper's stored energy, from measured pairs.
 
-An ideal spring or coil gives v = sqrt(2 E / m): speed is proportional to the root of the energy. So
-the curve is interpolated linearly in sqrt(E), which is exact for the ideal drive, and it is
-monotone because the pairs must be.
+An ideal spring or coil gives v = sqrt(2 E / m), so speed is proportional to the square root of the
+energy. The curve is therefore interpolated linearly in sqrt(E), which is exact for the ideal drive.
+It is monotonic because the pairs must be strictly increasing.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# 100 g striker without loss, at the ends of the range: E = m v^2 / 2.
+# Lossless 100 g striker (E = m v^2 / 2) at the ends of the speed range.
 IDEAL_TABLE = ((0.05 * 0.02**2, 0.02), (0.05 * 2.5**2, 2.5))
 
 
 @dataclass(frozen=True, slots=True)
 class EnergyCurve:
-    """Pairs (energy in J, speed in m/s), both strictly increasing, at least two.
+    """At least two pairs (energy in J, speed in m/s), both strictly increasing.
 
-    Raises ValueError for a table that is not so.
+    Raises ValueError for an invalid table.
     """
 
     table: Sequence[tuple[float, float]] = IDEAL_TABLE
@@ -43,16 +43,16 @@ class EnergyCurve:
 
     @property
     def slowest(self) -> float:
-        """Least speed of the table, m/s."""
+        """Lowest speed of the table, m/s."""
         return self.table[0][1]
 
     @property
     def fastest(self) -> float:
-        """Greatest speed of the table, m/s."""
+        """Highest speed of the table, m/s."""
         return self.table[-1][1]
 
     def energy_for(self, speed: float) -> float:
-        """Energy in J for a striker speed in m/s; ValueError outside the table."""
+        """Return the energy in J for a striker speed in m/s; ValueError outside the table."""
         if not self.slowest <= speed <= self.fastest:
             raise ValueError(
                 f"striker speed {speed * 1e3:.1f} mm/s is outside the tapper's"
@@ -63,7 +63,7 @@ class EnergyCurve:
         return (math.sqrt(e0) + part * (math.sqrt(e1) - math.sqrt(e0))) ** 2
 
     def speed_for(self, energy: float) -> float:
-        """Striker speed in m/s for an energy in J; ValueError outside the table."""
+        """Return the striker speed in m/s for an energy in J; ValueError outside the table."""
         least, most = self.table[0][0], self.table[-1][0]
         if not least <= energy <= most:
             raise ValueError(

@@ -1,5 +1,4 @@
-"""What can go wrong with a device: one exception with a reason to branch on and a sentence to
-read."""
+"""Device errors: one exception class with a machine-readable reason and a message for people."""
 
 from __future__ import annotations
 
@@ -7,7 +6,7 @@ from enum import Enum
 
 
 class FaultReason(Enum):
-    """Why a device call failed; the value is the name used in diagnostics and in the hint table."""
+    """Reason of a failed device call; the values are used in diagnostics and the hint table."""
 
     PORT_MISSING = "port_missing"
     PORT_BUSY = "port_busy"
@@ -34,9 +33,9 @@ class FaultReason(Enum):
 
 
 class HardwareFault(RuntimeError):
-    """A device call that failed; ``reason`` to branch on, ``str()`` is the sentence for people.
+    """Failed device call; ``reason`` for code to branch on, ``str()`` for the message.
 
-    The sentence names the value, the limit and what to do.
+    The message states the value, the limit and what to do.
     """
 
     def __init__(self, reason: FaultReason, sentence: str) -> None:
@@ -45,5 +44,5 @@ class HardwareFault(RuntimeError):
 
     @property
     def sentence(self) -> str:
-        """What happened and what to do, in words."""
+        """Message that states what happened and what to do."""
         return str(self)

@@ -1,4 +1,4 @@
-"""A controller's setting held against what the arm needs."""
+"""Comparison of a controller's setting with what the arm needs."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One setting of a controller held against what is needed."""
+    """Comparison of one controller setting with its required value."""
 
     setting: str
     found: str
-    """Its value; "missing" where the controller does not tell."""
+    """Value of the setting; "missing" if the controller does not report it."""
     needed: str
-    """Such as "must be 255"."""
+    """Requirement, such as "must be 255"."""
     met: bool
     command: str = ""
-    """What is typed at the controller to mend it; empty where that is no line of text."""
+    """Command to type at the controller to correct it; empty if there is no such command."""
     storable: bool = False
-    """Whether the command may be sent without a person at the arm: it changes neither the scale
-    nor the speed of any motion."""
+    """Whether the command may be sent without a person at the arm. Such a command changes neither
+    the scale nor the speed of any motion."""
 
     @property
     def sentence(self) -> str:
-        """The difference and its remedy."""
+        """Sentence with the difference and its remedy."""
         remedy = f" (send {self.command})" if self.command else ""
         is_missing = "is missing" if self.found == "missing" else f"is {self.found}"
         return f"{self.setting} {is_missing}, {self.needed}{remedy}"

@@ -1,8 +1,8 @@
-"""Codec of the Grbl 1.1 family: bytes from the controller to frames, axis values to lines.
+"""Codec of the Grbl 1.1 family: decodes received bytes to frames and encodes lines to send.
 
-Source: Grbl 1.1 documentation, "Interface" and "Commands" (status reports, responses, settings);
-grblHAL, grbl-Mega-5X, FluidNC and uCNC keep the same forms. Values stay in the controller's units:
-mm, degrees.
+Source: Grbl 1.1 documentation, "Interface" and "Commands" (status reports, responses, settings).
+grblHAL, grbl-Mega-5X, FluidNC and uCNC use the same formats. Values remain in the controller's
+units: mm, degrees.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ FEED_HOLD = b"!"
 RESUME = b"~"
 SOFT_RESET = b"\x18"
 FULL_FEED = b"\x90"
-"""Sets the feed override back to 100 %."""
+"""Resets the feed override to 100 %."""
 STOP = FEED_HOLD + SOFT_RESET
-"""Feed hold, then soft reset: real-time bytes that the controller takes ahead of its queue."""
+"""Feed hold, then soft reset: real-time bytes that the controller executes ahead of its queue."""
 
 LONGEST_LINE = 512
-"""Bytes without an end of line after which the input is noise."""
+"""Number of bytes without an end of line after which the input is treated as noise."""
 
 STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool")
 
@@ -54,26 +54,26 @@ ERRORS = {
 
 @dataclass(frozen=True, slots=True)
 class Ok:
-    """The line was taken; it says nothing about success."""
+    """The line was accepted; this does not confirm that it was executed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Error:
-    """The line was refused, with Grbl's number."""
+    """The line was rejected, with Grbl's error number."""
 
     code: int
 
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """The controller latched an alarm, with Grbl's number."""
+    """The controller latched an alarm, with Grbl's alarm number."""
 
     code: int
 
 
 @dataclass(frozen=True, slots=True)
 class Banner:
-    """The greeting after a power-up or a reset."""
+    """The greeting after power-up or a reset."""
 
     name: str
     version: str
@@ -81,7 +81,7 @@ class Banner:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One line of ``$$``."""
+    """One line of the answer to ``$$``."""
 
     number: int
     value: float
@@ -89,7 +89,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class NamedSetting:
-    """A setting with a name or a value that is no number, such as ``$/stepping/idle_ms=255``."""
+    """A setting with a name or a non-numeric value, such as ``$/stepping/idle_ms=255``."""
 
     name: str
     text: str
@@ -105,23 +105,23 @@ class Message:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """A status report; positions in the axes' units (deg, deg, mm, deg)."""
+    """A status report; positions in the units of the axes (deg, deg, mm, deg)."""
 
     state: str
     substate: int | None
     machine: tuple[float, ...] | None
-    """MPos."""
+    """Machine position (MPos)."""
     work: tuple[float, ...] | None
-    """WPos."""
+    """Work position (WPos)."""
     offset: tuple[float, ...] | None
-    """WCO, which the controller sends only now and then."""
+    """Work coordinate offset (WCO); only some reports contain it."""
     feed_override: int | None = None
-    """First figure of Ov in percent, sent only now and then."""
+    """Feed override in percent (first value of Ov); only some reports contain it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bad:
-    """A line that is none of the above: noise, or a form that is not understood."""
+    """A line that is noise or has an unknown format."""
 
     line: bytes
     why: str
@@ -132,7 +132,7 @@ Frame = Ok | Error | Alarm | Banner | Setting | NamedSetting | Message | Status 
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """``frame`` None: more bytes are needed; ``rest``: the bytes still to decode."""
+    """A decoded frame (None if more bytes are needed), and the bytes not decoded yet."""
 
     frame: Frame | None
     rest: bytes
@@ -149,7 +149,7 @@ _POSITION = re.compile(rf"^{_NUMBER}(?:,{_NUMBER}){{2,7}}$")
 
 
 def decode(buffer: bytes) -> Decoded:
-    """Take the first line off ``buffer``; empty lines are skipped. Never raises."""
+    """Decode the first line of ``buffer``; empty lines are skipped. Never raises."""
     while True:
         end = buffer.find(b"\n")
         if end < 0:
@@ -162,7 +162,7 @@ def decode(buffer: bytes) -> Decoded:
 
 
 def decode_line(line: bytes) -> Frame:
-    """One line without its end. Never raises."""
+    """Decode one line without its line ending. Never raises."""
     try:
         text = line.decode("ascii" if line[:1] != b"\xc2" else "utf-8")
     except UnicodeDecodeError:
@@ -226,30 +226,30 @@ def _status(line: bytes, text: str) -> Frame:
 
 
 def move_line(letters: str, target: Sequence[float], feed: float) -> bytes:
-    """A straight absolute move of the axes ``letters`` to ``target`` at ``feed`` units/min.
+    """Encode a straight absolute move of the axes ``letters`` to ``target`` at ``feed`` units/min.
 
-    The modal words stand in every line, so that one garbled line cannot change the next.
-    Raises ValueError for values that are not finite or a feed that is not above 0.
+    Every line contains the modal words, so that a garbled line cannot affect the next one. Raises
+    ValueError if a value is not finite or the feed is not above 0.
     """
     return f"G21G90G94G1{_axes(letters, target)}F{_number(feed, positive=True)}\n".encode()
 
 
 def marker_lines(number: int) -> bytes:
-    """Set the feed to ``number`` and ask for the modes, which then name it; nothing moves.
+    """Encode lines that set the feed to ``number`` and query the modes; nothing moves.
 
-    The modes that carry this number prove that every line before has been dealt with.
+    A mode report with this number proves that all earlier lines were processed.
     """
     return b"F%d\n$G\n" % number
 
 
 def modal_feed(modes: str) -> int | None:
-    """The feed that a ``[GC:...]`` message names, where it is a whole number."""
+    """Return the feed in a ``[GC:...]`` message if it is a whole number, else None."""
     found = _FEED.search(modes)
     return int(found[1]) if found else None
 
 
 def set_position_line(letters: str, position: Sequence[float]) -> bytes:
-    """Declare the present position to be ``position`` (G92: forgotten by the next reset)."""
+    """Encode a G92 that declares the current position; the next reset discards it."""
     return f"G21G92{_axes(letters, position)}\n".encode()
 
 

@@ -1,7 +1,7 @@
-"""The controllers of the Grbl family by name: one table of what differs between them.
+"""Table of the controllers of the Grbl family and the differences between them.
 
-Sources: the firmwares themselves: Grbl 1.1h, grbl-Mega-5X 1.1q, grblHAL core (build 20260817, also
-run as its simulator), FluidNC 3.9 and 4.0.
+Sources: the firmwares Grbl 1.1h, grbl-Mega-5X 1.1q, grblHAL core (build 20260817, also run in its
+simulator), FluidNC 3.9 and 4.0.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ from dataclasses import dataclass, field
 from tapping_cell.hardware import grbl
 
 ORIGIN_BIT = 8
-"""Bit of grblHAL's ``$22`` that makes the place where homing ends zero."""
+"""Bit of grblHAL's ``$22`` that sets the machine position to zero where homing ends."""
 
 
 @dataclass(frozen=True, slots=True)
 class GrblController:
-    """What one firmware of the family does in its own way."""
+    """Properties of one firmware that differ within the family."""
 
     name: str
     hold_setting: str = "$1"
-    """The setting that is 255 where the motors keep their torque while they stand."""
+    """Setting that must be 255 for the motors to keep their torque at standstill."""
     store_words: str = ""
-    """What a person must do besides, for the setting to outlive a restart."""
+    """What a person must also do so that the setting survives a restart."""
     has_files: bool = False
-    """Keeps most settings under names in a file; ``$$`` lists only some of them."""
+    """Whether most settings are named and stored in a file; ``$$`` then lists only some."""
     homing_masks: tuple[int, ...] = ()
-    """Settings that name the axes that homing moves, one a cycle; empty: the build decides."""
+    """Settings that select the axes of each homing cycle; empty if the build selects them."""
     alarms: Mapping[int, str] = field(default_factory=dict)
-    """Alarms that mean something else than in Grbl, or that Grbl does not have."""
+    """Alarms with a meaning that differs from Grbl's or that Grbl does not have."""
     cuts_torque_on_alarm: bool = True
-    """Motors lose their power on an alarm and on a reset in motion, whatever the hold setting."""
+    """Whether an alarm or a reset in motion cuts motor power regardless of the hold setting."""
 
 
 GRBL = GrblController("Grbl")
@@ -67,18 +67,18 @@ CONTROLLERS = (GRBL, MEGA_5X, GRBL_HAL, FLUID_NC)
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who answered ``$I``."""
+    """Identity of a controller from its answer to ``$I``."""
 
     controller: GrblController
     version: str
     letters: str
-    """Axis letters in the order of its reports; empty where it does not tell."""
+    """Axis letters in the order of the status reports; empty if the firmware does not list them."""
     forces_origin: bool
-    """Built to call the place where homing ends zero."""
+    """Whether the firmware build sets the machine position to zero where homing ends."""
 
 
 def identify(messages: Iterable[grbl.Message]) -> Identity | None:
-    """Read the answer to ``$I``; None where it names no version that is understood."""
+    """Parse the answer to ``$I``; return None if its version is missing or not supported."""
     told = {message.kind: message.text for message in messages}
     version = told.get("VER", "")
     letters = told.get("AXS", "").partition(":")[2]

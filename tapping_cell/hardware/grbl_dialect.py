@@ -1,4 +1,4 @@
-"""The Grbl 1.1 family spoken to an arm in joint space."""
+"""Dialect of the Grbl 1.1 family for an arm that is controlled in joint space."""
 
 from __future__ import annotations
 
@@ -23,16 +23,15 @@ from tapping_cell.hardware.grbl_controllers import GRBL, ORIGIN_BIT, GrblControl
 from tapping_cell.hardware.transport import Transport
 
 REPLY_TIMEOUT = 0.5
-"""Longest wait for an answer to a question, s: a report comes within 10 ms, a `$$` within 100
-ms."""
+"""Longest wait for an answer, s; a report takes up to 10 ms, the answer to `$$` up to 100 ms."""
 REST_PATIENCE = 15.0
-"""Longest wait for another program's last move to end before homing, s."""
+"""Longest wait before homing for the last move of another program to end, s."""
 EARLY = 0.002
-"""A move is asked after so long before its computed end, s: it began while its ``ok`` was on the
-line."""
+"""Time from the start of polling to the computed end of a move, s. Polling starts early because a
+move starts before its ``ok`` arrives."""
 POLL_PERIODS = (0.002, 0.02)
-"""Between status questions when a move is due to end, s: the first, and the longest, to which each
-further one grows; during the move the controller is left alone."""
+"""First and longest time between status queries at the end of a move, s; it doubles with each
+query. During the move the controller is not queried."""
 LOCKED = {
     "Alarm": "locked by an alarm",
     "Hold": "in a feed hold",
@@ -40,53 +39,53 @@ LOCKED = {
     "Sleep": "asleep",
     "Check": "in check mode",
 }
-"""States in which no motion is taken until the controller is cleared."""
+"""States in which the controller accepts no motion until it is cleared."""
 POWERLESS = ("Alarm", "Sleep")
-"""States in which the motors may be, or have been, without power."""
+"""States in which the motors are or may have been without power."""
 DEFAULT_LETTERS = "XYZABCUVW"
-"""Order of the axes in reports of controllers that do not tell it."""
+"""Axis order in the reports of controllers that do not list their axes."""
 HOMED_TOLERANCE = 0.05
-"""Difference forgiven between the machine position after homing and the expected one, units."""
+"""Maximum difference between the machine position after homing and the expected one, units."""
 RESETS = 3
-"""Soft resets sent until the banner comes."""
+"""Maximum number of soft resets sent while waiting for the banner."""
 RESET_TIME = 1.5
-"""Longest wait for the banner after a soft reset, s: FluidNC takes 0.5 s after an alarm."""
+"""Longest wait for the banner after a soft reset, s; FluidNC takes 0.5 s after an alarm."""
 IDENTIFICATIONS = 5
-"""Further answers to ``$I`` of which one must agree with the one before."""
+"""Maximum number of repeated ``$I`` queries until two consecutive answers agree."""
 MARKERS = (1001, 9999)
-"""Range of the numbers by which answers to one resynchronisation are told from those to others."""
+"""Range of the marker numbers that identify the answers to one resynchronisation."""
 DRAIN_SILENCE = 0.05
-"""Silence after which nothing more is expected to be on the line, s."""
+"""Silence after which the line counts as drained, s."""
 DRAIN_ROUNDS = 100
-"""Reads after which a board that never falls silent is asked all the same."""
+"""Maximum number of reads while draining a line that never falls silent."""
 MARK_LINE = b"G18\n"
-"""A modal state that changes nothing for straight moves and that every reset forgets: if it is
-still there after a reconnect, the controller was not reset."""
+"""Sets a modal state that does not affect straight moves and that every reset clears. If the state
+is still set after a reconnect, the controller was not reset."""
 
 
 @dataclass(frozen=True, slots=True)
 class GrblSettings:
-    """How the controller is wired, and what its ``$$`` must say."""
+    """Wiring of the controller and requirements on its settings."""
 
     letters: str = "XYZA"
     """Axis letters of shoulder, elbow, quill, tool."""
     expected: Mapping[int, float] = field(default_factory=lambda: {13: 0.0})
-    """Settings that must hold, number to value; 13 = 0 means reports in mm and degrees."""
+    """Required settings, number to value; 13 = 0 means reports in mm and degrees."""
     needs: ControllerNeeds = field(default_factory=ControllerNeeds)
-    """What ``$100`` to ``$133`` must allow."""
+    """Requirements on ``$100`` to ``$133``."""
     home_place: tuple[float, float, float, float] | None = None
-    """Machine position after homing, in degrees and mm; None: as the firmware computes it."""
+    """Machine position after homing, in degrees and mm; None uses the firmware's computation."""
     without_switch: tuple[int, ...] = ()
-    """Axes, 0 to 3, that homing does not move: a person has set them to their mark before."""
+    """Axes, 0 to 3, that homing does not move; a person has set them to their marks before."""
     needs_homing: bool = False
-    """Whether the controller's homing must be enabled."""
+    """Whether homing must be enabled in the controller."""
 
     def __post_init__(self) -> None:
         check_letters(self.letters)
 
 
 class GrblDialect:
-    """One Grbl-family controller; see :class:`~tapping_cell.hardware.dialect.ArmDialect`."""
+    """Driver of one Grbl controller; see :class:`~tapping_cell.hardware.dialect.ArmDialect`."""
 
     def __init__(self, transport: Transport, settings: GrblSettings | None = None) -> None:
         self._transport = transport
@@ -121,14 +120,14 @@ class GrblDialect:
         return grbl.STOP
 
     def connect(self, deadline: float) -> Firmware:
-        """Find out who is there: status, version, settings; refuses what it does not understand."""
+        """Identify the controller and check its version and settings; raise if they do not fit."""
         firmware, findings = self.inspect(deadline)
         controller_needs.refuse(findings)
         self._known = True
         return firmware
 
     def inspect(self, deadline: float) -> tuple[Firmware, list[Finding]]:
-        """Who is there, and how its settings compare with what is needed; nothing moves."""
+        """Identify the firmware and compare its settings with the required ones; nothing moves."""
         offset = self._offset if self._frozen else None
         self._forget()
         self._count = 0
@@ -152,10 +151,10 @@ class GrblDialect:
         self._command(finding.command.partition(";")[0].encode() + b"\n", deadline)
 
     def read(self, deadline: float) -> AxisReading:
-        """Ask for status until two reports in a row agree on the state and the position.
+        """Query the status until two consecutive reports agree on the state and the position.
 
-        The line has no checksum; two equal reports make a garbled digit harmless. The work offset
-        comes with every 30th report at the latest, so the first reading may take that many.
+        The line has no checksum; requiring two equal reports makes a garbled digit harmless. The
+        work offset is sent at least every 30th report, so the first reading may take that many.
         """
         last: grbl.Status | None = None
         while True:
@@ -165,30 +164,30 @@ class GrblDialect:
             last = status
 
     def start_moves(self, moves: Sequence[StraightMove], deadline: float) -> None:
-        """Send a line for each move."""
+        """Send one line per move."""
         for move in moves:
             self._start_move(move.target, move.feed, deadline)
 
     def _start_move(self, target: Axes, feed: float, deadline: float) -> None:
-        """Send one move; a lost answer is not repeated: the position read back decides."""
+        """Send one move. It is not resent if its answer is lost; the position read back decides."""
         line = grbl.move_line(self._settings.letters, target, feed)
         try:
             self._command(line, min(deadline, self._transport.now() + REPLY_TIMEOUT))
         except HardwareFault as fault:
             if fault.reason is not FaultReason.TIMEOUT:
                 raise
-            # Its `ok` is late or lost. Until the controller has dealt with every line before, its
-            # report "Idle" may be that of an arm which has yet to move.
+            # Its `ok` is late or lost. Until the controller has processed all earlier lines, a
+            # report "Idle" may come from an arm that has not started to move yet.
             self.counters.retries += 1
             self._resynchronise(deadline)
 
     def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
-        """Listen until ``expected_end``, then poll until a report says that the axes rest."""
+        """Wait until ``expected_end``, then poll until a report shows the axes at rest."""
         while (left := expected_end - EARLY - self._transport.now()) > 0:
             self._pump(left)
         pause, longest = POLL_PERIODS
         while True:
-            # An answer has its own patience: a move that is late is not a silent controller.
+            # Each query has its own timeout: a late move does not mean a silent controller.
             status = self._ask_status(max(deadline, self._transport.now() + REPLY_TIMEOUT))
             if status.state == "Alarm":
                 raise self._alarm_fault("the controller is in alarm")
@@ -209,21 +208,22 @@ class GrblDialect:
             pause = min(2 * pause, longest)
 
     def idle(self, duration: float) -> None:
-        """Listen; a banner or an alarm that comes is raised."""
+        """Process incoming data; raise if it contains a banner or an alarm."""
         self._pump(duration)
         self._frames.clear()
 
     def home(self, axes: Axes | None, deadline: float) -> None:
-        """Run ``$H``; the machine position afterwards proves that it ran.
+        """Run ``$H``; the machine position afterwards proves that homing ran.
 
-        Neither the line nor its ``ok`` has a checksum: one wrong bit makes ``$X`` of it, which is
-        answered with ``ok`` as well. A controller that still makes the last move of a program that
-        died refuses ``$H``: it is waited for, but not for ever, for a garbled feed may be tiny.
+        Neither the line nor its ``ok`` has a checksum, and one wrong bit turns ``$H`` into ``$X``,
+        which is also answered with ``ok``. A controller that still executes a move of a terminated
+        program rejects ``$H``, so this waits for the move to end. The wait is limited, because a
+        garbled feed may be tiny.
         """
         patience = min(deadline, self._transport.now() + REST_PATIENCE)
         while _moving(self._ask_status(deadline)) and self._transport.now() < patience:
             self._pump(POLL_PERIODS[1])
-        # Somebody may have changed a setting since the connect.
+        # The settings may have been changed since the connect.
         controller_needs.refuse(self._compared(deadline))
         if self._homed_unknown:
             raise HardwareFault(FaultReason.HOMING_FAILED, self._homed_unknown)
@@ -251,25 +251,25 @@ class GrblDialect:
             self.set_position(axes, deadline)
 
     def set_position(self, axes: Axes, deadline: float) -> None:
-        """``G92``, which a reset forgets; then the mark that proves no reset happened."""
+        """Send ``G92`` and the mark. A reset clears both, so the mark proves that none happened."""
         self._offset, self._frozen = None, False
         self._command(grbl.set_position_line(self._settings.letters, axes), deadline)
         self._command(MARK_LINE, deadline)
         while self._offset is None:
             self._ask_status(deadline)
-        # From here on only the machine position counts: a line that a wrong bit turns into another
-        # G92 then shows as an arm that is not where it was sent.
+        # From here on the offset is fixed and only the machine position counts. A line that a bit
+        # error turns into another G92 is then detected as a position mismatch.
         self._frozen = True
         self._marked = True
 
     def clear(self, deadline: float) -> None:
-        """Soft reset and unlock; the position must be confirmed by homing afterwards."""
+        """Send a soft reset and unlock; the arm must be homed again afterwards."""
         self._forget()
         self._known = False
         self._marked = False
         for _ in range(RESETS):
             self._transport.write(grbl.SOFT_RESET)
-            # What the board said before it was reset may still be on the line: wait for the banner.
+            # Answers from before the reset may still be on the line, so wait for the banner.
             if self._await_banner(min(deadline, self._transport.now() + RESET_TIME)):
                 break
             self.counters.retries += 1
@@ -286,7 +286,7 @@ class GrblDialect:
         self._unanswered = False
 
     def _pump(self, wait: float) -> bool:
-        """Read for up to ``wait`` s and decode what came; False when nothing came."""
+        """Read for up to ``wait`` s and decode the data; return False if nothing was received."""
         data = self._transport.read(wait)
         self._buffer += data
         while True:
@@ -336,7 +336,7 @@ class GrblDialect:
         return self._frames.popleft()
 
     def _ask_status(self, deadline: float) -> grbl.Status:
-        """One report, asked for as often as reports get lost; older answers are dropped first."""
+        """Query one status report, repeating lost queries; earlier answers are discarded."""
         self._pump(0.0)
         self._frames.clear()
         self._since = self._transport.now()
@@ -355,10 +355,10 @@ class GrblDialect:
                 self.counters.retries += 1
 
     def _command(self, line: bytes, deadline: float) -> list[grbl.Frame]:
-        """Send one line, wait for its ``ok``, return what came before it.
+        """Send one line, wait for its ``ok``, and return the frames received before it.
 
-        An ``ok`` names no line. Where one is still owed to an earlier line, the two ends are
-        brought into step first, so that it cannot be taken for the answer to this one.
+        An ``ok`` does not identify its line. If the ``ok`` of an earlier line is outstanding, it
+        is awaited first, so that it is not taken for the answer to this line.
         """
         if self._unanswered:
             self._resynchronise(deadline)
@@ -385,10 +385,11 @@ class GrblDialect:
             heard.append(frame)
 
     def _resynchronise(self, deadline: float) -> None:
-        """Wait until the controller has dealt with every line sent before, whatever was lost.
+        """Wait until the controller has processed every line sent before.
 
-        A number that was never used before is set as the feed and read back with the modes: the
-        ``ok`` that follows it is the last one owed. Raises ALARM where no feed is taken.
+        Sets an unused marker number as the feed and reads it back with the modes. The ``ok`` after
+        that mode report is the last outstanding one. Raises ALARM if the controller does not accept
+        the feed because of an alarm.
         """
         self._since = self._transport.now()
         while True:
@@ -418,7 +419,7 @@ class GrblDialect:
                 return
 
     def _await_first_status(self, deadline: float) -> grbl.Banner | None:
-        """Ask until a report comes; a banner on the way is kept: it says the board was reset."""
+        """Query until a report arrives; return a banner received before, which shows a reset."""
         banner: grbl.Banner | None = None
         while True:
             self._transport.write(grbl.STATUS_QUERY)
@@ -443,7 +444,7 @@ class GrblDialect:
                 self.counters.retries += 1
 
     def _await_banner(self, until: float) -> bool:
-        """Wait for the greeting that follows a reset."""
+        """Wait for the greeting after a reset; return whether it was received."""
         while self._transport.now() < until:
             self._pump(until - self._transport.now())
             while self._frames:
@@ -452,7 +453,7 @@ class GrblDialect:
         return False
 
     def _drain(self) -> grbl.Banner | None:
-        """Let what is on the line run out, so that old answers are not taken for new ones."""
+        """Read until the line is silent, so that old answers are not taken for new ones."""
         banner: grbl.Banner | None = None
         for _ in range(DRAIN_ROUNDS):
             heard = self._pump(DRAIN_SILENCE)
@@ -465,7 +466,7 @@ class GrblDialect:
         return banner
 
     def _retried(self, line: bytes, deadline: float) -> list[grbl.Frame]:
-        """A question that may be asked again: three tries, each as long as a reply takes."""
+        """Send a query with up to three attempts, each with the reply timeout."""
         for attempt in range(3):
             try:
                 return self._command(line, min(deadline, self._transport.now() + REPLY_TIMEOUT))
@@ -477,8 +478,8 @@ class GrblDialect:
         raise AssertionError("unreachable")
 
     def _identify(self, deadline: float, banner: grbl.Banner | None) -> str:
-        """Recognise the controller and count its axes; returns its version."""
-        # No answer has a checksum: a lost line would make one controller of another.
+        """Identify the controller and count its axes; return its version."""
+        # Answers have no checksum, and a lost line could make one controller look like another.
         messages = self._information(deadline)
         for _ in range(IDENTIFICATIONS):
             again = self._information(deadline)
@@ -525,12 +526,12 @@ class GrblDialect:
         return version
 
     def _information(self, deadline: float) -> list[grbl.Message]:
-        """What ``$I`` tells."""
+        """Return the messages in the answer to ``$I``."""
         heard = self._retried(b"$I\n", deadline)
         return [frame for frame in heard if isinstance(frame, grbl.Message)]
 
     def _count_axes(self, deadline: float) -> int:
-        """How many axes two reports in a row name."""
+        """Return the number of axes once two consecutive reports agree on it."""
         before = 0
         while True:
             status = self._ask_status(deadline)
@@ -540,7 +541,7 @@ class GrblDialect:
             before = count
 
     def _compared(self, deadline: float) -> list[Finding]:
-        """The findings; asked for twice where one is not met, for a line may have been bad."""
+        """Return the findings; if one is not met, repeat the query in case of a garbled line."""
         findings = self._compare(deadline)
         if self._homed_unknown or not all(finding.met for finding in findings):
             self.counters.retries += 1
@@ -548,7 +549,7 @@ class GrblDialect:
         return findings
 
     def _compare(self, deadline: float) -> list[Finding]:
-        """Hold the controller's settings against what is needed."""
+        """Compare the controller's settings with the required ones."""
         heard = self._retried(b"$$\n", deadline)
         found = {frame.number: frame.value for frame in heard if isinstance(frame, grbl.Setting)}
         controller, settings = self._controller, self._settings
@@ -622,7 +623,7 @@ class GrblDialect:
         return findings + self._limits(found)
 
     def _named(self, name: str, deadline: float) -> str:
-        """A setting that has a name; "missing" where the controller has none of that name."""
+        """Return the value of a named setting; "missing" if the controller does not have it."""
         try:
             heard = self._retried(name.encode() + b"\n", deadline)
         except HardwareFault as fault:
@@ -633,7 +634,7 @@ class GrblDialect:
         return told.get(name[1:], "missing").strip()
 
     def _limits(self, found: Mapping[int, float]) -> list[Finding]:
-        """The controller's steps, rates, accelerations and travels."""
+        """Compare steps, rates, accelerations and travels with the required ones."""
         needs, columns = self._settings.needs, self._columns
 
         def four(first: int) -> tuple[list[str], list[float]]:
@@ -654,10 +655,13 @@ class GrblDialect:
             findings += controller_needs.at_least(*four(130), needs.travel, command)
         return findings
 
-    # Where homing ends.
+    # Position at the end of homing.
 
     def _learn_homed_place(self, found: Mapping[int, float]) -> None:
-        """From ``$$``: pulled off ($27) from the end that $23 names, or zero where so built."""
+        """Compute the machine position after homing from ``$$``.
+
+        It is $27 away from the end that $23 selects, or zero in some builds.
+        """
         self._homed_unknown = ""
         self._homed_place = list(self._settings.home_place or ())
         needed = [23, 27, *(130 + column for column in self._columns)]
@@ -694,7 +698,7 @@ class GrblDialect:
                 )
 
     def _learn_homed_place_by_name(self, deadline: float) -> None:
-        """From the settings that a controller keeps under names."""
+        """Read the homed position from the controller's named settings."""
         self._homed_unknown = ""
         self._homed_place = list(self._settings.home_place or (None,) * AXIS_COUNT)
         for axis, letter in enumerate(self._settings.letters):
@@ -719,7 +723,7 @@ class GrblDialect:
                     )
 
     def _check_homed(self, status: grbl.Status) -> None:
-        """Raise HOMING_FAILED unless every axis that homes stands where homing ends."""
+        """Raise HOMING_FAILED unless every axis that homes is at its position after homing."""
         place = self._in_order(status.machine or ())
         wrong = [
             f"{letter} at {found:g} instead of {wanted:g}"
@@ -755,7 +759,7 @@ class GrblDialect:
         )
 
     def _in_order(self, position: Sequence[float]) -> tuple[float, ...]:
-        """The four axes of a reported position."""
+        """Return the four axes of a reported position, in joint order."""
         return tuple(position[column] for column in self._columns)
 
     def _override_words(self) -> str:
@@ -767,7 +771,7 @@ class GrblDialect:
         )
 
     def _agree(self, first: grbl.Status, second: grbl.Status) -> bool:
-        """Whether two reports confirm each other: on the move, or at rest in the same place."""
+        """Return whether two reports agree: both moving, or at rest at the same position."""
         if self._work_position(second) is None:
             return False
         if _moving(first) and _moving(second):
@@ -779,7 +783,7 @@ class GrblDialect:
         )
 
     def _work_position(self, status: grbl.Status) -> tuple[float, ...] | None:
-        """The position in our own zero; None while the offset has not been heard."""
+        """Return the work position; None if no offset has been received yet."""
         if status.work is not None:
             return status.work
         if status.machine is None or self._offset is None:

@@ -1,9 +1,9 @@
 """Moves as timed points for a controller that interpolates in time.
 
-A controller that gets positions and velocities joins its points by cubics. The points of a move
-stand where its trapezoid of speed has its corners: between two of them the speed changes evenly,
-the position is a parabola, and a cubic with the same ends is that parabola. So the controller makes
-the move that is meant, with three numbers a joint.
+A controller that receives positions and velocities interpolates between points with cubics. The
+points of a move are the corners of its trapezoidal velocity profile. Between two corners the
+acceleration is constant and the position a parabola, which a cubic with the same end conditions
+reproduces exactly. So the controller executes the intended move from a few points.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from tapping_cell.hardware.dialect import StraightMove
 Array = NDArray[np.float64]
 
 LEAST_TIME = 0.02
-"""Shortest time of a move, s: a controller takes no two points of one time."""
+"""Minimum duration of a move, s; controllers reject two points with the same time."""
 
 LEAST_PIECE = 1e-3
-"""A part of a move that takes less is left to its neighbours, s."""
+"""Minimum duration of a segment of a move, s; shorter ones are merged with their neighbours."""
 STRAIGHT = 1 - 1e-6
-"""Cosine of the angle between two moves that count as one line."""
+"""Minimum cosine of the angle between two moves that are passed without a stop."""
 
 COURSE_SAMPLES = 200
-"""Places of a trajectory of which the one nearest to the arm is looked for."""
+"""Number of samples of a trajectory in the search for the point nearest to the arm."""
 COURSE_WIDTH = 0.05
-"""An arm further from its trajectory than this is not on it, rad or m."""
+"""Maximum distance between an arm and a trajectory that it is following, rad or m."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryPoint:
-    """Where the joints are at a time from the start in s, and how fast; rad and m."""
+    """Joint positions and velocities at a time in s from the start; rad and m."""
 
     time: float
     positions: tuple[float, ...]
@@ -46,12 +46,12 @@ class TrajectoryPoint:
 def straight_points(
     start: Sequence[float], moves: Sequence[StraightMove], max_acceleration: Sequence[float]
 ) -> tuple[TrajectoryPoint, ...]:
-    """The points after the start of straight moves that begin and end at rest.
+    """Return the points, without the start, of straight moves that begin and end at rest.
 
-    Between two moves that go on in one direction the arm does not stop: it passes at the lower of
-    their speeds, or at what the ways before and behind allow. ``moves``: targets in rad and m, the
-    feed along the line in their unit a minute. ``max_acceleration`` in rad/s^2 or m/s^2 of each
-    joint. Moves of no length are left out.
+    Between two moves in the same direction the arm does not stop. It passes at the lower of their
+    speeds, or at the speed that the lengths of the adjacent moves allow. ``moves``: targets in rad
+    and m; the feed along the line is in the same unit per minute. ``max_acceleration``: of each
+    joint, in rad/s^2 or m/s^2. Moves of zero length are left out.
     """
     legs = _legs(start, moves, max_acceleration)
     points: list[TrajectoryPoint] = []
@@ -71,7 +71,7 @@ def straight_points(
 
 @dataclass(frozen=True, slots=True)
 class _Leg:
-    """One straight move: the way along a unit direction, and what bounds it."""
+    """One straight move along a unit direction, with its speed and acceleration limits."""
 
     start: tuple[float, ...]
     direction: tuple[float, ...]
@@ -97,15 +97,15 @@ def _legs(
 
 
 def _passing_speeds(legs: Sequence[_Leg]) -> list[tuple[float, float]]:
-    """Speeds at the beginning and the end of each leg."""
+    """Return the speeds at the beginning and the end of each leg."""
     corners = [0.0] * (len(legs) + 1)
     for index, (before, after) in enumerate(pairwise(legs), start=1):
         along = sum(a * b for a, b in zip(before.direction, after.direction, strict=True))
-        # Very short moves are given their least time, from rest to rest.
+        # Very short moves get the minimum duration, from rest to rest.
         short = min(leg.length / leg.speed for leg in (before, after)) < LEAST_TIME
         if along > STRAIGHT and not short:
             corners[index] = min(before.speed, after.speed)
-    # What can be reached from rest behind, and from where one can come to rest before.
+    # Forward pass: limit each corner to what is reachable; backward pass: to what can be braked.
     for index, leg in enumerate(legs, start=1):
         reached = math.sqrt(corners[index - 1] ** 2 + 2 * leg.acceleration * leg.length)
         corners[index] = min(corners[index], reached)
@@ -116,7 +116,7 @@ def _passing_speeds(legs: Sequence[_Leg]) -> list[tuple[float, float]]:
 
 
 class Course:
-    """A trajectory that was sent, to know where an arm is on it while nobody hears of it."""
+    """A sent trajectory, to estimate the arm's position between joint state messages."""
 
     def __init__(self, start: Sequence[float], points: Sequence[TrajectoryPoint]) -> None:
         still = (0.0,) * len(start)
@@ -128,20 +128,21 @@ class Course:
         self._track, _ = self.at(self._samples)
 
     def at(self, times: Array) -> tuple[Array, Array]:
-        """Positions and velocities at times from the start in s, a row each."""
+        """Return positions and velocities, one row per time in s from the start."""
         times = np.clip(times, 0.0, self._times[-1])
         after = np.clip(np.searchsorted(self._times, times, side="right"), 1, len(self._times) - 1)
         before = after - 1
         t = (times - self._times[before])[:, None]
         span = (self._times[after] - self._times[before])[:, None]
         v, w = self._speeds[before], self._speeds[after]
-        # The speed changes evenly between two points.
+        # The acceleration is constant between two points.
         return self._places[before] + v * t + (w - v) * t**2 / (2 * span), v + (w - v) * t / span
 
     def after(
         self, positions: Sequence[float], duration: float
     ) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
-        """Positions and velocities ``duration`` s after the arm was near some; None beside it."""
+        """Return positions and velocities ``duration`` s after the point nearest to ``positions``;
+        None if these are not on the trajectory."""
         distances = np.linalg.norm(self._track - np.asarray(positions), axis=1)
         nearest = int(np.argmin(distances))
         if not distances[nearest] <= COURSE_WIDTH:
@@ -153,7 +154,7 @@ class Course:
 def brake_point(
     positions: Sequence[float], velocities: Sequence[float], max_acceleration: Sequence[float]
 ) -> TrajectoryPoint:
-    """Where joints that move come to rest, all at once, the fastest at its full deceleration."""
+    """Return the point where all joints stop together, after the longest braking time of any."""
     slowest = max(abs(v) / a for v, a in zip(velocities, max_acceleration, strict=True))
     duration = max(slowest, LEAST_TIME)
     return TrajectoryPoint(
@@ -164,9 +165,9 @@ def brake_point(
 
 
 def _trapezoid(leg: _Leg, entry: float, exit_: float) -> list[tuple[float, float, float]]:
-    """Corners after the start: time in s, way in rad or m, speed along it."""
+    """Return the corners after the start: time in s, distance in rad or m, speed along it."""
     pull = leg.acceleration
-    # Where there is no room for the leg's speed, the two ramps meet at this one.
+    # If the leg is too short to reach its speed, the two ramps meet at this lower speed.
     peak = min(leg.speed, math.sqrt((2 * pull * leg.length + entry**2 + exit_**2) / 2))
     first, last = (peak - entry) / pull, (peak - exit_) / pull
     ramps = (peak + entry) / 2 * first + (peak + exit_) / 2 * last

@@ -1,4 +1,4 @@
-"""Where each link of the arm is: the kinematics link by link, for /tf and the URDF."""
+"""Frames of the arm's links from its kinematics, for /tf and the URDF."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import NamedTuple
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 
 LINKS = ("arm_base", "upper_arm", "forearm", "quill_rod", "tool", "striker")
-"""From the fixed base to the tip; a joint of ``Joints`` before each but the first and the last."""
+"""Links from the fixed base to the tip; ``Joints`` connect all but the last."""
 
 
 class LinkFrame(NamedTuple):
-    """Pose of a link's frame in its parent's: x, y, z in m, rotation about z in rad."""
+    """Pose of a link's frame in the frame of its parent: x, y, z in m, rotation about z in rad."""
 
     parent: str
     link: str
@@ -22,9 +22,9 @@ class LinkFrame(NamedTuple):
 
 
 def link_frames(geometry: ScaraGeometry, joints: Joints) -> tuple[LinkFrame, ...]:
-    """The five links after ``arm_base`` at these joint values (rad, rad, m, rad).
+    """Return the frames of the five links after ``arm_base`` at joint values (rad, rad, m, rad).
 
-    ``striker`` is the tip with x along its line of travel, as ``ScaraGeometry.forward`` gives it.
+    ``striker`` is the tip with x along its line of travel, as in ``ScaraGeometry.forward``.
     """
     true = Joints(*(q + offset for q, offset in zip(joints, geometry.joint_offset, strict=True)))
     poses = (

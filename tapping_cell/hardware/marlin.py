@@ -1,7 +1,7 @@
-"""Codec of Marlin 2: numbered lines with a checksum out, its answers in.
+"""Codec of Marlin 2: encodes numbered lines with a checksum and decodes the answers.
 
-Source: Marlin's documentation and the answers of real firmware; the checksum is the XOR of all
-bytes before the ``*``. Values stay in the controller's units: mm, degrees.
+Source: Marlin's documentation and the answers of real firmware. The checksum is the XOR of all
+bytes before the ``*``. Values remain in the controller's units: mm, degrees.
 """
 
 from __future__ import annotations
@@ -12,37 +12,36 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 LONGEST_LINE = 512
-"""Bytes without an end of line after which the input is noise."""
+"""Number of bytes without an end of line after which the input is treated as noise."""
 
 QUICK_STOP = b"\nM410\n"
-"""Stops at once where the firmware has the emergency parser; the newline ends a line half sent."""
+"""Immediate stop for firmware with the emergency parser; the first newline ends a partial line."""
 KILL = b"\nM112\n"
-"""Halts the firmware until its board is reset; unnumbered, for a numbered one waits in the
-queue."""
+"""Halts the firmware until its board is reset; not numbered, because numbered lines are queued."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ok:
-    """The line was taken (``M400``, ``G28``: and done); it says nothing about success."""
+    """The line was accepted (``M400``, ``G28``: completed); this does not confirm success."""
 
 
 @dataclass(frozen=True, slots=True)
 class Busy:
-    """Still working on the line; sent about every 2 s."""
+    """The line is still being processed; sent about every 2 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class LineError:
-    """A line was refused for its number or checksum."""
+    """A line was rejected because of its number or checksum."""
 
     why: str
     last_line: int | None
-    """None where the firmware does not tell."""
+    """Number of the last accepted line; None if the firmware does not report it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Resend:
-    """The line number that is wanted next."""
+    """The firmware requests the line with this number next."""
 
     number: int
 
@@ -54,31 +53,31 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Halted:
-    """The firmware killed itself; only a reset brings it back."""
+    """The firmware halted itself and works again only after a reset."""
 
     why: str
 
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """A code that this firmware does not have."""
+    """The firmware does not support a code."""
 
     code: str
 
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """``M114``: what was commanded, and the step counts where they are."""
+    """Answer to ``M114``: commanded position, and the actual step counts if reported."""
 
     commanded: Mapping[str, float]
     counts: Mapping[str, int]
     with_ok: bool = False
-    """True where the firmware writes its ``ok`` on the same line."""
+    """Whether the firmware sent its ``ok`` on the same line."""
 
 
 @dataclass(frozen=True, slots=True)
 class AxisFigures:
-    """``M92``: steps per unit; ``M203``: units/s; ``M201``: units/s^2; by axis letter."""
+    """Values by axis letter: ``M92`` steps per unit, ``M203`` units/s, ``M201`` units/s^2."""
 
     code: str
     values: Mapping[str, float]
@@ -86,7 +85,7 @@ class AxisFigures:
 
 @dataclass(frozen=True, slots=True)
 class SoftEndstops:
-    """``M211``: whether targets are clipped, and to what."""
+    """Answer to ``M211``: whether targets are clipped, and the limits."""
 
     on: bool
     low: Mapping[str, float]
@@ -95,14 +94,14 @@ class SoftEndstops:
 
 @dataclass(frozen=True, slots=True)
 class FirmwareName:
-    """First line of ``M115``."""
+    """First line of the answer to ``M115``."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
 class Capability:
-    """A ``Cap:`` line of ``M115``."""
+    """A ``Cap:`` line of the answer to ``M115``."""
 
     name: str
     present: bool
@@ -110,7 +109,7 @@ class Capability:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A remark that needs no answer."""
+    """An informational line that needs no answer."""
 
     text: str
 
@@ -143,14 +142,14 @@ Frame = (
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """``frame`` None: more bytes are needed; ``rest``: the bytes still to decode."""
+    """A decoded frame (None if more bytes are needed), and the bytes not decoded yet."""
 
     frame: Frame | None
     rest: bytes
 
 
 _OK = re.compile(r"^ok(?: N\d{1,10})?(?: P\d{1,3})?(?: B\d{1,3})?$")
-# Marlin 2 has four wordings with the last line; its relatives have others.
+# Marlin 2 has four messages that contain the last line; related firmwares have others.
 _LINE_ERROR = re.compile(r"^Error: ?(.*(?:checksum|line number|expected line).*)$", re.IGNORECASE)
 _LAST_LINE = re.compile(r"Last Line: ?(\d{1,10})$")
 _RESEND = re.compile(r"^(?:Resend|rs): ?N?(\d{1,10})$")
@@ -167,7 +166,7 @@ _CAPABILITY = re.compile(r"^Cap:([A-Z0-9_]{1,40}):([01])$")
 
 
 def decode(buffer: bytes) -> Decoded:
-    """Take the first line off ``buffer``; empty lines are skipped. Never raises."""
+    """Decode the first line of ``buffer``; empty lines are skipped. Never raises."""
     while True:
         end = buffer.find(b"\n")
         if end < 0:
@@ -180,7 +179,7 @@ def decode(buffer: bytes) -> Decoded:
 
 
 def decode_line(line: bytes) -> Frame:
-    """One line without its end. Never raises."""
+    """Decode one line without its line ending. Never raises."""
     if not line.isascii():
         return Bad(line, "bytes outside ASCII")
     text = line.decode("ascii")
@@ -223,7 +222,7 @@ def _by_axis(text: str) -> dict[str, float]:
 
 
 def numbered(number: int, code: str) -> bytes:
-    """``N<number> <code>*<checksum>`` and a newline."""
+    """Encode ``N<number> <code>*<checksum>`` and a newline."""
     body = f"N{number} {code}".encode("ascii")
     check = 0
     for byte in body:
@@ -232,9 +231,9 @@ def numbered(number: int, code: str) -> bytes:
 
 
 def move_code(letters: str, target: Sequence[float], feed: float) -> str:
-    """A straight move of the axes ``letters`` to ``target`` at ``feed`` units/min.
+    """Format a straight move of the axes ``letters`` to ``target`` at ``feed`` units/min.
 
-    Raises ValueError for values that are not finite or a feed that is not above 0.
+    Raises ValueError if a value is not finite or the feed is not above 0.
     """
     if not (math.isfinite(feed) and feed > 0):
         raise ValueError(f"feed {feed} must be finite and above 0")
@@ -242,7 +241,7 @@ def move_code(letters: str, target: Sequence[float], feed: float) -> str:
 
 
 def axis_words(letters: str, values: Sequence[float]) -> str:
-    """Axis words with a space before each; ValueError for values that are not finite."""
+    """Format axis words, each preceded by a space; ValueError for values that are not finite."""
     if not all(math.isfinite(value) for value in values):
         raise ValueError(f"axis values {tuple(values)} must be finite")
     return "".join(f" {a}{v:.3f}" for a, v in zip(letters, values, strict=True))

@@ -1,4 +1,4 @@
-"""Marlin 2 spoken to an arm in joint space: one numbered line in flight, no line ever run twice."""
+"""Marlin 2 dialect: one numbered line in flight at a time, and no line is executed twice."""
 
 from __future__ import annotations
 
@@ -23,53 +23,52 @@ from tapping_cell.hardware.finding import Finding
 from tapping_cell.hardware.transport import Transport
 
 SILENCE = 2.5
-"""Longest wait for ``ok`` or ``busy`` of a line that works for long, s: ``busy`` comes about every
-2 s."""
+"""Longest silence during a long line (``LONG_CODES``), s; ``busy`` is sent about every 2 s."""
 SHORT_SILENCE = 0.6
-"""The same for any other line, s: it is answered at once."""
+"""Longest silence during any other line, which is answered immediately, s."""
 LONG_CODES = ("M400", "G28")
 REPEAT_SILENCE = 0.4
-"""The same for a line sent again: it is answered at once, or was taken before, s."""
+"""Longest silence after a line is resent, s; a line that was already accepted has no answer."""
 DRAIN_SILENCE = 0.05
-"""Silence after which nothing more is expected to be on the line, s."""
+"""Silence after which the line counts as drained, s."""
 POLL_PERIOD = 0.02
-"""Between position questions while the last steps are made, s."""
+"""Time between position queries while the last steps of a move are made, s."""
 EARLY = 0.003
-"""A move is asked after so long before its computed end, s: it began while its ``ok`` was on the
-line."""
+"""Time from the start of polling to the computed end of a move, s. Polling starts early because a
+move starts before its ``ok`` arrives."""
 FIRST_NUMBERS = (1000, 100_000_000)
-"""Range of the number at which counting starts: a board that was reset counts from 0 instead."""
+"""Range of the first line number; a board that was reset counts from 0 instead."""
 RESET_PAUSE = 0.5
-"""The port stays closed for this long, so that its DTR line resets a halted board, s."""
+"""Time for which the port stays closed, so that its DTR line resets a halted board, s."""
 NO_EMERGENCY_PARSER = (
     "this Marlin is built without EMERGENCY_PARSER: a stop halts it (M112) until its board is reset"
 )
 SET = "{name}{value}, then M500"
-"""How a figure is set and kept."""
+"""Command that sets and stores a value."""
 PREPARATION = ("G21", "G90", "M220 S100", "M84 S0", "M17")
-"""Sent at every connect: mm, absolute, no speed override, no idle time after which the motors lose
-their torque, torque on."""
+"""Codes sent at every connect: mm, absolute positions, no speed override, no idle timeout of the
+motors' torque, motors on."""
 RECOVERIES = 8
-"""Rounds of sending again before a line counts as dead."""
+"""Maximum number of attempts to resend a line before the connection counts as lost."""
 IDENTIFICATIONS = 6
-"""Answers to ``M115`` of which two in a row must agree."""
+"""Maximum number of ``M115`` queries until two consecutive answers agree."""
 
 
 @dataclass(frozen=True, slots=True)
 class MarlinSettings:
-    """How the controller is wired."""
+    """Wiring of the controller and requirements on its settings."""
 
     letters: str = "XYZA"
     """Axis letters of shoulder, elbow, quill, tool."""
     needs: ControllerNeeds = field(default_factory=ControllerNeeds)
-    """What M92, M201, M203 and M211 must allow, where the firmware tells them."""
+    """Requirements on M92, M201, M203 and M211, if the firmware reports them."""
 
     def __post_init__(self) -> None:
         check_letters(self.letters)
 
 
 class MarlinDialect:
-    """One Marlin controller; see :class:`~tapping_cell.hardware.dialect.ArmDialect`."""
+    """Driver of one Marlin controller; see :class:`~tapping_cell.hardware.dialect.ArmDialect`."""
 
     def __init__(
         self,
@@ -99,14 +98,13 @@ class MarlinDialect:
 
     @property
     def stop_bytes(self) -> bytes:
-        """``M410`` where the firmware reads it ahead of its queue, else ``M112``: both
-        unnumbered."""
+        """``M410`` if the firmware has the emergency parser, else ``M112``; both unnumbered."""
         return marlin.QUICK_STOP if self._emergency_parser else marlin.KILL
 
     def connect(self, deadline: float) -> Firmware:
-        """Find out who is there, by line numbers whether it was reset, and set the modes.
+        """Identify the firmware, detect a reset from the line numbers, and set the modes.
 
-        A board that answered before and is mute on a port just opened is halted: NEEDS_PERSON.
+        A board that answered before and is silent on a newly opened port is halted: NEEDS_PERSON.
         """
         firmware, findings = self.inspect(deadline)
         controller_needs.refuse(findings)
@@ -115,7 +113,7 @@ class MarlinDialect:
         return firmware
 
     def inspect(self, deadline: float) -> tuple[Firmware, list[Finding]]:
-        """Who is there, and how its settings compare with what is needed; nothing moves."""
+        """Identify the firmware and compare its settings with the required ones; nothing moves."""
         self._buffer = b""
         self._frames.clear()
         self._known = False
@@ -135,27 +133,27 @@ class MarlinDialect:
         return Firmware("Marlin", name, continued, remarks), findings
 
     def store(self, finding: Finding, deadline: float) -> None:
-        """No setting of Marlin is stored: what holds the motors is said at every connect."""
+        """Raise ValueError: no setting is stored, because motor torque is set at every connect."""
         raise ValueError(f"{finding.setting} must be set by a person")
 
     def _prepare(self, deadline: float) -> None:
-        """Absolute mm, full speed, and motors that keep their torque however long they stand."""
+        """Set absolute mm, full speed, and motors that always keep their torque."""
         for code in PREPARATION:
             self._order(code, deadline)
 
     def read(self, deadline: float) -> AxisReading:
-        """``M114``: the step counts where the firmware gives them, else what was commanded."""
+        """Query ``M114``; return the step counts if reported, else the commanded values."""
         while True:
             asked = self._transport.now()
             for frame in self._command("M114", deadline):
                 if isinstance(frame, marlin.Position):
                     return self._reading(frame, asked)
-            # The answer was garbled, or a stray `ok` was taken for that of this line: begin afresh.
+            # The answer was garbled, or a stray `ok` was taken for this line's: drain and repeat.
             self._settle(deadline)
             self.counters.retries += 1
 
     def start_moves(self, moves: Sequence[StraightMove], deadline: float) -> None:
-        """Send a line for each move."""
+        """Send one line per move."""
         for move in moves:
             self._start_move(move.target, move.feed, deadline)
 
@@ -164,10 +162,10 @@ class MarlinDialect:
         self._order(marlin.move_code(self._settings.letters, target, feed), deadline)
 
     def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
-        """The position, until the step counts stand where they were sent.
+        """Wait until the step counts match the commanded position, and return the position.
 
-        A firmware that gives no counts is asked with ``M400``, and so is one whose axes still move
-        when their move is due to end: its ``ok`` comes at the end.
+        ``M400`` is sent if the firmware reports no counts or if the axes still move at
+        ``expected_end``; its ``ok`` arrives at the end of the move.
         """
         while (left := expected_end - EARLY - self._transport.now()) > 0:
             self._pump(left)
@@ -181,14 +179,14 @@ class MarlinDialect:
         return reading
 
     def idle(self, duration: float) -> None:
-        """Listen; a restart or a halt that comes is raised."""
+        """Process incoming data; raise if it reports a restart or a halt."""
         self._pump(duration)
 
     def home(self, axes: Axes | None, deadline: float) -> None:
-        """``G28`` and ``G92``: the board takes a line number only after the one before it.
+        """Send ``G28`` and ``G92``, and verify that ``G28`` ran.
 
-        So the position that is read at the end proves that ``G28`` ran, unless the counting had to
-        begin anew meanwhile.
+        The board accepts a line number only after the one before it. The position read at the end
+        therefore proves that ``G28`` ran, unless the line numbering was restarted meanwhile.
         """
         beginnings, began = self._beginnings, self._transport.now()
         try:
@@ -217,12 +215,12 @@ class MarlinDialect:
             )
 
     def set_position(self, axes: Axes, deadline: float) -> None:
-        """``G92``."""
+        """Declare the position with ``G92``."""
         self._order("G92" + marlin.axis_words(self._settings.letters, axes), deadline)
 
     def clear(self, deadline: float) -> None:
-        """Start over; a halted board is reset by opening the port anew, where its wiring does
-        that."""
+        """Restart the line numbering. If the board is silent, reopen the port, which resets a
+        halted board if its wiring supports this."""
         self._known = False
         self._halted_why = ""
         self._pump(0.0)
@@ -246,7 +244,7 @@ class MarlinDialect:
     # Lines.
 
     def _order(self, code: str, deadline: float) -> None:
-        """A line that must not be unknown to the firmware."""
+        """Send a line; raise REJECTED if the firmware does not support its code."""
         for frame in self._command(code, deadline):
             if isinstance(frame, marlin.Unknown):
                 raise HardwareFault(
@@ -256,7 +254,7 @@ class MarlinDialect:
                 )
 
     def _command(self, code: str, deadline: float) -> list[marlin.Frame]:
-        """Send one line and see it through; returns what was said before its ``ok``."""
+        """Send one line and recover from errors; return the frames received before its ``ok``."""
         self._pump(0.0)
         self._frames.clear()
         self._number += 1
@@ -272,7 +270,7 @@ class MarlinDialect:
             if outcome is None:
                 return heard
             if outcome == number + 1:
-                # The board has this line already and wants the next: only the `ok` was lost.
+                # The board already has this line and requests the next: only the `ok` was lost.
                 return heard
             if outcome < 0:
                 if self._is_taken(number, longest, deadline):
@@ -283,7 +281,7 @@ class MarlinDialect:
                     raise self._restarted()
                 strange += 1
                 if strange > 1:
-                    # Not a garbled digit: the board counts otherwise and takes no line of ours.
+                    # Not a garbled digit: the board's line count differs, so it rejects all lines.
                     self._begin_numbers(deadline)
                     self._number += 1
                     number = self._number
@@ -298,7 +296,7 @@ class MarlinDialect:
     def _await(
         self, number: int, patience: float, deadline: float, heard: list[marlin.Frame]
     ) -> int | None:
-        """None: ``ok``. A number: the board wants that line. -1: silence."""
+        """Return None after ``ok``, the line number the board requests, or -1 after silence."""
         wanted: int | None = None
         busy = False
         while True:
@@ -323,11 +321,10 @@ class MarlinDialect:
                     return wanted
 
     def _is_taken(self, number: int, patience: float, deadline: float) -> bool:
-        """After silence: send the line again, and if that is met with silence too, ask with the
-        next.
+        """After silence, resend the line; if there is no answer, send the next number as a query.
 
-        A duplicate of a line that was run is not answered and not run again; the next number is
-        answered with ``ok`` then, and with ``Resend`` if the line never arrived.
+        The board neither answers nor repeats a duplicate of an executed line. It answers the next
+        number with ``ok`` if the line was executed, and with ``Resend`` if the line never arrived.
         """
         self.counters.timeouts += 1
         self._transport.write(self._sent[number])
@@ -344,8 +341,8 @@ class MarlinDialect:
         outcome = self._await(number + 1, patience, deadline, heard)
         if outcome is None or outcome == number + 2:
             return True
-        # The number of this question is used up, whether it arrived or is still on the line:
-        # another line under the same number would be dropped as its duplicate.
+        # The number of this query is used up, whether it arrived or is still on the line: another
+        # line with the same number would be dropped as its duplicate.
         return outcome == number + 1
 
     def _next(self, until: float) -> marlin.Frame | None:
@@ -357,7 +354,7 @@ class MarlinDialect:
         return self._frames.popleft()
 
     def _pump(self, wait: float) -> bool:
-        """Read for up to ``wait`` s and decode what came; False when nothing came."""
+        """Read for up to ``wait`` s and decode the data; return False if nothing was received."""
         data = self._transport.read(wait)
         self._buffer += data
         while True:
@@ -383,7 +380,7 @@ class MarlinDialect:
     # Connecting.
 
     def _counts_on(self, deadline: float) -> bool:
-        """Whether the board still counts our lines, so was not reset: it names its last line."""
+        """Return whether the board still has our last line number, so that it was not reset."""
         known = set(self._sent) | {self._number}
         self._transport.write(marlin.numbered(self._number + 2, "M114"))
         until = min(deadline, self._transport.now() + 1.0)
@@ -397,7 +394,7 @@ class MarlinDialect:
         return False
 
     def _begin_numbers(self, deadline: float) -> None:
-        """``M110``: count from a number of our own choice; repeated until answered."""
+        """Set a random line number with ``M110``, repeated until it is answered."""
         low, high = FIRST_NUMBERS
         self._beginnings += 1
         self._number = low + self._draw_number(high - low)
@@ -420,16 +417,16 @@ class MarlinDialect:
             self.counters.retries += 1
 
     def _settle(self, deadline: float) -> None:
-        """Let answers to repeated lines run out, so that no stray ``ok`` is left."""
+        """Read until the line is silent, so that no stray ``ok`` of a repeated line is left."""
         while self._transport.now() < deadline and self._pump(DRAIN_SILENCE):
             self._frames.clear()
         self._frames.clear()
 
     def _identify(self, deadline: float) -> str:
-        """Ask with ``M115`` until two answers agree, for they have no checksum.
+        """Send ``M115`` until two answers agree, because answers have no checksum.
 
-        A capability that a bad line hides would have a stop halt the board for nothing; one that it
-        feigns, a stop that does not act.
+        If a garbled line hid the emergency parser, a stop would halt the board needlessly. If it
+        reported one that does not exist, a stop would have no effect.
         """
         before: tuple[str, bool] | None = None
         for _ in range(IDENTIFICATIONS):
@@ -456,7 +453,7 @@ class MarlinDialect:
         )
 
     def _figures(self, code: str, deadline: float) -> dict[str, float]:
-        """What a code without words tells of our axes; empty where the firmware does not tell."""
+        """Return a code's reported values of the four axes; empty if they are not reported."""
         letters = self._settings.letters
         for frame in self._command(code, deadline):
             if (
@@ -468,7 +465,7 @@ class MarlinDialect:
         return {}
 
     def _compare(self, deadline: float) -> list[Finding]:
-        """Hold steps, rates, accelerations and soft end stops against what is needed."""
+        """Compare steps, rates, accelerations and soft end stops with the required ones."""
         needs = self._settings.needs
         if needs == ControllerNeeds():
             return []
@@ -505,7 +502,7 @@ class MarlinDialect:
         if not self._steps or not set(letters) <= set(frame.counts):
             return AxisReading(commanded, False, "", False, asked)
         actual = tuple(frame.counts[a] / self._steps[a] for a in letters)
-        # Commanded values are rounded to 0.01; beyond that and one step the axes are on the way.
+        # Commanded values are rounded to 0.01; a difference beyond that and one step is motion.
         moving = any(
             abs(a - c) > 0.006 + 1 / self._steps[letter]
             for a, c, letter in zip(actual, commanded, letters, strict=True)

@@ -1,10 +1,10 @@
-"""The arm's moves around a tap, as pure functions: raise, travel, lower; back off, raise, park.
+"""Arm moves around a tap as pure functions: raise, travel, lower, then back off, raise, park.
 
-Every move is straight in joint space, so a move between two waypoints of one elbow side never
-passes the straight elbow. When a pose is only reachable with the other elbow, the side changes in
-the raised travel alone, above everything on the table. Below travel height the quill moves alone,
-straight up or down. Above it all joints move together, on one straight line between two places at
-travel height or higher.
+Every move is straight in joint space, so a move between two waypoints on the same elbow side never
+passes the singular pose with a straight elbow. If a pose is reachable only with the other elbow
+side, the side changes during the raised travel, above everything on the table. Below travel height
+the quill moves alone, straight up or down. Above it all joints move together, on one straight line
+between two points at travel height or higher.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class MotionSettings:
-    """Heights, speeds and the park pose of the tap moves; SI."""
+    """Heights, speeds and the park pose of the tap moves, in SI units."""
 
     travel_height: float = 0.060
-    """Tip above the table while travelling, m: above every object and the camera's markers."""
+    """Height of the travelling tip above the table, above every object and camera marker, m."""
     travel_speed: float = 0.8
-    """Fraction of the joint speeds while raised."""
+    """Fraction of the maximum joint speeds while raised."""
     near_speed: float = 0.4
-    """Fraction of the joint speeds while backing off, and while lowering the last of the way."""
+    """Fraction of the maximum joint speeds while backing off and at the end of lowering."""
     near_height: float = 0.015
-    """Over the strike pose, m: above it the striker is lowered at ``travel_speed``."""
+    """Height above the strike pose where lowering slows to ``near_speed``, m."""
     back_off: float = 0.005
-    """Backwards along the line of travel before raising from a strike pose, m."""
+    """Backward distance along the line of travel before raising from a strike pose, m."""
     park: tuple[float, float, float, float] = (1.2, 1.2, -0.020, 0.0)
-    """Joints where the arm waits out of the camera's view: rad, rad, m, rad."""
+    """Joints where the arm waits outside the camera's view: rad, rad, m, rad."""
 
     def __post_init__(self) -> None:
         for name in ("travel_speed", "near_speed"):
@@ -50,25 +50,25 @@ class MotionSettings:
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """One move in joint space: where to, at which fraction of the joint speeds, and why."""
+    """One move in joint space: target, fraction of the maximum joint speeds, and phase."""
 
     joints: Joints
     speed: float
     phase: str
     """``raise``, ``travel``, ``lower``, ``look`` or ``park``."""
     via: Joints | None = None
-    """Passed on the way, straight to it and straight on."""
+    """Intermediate joints; the moves to and from them are straight."""
     via_speed: float | None = None
-    """Fraction of the joint speeds up to ``via``; None for ``speed``."""
+    """Fraction of the maximum joint speeds up to ``via``; None uses ``speed``."""
 
 
 def strike_path(
     geometry: ScaraGeometry, current: Sequence[float], tip: TipPose, settings: MotionSettings
 ) -> tuple[Waypoint, ...]:
-    """Waypoints from joints ``current`` to the tip pose in ``arm_base``: raise, travel, lower.
+    """Return the waypoints from joints ``current`` to the tip pose in ``arm_base``.
 
-    Raises HardwareFault (UNREACHABLE) with the reason of the kinematics; moves of no length are
-    left out.
+    The path is raise, travel, lower; moves of zero length are left out. Raises HardwareFault
+    (UNREACHABLE) with the reason from the kinematics.
     """
     near = settings.near_speed
     solution = geometry.inverse(tip, near=current)
@@ -80,7 +80,7 @@ def strike_path(
     fast = settings.travel_speed
     slow_from = goal._replace(quill=goal.quill + settings.near_height)
     brief = slow_from.quill >= above.quill - 1e-9
-    # Should the line of the fast step be lost, all of the way is slow: no harm.
+    # If the command of the fast step is lost, the whole descent is slow, which is harmless.
     lower = Waypoint(goal, near, "lower", None if brief else slow_from, None if brief else fast)
     return _moves(
         Joints(*current),
@@ -116,8 +116,8 @@ def strike_durations(
 def withdraw_path(
     geometry: ScaraGeometry, current: Sequence[float], settings: MotionSettings
 ) -> tuple[Waypoint, ...]:
-    """Waypoints from joints ``current`` to the park pose: back off while low, raise, travel,
-    park."""
+    """Return the waypoints from joints ``current`` to the park pose: back off if low, raise,
+    travel, park."""
     park = Joints(*settings.park)
     above = park._replace(quill=max(park.quill, _clear_quill(geometry, settings)))
     return _moves(
@@ -134,7 +134,7 @@ def look_path(
     look: Sequence[float],
     settings: MotionSettings,
 ) -> tuple[Waypoint, ...]:
-    """Waypoints from joints ``current`` to ``look`` at travel height: back off, raise, travel."""
+    """Return the path from ``current`` to ``look`` at travel height: back off, raise, travel."""
     return _moves(
         Joints(*current),
         raise_step(geometry, current, settings),
@@ -145,10 +145,10 @@ def look_path(
 def raise_step(
     geometry: ScaraGeometry, current: Sequence[float], settings: MotionSettings
 ) -> Waypoint:
-    """From joints ``current`` backwards along the line of travel, then up to travel height.
+    """Return the waypoint from joints ``current`` backwards, then up to travel height.
 
-    Backing off is left out when the tip is above travel height already or when the pose behind is
-    out of reach; it spares a rod that stayed out from rubbing along the object.
+    Backing off along the line of travel keeps an extended rod from rubbing along the object. It is
+    left out if the tip is already above travel height or the pose behind is out of reach.
     """
     start = Joints(*current)
     here = geometry.forward(start)
@@ -160,20 +160,20 @@ def raise_step(
         )
         solution = geometry.inverse(behind, geometry.branch_of(start), near=start)
         if solution.joints is not None:
-            # Should the line of this step be lost, the striker rises where it stands: no harm.
+            # If the command of this step is lost, the striker rises vertically, which is harmless.
             low = via = solution.joints
     raised = low._replace(quill=max(start.quill, _clear_quill(geometry, settings)))
-    # Nothing lies above: only the step backwards is near the object.
+    # Only the step backwards is near the object, so raising may be fast.
     return Waypoint(raised, settings.travel_speed, "raise", via, settings.near_speed)
 
 
 def move_duration(
     geometry: ScaraGeometry, start: Sequence[float], goal: Sequence[float], speed: float
 ) -> float:
-    """Least time in s of a straight joint-space move from rest to rest at a fraction of the speeds.
+    """Return the shortest time in s of a straight joint-space move from rest to rest.
 
-    One trapezoid for all joints: along the line the speed is the largest that keeps every joint
-    within its speed, the acceleration the largest that keeps every joint within its own.
+    All joints follow one trapezoidal profile. Its speed and acceleration along the line are the
+    largest that keep every joint within its limits; ``speed`` is a fraction of the joint speeds.
     """
     return float(move_durations(geometry, start, goal, speed))
 
@@ -181,10 +181,10 @@ def move_duration(
 def move_durations(
     geometry: ScaraGeometry, start: ArrayLike, goal: ArrayLike, speed: float
 ) -> Array:
-    """``move_duration`` of many moves: joints (..., 4) each, which broadcast; NaN stays NaN."""
+    """Return ``move_duration`` of many moves: joints (..., 4) that broadcast; NaN remains NaN."""
     distances = np.abs(np.asarray(goal, dtype=float) - np.asarray(start, dtype=float))
     at_speed = np.max(distances / (np.array(geometry.max_speed) * speed), axis=-1)
-    # 1 over the acceleration along the line in s2, with the whole line as the unit of length.
+    # Reciprocal of the acceleration along the line in s2, in units of the whole line's length.
     pull = np.max(distances / np.array(geometry.max_acceleration), axis=-1)
     ramp = pull / np.where(at_speed > 0, at_speed, 1.0)
     return np.where(ramp <= at_speed, at_speed + ramp, 2 * np.sqrt(pull))
@@ -193,7 +193,7 @@ def move_durations(
 def path_duration(
     geometry: ScaraGeometry, start: Sequence[float], path: Sequence[Waypoint]
 ) -> float:
-    """Least time in s of a path with a stop at every place."""
+    """Return the shortest time in s of a path with a stop at every waypoint."""
     total, here = 0.0, tuple(start)
     for waypoint in path:
         if waypoint.via is not None:
@@ -206,7 +206,7 @@ def path_duration(
 
 
 def check_limits(geometry: ScaraGeometry, joints: Sequence[float]) -> None:
-    """Raise HardwareFault (OUT_OF_RANGE) when a joint is not finite or outside its limits."""
+    """Raise HardwareFault (OUT_OF_RANGE) if a joint is not finite or outside its limits."""
     code, _ = geometry.limit_excess(joints)
     if code is ReachCode.REACHED:
         return
@@ -225,7 +225,7 @@ def check_limits(geometry: ScaraGeometry, joints: Sequence[float]) -> None:
 
 
 def _clear_quill(geometry: ScaraGeometry, settings: MotionSettings) -> float:
-    """The quill with the tip at travel height."""
+    """Return the quill value at which the tip is at travel height."""
     clear = settings.travel_height - geometry.tip_height
     if clear > geometry.upper[2] + 1e-9:
         raise HardwareFault(
@@ -238,7 +238,7 @@ def _clear_quill(geometry: ScaraGeometry, settings: MotionSettings) -> float:
 
 
 def _moves(start: Joints, *waypoints: Waypoint) -> tuple[Waypoint, ...]:
-    """The waypoints without those that do not move."""
+    """Return the waypoints without moves of zero length."""
     moves: list[Waypoint] = []
     here = start
     for waypoint in waypoints:

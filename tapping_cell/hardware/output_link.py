@@ -1,4 +1,4 @@
-"""What the driver needs of a digital output that fires a tapper: switch it, and hear of it."""
+"""Interface to a digital output that fires a tapper: switching and read-back."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ from tapping_cell.hardware.transport import Connection
 
 
 class Answer(Enum):
-    """What became of a request to the output."""
+    """Result of a request to the output."""
 
     PENDING = "pending"
     DONE = "done"
     REFUSED = "refused"
     UNTOLD = "untold"
-    """The way to the output carries no answers."""
+    """Not available, because the interface does not return answers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """A level of an input and when it came, s of the link's steady clock."""
+    """Level of an input, and the time of its reception on the link's steady clock, s."""
 
     level: bool
     received: float
 
 
 class OutputLink(Connection, Protocol):
-    """The way to one digital output, with the guard's input and perhaps a read-back.
+    """Connection to one digital output, with the guard input and an optional read-back.
 
-    ``stop`` ignores its bytes, and switches off.
+    ``stop`` ignores its bytes and switches the output off.
     """
 
     @property
     def interface(self) -> str:
-        """How the output is switched: service, topic, commands or pulse."""
+        """Interface that switches the output: service, topic, commands or pulse."""
 
     @property
     def times_pulse(self) -> bool:
-        """Whether the other side times the pulse, so that it is sent with its length."""
+        """Whether the remote side times the pulse, so that a pulse is sent with its length."""
 
     @property
     def reads_back(self) -> bool:
@@ -47,31 +47,31 @@ class OutputLink(Connection, Protocol):
 
     @property
     def guard(self) -> Heard | None:
-        """Whether the guard is closed; None before anything was heard."""
+        """Whether the guard is closed; None before the first message."""
 
     @property
     def read_back(self) -> Heard | None:
-        """Whether the output is on, as it was read back last."""
+        """Whether the output is on according to the last read-back."""
 
     @property
     def last_on(self) -> float:
-        """When a read-back last told that the output is on, s; minus infinity if never."""
+        """Time when a read-back last reported the output as on, s; minus infinity if never."""
 
     @property
     def rivals(self) -> tuple[str, ...]:
         """Other nodes that could switch the output."""
 
     def switch(self, on: bool) -> int:
-        """Send a level; returns a number to ask ``answer`` with."""
+        """Send a level; return a request number for ``answer``."""
 
     def pulse(self, duration: float) -> int:
-        """Send a pulse of ``duration`` s, where the other side times it; 0 ends one."""
+        """Send a pulse of ``duration`` s that the remote side times; 0 ends a pulse."""
 
     def answer(self, number: int) -> Answer:
-        """What became of a request."""
+        """Return the result of a request."""
 
     def wait(self, duration: float) -> None:
-        """Wait for news, for up to ``duration`` s."""
+        """Wait for new input for up to ``duration`` s."""
 
     def sleep(self, duration: float) -> None:
-        """Let ``duration`` s pass, stop or not."""
+        """Sleep for ``duration`` s, even during a stop."""

@@ -1,16 +1,16 @@
-"""A tapper that a digital output fires: the output is on for a time that sets the striker's speed.
+"""Driver of a tapper fired by a digital output, whose on-time sets the striker's speed.
 
-Behind the interface of :class:`~tapping_cell.hardware.tapper.TapperDriver`, but it can promise
-less. Nobody on the other side refuses a late request, bounds the pulse, counts shots or drops the
-charge when this computer falls silent. What is done instead:
+It has the interface of :class:`~tapping_cell.hardware.tapper.TapperDriver` but weaker guarantees.
+The remote side does not reject a late request, limit the pulse, count shots, or discharge when this
+computer falls silent. The driver takes these measures instead:
 
-- the last check is asked at most ``latency`` before the output is switched, else nothing is sent;
-- a shot's number is kept on disk before it is sent, so that no restart sends it again;
-- the guard must have been heard closed within ``guard_timeout``, and a read-back must say off;
-- without a read-back that showed the output on, the outcome is UNKNOWN: the camera decides;
-- an output that was not proven to be off again ends the session, and no shot is taken until it is.
+- The last check runs at most ``latency`` before the output is switched; otherwise nothing is sent.
+- A shot number is stored on disk before the shot is sent, so that no restart sends it again.
+- The guard must have been reported closed within ``guard_timeout``, and a read-back must be off.
+- If no read-back showed the output on, the outcome is UNKNOWN and the camera must decide.
+- If the output is not proven off afterwards, the session ends; a new one requires the proof.
 
-That a request which was sent takes effect within ``latency`` is assumed, not enforced.
+The driver assumes, but cannot enforce, that a request takes effect within ``latency``.
 """
 
 from __future__ import annotations
@@ -31,46 +31,48 @@ from tapping_cell.hardware.tapper_protocol import Mode, Reply, Result, State
 
 VERSION = "digital output"
 OFF_TIMEOUT = 1.0
-"""Longest wait for the answer that the output is off, s."""
+"""Longest wait for the confirmation that the output is off, s."""
 WAIT = 0.002
-"""Between looks for an answer, s."""
+"""Time between checks for an answer, s."""
 LONG_PULSE = 1.2
-"""A pulse this many times longer than asked is told: the striker was faster than planned."""
+"""Ratio of the actual to the requested pulse above which an error is recorded, because the striker
+was faster than planned."""
 
 
 class ShotMemory(Protocol):
-    """Where the greatest shot number outlives the process."""
+    """Storage of the greatest shot number beyond the life of the process."""
 
     def recall(self) -> int:
-        """The greatest shot that may have been sent, 0 for none.
+        """Return the greatest shot number that may have been sent, 0 for none.
 
-        Raises ValueError where what was kept cannot be read.
+        Raises ValueError if the stored number cannot be read.
         """
 
     def keep(self, shot: int) -> None:
-        """Keep it, surviving a loss of power. Raises OSError."""
+        """Store the number so that it survives a power loss. Raises OSError."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutputTapperSettings:
-    """The pulse for each energy of the curve, and what is assumed of the way to the output."""
+    """Pulse length for each energy of the curve, and assumed timing of the output."""
 
     energies: tuple[float, ...]
-    """J, rising."""
+    """Energies in J, increasing."""
     pulses: tuple[float, ...]
-    """Length of the pulse at each energy, s, rising."""
+    """Pulse length at each energy, s, increasing."""
     latency: float = 0.02
     """Longest time from sending a level until the output has it, s."""
     guard_timeout: float = 0.5
-    """Longest silence of the guard's input and of the read-back, s."""
+    """Longest silence of the guard input and of the read-back, s."""
 
     def pulse_for(self, energy: float) -> float:
-        """Length of the pulse in s, linear in the root of the energy as the striker's speed is."""
+        """Return the pulse length in s, interpolated linearly in the square root of the energy, as
+        the striker's speed is."""
         return float(np.interp(math.sqrt(energy), np.sqrt(self.energies), self.pulses))
 
 
 class OutputTapperDriver:
-    """One tapper on one output. All calls block and belong to one thread; ``stop`` to any."""
+    """Driver of one tapper on one output. All calls but ``stop`` block and belong to one thread."""
 
     def __init__(
         self, link: OutputLink, settings: OutputTapperSettings, memory: ShotMemory
@@ -90,27 +92,27 @@ class OutputTapperDriver:
 
     @property
     def connected(self) -> bool:
-        """Whether the output is there and was proven off, as far as known."""
+        """Whether the output is available and was proven off, as far as is known."""
         return self._connected and self._link.is_open
 
     @property
     def version(self) -> str:
-        """What fires the striker, in place of a firmware's version."""
+        """Description of the output, in place of a firmware version."""
         return f"{VERSION} by {self._link.interface}" if self._connected else ""
 
     @property
     def stopped(self) -> bool:
-        """Whether ``stop`` is latched on this side."""
+        """Whether ``stop`` is latched in this driver."""
         return self._stopped.is_set()
 
     @property
     def release_impossible_after(self) -> float:
-        """The time after which no shot sent so far can be released, s; infinity where the output
-        was not proven off."""
+        """Time after which no shot sent so far can be released, s; infinity if the output was not
+        proven off."""
         return self._release_by
 
     def connect(self, timeout: float = 5.0) -> Reply:
-        """Find the output, switch it off, hear guard and read-back.
+        """Connect to the output, switch it off, and wait for the guard and the read-back.
 
         Raises HardwareFault: PORT_MISSING, TIMEOUT, REJECTED, SETTINGS_MISMATCH, STOPPED.
         """
@@ -132,7 +134,7 @@ class OutputTapperDriver:
             raise
 
     def close(self) -> None:
-        """Switch off and use the output no more."""
+        """Switch off and disconnect from the output."""
         if self._link.is_open and not self._stopped.is_set():
             try:
                 self._send_off()
@@ -142,7 +144,7 @@ class OutputTapperDriver:
         self._link.close()
 
     def status(self) -> Reply:
-        """What guard and read-back tell now; an output that is on by itself is a fault."""
+        """Return the state from the guard and the read-back; an output that is on is a fault."""
         self._require()
         self._check_inputs()
         read_back = self._link.read_back
@@ -164,11 +166,10 @@ class OutputTapperDriver:
         timeout: float = 5.0,
         channel: int = 0,
     ) -> Reply:
-        """Get ready for ``shot`` with the pulse for ``energy`` in J; nothing is switched. There is
-        channel 0 alone.
+        """Prepare ``shot`` with the pulse for ``energy`` in J; nothing is switched.
 
-        Raises HardwareFault: SHOT_SPENT, INTERLOCK, OUT_OF_RANGE, STOPPED, DISCONNECTED, REJECTED,
-        SETTINGS_MISMATCH.
+        Only channel 0 exists. Raises HardwareFault: SHOT_SPENT, INTERLOCK, OUT_OF_RANGE, STOPPED,
+        DISCONNECTED, REJECTED, SETTINGS_MISMATCH.
         """
         if channel:
             raise self._noted(
@@ -194,11 +195,11 @@ class OutputTapperDriver:
         return self._reply()
 
     def fire(self, shot: int, window: float, still_allowed: Callable[[float], bool]) -> FireResult:
-        """Switch the output on for the pulse of ``shot``, once.
+        """Switch the output on once, for the pulse of ``shot``.
 
-        ``window`` is that of a board with a clock of its own and has no meaning here.
-        ``still_allowed`` gets the time of the steady clock at which the output is off again, if a
-        level takes at most ``latency`` to take effect. With UNKNOWN the call has waited for that.
+        ``window`` applies to boards with their own clock and is ignored. ``still_allowed`` receives
+        the time of the steady clock at which the output is off again if each level takes effect
+        within ``latency``. Before UNKNOWN is returned, the call waits until that time.
         """
         self._require()
         self._refuse_spent(shot)
@@ -237,21 +238,21 @@ class OutputTapperDriver:
         return self._judge(shot, asked, release_by, *answers)
 
     def discharge(self) -> Reply:
-        """Forget the shot and switch off."""
+        """Discard the prepared shot and switch off."""
         self._require()
         self._ready = None
         self._switch_off()
         return self.status()
 
     def stop(self) -> bool:
-        """From any thread: latch the stop and switch off; best effort: the emergency stop is a
-        wire."""
+        """Latch the stop and switch off, from any thread. This is best effort; the emergency stop
+        is wired in hardware."""
         self._stopped.set()
         self.counters.stops += 1
         return self._link.stop(b"")
 
     def clear(self, timeout: float = 5.0) -> Reply:
-        """End the latched stop. No button at the cell is asked for: there is none to ask."""
+        """Clear the latched stop. There is no button at the cell, so none is required."""
         self._link.release()
         self._stopped.clear()
         return self.connect(timeout)
@@ -259,11 +260,11 @@ class OutputTapperDriver:
     # A shot
 
     def _longest(self, pulse: float) -> float:
-        """From the last check until the output is off again, s."""
+        """Return the longest time from the last check until the output is off again, s."""
         return pulse + 2 * self.settings.latency
 
     def _send_pulse(self, pulse: float) -> tuple[int, int]:
-        """Numbers of what switches on and off."""
+        """Send a pulse; return the request numbers of switching on and off."""
         if self._link.times_pulse:
             number = self._link.pulse(pulse)
             return number, number
@@ -280,7 +281,7 @@ class OutputTapperDriver:
         return on, off
 
     def _await(self, on: int, off: int, asked: float, release_by: float) -> None:
-        """Wait for the answers and the read-back, at most until the release is over."""
+        """Wait for the answers and the read-back, at most until ``release_by``."""
         while self._link.now() < release_by:
             pending = Answer.PENDING in (self._link.answer(on), self._link.answer(off))
             if not pending and self._off_since(asked):
@@ -288,7 +289,7 @@ class OutputTapperDriver:
             self._link.wait(WAIT)
 
     def _off_since(self, asked: float) -> bool:
-        """Whether a read-back showed the output on after a time, and off after that."""
+        """Return whether a read-back showed the output on after ``asked`` and off later."""
         read_back = self._link.read_back
         seen = self._link.last_on >= asked
         return seen and read_back is not None and not read_back.level
@@ -300,7 +301,7 @@ class OutputTapperDriver:
         over = self._off_since(asked)
         proven_off = over if seen else off in (Answer.DONE, Answer.UNTOLD)
         if not proven_off:
-            # Connecting anew switches off, and waits for the proof.
+            # Reconnecting switches the output off and waits for the proof.
             self._connected = False
             self.counters.last_error = (
                 f"{self._link.name} did not confirm that it is off after shot {shot}"
@@ -349,7 +350,7 @@ class OutputTapperDriver:
         return self._link.pulse(0.0) if self._link.times_pulse else self._link.switch(False)
 
     def _switch_off(self) -> None:
-        """Switch off and see that it is; a read-back that lags is waited for."""
+        """Switch off and wait until the answer and the read-back confirm it."""
         number = self._send_off()
         deadline = self._link.now() + OFF_TIMEOUT
         while self._link.answer(number) is Answer.PENDING or self._reads_on():
@@ -389,7 +390,7 @@ class OutputTapperDriver:
             self._link.wait(WAIT)
 
     def _check_inputs(self) -> None:
-        """Raise where an input has been silent too long."""
+        """Raise DISCONNECTED if an input has been silent too long."""
         inputs = {"guard": self._link.guard}
         if self._link.reads_back:
             inputs["read_back"] = self._link.read_back
@@ -405,7 +406,7 @@ class OutputTapperDriver:
                 )
 
     def _reply(self) -> Reply:
-        """What is known, in the words of the tapper's board."""
+        """Return the known state in the format of the tapper board's reply."""
         guard = self._link.guard
         ready = self._ready
         return Reply(

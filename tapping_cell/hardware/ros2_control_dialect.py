@@ -1,7 +1,7 @@
-"""An arm with a ROS driver of its own, behind the interface of the other controllers.
+"""Dialect for an arm with its own ROS driver.
 
-It gets trajectories for its ``joint_trajectory_controller`` and is believed by its joint states
-alone: what the controller says of a trajectory can only make a move fail, never succeed.
+It sends trajectories to the arm's ``joint_trajectory_controller`` and trusts only the joint states.
+A result from the controller can make a move fail but never make it succeed.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from tapping_cell.hardware.joint_trajectory import straight_points
 from tapping_cell.hardware.trajectory_link import GoalState, JointSample, TrajectoryLink
 
 REST_WINDOW = 0.05
-"""The arm rests when its joints have not changed for so long, s: three states at 50 Hz."""
+"""Time for which the joints must be constant for the arm to be at rest, s: 3 states at 50 Hz."""
 REST_SPEED = 0.02
-"""A joint that is told to be faster than this moves, rad/s or m/s; encoders at rest are below."""
+"""Reported speed above which a joint is moving, rad/s or m/s; noise at rest is below it."""
 LEAST_RATE = 20.0
-"""Joint states a second that are needed: a strike pose is confirmed twenty times a second."""
+"""Minimum rate of the joint states, Hz; a strike pose is verified twenty times a second."""
 RATE_WINDOW = 0.5
-"""Over which the rate is measured, s."""
+"""Time over which the rate is measured, s."""
 CLOCK_LIMIT = 0.1
-"""Stamps further in the future are those of another clock, s."""
+"""Maximum time by which a stamp is in the future, s; more means unsynchronised clocks."""
 WAIT = 0.02
-"""Between looks for a sample, s."""
+"""Longest wait between checks for a sample, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ros2ControlSettings:
-    """The joints, in the order of the kinematics, and what is asked of their states."""
+    """Joints, in the order of the kinematics, and requirements on their states."""
 
     joints: tuple[str, ...]
     max_acceleration: tuple[float, ...]
-    """rad/s^2 or m/s^2."""
+    """Maximum accelerations, rad/s^2 or m/s^2."""
     tolerance: tuple[float, ...]
-    """The arm's tolerances in position, rad or m: half of it is what a joint at rest may vary."""
+    """Position tolerances of the arm, rad or m; joints at rest may vary by half of them."""
     state_timeout: float = 0.25
     """Longest silence of the joint states, s."""
     axes: tuple[str, ...] = ()
-    """Names of what the link tells, where that is not the joints themselves."""
+    """Names of the link's values, if they are not the joints themselves."""
 
 
 class Ros2ControlDialect:
@@ -59,7 +59,7 @@ class Ros2ControlDialect:
 
     @property
     def units(self) -> Sequence[float]:
-        """Rad and m, as the joints."""
+        """Controller units per rad or m of each joint; all are 1."""
         return (1.0,) * len(self._names)
 
     @property
@@ -67,14 +67,13 @@ class Ros2ControlDialect:
         return self._settings.axes or self._settings.joints
 
     def connect(self, deadline: float) -> Firmware:
-        """Hear the joint states for a while; refuses a rate or a clock that interlocks cannot
-        use."""
+        """Receive joint states for a while; raise if their rate or their clock is unsuitable."""
         firmware, findings = self.inspect(deadline)
         controller_needs.refuse(findings)
         return firmware
 
     def inspect(self, deadline: float) -> tuple[Firmware, list[Finding]]:
-        """The joint states' names, rate and clock; nothing moves."""
+        """Check the names, the rate and the clock of the joint states; nothing moves."""
         self._ends = -math.inf
         self._await_first(deadline)
         until = self._link.now() + RATE_WINDOW
@@ -107,21 +106,21 @@ class Ros2ControlDialect:
         ]
         if heard and heard[-1].velocities is None:
             remarks.append("the joint states tell no velocities: rest is seen by positions alone")
-        # Nothing proves that an arm's driver, or its drives, were not restarted meanwhile.
+        # Nothing proves that the arm's driver or its drives were not restarted meanwhile.
         firmware = Firmware("ros2_control", self._link.interface, False, tuple(remarks))
         return firmware, findings
 
     def store(self, finding: Finding, deadline: float) -> None:
-        """Nothing of an arm's own driver is changed from here."""
+        """Raise ValueError: settings of the arm's own driver are not changed from here."""
         raise ValueError(f"{finding.setting} must be set in the configuration of the arm's driver")
 
     def read(self, deadline: float) -> AxisReading:
-        """The first state measured after the question, and whether the joints rest."""
+        """Return the first state measured after the call, and whether the joints are at rest."""
         asked = self._link.now()
         return self._reading(self._measured_after(asked, deadline), asked)
 
     def start_moves(self, moves: Sequence[StraightMove], deadline: float) -> None:
-        """Send the moves as one trajectory from where the arm stands."""
+        """Send the moves as one trajectory from the arm's current position."""
         here = self._measured_after(self._link.now(), deadline)
         points = straight_points(here.positions, moves, self._settings.max_acceleration)
         if not points:
@@ -130,11 +129,10 @@ class Ros2ControlDialect:
         self._ends = self._link.now() + points[-1].time
 
     def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
-        """Wait until the trajectory is over, the joints rest, and the controller has no more to
-        say.
+        """Wait until the trajectory is over, the joints are at rest, and the goal has ended.
 
-        An arm that is not heard any more is told to brake: its states may be lost on a way that its
-        commands do not take.
+        If no more states are received, the arm is commanded to brake, because the commands may
+        still arrive while the states are lost.
         """
         try:
             return self._finished(expected_end, deadline)
@@ -144,7 +142,7 @@ class Ros2ControlDialect:
             raise
 
     def _finished(self, expected_end: float, deadline: float) -> AxisReading:
-        # The end of the trajectory is known better than that of moves with a stop at each place.
+        # The end of the trajectory is more exact than `expected_end`, which assumes more stops.
         while self._link.now() < self._ends:
             self._hear()
             self._check_goal()
@@ -162,24 +160,24 @@ class Ros2ControlDialect:
                 )
 
     def idle(self, duration: float) -> None:
-        """Listen; states that stay away are raised."""
+        """Process incoming states; raise if they stop arriving."""
         until = self._link.now() + duration
         while (left := until - self._link.now()) > 0:
             self._hear(left)
 
     def home(self, axes: Axes | None, deadline: float) -> None:
-        """The arm's own driver knows where it is."""
+        """Raise HOMING_FAILED: the arm's own driver is responsible for homing."""
         raise HardwareFault(
             FaultReason.HOMING_FAILED,
             "an arm with its own ROS driver is homed by that driver: set arm.homing to none",
         )
 
     def set_position(self, axes: Axes, deadline: float) -> None:
-        """As ``home``."""
+        """Raise HOMING_FAILED as ``home`` does."""
         self.home(axes, deadline)
 
     def clear(self, deadline: float) -> None:
-        """After a stop: the arm must stand still and be heard before it may be homed again."""
+        """After a stop, wait until states arrive and the arm is at rest; then it may be homed."""
         self._ends = -math.inf
         while self.read(deadline).moving:
             if self._link.now() >= deadline:
@@ -189,7 +187,7 @@ class Ros2ControlDialect:
                 )
 
     def _check_goal(self) -> GoalState:
-        """What the controller says of the trajectory; a failure is raised."""
+        """Return the goal state of the trajectory; raise if it failed."""
         progress = self._link.progress()
         if progress.state is GoalState.FAILED:
             raise HardwareFault(
@@ -201,13 +199,13 @@ class Ros2ControlDialect:
         return progress.state
 
     def _hear(self, longest: float = WAIT) -> None:
-        """Wait a little; states that have stayed away too long are raised."""
+        """Wait for a short time; raise if no states have arrived for too long."""
         self._link.wait(min(longest, WAIT))
         if self._silence() > self._settings.state_timeout:
             raise self._silent()
 
     def _silence(self) -> float:
-        """Time since the newest state was measured, s."""
+        """Return the time since the newest state was measured, s."""
         samples = self._link.samples
         return self._link.now() - samples[-1].measured if samples else math.inf
 
@@ -277,7 +275,7 @@ class Ros2ControlDialect:
         return AxisReading(sample.positions, self._moving(sample), "", True, asked)
 
     def _moving(self, newest: JointSample) -> bool:
-        """Whether a joint moves, is not yet known to rest, or is due to move."""
+        """Return whether a joint moves, is not yet known to be at rest, or is due to move."""
         if newest.measured < self._ends:
             return True
         if newest.velocities is not None and any(abs(v) > REST_SPEED for v in newest.velocities):

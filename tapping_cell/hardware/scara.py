@@ -1,15 +1,15 @@
 """Kinematics of a four-axis SCARA arm: shoulder, elbow, quill, tool rotation.
 
-Frame ``arm_base``: origin on the shoulder's axis in the plane of the table, x along the upper arm
-at shoulder angle zero, z up. Joint order everywhere: shoulder in rad, elbow in rad, quill in m
-(positive up), tool in rad. The wrist (the quill's axis) stands at
+Frame ``arm_base``: origin on the shoulder axis in the plane of the table, x along the upper arm at
+shoulder angle zero, z up. The joint order is always shoulder in rad, elbow in rad, quill in m
+(positive up), tool in rad. The position of the wrist (the quill axis) is
 
-    w = L1 (cos q1, sin q1) + L2 (cos(q1 + q2), sin(q1 + q2)),
+    w = L1 (cos q1, sin q1) + L2 (cos(q1 + q2), sin(q1 + q2)).
 
-the tool's heading is h = q1 + q2 + q4, the tip stands at w + R(h) (tip_forward, tip_side) and looks
-(its line of travel) along h + tip_yaw. Joints are those of the controller throughout; the true q is
-theirs plus ``joint_offset``, which a calibration finds. The inverse is the two-circle construction
-of the planar two-link arm (Craig, *Introduction to Robotics*, section 4.4, algebraic solution).
+The tool's heading is h = q1 + q2 + q4. The tip is at w + R(h) (tip_forward, tip_side), and its line
+of travel points along h + tip_yaw. All joint values are the controller's; the true q is their sum
+with ``joint_offset``, which a calibration determines. The inverse is the two-circle construction of
+the planar two-link arm (Craig, *Introduction to Robotics*, section 4.4, algebraic solution).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 LIMIT_SLACK = 1e-9
-"""Rounding that a joint limit forgives, in rad or m."""
+"""Excess over a joint limit that is attributed to rounding, in rad or m."""
 
 
 class Joints(NamedTuple):
@@ -48,14 +48,14 @@ class TipPose(NamedTuple):
 
 
 class Branch(Enum):
-    """Which way the elbow bends: the sign of the elbow's angle."""
+    """Elbow side: the sign of the elbow angle."""
 
     POSITIVE = 1
     NEGATIVE = -1
 
 
 class ReachCode(IntEnum):
-    """Why a tip pose cannot be taken; 0 when it can."""
+    """Reason why a tip pose cannot be reached; 0 if it can."""
 
     REACHED = 0
     NOT_FINITE = 1
@@ -70,11 +70,11 @@ class ReachCode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class IKSolution:
-    """Answer of :meth:`ScaraGeometry.inverse`.
+    """Result of :meth:`ScaraGeometry.inverse`.
 
-    ``residual``: with success the distance in m between the asked tip and ``forward(joints)``; else
-    by how much the limit named in ``code`` is passed, in the unit of that limit (m or rad).
-    ``reason`` is empty with success, else a sentence with the value, the limit and what to do.
+    ``residual``: on success the distance in m between the requested tip and ``forward(joints)``;
+    otherwise the excess over the limit named in ``code``, in the unit of that limit (m or rad).
+    ``reason``: empty on success; otherwise a sentence with the value, the limit and what to do.
     """
 
     success: bool
@@ -86,14 +86,14 @@ class IKSolution:
 
 
 class ManySolutions(NamedTuple):
-    """Answer of :meth:`ScaraGeometry.inverse_many`: arrays over the asked poses."""
+    """Result of :meth:`ScaraGeometry.inverse_many`: arrays over the requested poses."""
 
     joints: Array
-    """Shape (..., 4); NaN where the arm cannot reach."""
+    """Shape (..., 4); NaN if the arm cannot reach the pose."""
     code: NDArray[np.int64]
     """Shape (...): :class:`ReachCode`."""
     excess: Array
-    """Shape (...): by how much the limit is passed, in m or rad; 0 where reached."""
+    """Shape (...): excess over the limit, in m or rad; 0 if the pose is reachable."""
 
 
 def _wrap(angle: Array) -> Array:
@@ -117,35 +117,35 @@ def _into_range(angle: Array, low: float, high: float, near: Array) -> tuple[Arr
 
 @dataclass(frozen=True, slots=True)
 class ScaraGeometry:
-    """Dimensions and limits of the arm; SI. The defaults are those of the simulated cell.
+    """Dimensions and limits of the arm, in SI units. The defaults are for the simulated cell.
 
-    Raises ValueError for lengths, limits or speeds that make no arm.
+    Raises ValueError for invalid lengths, limits or speeds.
     """
 
     upper_arm: float = 0.425
-    """Shoulder axis to elbow axis, m."""
+    """Distance from the shoulder axis to the elbow axis, m."""
     forearm: float = 0.375
-    """Elbow axis to quill axis, m."""
+    """Distance from the elbow axis to the quill axis, m."""
     tip_forward: float = 0.060
-    """Tip from the quill axis along the tool's heading, m."""
+    """Offset of the tip from the quill axis along the tool's heading, m."""
     tip_side: float = 0.0
-    """Tip from the quill axis to the left of the tool's heading, m."""
+    """Offset of the tip from the quill axis to the left of the tool's heading, m."""
     tip_yaw: float = 0.0
-    """Line of travel from the tool's heading, rad."""
+    """Angle from the tool's heading to the line of travel, rad."""
     tip_height: float = 0.150
-    """Tip above the table with the quill at zero, m."""
+    """Height of the tip above the table with the quill at zero, m."""
     lower: tuple[float, float, float, float] = (-2.3, -2.6, -0.148, -3.5)
     """Lower joint limits: rad, rad, m, rad."""
     upper: tuple[float, float, float, float] = (2.3, 2.6, 0.0, 3.5)
     """Upper joint limits: rad, rad, m, rad."""
     max_speed: tuple[float, float, float, float] = (2.0, 2.5, 0.25, 6.0)
-    """Joint speeds: rad/s, rad/s, m/s, rad/s."""
+    """Maximum joint speeds: rad/s, rad/s, m/s, rad/s."""
     max_acceleration: tuple[float, float, float, float] = (8.0, 10.0, 2.0, 30.0)
-    """Joint accelerations: rad/s2, rad/s2, m/s2, rad/s2."""
+    """Maximum joint accelerations: rad/s2, rad/s2, m/s2, rad/s2."""
     singularity_margin: float = 0.05
-    """Least angle of the elbow from straight and from folded, rad."""
+    """Minimum angle of the elbow from straight and from folded, rad."""
     joint_offset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    """True joints minus the controller's: rad, rad, m, rad."""
+    """True joint values minus the controller's: rad, rad, m, rad."""
 
     def __post_init__(self) -> None:
         if not (self.upper_arm > 0 and self.forearm > 0):
@@ -167,7 +167,7 @@ class ScaraGeometry:
             )
 
     def forward(self, joints: Sequence[float] | Array) -> TipPose:
-        """Tip pose in ``arm_base`` of one set of joints; the yaw is wrapped into [-pi, pi)."""
+        """Return the tip pose in ``arm_base`` for one set of joints, with the yaw in [-pi, pi)."""
         offset = self.joint_offset
         shoulder, elbow, quill, tool = (
             float(joint) + off for joint, off in zip(joints, offset, strict=True)
@@ -185,7 +185,10 @@ class ScaraGeometry:
         )
 
     def forward_many(self, joints: ArrayLike) -> Array:
-        """Tip poses (..., 4) = x, y, z in m, yaw in rad of joints (..., 4); limits unchecked."""
+        """Return tip poses (..., 4) = x, y, z in m, yaw in rad for joints (..., 4).
+
+        Limits are not checked.
+        """
         q = np.asarray(joints, dtype=float) + self.joint_offset
         reach = q[..., 0] + q[..., 1]
         heading = reach + q[..., 3]
@@ -203,12 +206,12 @@ class ScaraGeometry:
         )
 
     def branch_of(self, joints: ArrayLike) -> Branch:
-        """Which way the elbow of these joints bends; straight counts as positive."""
+        """Return the elbow side of these joints; a straight elbow counts as positive."""
         elbow = float(np.asarray(joints)[1]) + self.joint_offset[1]
         return Branch.NEGATIVE if elbow < 0 else Branch.POSITIVE
 
     def limit_excess(self, joints: ArrayLike) -> tuple[ReachCode, float]:
-        """The first joint outside its limits and by how much (rad or m); (REACHED, 0) if none."""
+        """Return the first joint outside its limits and its excess (rad or m), or (REACHED, 0)."""
         q = np.asarray(joints, dtype=float)
         if q.shape != (4,) or not np.all(np.isfinite(q)):
             return ReachCode.NOT_FINITE, math.inf
@@ -227,7 +230,7 @@ class ScaraGeometry:
     def inverse_many(
         self, poses: ArrayLike, branch: Branch, near: ArrayLike | None = None
     ) -> ManySolutions:
-        """Joints for tip poses (..., 4) = x, y, z, yaw in ``arm_base`` with the elbow on one side.
+        """Return joints for tip poses (..., 4) = x, y, z, yaw in ``arm_base`` on one elbow side.
 
         ``near``: joints (..., 4) whose turns of shoulder and tool are preferred; zero when None.
         """
@@ -275,7 +278,7 @@ class ScaraGeometry:
         return ManySolutions(np.where((code == 0)[..., None], joints, math.nan), code, excess)
 
     def reachable(self, poses: ArrayLike, branch: Branch | None = None) -> NDArray[np.bool_]:
-        """Mask of shape (...): which tip poses (..., 4) can be taken (by either elbow if None)."""
+        """Return a mask (...) of the reachable tip poses (..., 4); None allows both branches."""
         branches = tuple(Branch) if branch is None else (branch,)
         masks = [self.inverse_many(poses, side).code == 0 for side in branches]
         return np.asarray(np.any(masks, axis=0), dtype=np.bool_)
@@ -283,17 +286,18 @@ class ScaraGeometry:
     def inverse(
         self, tip: ArrayLike, branch: Branch | None = None, near: ArrayLike | None = None
     ) -> IKSolution:
-        """Joints for one tip pose (x, y, z, yaw) in ``arm_base``.
+        """Return joints for one tip pose (x, y, z, yaw) in ``arm_base``.
 
-        ``branch`` None tries both sides and takes the one that ``near`` already bends to, then the
-        one with less travel. Limits, reach and singularity margin are always checked.
+        ``branch`` None tries both elbow sides and prefers the side of ``near``; without ``near``,
+        the side with the smaller shoulder angle. Limits, reach and singularity margin are always
+        checked.
         """
         if branch is not None:
             return self._inverse_on(tip, branch, near)
         solutions = [self._inverse_on(tip, side, near) for side in Branch]
         good = [solution for solution in solutions if solution.success]
         if not good:
-            # The refusal nearest to success tells the person most.
+            # The failure with the smallest excess is the most helpful one to report.
             return min(solutions, key=lambda solution: solution.residual)
         if near is not None:
             side = self.branch_of(near)

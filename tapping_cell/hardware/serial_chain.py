@@ -1,10 +1,9 @@
-"""Kinematics of any serial chain of revolute and prismatic joints, forwards and numerically back.
+"""Forward and numerical inverse kinematics of a serial chain of revolute and prismatic joints.
 
-Each joint moves about, or along, an axis of its own frame, which stands at a fixed pose in the
-frame of the link before it, as in a URDF. The inverse is damped least squares (Wampler 1986,
-*Manipulator inverse kinematic solutions based on vector formulations and damped least-squares
-methods*) from a seed, with the joints kept inside their limits: it stays on the seed's side of
-elbow and wrist.
+Each joint moves about or along an axis of its own frame, whose pose in the frame of the previous
+link is fixed, as in a URDF. The inverse uses damped least squares (Wampler 1986, *Manipulator
+inverse kinematic solutions based on vector formulations and damped least-squares methods*) from a
+seed, with the joints kept within their limits. It stays on the elbow and wrist side of the seed.
 """
 
 from __future__ import annotations
@@ -19,36 +18,36 @@ Array = NDArray[np.float64]
 
 ITERATIONS = 80
 STUCK = 8
-"""After so many iterations without coming nearer there is no solution from this seed."""
+"""Number of iterations without improvement after which the search from this seed fails."""
 POSITION_ERROR = 1e-6
-"""Of a solution, m: a hundredth of what an arm in position may be off."""
+"""Maximum position error of a solution, m: a hundredth of the arm's own tolerance."""
 ANGLE_ERROR = 1e-5
-"""rad"""
+"""Maximum angle error of a solution, rad."""
 LONGEST_STEP = 0.3
-"""Of one iteration, rad or m."""
+"""Maximum change of a joint in one iteration, rad or m."""
 DAMPING = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
 class ChainJoint:
-    """One joint; ``origin``: its frame in that of the link before it, at zero."""
+    """One joint; ``origin`` is its frame at zero, in the frame of the previous link."""
 
     name: str
     origin: tuple[tuple[float, ...], ...]
-    """Homogeneous transform, 4 by 4, m."""
+    """Homogeneous transform, 4 x 4, m."""
     axis: tuple[float, float, float]
     """Unit vector in the joint's frame."""
     prismatic: bool
     lower: float
-    """rad or m"""
+    """Lower limit, rad or m."""
     upper: float
     max_speed: float
-    """rad/s or m/s"""
+    """Maximum speed, rad/s or m/s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChainSolution:
-    """Answer of :meth:`SerialChain.inverse`; ``reason`` is empty with success."""
+    """Result of :meth:`SerialChain.inverse`; ``reason`` is empty on success."""
 
     success: bool
     joints: Array
@@ -56,10 +55,10 @@ class ChainSolution:
 
 
 class SerialChain:
-    """Joints between a base and the striker.
+    """Chain of joints between a base and the striker.
 
     ``base``: pose of the chain's first frame in ``arm_base``. ``tool``: pose of the striker's frame
-    (x along its line of travel, z up) in the chain's last link. Both 4 by 4.
+    (x along its line of travel, z up) in the chain's last link. Both are 4 x 4.
     """
 
     def __init__(self, joints: tuple[ChainJoint, ...], base: ArrayLike, tool: ArrayLike) -> None:
@@ -78,24 +77,24 @@ class SerialChain:
         self.upper: Array = np.array([joint.upper for joint in joints])
         self.max_speed: Array = np.array([joint.max_speed for joint in joints])
         self._prismatic: NDArray[np.bool_] = np.array([joint.prismatic for joint in joints])
-        # A joint's transform is fixed + sin * sine + (1 - cos) * cosine (Rodrigues), or
-        # fixed + value * sine for a prismatic one.
+        # A revolute joint's transform is fixed + sin * sine + (1 - cos) * cosine (Rodrigues); a
+        # prismatic joint's is fixed + value * sine.
         self._terms = [_terms(joint) for joint in joints]
         self._axes = [np.array([*joint.axis, 0.0]) for joint in joints]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The joints' names, from the base on."""
+        """Names of the joints, starting at the base."""
         return tuple(joint.name for joint in self.joints)
 
     def forward(self, joints: ArrayLike) -> Array:
-        """The striker's pose in ``arm_base``, 4 by 4; limits unchecked."""
+        """Return the striker's pose in ``arm_base``, 4 x 4; limits are not checked."""
         return self._frames(joints)[2]
 
     def inverse(self, target: ArrayLike, seed: ArrayLike) -> ChainSolution:
-        """Joints that bring the striker to ``target`` (4 by 4), found from ``seed`` on.
+        """Return joints that bring the striker to ``target`` (4 x 4), searching from ``seed``.
 
-        Without success the joints are the nearest that were found.
+        Without success, the result contains the nearest joints found.
         """
         goal = np.asarray(target, dtype=np.float64)
         q = np.clip(np.asarray(seed, dtype=np.float64), self.lower, self.upper)
@@ -128,7 +127,7 @@ class SerialChain:
         return ChainSolution(False, best, self._sentence(goal, best))
 
     def _frames(self, joints: ArrayLike) -> tuple[Array, Array, Array]:
-        """Axes (N, 3) and places (N, 3) of the joints, and the striker's pose, in ``arm_base``."""
+        """Return the joints' axes and origins (N, 3) and the striker's pose, in ``arm_base``."""
         pose = self.base
         axes, places = np.empty((len(self.joints), 3)), np.empty((len(self.joints), 3))
         values = np.asarray(joints, dtype=np.float64).tolist()
@@ -139,13 +138,13 @@ class SerialChain:
                 pose = pose @ (fixed + value * sine)
             else:
                 pose = pose @ (fixed + math.sin(value) * sine + (1 - math.cos(value)) * cosine)
-            # A turn about the axis moves neither the axis nor the frame's origin on it.
+            # Rotating about the axis moves neither the axis nor the frame's origin on it.
             axes[index] = (pose @ self._axes[index])[:3]
             places[index] = pose[:3, 3]
         return axes, places, pose @ self.tool
 
     def _jacobian(self, axes: Array, places: Array, tip: Array) -> Array:
-        """(6, N): how the striker moves, then turns, with each joint."""
+        """Return the (6, N) Jacobian: the striker's translation, then rotation, per joint."""
         linear = np.where(self._prismatic[:, None], axes, np.cross(axes, tip - places))
         angular = np.where(self._prismatic[:, None], 0.0, axes)
         return np.asarray(np.concatenate([linear, angular], axis=1).T)
@@ -165,7 +164,7 @@ class SerialChain:
 
 
 def pose_matrix(pose: ArrayLike) -> Array:
-    """4 by 4 from x, y, z in m and roll, pitch, yaw in rad (fixed axes, as in a URDF)."""
+    """Return the 4 x 4 matrix of x, y, z in m and roll, pitch, yaw in rad (fixed axes)."""
     x, y, z, roll, pitch, yaw = np.asarray(pose, dtype=np.float64)
     cr, sr = math.cos(roll), math.sin(roll)
     cp, sp = math.cos(pitch), math.sin(pitch)
@@ -181,7 +180,7 @@ def pose_matrix(pose: ArrayLike) -> Array:
 
 
 def _terms(joint: ChainJoint) -> tuple[Array, Array, Array]:
-    """Transform at zero, and what sine and one minus cosine, or the way, add to it; 4 by 4."""
+    """Return the terms (fixed, sine, cosine) of a joint's transform, 4 x 4 each."""
     origin = np.asarray(joint.origin, dtype=np.float64)
     x, y, z = joint.axis
     first: Array = np.zeros((4, 4))
@@ -195,7 +194,7 @@ def _terms(joint: ChainJoint) -> tuple[Array, Array, Array]:
 
 
 def _turn(from_: Array, to: Array) -> Array:
-    """The rotation vector that turns one orientation into another, in the base's frame, rad."""
+    """Return the rotation vector from one orientation to another, in the base frame, rad."""
     turn = to @ from_.T
     vector = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     sine, cosine = float(np.linalg.norm(vector)) / 2, (float(np.trace(turn)) - 1) / 2
@@ -204,6 +203,6 @@ def _turn(from_: Array, to: Array) -> Array:
         return np.asarray(vector * (angle / (2 * sine)))
     if cosine > 0:
         return np.zeros(3)
-    # Half a turn: about the largest column of turn + 1.
+    # Rotation by pi: the axis is the largest column of turn + identity.
     axis = (turn + np.eye(3))[:, int(np.argmax(np.diag(turn)))]
     return np.asarray(math.pi * axis / np.linalg.norm(axis))

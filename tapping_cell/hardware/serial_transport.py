@@ -1,4 +1,4 @@
-"""A serial port as a :class:`~tapping_cell.hardware.transport.Transport`, over pyserial."""
+"""A :class:`~tapping_cell.hardware.transport.Transport` over a serial port with pyserial."""
 
 from __future__ import annotations
 
@@ -17,29 +17,28 @@ from serial.tools.list_ports import comports
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 
 POLL_SLICE = 0.02
-"""Longest wait in s between looks at the stop latch."""
+"""Longest wait between checks of the stop latch, s."""
 REOPEN_PERIOD = 0.05
-"""Time in s between attempts to open a port that is missing or busy."""
+"""Time between attempts to open a missing or busy port, s."""
 
 
 def known_ports() -> list[str]:
-    """The serial ports of this computer, each with what the system says of it."""
+    """Return the serial ports of this computer, each with the system's description."""
     return [f"{port.device} ({port.description})" for port in comports()]
 
 
 class SerialTransport:
-    """One serial port, opened exclusively by path (a symlink such as ``/dev/serial/by-id/...``
-    too).
+    """One serial port, opened exclusively by its path or a symlink (``/dev/serial/by-id/...``).
 
-    Opening resolves the path anew each time, so a device that comes back under another number is
-    found again. Deadlines are on the steady clock.
+    Each opening resolves the path again, so a device that returns under another number is found.
+    Deadlines are on the steady clock.
     """
 
     def __init__(self, path: str, baud: int = 115200) -> None:
         self._path = path
         self._baud = baud
         self._port: serial.Serial | None = None
-        # Guards every byte out, so that a stop goes between two chunks and nothing follows it.
+        # Protects every write, so that a stop is sent between two chunks and nothing follows it.
         self._lock = threading.Lock()
         self._stopped = False
 
@@ -50,22 +49,21 @@ class SerialTransport:
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open as far as known."""
+        """Whether the port is open, as far as is known."""
         return self._port is not None
 
     def now(self) -> float:
-        """The steady clock, s."""
+        """Return the time of the steady clock, s."""
         return time.monotonic()
 
     def sleep(self, duration: float) -> None:
-        """Let ``duration`` s pass, stop or not."""
+        """Sleep for ``duration`` s, even during a stop."""
         time.sleep(duration)
 
     def open(self, timeout: float) -> None:
-        """Open the port exclusively and raw, waiting up to ``timeout`` s for it; stale input is
-        dropped.
+        """Open the port exclusively in raw mode, waiting up to ``timeout`` s for it.
 
-        Raises HardwareFault: PORT_MISSING, PORT_BUSY, STOPPED.
+        Old input is discarded. Raises HardwareFault: PORT_MISSING, PORT_BUSY, STOPPED.
         """
         self.close()
         deadline = self.now() + timeout
@@ -75,8 +73,8 @@ class SerialTransport:
                     self._path, self._baud, timeout=0, write_timeout=0, exclusive=True
                 )
             except (OSError, ValueError, termios.error) as error:
-                # SerialException is an OSError; the error of a port that vanishes between being
-                # opened and being set up is not.
+                # SerialException is an OSError, but the error of a port that is unplugged between
+                # opening and configuration is not.
                 if self.now() + REOPEN_PERIOD > deadline:
                     raise self._open_fault(error) from error
                 time.sleep(REOPEN_PERIOD)
@@ -90,12 +88,12 @@ class SerialTransport:
         with self._lock:
             port, self._port = self._port, None
         if port is not None:
-            # A device that is gone leaves nothing to close.
+            # Closing a port whose device was unplugged may fail.
             with contextlib.suppress(OSError):
                 port.close()
 
     def read(self, timeout: float) -> bytes:
-        """The bytes at hand, waiting up to ``timeout`` s for the first; empty when none came."""
+        """Return the available bytes, waiting up to ``timeout`` s for the first; may be empty."""
         deadline = self.now() + timeout
         while True:
             if self._stopped:
@@ -105,8 +103,8 @@ class SerialTransport:
             try:
                 readable, _, _ = select.select([port], [], [], wait)
                 if readable:
-                    # After an unplug `in_waiting` raises a bare OSError, `read` a SerialException;
-                    # an end of file reads as readable with nothing waiting.
+                    # After an unplug, `in_waiting` raises a bare OSError and `read` a
+                    # SerialException. At end of file it is readable with no bytes waiting.
                     return bytes(port.read(max(port.in_waiting, 1)))
             except (OSError, ValueError, TypeError) as error:
                 raise self._lost(error) from error
@@ -114,9 +112,9 @@ class SerialTransport:
                 return b""
 
     def write(self, data: bytes, timeout: float = 1.0) -> None:
-        """Write all of ``data`` in as many pieces as the port takes.
+        """Write all of ``data`` in as many chunks as the port accepts.
 
-        Raises HardwareFault: TIMEOUT when nothing could be written for ``timeout`` s, DISCONNECTED,
+        Raises HardwareFault: TIMEOUT if nothing could be written for ``timeout`` s, DISCONNECTED,
         STOPPED.
         """
         rest = memoryview(data)
@@ -140,7 +138,7 @@ class SerialTransport:
                 self._wait_writable(port)
 
     def stop(self, data: bytes) -> bool:
-        """From any thread: latch the stop and write ``data`` ahead of everything else."""
+        """Latch the stop and write ``data`` ahead of everything else; from any thread."""
         with self._lock:
             self._stopped = True
             port = self._port
@@ -152,7 +150,7 @@ class SerialTransport:
                 return False
 
     def release(self) -> None:
-        """End the latch of ``stop``."""
+        """Release the latch of ``stop``."""
         with self._lock:
             self._stopped = False
 
@@ -165,9 +163,9 @@ class SerialTransport:
         return port
 
     def _write_some(self, port: serial.Serial, data: memoryview) -> int:
-        """Bytes written without blocking; 0 when the port is full."""
+        """Write without blocking; return the number of bytes written, 0 if the port is full."""
         try:
-            # pyserial spins on a full port, so it is asked only when there is room.
+            # pyserial busy-waits on a full port, so it is called only if the port is writable.
             _, writable, _ = select.select([], [port], [], 0)
             return int(port.write(data) or 0) if writable else 0
         except (OSError, ValueError, TypeError) as error:
@@ -213,7 +211,7 @@ class SerialTransport:
 
 
 def _holder(path: str) -> str:
-    """The process that has locked the port, in brackets; empty where the system does not tell."""
+    """Return the process that has locked the port, in brackets; empty if it is not known."""
     try:
         port = os.stat(path)
         place = f"{os.major(port.st_dev):02x}:{os.minor(port.st_dev):02x}:{port.st_ino}"

@@ -1,16 +1,16 @@
-"""The tapper's driver: charge, fire once within a window, report truthfully what happened.
+"""Tapper driver: charge, fire once within a time window, and report reliably what happened.
 
-A release can only happen inside a window that the last check before FIRE opened: FIRE carries a
-deadline in the board's own time, and the board refuses it afterwards. No clocks are synchronised:
-the driver asks for the board's time, then asks its caller whether the shot is still allowed, and
-only then sends FIRE. However long this process, the operating system or the line hold the frame
-up, the board releases before the deadline or not at all.
+A release is possible only within a window that the last check before FIRE opens. FIRE carries a
+deadline in the board's own time, and the board rejects it after that deadline. No clocks are
+synchronised: the driver queries the board's time, then asks its caller whether the shot is still
+allowed, and only then sends FIRE. However long this process, the operating system or the line delay
+the frame, the board releases before the deadline or not at all.
 
-A shot is never fired twice: a repeated request carries the same sequence number, which the board
-answers from memory; a shot whose FIRE may have gone out is never tried again by this driver. When
-the reply stays away, a later request settles the outcome: the board takes no older sequence number
-after a newer one, and each reply names the last shot fired. When that stays away too, or the boot
-number has changed, the outcome is UNKNOWN: look with the camera, never fire again.
+A shot is never fired twice. A repeated request has the same sequence number, which the board
+answers from memory, and this driver never retries a shot whose FIRE may have been sent. If the
+reply is missing, a later request determines the outcome: the board accepts no older sequence number
+after a newer one, and each reply contains the last shot fired. If that reply is missing too, or the
+boot number has changed, the outcome is UNKNOWN: check with the camera, do not fire again.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from tapping_cell.hardware.tapper_protocol import (
 from tapping_cell.hardware.transport import Transport
 
 PROTOCOL_VERSION = "2"
-"""First part of the firmware's version that this driver speaks. Version 1 knew no deadline, so it
-could release a shot long after the last check: a board with it is refused."""
+"""Major version of the protocol that this driver supports. Version 1 had no deadline and could
+release a shot long after the last check, so a board with it is rejected."""
 CLOCK_TOLERANCE = 0.01
-"""Greatest difference in rate of the board's clock to this computer's; a ceramic resonator has
-0.5 %."""
+"""Largest relative difference in rate between the board's clock and this computer's. A ceramic
+resonator is accurate to 0.5 %."""
 RETURNING = frozenset({State.RELEASING, State.DISCHARGING, State.HOMING})
-"""States that end by themselves in one that can charge."""
+"""Transient states from which the board reaches a state that can charge."""
 
 
 class FireOutcome(Enum):
-    """What became of one shot."""
+    """Outcome of one shot."""
 
     FIRED = "fired"
     NOT_FIRED = "not_fired"
@@ -53,35 +53,35 @@ class FireOutcome(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FireResult:
-    """Answer of :meth:`TapperDriver.fire`; the sentence says why it is not FIRED."""
+    """Result of :meth:`TapperDriver.fire`; ``sentence`` gives the reason if it is not FIRED."""
 
     outcome: FireOutcome
     shot: int
     sentence: str = ""
     released_by: float | None = None
-    """After this time of the host's steady clock the release output is off for certain, s; None
-    for NOT_FIRED: it was never on."""
+    """Time of the host's steady clock, in s, after which the release output is certainly off; None
+    for NOT_FIRED, because the output was never on."""
     fault: HardwareFault | None = None
-    """What the board had against it; None where the last check said no."""
+    """Reason for which the board refused; None if the last check refused."""
 
 
 @dataclass(frozen=True, slots=True)
 class TapperSettings:
-    """Waits of the driver, s."""
+    """Timeouts and periods of the driver, s."""
 
     reply_timeout: float = 0.06
-    """Before a request is repeated: a frame of 100 bytes takes 9 ms at 115200 baud."""
+    """Wait before a request is repeated; a frame of 100 bytes takes 9 ms at 115200 baud."""
     fire_reply_timeout: float = 0.03
-    """Before FIRE is repeated: shorter than the window, so that a lost frame may be sent again."""
+    """Wait before FIRE is repeated; shorter than the window, so that a lost frame can be resent."""
     attempts: int = 5
     charge_timeout: float = 4.0
-    """Longest charging: 6000 steps at 2000 a second, and some."""
+    """Longest charging time: 6000 steps at 2000 steps/s, plus a margin."""
     home_timeout: float = 8.0
-    """Longest homing, and longest way of the carriage back to its front end."""
+    """Longest duration of homing and of the carriage's return to its front end."""
     poll_period: float = 0.002
-    """Between status requests while charging; far below the 500 ms silence limit."""
+    """Time between status requests while charging; far below the silence limit of 500 ms."""
     mode: Mode = Mode.RUN
-    """The mode that the board is put in when a session is opened."""
+    """Mode that the board is set to when a session is opened."""
 
     def __post_init__(self) -> None:
         if self.attempts < 1 or min(self.reply_timeout, self.fire_reply_timeout) <= 0:
@@ -95,12 +95,12 @@ class TapperSettings:
 
 @dataclass(slots=True)
 class TapperCounters:
-    """Figures for diagnostics."""
+    """Counters for diagnostics."""
 
     fired: int = 0
     unknown: int = 0
     late: int = 0
-    """Shots that the board refused because FIRE came after its deadline."""
+    """Shots that the board rejected because FIRE arrived after its deadline."""
     retries: int = 0
     timeouts: int = 0
     bad_frames: int = 0
@@ -110,7 +110,7 @@ class TapperCounters:
 
 
 class TapperDriver:
-    """One tapper on one line. All calls block and belong to one thread; ``stop`` to any."""
+    """Driver of one tapper on one line. All calls but ``stop`` block and belong to one thread."""
 
     def __init__(
         self,
@@ -121,7 +121,7 @@ class TapperDriver:
         self.settings = settings or TapperSettings()
         self.counters = TapperCounters()
         self.last_reply: Reply | None = None
-        """What the board answered last."""
+        """Last reply of the board."""
         self._transport = transport
         self._draw_number = draw_number
         self._buffer = b""
@@ -139,41 +139,43 @@ class TapperDriver:
 
     @property
     def connected(self) -> bool:
-        """Whether a session is open as far as known."""
+        """Whether a session is open, as far as is known."""
         return self._boot is not None and self._transport.is_open
 
     @property
     def version(self) -> str:
-        """The firmware's version, empty before the first connect."""
+        """Firmware version; empty before the first connect."""
         return self._version
 
     @property
     def channels(self) -> int:
-        """Tappers on the board; 1 before the first connect and for firmware 2.0."""
+        """Number of tappers on the board; 1 before the first connect and for firmware 2.0."""
         return self._channels
 
     @property
     def stopped(self) -> bool:
-        """Whether ``stop`` is latched on this side."""
+        """Whether ``stop`` is latched in this driver."""
         return self._stopped.is_set()
 
     @property
     def mode(self) -> Mode:
-        """The mode that the board is kept in: set-up or run."""
+        """Mode that the board is kept in: set-up or run."""
         return self._mode
 
     @property
     def release_impossible_after(self) -> float:
-        """The time of the host's steady clock after which no shot that was sent so far, by this
-        driver or by an earlier process, can be released, whatever was lost, s."""
+        """Time of the host's steady clock, in s, after which no shot sent so far can be released.
+
+        This includes shots of an earlier process, and lost frames do not change it.
+        """
         return self._release_by
 
     def connect(self, timeout: float = 5.0) -> Reply:
         """Open the line and a new session, which discharges the tapper, and set the mode.
 
         ``timeout``: longest wait for the port, and then for an answer, s. Raises HardwareFault:
-        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, TIMEOUT, STOPPED; the port is closed then, but
-        for a stop.
+        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, TIMEOUT, STOPPED. The port is then closed, except
+        after STOPPED.
         """
         again = self._boot is not None
         self._boot = None
@@ -191,9 +193,9 @@ class TapperDriver:
             raise
 
     def _greet(self, deadline: float) -> Reply:
-        """HELLO until somebody answers it."""
+        """Send HELLO until the board answers; return its reply."""
         self._buffer = b""
-        # A number other than any recent one: a stray frame of an old session must not fit.
+        # The session number is random, so that a stray frame of an old session cannot match it.
         self._session = self._draw_number(0xFFFF) + 1
         while True:
             self._sequence = (self._sequence + 1) & 0xFFFF
@@ -220,21 +222,20 @@ class TapperDriver:
         )
 
     def close(self) -> None:
-        """Close the line; the tapper discharges itself by the silence."""
+        """Close the line; the tapper then discharges after the silence limit."""
         self._boot = None
         self._transport.close()
 
     def status(self) -> Reply:
-        """Ask for the state; also what keeps a charged tapper alive: call it more often than every
-        500 ms."""
+        """Query the state. A charged tapper discharges unless it receives a frame every 500 ms."""
         return self._request(Command.STATUS)
 
     def set_mode(self, mode: Mode) -> Reply:
-        """Put the board in set-up or run mode, now and at every later ``connect``.
+        """Set the board to set-up or run mode, now and at every later ``connect``.
 
-        In set-up mode the board refuses energies above its set-up limit, unless the enabling
-        switch at the cell is held; letting it go discharges what is charged above the limit.
-        Raises HardwareFault: TIMEOUT, BOARD_RESET, STOPPED, DISCONNECTED.
+        In set-up mode the board refuses energies above its set-up limit unless the enabling switch
+        at the cell is held; releasing the switch discharges energy above the limit. Raises
+        HardwareFault: TIMEOUT, BOARD_RESET, STOPPED, DISCONNECTED.
         """
         reply = self._request(Command.MODE, mode)
         if reply.result is not Result.OK or reply.mode is not mode:
@@ -243,12 +244,12 @@ class TapperDriver:
         return reply
 
     def home(self, go_on: Callable[[], bool] = lambda: True) -> Reply:
-        """Prove that the striker is at its place: the spring's carriage goes to its front switch;
-        strikers at fixed mounts must close the switches there.
+        """Verify the striker's position: the spring's carriage moves to its front switch, and
+        strikers at fixed mounts must close their switches.
 
-        ``go_on`` is asked every few milliseconds; when it says no, the carriage stops and the reply
-        to that is returned, whose state is UNHOMED. Raises HardwareFault: HOMING_FAILED,
-        STRIKER_AWAY, INTERLOCK, STOPPED, TIMEOUT, BOARD_RESET, DISCONNECTED.
+        ``go_on`` is called every few milliseconds. When it returns False, the carriage stops and
+        the reply to that request is returned, whose state is UNHOMED. Raises HardwareFault:
+        HOMING_FAILED, STRIKER_AWAY, INTERLOCK, STOPPED, TIMEOUT, BOARD_RESET, DISCONNECTED.
         """
         reply = self._request(Command.HOME)
         if reply.result is not Result.OK:
@@ -282,15 +283,16 @@ class TapperDriver:
         timeout: float = 5.0,
         channel: int = 0,
     ) -> Reply:
-        """Store ``energy`` in J for ``shot`` of a channel; returns when charged. The tapper
-        discharges by itself ``timeout`` s after the request, or 500 ms after the last frame.
+        """Store ``energy`` in J for ``shot`` on a channel; return when charged.
 
-        A carriage whose place is unknown is homed first; one that is on its way back is waited for.
-        ``go_on`` is asked every few milliseconds; when it says no, the tapper is discharged at once
-        and its reply to that is returned, whose state is not CHARGED. ``shot`` must be above every
-        shot charged before, by at most ``MAXIMUM_JUMP``. Raises HardwareFault: SHOT_SPENT,
-        INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET, REJECTED, DISCONNECTED,
-        HOMING_FAILED, POSITION_LOST, STRIKER_AWAY, SETTINGS_MISMATCH, NEEDS_PERSON.
+        The tapper discharges automatically ``timeout`` s after the request, or 500 ms after the
+        last frame. A carriage at an unknown position is homed first; a returning carriage is waited
+        for. ``go_on`` is called every few milliseconds. When it returns False, the tapper is
+        discharged immediately and the reply to that request is returned, whose state is not
+        CHARGED. ``shot`` must be above every shot charged before, by at most ``MAXIMUM_JUMP``.
+        Raises HardwareFault: SHOT_SPENT, INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET,
+        REJECTED, DISCONNECTED, HOMING_FAILED, POSITION_LOST, STRIKER_AWAY, SETTINGS_MISMATCH,
+        NEEDS_PERSON.
         """
         if not 0 <= channel < self._channels:
             raise self._noted(FaultReason.SETTINGS_MISMATCH, self._no_such_channel(channel))
@@ -361,17 +363,17 @@ class TapperDriver:
     def fire(self, shot: int, window: float, still_allowed: Callable[[float], bool]) -> FireResult:
         """Release the charged ``shot`` once, within ``window`` s from now or not at all.
 
-        First the board's time is asked for, then ``still_allowed`` (the last check), then FIRE is
-        sent with the deadline ``window`` after the time that the board gave. ``still_allowed`` gets
-        the latest time of the host's steady clock, in s, at which the release output can still be
-        on; the flight of the striker comes on top. It is asked again before each repetition of
-        FIRE, whose deadline stays the same. When it says no, the tapper is discharged.
+        The driver queries the board's time, calls ``still_allowed`` (the last check), and sends
+        FIRE with a deadline ``window`` after the board's time. ``still_allowed`` receives the
+        latest time of the host's steady clock, in s, at which the release output can still be on,
+        without the striker's flight time. It is called again before each repetition of FIRE, whose
+        deadline stays the same. When it returns False, the tapper is discharged.
 
-        ``window``: at most ``LONGEST_WINDOW``; a line with a USB adapter needs 20 to 40 ms. With
-        UNKNOWN the call has waited until a release can no longer come. Whatever the line does after
-        FIRE was sent is told by the outcome; a HardwareFault that is raised was met before, so that
-        the shot was not fired by this call: SHOT_SPENT, OUT_OF_RANGE, STOPPED, TIMEOUT,
-        BOARD_RESET, DISCONNECTED.
+        ``window``: at most ``LONGEST_WINDOW``; a line with a USB adapter needs 20 to 40 ms. Before
+        UNKNOWN is returned, the call waits until a release is no longer possible. Line errors after
+        FIRE was sent are reported by the outcome. A HardwareFault is raised only before FIRE, so
+        this call has not fired the shot: SHOT_SPENT, OUT_OF_RANGE, STOPPED, TIMEOUT, BOARD_RESET,
+        DISCONNECTED.
         """
         self._require_session()
         self._refuse_spent(shot)
@@ -401,7 +403,7 @@ class TapperDriver:
                 lambda: self._transport.now() < sampled_at + window and still_allowed(release_by),
             )
             if reply is None:
-                # A newer sequence number forbids the older one: this settles the outcome.
+                # The board rejects FIRE after a newer sequence number, so this reply is conclusive.
                 sequence = self._next_sequence()
                 settle = protocol.encode(self._session, sequence, Command.DISCHARGE)
                 reply = self._exchange(settle, sequence, self.settings.attempts)
@@ -423,12 +425,12 @@ class TapperDriver:
         return self._not_fired(shot, self._refusal(reply))
 
     def _latest_release(self, sampled_at: float, window: float) -> float:
-        """The latest time at which the release output can still be on, s: the board took its time
-        before its reply was received, and the pulse begins before the deadline."""
+        """Return the latest time at which the release output can still be on, s. The board read its
+        time before its reply was received, and the pulse begins before the deadline."""
         return sampled_at + (window + protocol.LONGEST_PULSE) * (1 + CLOCK_TOLERANCE)
 
     def _send_fire(self, shot: int, deadline: int, again: Callable[[], bool]) -> Reply | None:
-        """Send FIRE, and again while ``again`` allows it; the reply, or None."""
+        """Send FIRE and repeat it while ``again`` allows; return the reply, or None."""
         sequence = self._next_sequence()
         frame = protocol.encode(
             self._session, sequence, Command.FIRE, shot, deadline, *_named(self._channel)
@@ -454,10 +456,11 @@ class TapperDriver:
             )
 
     def wait_for_return(self, go_on: Callable[[], bool] = lambda: True) -> Reply:
-        """Wait until the board is at rest after a release: SAFE when the striker is back, UNHOMED
-        when it was given up; another state where ``go_on`` says no or nothing has ended in time.
+        """Wait until the board is at rest after a release and return its reply.
 
-        Raises HardwareFault: TIMEOUT, BOARD_RESET, STOPPED, DISCONNECTED.
+        The state is SAFE when the striker is back, or UNHOMED when the board has stopped waiting
+        for it. It is another state if ``go_on`` returned False or the wait timed out. Raises
+        HardwareFault: TIMEOUT, BOARD_RESET, STOPPED, DISCONNECTED.
         """
         reply = self._request(Command.STATUS)
         until = self._transport.now() + self.settings.home_timeout
@@ -467,20 +470,20 @@ class TapperDriver:
         return reply
 
     def discharge(self) -> Reply:
-        """Let the spring down without a release; ends a homing as well."""
+        """Discharge the tapper without a release; this also ends a homing."""
         return self._request(Command.DISCHARGE)
 
     def stop(self) -> bool:
-        """From any thread: latch the tapper's stop at once; returns whether the byte went out.
+        """Latch the tapper's stop immediately, from any thread; return whether it was sent.
 
-        Best effort: the emergency stop is a wire.
+        This is best effort; the emergency stop is wired in hardware.
         """
         self._stopped.set()
         self.counters.stops += 1
         return self._transport.stop(protocol.STOP)
 
     def clear(self, timeout: float = 5.0) -> Reply:
-        """End the latched stop; the tapper demands that a person acts at the cell as well.
+        """Clear the latched stop; the tapper also requires an action by a person at the cell.
 
         Raises HardwareFault: NEEDS_PERSON, TIMEOUT, DISCONNECTED.
         """
@@ -511,7 +514,7 @@ class TapperDriver:
         return self._sequence
 
     def _request(self, command: Command, *arguments: int | Mode) -> Reply:
-        """One request with repeats; raises when there is no answer or another boot answers."""
+        """Send one request with repeats; raise if there is no answer or the board restarted."""
         self._require_session()
         sequence = self._next_sequence()
         frame = protocol.encode(self._session, sequence, command, *arguments)
@@ -540,8 +543,8 @@ class TapperDriver:
         return reply
 
     def _exchange(self, frame: bytes, sequence: int, attempts: int) -> Reply | None:
-        """Send the same bytes until the reply to this sequence number comes; None if it never
-        does."""
+        """Send a frame up to ``attempts`` times until its reply arrives; return None without a
+        reply."""
         for attempt in range(attempts):
             self.counters.retries += attempt > 0
             reply = self._send(frame, sequence, self.settings.reply_timeout)
@@ -550,7 +553,7 @@ class TapperDriver:
         return None
 
     def _send(self, frame: bytes, sequence: int, timeout: float) -> Reply | None:
-        """Send once; the reply to this sequence number within ``timeout`` s, or None."""
+        """Send a frame once; return its reply within ``timeout`` s, or None."""
         self._transport.write(frame)
         until = self._transport.now() + timeout
         while (left := until - self._transport.now()) > 0:
@@ -562,7 +565,7 @@ class TapperDriver:
         return None
 
     def _listen(self, wait: float) -> list[Reply]:
-        """Replies among the bytes that come within ``wait`` s; returns at the first bytes."""
+        """Return the replies received within ``wait`` s; return as soon as bytes arrive."""
         self._buffer += self._transport.read(wait)
         replies: list[Reply] = []
         while True:
@@ -590,7 +593,7 @@ class TapperDriver:
             )
 
     def _refusal(self, reply: Reply) -> HardwareFault:
-        """The fault that a refusing reply, or a state that it should not be in, stands for."""
+        """Return the fault that a refusing reply or an unexpected state represents."""
         shot = f"shot {reply.shot}"
         if reply.result is Result.NEEDS_PERSON:
             reason, text = (
@@ -673,6 +676,6 @@ class TapperDriver:
 
 
 def _named(channel: int) -> tuple[int, ...]:
-    """The last argument of CHARGE and FIRE: firmware 2.0 knows channel 0 alone, and no word for
-    it."""
+    """Return the channel argument of CHARGE and FIRE. Firmware 2.0 accepts none, so channel 0 is
+    never sent."""
     return (channel,) if channel else ()

@@ -1,4 +1,4 @@
-"""What every driver of a tapper can do, whatever fires the striker."""
+"""Common interface of the tapper drivers, independent of the firing mechanism."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from tapping_cell.hardware.tapper_protocol import Reply
 
 
 class TapperDevice(Protocol):
-    """One tapper; see :class:`~tapping_cell.hardware.tapper.TapperDriver` for what each call does
-    and raises."""
+    """One tapper; :class:`~tapping_cell.hardware.tapper.TapperDriver` documents the behaviour and
+    the faults of each call."""
 
     counters: TapperCounters
     last_reply: Reply | None
 
     @property
     def version(self) -> str:
-        """The firmware's version, or what stands in its place."""
+        """Firmware version, or a description for a device without firmware."""
 
     def connect(self, timeout: float = 5.0) -> Reply:
-        """Open the way to it, which discharges it."""
+        """Connect to the tapper, which discharges it."""
 
     def close(self) -> None:
-        """Use it no more; it is discharged."""
+        """Disconnect from the tapper; it is discharged."""
 
     def status(self) -> Reply:
-        """Ask for its state."""
+        """Query the state."""
 
     def charge(
         self,
@@ -37,16 +37,16 @@ class TapperDevice(Protocol):
         timeout: float = 5.0,
         channel: int = 0,
     ) -> Reply:
-        """Get ready for a shot with an energy in J, on a channel."""
+        """Prepare a shot with an energy in J on a channel."""
 
     def fire(self, shot: int, window: float, still_allowed: Callable[[float], bool]) -> FireResult:
         """Fire the shot once, or not at all."""
 
     def discharge(self) -> Reply:
-        """End the readiness without a release."""
+        """Discharge without a release."""
 
     def stop(self) -> bool:
-        """From any thread: stop at once."""
+        """Stop immediately; from any thread."""
 
     def clear(self, timeout: float = 5.0) -> Reply:
-        """End a stop."""
+        """Clear a stop."""

@@ -1,16 +1,16 @@
-"""Codec of the tapper's line protocol, versions 2.0 and 2.1: bytes <-> frames.
+"""Codec of the tapper's line protocol, versions 2.0 and 2.1.
 
-``@<session>,<seq>,<WORD>[,args]*<CRC>\\n``. The CRC is CRC-16/CCITT-FALSE (polynomial 0x1021, start
-0xFFFF, no reflection) over everything between ``@`` and ``*``, as four upper-case hex digits.
-Requests carry a command word, replies a result word; no word is both, so an echoing line is not
-taken for the device. An ``@`` begins a frame wherever it stands, a newline ends it.
+A frame is ``@<session>,<seq>,<WORD>[,args]*<CRC>\\n``. The CRC is CRC-16/CCITT-FALSE (polynomial
+0x1021, start 0xFFFF, no reflection) over everything between ``@`` and ``*``, as four upper-case hex
+digits. Requests contain a command word and replies a result word; no word is both, so an echoing
+line is not mistaken for the device. An ``@`` always begins a frame, and a newline ends it.
 
-A reply's arguments: state, shot, energy in uJ, interlock closed (0/1), stop latched (0/1), the last
-shot fired in this boot (0: none), its measured speed in um/s (0: not measured), boot number, the
-board's time in ms (wraps at 2**32), mode, enabling switch held (0/1); from 2.1 on: channel of the
-shot, channels of the board, mask of the channels whose striker is seen at its mount. ``WELCOME``
-adds the firmware's version, whose first part is the version of the protocol. A board with 2.0 has
-one channel, 0, and takes no channel in ``CHARGE`` and ``FIRE``.
+Arguments of a reply: state, shot, energy in uJ, interlock closed (0/1), stop latched (0/1), the
+last shot fired since boot (0: none), its measured speed in um/s (0: not measured), boot number, the
+board's time in ms (wraps at 2**32), mode, enabling switch held (0/1). Version 2.1 adds the channel
+of the shot, the number of channels of the board, and the mask of channels whose striker is detected
+at its mount. ``WELCOME`` adds the firmware version, whose major version is that of the protocol. A
+board with 2.0 has one channel, 0, and accepts no channel in ``CHARGE`` and ``FIRE``.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from dataclasses import dataclass
 from enum import Enum
 
 STOP = b"!"
-"""Latches the stop from the receive interrupt, wherever it stands."""
+"""Byte that latches the stop in the receive interrupt, at any position in the stream."""
 SILENCE_LIMIT = 0.5
-"""Without a valid frame for this long a charged tapper discharges, s."""
+"""A charged tapper discharges after this time without a valid frame, s."""
 LONGEST_WINDOW = 0.1
-"""A FIRE whose deadline is further ahead of the board's time than this is refused, s."""
+"""Maximum time from the board's time to the deadline of FIRE, s; the board refuses a later one."""
 LONGEST_PULSE = 0.033
-"""The release output is switched off by a timer at the latest this long after it was switched on,
-s (16 bits of 0.5 us)."""
+"""A hardware timer switches the release output off at most this long after it was switched on, s
+(16 bits of 0.5 us)."""
 TIME_MODULUS = 2**32
-"""The board's time in ms is counted modulo this."""
+"""Modulus of the board's time in ms."""
 LONGEST_FRAME = 184
-"""Bytes from ``@`` to the newline."""
+"""Maximum length of a frame from ``@`` to the newline, in bytes."""
 MAXIMUM_SHOT = 2**64 - 1
 MAXIMUM_JUMP = 2**32
-"""A shot number further above the greatest one used is refused: one wrong number must not use up
-all the others."""
+"""Maximum increase from the greatest shot number used. The limit prevents one wrong number from
+using up all the others."""
 MAXIMUM_ENERGY_UJ = 10_000_000
 
 
 class Command(Enum):
-    """What the host asks."""
+    """Commands of the host."""
 
     HELLO = "HELLO"
     HOME = "HOME"
@@ -54,8 +54,8 @@ class Command(Enum):
 
 
 class Result(Enum):
-    """What the tapper answers; everything but the first three is a refusal. No refusal has an
-    effect, but for LATE, which ends the shot and discharges."""
+    """Results of the tapper; all but the first three are refusals. A refusal has no effect, except
+    LATE, which ends the shot and discharges."""
 
     WELCOME = "WELCOME"
     OK = "OK"
@@ -77,7 +77,7 @@ class Result(Enum):
 
 
 class State(Enum):
-    """The tapper's state machine."""
+    """States of the tapper's state machine."""
 
     UNHOMED = "UNHOMED"
     HOMING = "HOMING"
@@ -90,7 +90,8 @@ class State(Enum):
 
 
 class Mode(Enum):
-    """RUN allows every energy; SETUP only a small one, unless the enabling switch is held."""
+    """Operating mode. RUN allows every energy; SETUP only a small one unless the enabling switch
+    is held."""
 
     RUN = "RUN"
     SETUP = "SETUP"
@@ -98,7 +99,7 @@ class Mode(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """One answer of the tapper; ``energy`` in J, ``speed`` in m/s or None."""
+    """One reply of the tapper; ``energy`` in J, ``speed`` in m/s or None."""
 
     session: int
     sequence: int
@@ -112,22 +113,22 @@ class Reply:
     speed: float | None
     boot: int
     time_ms: int
-    """The board's time when it handled the request, ms, modulo ``TIME_MODULUS``."""
+    """Board time when the request was processed, ms, modulo ``TIME_MODULUS``."""
     mode: Mode
     enabled: bool
     """Whether the enabling switch is held."""
     version: str = ""
     channel: int = 0
-    """Of ``shot``."""
+    """Channel of ``shot``."""
     channels: int = 1
-    """Tappers on this board."""
+    """Number of tappers on this board."""
     at_mounts: int = 0
-    """Mask of the channels whose striker a switch sees at its mount; 0 where none is fitted."""
+    """Mask of the channels whose switch detects the striker at its mount; 0 without switches."""
 
 
 @dataclass(frozen=True, slots=True)
 class OtherFirmware:
-    """The greeting of a firmware with another version of the protocol."""
+    """Greeting of a firmware with another protocol version."""
 
     session: int
     sequence: int
@@ -136,7 +137,7 @@ class OtherFirmware:
 
 @dataclass(frozen=True, slots=True)
 class Bad:
-    """Bytes that are no frame, and why."""
+    """Bytes that are not a valid frame, and the reason."""
 
     data: bytes
     why: str
@@ -144,19 +145,19 @@ class Bad:
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """``frame`` None: more bytes are needed; ``rest``: the bytes still to decode."""
+    """A decoded frame (None if more bytes are needed), and the bytes not decoded yet."""
 
     frame: Reply | OtherFirmware | Bad | None
     rest: bytes
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/CCITT-FALSE; its check value over ``123456789`` is 0x29B1."""
+    """Return the CRC-16/CCITT-FALSE; its check value over ``123456789`` is 0x29B1."""
     return binascii.crc_hqx(data, 0xFFFF)
 
 
 def encode(session: int, sequence: int, command: Command, *arguments: int | Mode) -> bytes:
-    """One request frame. Raises ValueError for numbers that the frame cannot carry."""
+    """Encode one request. Raises ValueError for numbers that do not fit into the frame."""
     if not (1 <= session <= 0xFFFF and 0 <= sequence <= 0xFFFF):
         raise ValueError(f"session {session} must be 1 to 65535 and sequence {sequence} 0 to 65535")
     if any(isinstance(argument, int) and argument < 0 for argument in arguments):
@@ -178,7 +179,7 @@ _GREETING = re.compile(rf"^(\d{{1,5}}),(\d{{1,5}}),WELCOME,.*,({_VERSION})$")
 
 
 def decode(buffer: bytes) -> Decoded:
-    """Take the first frame off ``buffer``. Never raises."""
+    """Decode the first frame of ``buffer``. Never raises."""
     start = buffer.find(b"@")
     if start < 0:
         return Decoded(Bad(buffer, "no frame begins here") if buffer else None, b"")
@@ -196,7 +197,7 @@ def decode(buffer: bytes) -> Decoded:
 
 
 def deadline_after(time_ms: int, window: float) -> int:
-    """The board's time ``window`` s after ``time_ms``, rounded down, for a FIRE."""
+    """Return the board time ``window`` s after ``time_ms``, rounded down, as a FIRE deadline."""
     return (time_ms + int(window * 1e3)) % TIME_MODULUS
 
 

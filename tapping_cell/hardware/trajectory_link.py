@@ -1,4 +1,4 @@
-"""What the driver needs of an arm that has a driver of its own: joint states and trajectories."""
+"""Interface to an arm with its own ROS driver: joint states and trajectories."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from tapping_cell.hardware.joint_trajectory import Course, TrajectoryPoint, brak
 from tapping_cell.hardware.transport import Connection
 
 LONGEST_EXTRAPOLATION = 0.1
-"""Beyond the newest joint state of an arm on no known course, s."""
+"""Maximum extrapolation beyond the newest joint state of an arm without a known trajectory, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class JointSample:
-    """Where the joints were, as the arm's own driver measured it; rad and m, joints in order."""
+    """Joint positions measured by the arm's own driver; rad and m, in joint order."""
 
     measured: float
-    """Time of the link's steady clock at which it was measured at the latest, s."""
+    """Time of the link's steady clock at or after the measurement, s."""
     received: float
-    """When it came, s."""
+    """Time when the sample was received, s."""
     positions: tuple[float, ...]
     velocities: tuple[float, ...] | None = None
-    """None where the arm's driver does not tell them."""
+    """None if the arm's driver does not report velocities."""
     ahead: float = 0.0
-    """By how much its stamp lies in the future by this computer's clock, s."""
+    """Time by which the sample's stamp is in the future of this computer's clock, s."""
     doubt: str = ""
-    """Why the positions are not to be believed; empty where they are."""
+    """Reason why the positions cannot be trusted; empty if they can."""
 
 
 def braking_point(
@@ -37,10 +37,10 @@ def braking_point(
     now: float,
     max_acceleration: Sequence[float],
 ) -> TrajectoryPoint | None:
-    """Where an arm that is stopped now comes to rest; None where nothing was heard of it.
+    """Return the point where an arm that is stopped now comes to rest; None without any sample.
 
-    An arm on its ``course`` is taken to have followed it since its last state; without one, to have
-    gone on for a little at the speed that it had.
+    An arm on its ``course`` is assumed to have followed it since its last state. Without a course,
+    its last speed is extrapolated for up to ``LONGEST_EXTRAPOLATION``.
     """
     if not samples:
         return None
@@ -56,7 +56,7 @@ def braking_point(
 
 
 def _speeds(samples: Sequence[JointSample]) -> tuple[float, ...]:
-    """How fast the joints move, told or by the last two samples."""
+    """Return the joint speeds, as reported or from the last two samples."""
     newest, before = samples[-1], samples[-2] if len(samples) > 1 else samples[-1]
     if newest.velocities is not None:
         return newest.velocities
@@ -68,10 +68,10 @@ def _speeds(samples: Sequence[JointSample]) -> tuple[float, ...]:
 
 
 class GoalState(Enum):
-    """What the controller told of the trajectory that was sent last."""
+    """Reported state of the last trajectory that was sent."""
 
     UNTOLD = "untold"
-    """It takes trajectories by topic and tells nothing."""
+    """Not reported, because the controller accepts trajectories by topic."""
     ACTIVE = "active"
     SUCCEEDED = "succeeded"
     FAILED = "failed"
@@ -79,42 +79,42 @@ class GoalState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """What became of the last trajectory, with the controller's own words where it failed."""
+    """State of the last trajectory, with the controller's error message if it failed."""
 
     state: GoalState
     words: str = ""
 
 
 class TrajectoryLink(Connection, Protocol):
-    """The way to a trajectory controller. ``open`` waits until it takes trajectories.
+    """Connection to a trajectory controller. ``open`` waits until it accepts trajectories.
 
-    ``stop`` ignores its bytes, and brakes.
+    ``stop`` ignores its bytes and brakes the arm.
     """
 
     @property
     def interface(self) -> str:
-        """How trajectories are sent: topic or action."""
+        """Interface through which trajectories are sent: topic or action."""
 
     @property
     def samples(self) -> Sequence[JointSample]:
-        """What was heard in the last second, the newest last."""
+        """Joint states received in the last second, newest last."""
 
     @property
     def other_names(self) -> Sequence[str]:
-        """Joint names of the last message that lacked some of ours; empty if there was none."""
+        """Joint names of the last message that lacked some of the arm's; empty if none did."""
 
     @property
     def rivals(self) -> Sequence[str]:
-        """Other nodes that could send this controller trajectories."""
+        """Other nodes that could send trajectories to this controller."""
 
     def wait(self, duration: float) -> None:
-        """Wait for the next sample, for up to ``duration`` s."""
+        """Wait for the next sample for up to ``duration`` s."""
 
     def send(self, points: Sequence[TrajectoryPoint]) -> None:
-        """Send a trajectory, which replaces the one under way."""
+        """Send a trajectory, which replaces the current one."""
 
     def brake(self) -> bool:
-        """From any thread: have the arm come to rest at once; returns whether that went out."""
+        """Brake the arm to rest immediately, from any thread; return whether this was sent."""
 
     def progress(self) -> Progress:
-        """What became of the trajectory that was sent last."""
+        """Return the state of the last trajectory."""

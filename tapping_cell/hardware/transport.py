@@ -1,4 +1,4 @@
-"""What a driver needs of the line to its device; the drivers know time only through it."""
+"""Interface of the line to a device, which is also the drivers' only source of time."""
 
 from __future__ import annotations
 
@@ -6,26 +6,25 @@ from typing import Protocol
 
 
 class Connection(Protocol):
-    """A way to one device that can be opened, closed and stopped.
+    """Connection to one device that can be opened, closed and stopped.
 
-    All calls but ``stop`` belong to one thread. Every call that waits for the device or sends
-    something to it raises HardwareFault: DISCONNECTED when the device is gone, STOPPED while a stop
-    is latched.
+    All calls but ``stop`` belong to one thread. Every call that waits for the device or sends to it
+    raises HardwareFault: DISCONNECTED if the connection is lost, STOPPED while a stop is latched.
     """
 
     @property
     def name(self) -> str:
-        """The port's path or the controller's name, for messages."""
+        """Path of the port or name of the controller, for messages."""
 
     @property
     def is_open(self) -> bool:
-        """Whether it is open as far as known."""
+        """Whether the connection is open, as far as is known."""
 
     def now(self) -> float:
-        """The steady clock, s."""
+        """Return the time of the steady clock, s."""
 
     def open(self, timeout: float) -> None:
-        """Open anew (closing first), waiting up to ``timeout`` s for the port or the controller.
+        """Reopen the connection, waiting up to ``timeout`` s for the port or the controller.
 
         Raises HardwareFault: PORT_MISSING, PORT_BUSY.
         """
@@ -34,25 +33,25 @@ class Connection(Protocol):
         """Close; never raises."""
 
     def stop(self, data: bytes) -> bool:
-        """From any thread: latch the stop and send ``data`` at once, before anything else waiting.
+        """Latch the stop and send ``data`` ahead of any waiting data; from any thread.
 
-        Returns whether the stop went out. Until ``release`` every call that waits or sends raises
+        Returns whether the stop was sent. Until ``release``, every call that waits or sends raises
         STOPPED.
         """
 
     def release(self) -> None:
-        """End the latch of ``stop``."""
+        """Release the latch of ``stop``."""
 
 
 class Transport(Connection, Protocol):
     """A byte line to one device."""
 
     def sleep(self, duration: float) -> None:
-        """Let ``duration`` s pass, stop or not."""
+        """Sleep for ``duration`` s, even during a stop."""
 
     def read(self, timeout: float) -> bytes:
-        """The bytes at hand, waiting up to ``timeout`` s for the first; empty when none came."""
+        """Return the available bytes, waiting up to ``timeout`` s for the first; may be empty."""
 
     def write(self, data: bytes, timeout: float = 1.0) -> None:
-        """Write all of ``data``; raises HardwareFault TIMEOUT if the port takes no more for that
-        long."""
+        """Write all of ``data``; raises HardwareFault TIMEOUT if the port accepts nothing for
+        ``timeout`` s."""

@@ -1,7 +1,8 @@
-"""A URDF of the arm from the same dimensions that the kinematics use, for viewers and planners.
+"""Generation of the arm's URDF from its kinematic dimensions, for viewers and planners.
 
-Shapes and masses are those of plain aluminium bars, as the cell file knows neither; efforts are
-what the arm's accelerations ask of each joint with these masses and the arm stretched out.
+Shapes and masses are those of plain aluminium bars, because the cell file contains neither. Efforts
+are the loads of each joint at the arm's maximum accelerations, with these masses and the arm
+stretched out.
 """
 
 from __future__ import annotations
@@ -14,25 +15,25 @@ from tapping_cell.hardware.link_frames import LINKS, link_frames
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 
 LINK_RADIUS = 0.02
-"""Radius of the bars that stand for the links, m."""
+"""Radius of the bars that represent the links, m."""
 DENSITY = 2700.0
-"""Of aluminium, kg/m^3."""
+"""Density of aluminium, kg/m^3."""
 GRAVITY = 9.81
-"""m/s^2"""
+"""Gravitational acceleration, m/s^2."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Bar:
-    """A solid cylinder from the link's origin along one of its axes."""
+    """A solid cylinder that starts at the link's origin, along z or x."""
 
     length: float
-    """m"""
+    """Length, m."""
     upright: bool
-    """Along z; else along x."""
+    """Whether the bar is along z; otherwise it is along x."""
 
     @property
     def mass(self) -> float:
-        """In kg."""
+        """Mass, kg."""
         return DENSITY * math.pi * LINK_RADIUS**2 * self.length
 
     @property
@@ -42,24 +43,24 @@ class _Bar:
 
     @property
     def across(self) -> float:
-        """Moment of inertia about an axis across it through its centre, kg m^2."""
+        """Moment of inertia about a perpendicular axis through the centre, kg m^2."""
         return self.mass * (3 * LINK_RADIUS**2 + self.length**2) / 12
 
     @property
     def centre(self) -> tuple[float, float, float]:
-        """In the link's frame, m."""
+        """Centre of mass in the link's frame, m."""
         return (0.0, 0.0, self.length / 2) if self.upright else (self.length / 2, 0.0, 0.0)
 
     def about_z(self, distance: float) -> float:
-        """Moment of inertia about a vertical axis ``distance`` m before the link's origin."""
+        """Return the moment of inertia about a vertical axis ``distance`` m behind the origin."""
         own = self.along if self.upright else self.across
         return own + self.mass * (self.centre[0] + distance) ** 2
 
 
 def urdf(geometry: ScaraGeometry, name: str = "scara_arm") -> str:
-    """The arm as URDF text: links from ``arm_base`` to ``striker``, joints named as in ``Joints``.
+    """Return the URDF text: links from ``arm_base`` to ``striker``, joints named as in ``Joints``.
 
-    ``arm_base`` has no inertia: it stands still, and KDL allows none at the root.
+    ``arm_base`` has no inertia, because it is fixed and KDL allows none at the root.
     """
     robot = ElementTree.Element("robot", name=name)
     bars = _bars(geometry)
@@ -97,7 +98,7 @@ def urdf(geometry: ScaraGeometry, name: str = "scara_arm") -> str:
 
 
 def _bars(geometry: ScaraGeometry) -> dict[str, _Bar]:
-    """The solid of each link but ``striker``, which is a point."""
+    """Return the solid of each link except ``striker``, which is a point."""
     return {
         "arm_base": _Bar(max(geometry.tip_height, LINK_RADIUS), upright=True),
         "upper_arm": _Bar(geometry.upper_arm, upright=False),
@@ -108,7 +109,7 @@ def _bars(geometry: ScaraGeometry) -> dict[str, _Bar]:
 
 
 def _efforts(geometry: ScaraGeometry, bars: dict[str, _Bar]) -> tuple[float, float, float, float]:
-    """Torques in N m and the quill's force in N: inertia times acceleration, arm stretched out."""
+    """Return torques (N m) and the quill's force (N) at maximum acceleration, arm stretched out."""
     rod, tool = bars["quill_rod"], bars["tool"]
     reach = geometry.forearm
     elbow = bars["forearm"].about_z(0.0) + rod.about_z(reach) + tool.about_z(reach)

@@ -1,1 +1,1 @@
-"""The world that the cell is tried in: sliding in time, rendered camera, serial devices."""
+"""Simulated world for tests of the cell: sliding dynamics, rendered camera, serial devices."""

@@ -1,4 +1,4 @@
-"""What the overhead camera sees of the arm: links, quill, tool and striker, over the table."""
+"""Silhouettes of the arm in the overhead camera: links, quill, tool and striker over the table."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ROUND = np.linspace(0.0, 2 * math.pi, 12, endpoint=False)
 def arm_solids(
     arm: ArmSection, tapper: TapperSection, base: Pose, joints: ArrayLike
 ) -> tuple[Occluder, ...]:
-    """The arm with these true joints (rad, rad, m, rad), the lowest part first.
+    """Return the arm's silhouettes for true joints (rad, rad, m, rad), the lowest part first.
 
     ``base`` is the true pose of ``arm_base`` in table.
     """
@@ -47,14 +47,14 @@ def arm_solids(
 def striker_solids(
     tapper: TapperSection, mount: Pose, height: float, out: float
 ) -> tuple[Occluder, ...]:
-    """A tapper at a fixed mount, its tip ``height`` m over the table and ``out`` m on its way."""
+    """Return a tapper at a fixed mount, with its tip ``height`` m high and ``out`` m extended."""
     rest = np.array([mount.x, mount.y, mount.theta])
     ahead = rest + out * np.array([math.cos(mount.theta), math.sin(mount.theta), 0.0])
     return _tool(tapper, rest, ahead, height)
 
 
 def _tool(tapper: TapperSection, rest: Array, tip: Array, height: float) -> tuple[Occluder, ...]:
-    """Striker and housing; the striker reaches from the housing at rest to the tip."""
+    """Return striker and housing; the striker extends from the resting housing to the tip."""
     out = math.hypot(tip[0] - rest[0], tip[1] - rest[1])
     along = (-tapper.tool_start - out, 0.0)
     housing = (-tapper.tool_length, -tapper.tool_start)
@@ -67,7 +67,7 @@ def _tool(tapper: TapperSection, rest: Array, tip: Array, height: float) -> tupl
 def _box(
     pose: Array, along: tuple[float, float], half: float, height: float, level: float
 ) -> Occluder:
-    """A bar along the line of travel, as wide as it is high, ``height`` m over the table."""
+    """Return a square bar along the line of travel, centred ``height`` m above the table."""
     (start, end), low = along, max(height - half, 0.0)
     corners = np.array([[start, -half], [end, -half], [end, half], [start, half]])
     return _solid(transform_points(pose, corners), low, height + half, level)

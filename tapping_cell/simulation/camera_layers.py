@@ -1,8 +1,8 @@
-"""Flat printed things of the rendered scene: pre-filtered textures sampled where a pixel looks.
+"""Flat printed parts of the rendered scene: pre-filtered textures that are sampled per pixel.
 
-A layer is drawn once, at several texels a pixel, with exact coverage at its edges, and then blurred
-by the camera's point spread. Sampling it at the centre of a pixel is then an area sample of the
-true pattern: an edge lies where it lies, without the bias that comes from sampling sharp patterns.
+A layer is drawn once at several texels per pixel, with exact coverage at its edges, and then
+blurred by the camera's point spread function. Sampling it at the centre of a pixel then gives the
+area average of the true pattern, so edges lack the bias of sampling sharp patterns.
 """
 
 from __future__ import annotations
@@ -19,24 +19,26 @@ Array32 = NDArray[np.float32]
 
 PAPER = 0.90
 INK = 0.06
-"""Reflectance of white paper and of black toner (typical of laser prints)."""
+"""Reflectance of white paper and black toner, typical of laser prints."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """A texture (rows, columns, 2) of reflectance times coverage, and coverage; around its
-    middle."""
+    """A texture (rows, columns, 2) around the origin, with ``texel`` as the texel size in m.
+
+    Its channels are reflectance times coverage, and coverage.
+    """
 
     texture: Array32
     texel: float
 
     @property
     def half(self) -> float:
-        """Half of the texture's side, in m."""
+        """Half of the texture's side length, m."""
         return 0.5 * self.texel * self.texture.shape[0]
 
     def sample(self, u: Array32, v: Array32) -> tuple[Array32, Array32]:
-        """Reflectance times coverage, and coverage, at points (m) of the layer's frame (v up)."""
+        """Return reflectance times coverage, and coverage, at points (m, v up) of the layer."""
         scale = np.float32(1.0 / self.texel)
         middle = np.float32(0.5 * self.texture.shape[0] - 0.5)
         found = cv2.remap(
@@ -51,11 +53,11 @@ class Layer:
 
 
 def marker_layer(dictionary: str, marker_id: int, size: float, pixel: float, blur: float) -> Layer:
-    """A marker of side ``size`` with one module of white around; ``pixel`` and ``blur`` (sigma) in
-    m."""
+    """Return a marker of side ``size`` with a white margin of one module; ``pixel`` and ``blur``
+    (sigma) in m."""
     pattern = np.pad(marker_pattern(dictionary, marker_id), 1, constant_values=True)
     module = size / (pattern.shape[0] - 2)
-    # About eight texels a pixel; module edges fall on texel edges, so coverage is exact.
+    # About eight texels per pixel; module edges are on texel edges, so coverage is exact.
     each = int(np.clip(np.ceil(8.0 * module / pixel), 4, 96))
     texel = module / each
     sheet = np.kron(np.where(pattern, PAPER, INK), np.ones((each, each)))
@@ -65,7 +67,7 @@ def marker_layer(dictionary: str, marker_id: int, size: float, pixel: float, blu
 
 
 def outline_layer(outline: ArrayLike, reflectance: float, pixel: float, blur: float) -> Layer:
-    """A convex outline, points (N, 2) in m around the origin, in one grey."""
+    """Return a convex outline, points (N, 2) in m around the origin, of uniform reflectance."""
     points = np.asarray(outline, dtype=float)
     reach = float(np.max(np.abs(points))) + 4.0 * blur
     texels = int(np.clip(np.ceil(16.0 * reach / pixel), 64, 1600))
@@ -77,10 +79,10 @@ def outline_layer(outline: ArrayLike, reflectance: float, pixel: float, blur: fl
 def convex_coverage(
     points: ArrayLike, rows: int, columns: int, rows_each: int = 4
 ) -> NDArray[np.float64]:
-    """Share of every cell of a (rows, columns) grid that a convex polygon covers.
+    """Return the fraction of each cell of a (rows, columns) grid that a convex polygon covers.
 
-    ``points`` (N, 2) count in cells, row index along y. Exact along x, ``rows_each`` samples along
-    y.
+    ``points`` (N, 2) are in cells, with the row index along y. The coverage is exact along x and
+    uses ``rows_each`` samples along y.
     """
     p = np.asarray(points, dtype=float)
     p = np.roll(p, -int(p[:, 1].argmin()), axis=0)

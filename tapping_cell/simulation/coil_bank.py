@@ -1,7 +1,7 @@
-"""Coils at fixed mounts: the strikers of a board with channels, and what their switches tell.
+"""Coils at fixed mounts: the strikers of a board with several channels, and their switches.
 
-The same rules as ``firmware/tapper/strikers.c``, computed from event to event. A switch at a mount
-is closed while its striker is back. How long a striker is out, the mechanics around it say.
+Follows the same rules as ``firmware/tapper/strikers.c``, computed from event to event. The switch
+at a mount is closed while its striker is back. The caller sets the flight time of a striker.
 """
 
 from __future__ import annotations
@@ -9,22 +9,22 @@ from __future__ import annotations
 from tapping_cell.simulation.spring_drive import Status
 
 SETTLE_TIME = 0.003
-"""The switches' levels count when they were the same for this long, s."""
+"""Time for which a switch level must be constant to count (debounce), s."""
 LEAVES_AFTER = 0.002
-"""From a release until the striker has left its switch, s."""
+"""Time from a release until the striker has left its switch, s."""
 LEAVE_LIMIT = 0.2
-"""Longest time from a release to an open switch, s."""
+"""Longest time from a release until the switch must be open, s."""
 RETURN_LIMIT = 4.0
-"""Longest time from a release to a closed switch, s."""
+"""Longest time from a release until the switch must be closed again, s."""
 
 
 class CoilBank:
-    """Strikers of ``count`` channels; ``now`` in s never goes back from call to call."""
+    """Strikers of ``count`` channels; ``now`` in s must not decrease between calls."""
 
     def __init__(self, count: int) -> None:
         self.count = count
         self.flight = 0.3
-        """From a release to the striker's return, s: set it before the release."""
+        """Time from a release to the striker's return, s; set it before the release."""
         self._energy = 0.0
         self._proven = False
         self._channel = 0
@@ -37,13 +37,13 @@ class CoilBank:
 
     @property
     def status(self) -> Status:
-        """How far the last movement has come."""
+        """Status of the last movement."""
         if self._released is not None:
             return Status.MOVING
         return Status.THERE if self._proven else Status.UNKNOWN
 
     def at_mounts(self, now: float) -> int:
-        """Mask of the channels whose switch is closed."""
+        """Return the mask of channels whose switch is closed."""
         self.advance(now)
         return sum(1 << channel for channel in range(self.count) if self._closed(channel, now))
 
@@ -57,66 +57,66 @@ class CoilBank:
         begun = self._released + LEAVES_AFTER + SETTLE_TIME
         return not begun <= now < self._returns + SETTLE_TIME
 
-    # What the firmware orders.
+    # Firmware commands.
 
     def can_store(self, energy: float) -> bool:
-        """Whether the coils make this energy in J."""
+        """Return whether the coils can produce this energy in J."""
         return energy >= 20e-6
 
     def charge(self, energy: float, now: float) -> None:
-        """Keep the energy in J of the next pulse."""
+        """Store the energy in J of the next pulse."""
         self._energy = energy
 
     def stored(self, now: float) -> float:
-        """That energy, J."""
+        """Return the energy of the next pulse, J."""
         return self._energy
 
     def home(self, now: float) -> None:
-        """Look whether every striker is at its mount."""
+        """Check that every striker is at its mount."""
         if self._released is None:
             self._proven = self.at_mounts(now) == (1 << self.count) - 1
 
     def back(self, now: float) -> None:
-        """Nothing: springs bring the strikers back."""
+        """Do nothing, because springs return the strikers."""
 
     def halt(self, now: float) -> None:
-        """Nothing: the coils are off."""
+        """Do nothing, because the coils are off."""
 
     def released(self, channel: int, now: float) -> None:
-        """The pulse of a channel has begun."""
+        """Start the pulse of a channel."""
         self._channel, self._released, self._left = channel, now, False
         self._returns = now + self.flight
         self._proven = False
 
-    # What can be wrong with it.
+    # Faults.
 
     def start(self) -> None:
-        """The board was switched on: nothing is proven."""
+        """Power the board on; no striker position is verified yet."""
         self._proven, self._released = False, None
 
     def block(self, channel: int, blocked: bool) -> None:
-        """A striker does not leave its mount when it is released."""
+        """Set whether a striker stays at its mount when released."""
         (self._blocked.add if blocked else self._blocked.discard)(channel)
 
     def stick(self, channel: int, stuck: bool) -> None:
-        """A switch is stuck closed."""
+        """Set whether a switch is stuck closed."""
         (self._stuck.add if stuck else self._stuck.discard)(channel)
         self._lose_open_ones()
 
     def _lose_open_ones(self) -> None:
-        """At rest an open switch ends what was proven."""
+        """At rest, discard the verified positions if a switch is open."""
         if self._released is None:
             self._proven &= all(self._closed(channel, 0.0) for channel in range(self.count))
 
     def keep_out(self, channel: int, out: bool) -> None:
-        """A striker is pulled off its mount, or does not come back to it."""
+        """Set whether a striker is held off its mount and does not return to it."""
         (self._stays_out.add if out else self._stays_out.discard)(channel)
         self._lose_open_ones()
 
     # Time.
 
     def next_event(self) -> float | None:
-        """When the flight under way goes on."""
+        """Return the time of the next event of the flight."""
         if self._released is None:
             return None
         if not self._left:
@@ -127,7 +127,7 @@ class CoilBank:
         return limit if self._stays_out else min(self._returns + SETTLE_TIME, limit)
 
     def advance(self, now: float) -> None:
-        """Let the flight go on until ``now``."""
+        """Advance the flight until ``now``."""
         while (due := self.next_event()) is not None and due <= now:
             assert self._released is not None
             if not self._left and due < self._released + LEAVE_LIMIT:

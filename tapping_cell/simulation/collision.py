@@ -1,8 +1,8 @@
-"""Objects on the table that meet one another: the gap between two outlines, and the impact.
+"""Collisions between objects on the table: the gap between two outlines, and the impact.
 
-The impact is perfectly inelastic along the contact normal and without friction along the tangent:
-afterwards the two points of contact move alike along the normal. Masses, moments of inertia and
-levers are those of the objects, so that a hit off the middle turns both.
+The impact is perfectly inelastic along the contact normal and frictionless along the tangent, so
+afterwards the two contact points have the same velocity along the normal. Masses, moments of
+inertia and lever arms are those of the objects, so an off-centre hit rotates both.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A convex object seen from above: everything within ``radius`` m of the hull of ``corners``.
+    """A convex object seen from above: all points within ``radius`` m of the hull of ``corners``.
 
-    corners: (n, 2) about the centre of mass, m, counter-clockwise; a disk is one corner with its
+    corners: (n, 2) about the centre of mass, m, counter-clockwise; a disk has one corner and its
     radius. mass in kg, inertia in kg m^2 about the centre of mass.
     """
 
@@ -33,30 +33,30 @@ class Solid:
     mass: float
     inertia: float
     reach: float = field(init=False)
-    """Greatest distance of the outline from the centre of mass, m."""
+    """Largest distance of the outline from the centre of mass, m."""
 
     def __post_init__(self) -> None:
-        """Asked for in every step of a slide."""
+        """Compute ``reach`` once, because every step of a slide uses it."""
         reach = float(np.hypot(*self.corners.T).max()) + self.radius
         object.__setattr__(self, "reach", reach)
 
     @classmethod
     def of(cls, body: Disk | Ring | Polygon, centre: tuple[float, float], inertia: float) -> Solid:
-        """A body whose centre of mass lies at ``centre`` of its frame, m."""
+        """Create a solid from a body with its centre of mass at ``centre`` of its frame, m."""
         if isinstance(body, Polygon):
             return cls(np.asarray(body.points) - np.array(centre), 0.0, body.mass, inertia)
         return cls(-np.array([centre]), body.radius, body.mass, inertia)
 
     def at(self, motion: Motion) -> Array:
-        """The corners in table, (n, 2)."""
+        """Return the corners in table, (n, 2)."""
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
         turn = np.array([[cos, -sin], [sin, cos]])
         return np.asarray(self.corners @ turn.T + np.array([motion.x, motion.y]))
 
 
 class Gap(NamedTuple):
-    """The least distance between two solids, m, negative where they overlap; the unit normal from
-    the first to the second there, and the place."""
+    """Smallest distance between two solids (m, negative if they overlap), the unit normal there
+    from the first to the second, and the contact point."""
 
     distance: float
     normal: tuple[float, float]
@@ -64,7 +64,7 @@ class Gap(NamedTuple):
 
 
 def gap_between(first: Solid, second: Solid, here: Motion, there: Motion) -> Gap:
-    """The gap between two solids where they are."""
+    """Return the gap between two solids at their current motions."""
     p, q = first.at(here), second.at(there)
     from_q, from_p = _separation(p, q), _separation(q, p)
     best = max(
@@ -73,7 +73,7 @@ def gap_between(first: Solid, second: Solid, here: Motion, there: Motion) -> Gap
         default=None,
     )
     if best is not None and best[0] <= 0.0:
-        # The hulls overlap: the way out is along the edge of the least overlap.
+        # The hulls overlap: separate them along the edge normal with the smallest overlap.
         depth, normal, corner = best
         sign = -1.0 if best is from_q else 1.0
         along = (sign * float(normal[0]), sign * float(normal[1]))
@@ -86,7 +86,7 @@ def gap_between(first: Solid, second: Solid, here: Motion, there: Motion) -> Gap
     if distance == 0.0:
         way = np.array([there.x - here.x, there.y - here.y])
     length = float(np.hypot(*way))
-    # Two disks about one point: any direction leads out.
+    # For two concentric disks any direction separates.
     normal = way / length if length > 0.0 else np.array([1.0, 0.0])
     place = one + normal * first.radius
     return Gap(
@@ -99,7 +99,7 @@ def gap_between(first: Solid, second: Solid, here: Motion, there: Motion) -> Gap
 def impact(
     first: Solid, second: Solid, here: Motion, there: Motion, gap: Gap
 ) -> tuple[Motion, Motion, float] | None:
-    """The motions after two solids have met and the closing speed, m/s; None where they part."""
+    """Return both motions after the impact and the closing speed (m/s); None if they separate."""
     (nx, ny), (x, y) = gap.normal, gap.place
     lever = (x - here.x) * ny - (y - here.y) * nx
     other_lever = (x - there.x) * ny - (y - there.y) * nx
@@ -133,8 +133,8 @@ def impact(
 
 
 def _separation(points: Array, polygon: Array) -> tuple[float, Array, Array] | None:
-    """Greatest distance of points from a polygon along one of its edges' normals, that normal (out
-    of the polygon) and the point; None for a polygon without edges."""
+    """Return the largest separation of the points from a polygon over its edge normals (separating
+    axis theorem), that outward normal, and the nearest point; None for a polygon without edges."""
     if polygon.shape[0] < 3:
         return None
     edges = np.roll(polygon, -1, axis=0) - polygon
@@ -147,14 +147,14 @@ def _separation(points: Array, polygon: Array) -> tuple[float, Array, Array] | N
 
 
 def _nearest_points(p: Array, q: Array) -> tuple[Array, Array]:
-    """The nearest points of two convex hulls that do not overlap."""
+    """Return the nearest points of two convex hulls that do not overlap."""
     one, other, away = _to_edges(p, q)
     back, there, length = _to_edges(q, p)
     return (one, other) if away <= length else (there, back)
 
 
 def _to_edges(points: Array, polygon: Array) -> tuple[Array, Array, float]:
-    """The point that is nearest to an edge of a polygon, the place on it, and the distance."""
+    """Return the point nearest to the polygon's edges, its nearest edge point, and the distance."""
     edges = np.roll(polygon, -1, axis=0) - polygon
     lengths = np.maximum((edges**2).sum(axis=-1), 1e-18)
     offsets = points[:, None, :] - polygon[None, :, :]

@@ -1,10 +1,10 @@
-"""The contact of the striker's ball with the object, integrated in time.
+"""Contact between the striker's ball and the object, integrated in time.
 
-A spring stands between the two along the normal. It is loaded along F = k d and unloaded along the
-steeper F = (k / e^2) (d - d0), which returns the share e^2 of the work (Walton and Braun, J.
-Rheology 30, 1986): e is the restitution at any speed and for any masses. Along the tangent the
-contact sticks or slides by Coulomb's law, and while it sticks it may be compliant as well (Maw,
-Barber and Fawcett, Wear 38, 1976). Nothing is taken from the impulses that the planner uses.
+A spring acts between the two along the normal. It loads along F = k d and unloads along the steeper
+F = (k / e^2) (d - d0), which returns the fraction e^2 of the work (Walton and Braun, J. Rheology
+30, 1986), so e is the restitution at any speed and for any masses. Along the tangent the contact
+sticks or slides by Coulomb's law, and a sticking contact may also be compliant (Maw, Barber and
+Fawcett, Wear 38, 1976). The planner's impulse model is not used here.
 """
 
 from __future__ import annotations
@@ -19,26 +19,29 @@ from tapping_cell.mechanics import Disk, Polygon, Ring, Striker
 from tapping_cell.simulation.sliding import Acceleration, Motion
 
 TOUCH_M = 1e-8
-"""Ball and object closer than this touch."""
+"""Maximum distance between ball and object that counts as contact, m."""
 SMALLEST_RESTITUTION = 0.05
-"""Below this the unloading spring is so stiff that the steps would have to be too short."""
+"""Lower limit of the restitution; below it the unloading spring would need very short steps."""
 _STEPS = 100
-"""Of the contact time, in a contact that decides how the object is launched."""
+"""Steps per contact time in a contact that determines the object's launch."""
 _COARSE_STEPS = 10
-"""In a contact that begins slower than ``_SLOW``, as where the striker pushes the object."""
+"""Steps per contact time if the approach is slower than ``_SLOW``, such as a push."""
 _SLOW = 0.005
 _FRICTION_EVERY = 8
-"""Steps after which the friction with the table, far weaker than the contact, is computed anew."""
+"""Number of steps between updates of the table friction, which is far weaker than the contact."""
 _LONGEST_CONTACT_S = 0.02
-"""A contact that lasts longer is continued in a further one, with the table's friction at work."""
+"""Maximum duration of one contact; a longer one continues in another call."""
 
 
 @dataclass(frozen=True, slots=True)
 class ContactLaw:
-    """restitution: of a head-on impact; friction: of the contact; contact_time: of an elastic
-    central impact, s; tangential_stiffness: over the normal one, 0 for a contact that is rigid
-    along the tangent; oblique_loss: share of the restitution that a grazing impact loses, as the
-    square of the sine of its angle from the normal."""
+    """Parameters of the contact.
+
+    restitution: of a head-on impact; friction: Coulomb coefficient; contact_time: of an elastic
+    central impact, s; tangential_stiffness: relative to the normal stiffness, 0 for a tangentially
+    rigid contact; oblique_loss: fraction of the restitution that a grazing impact loses,
+    proportional to the squared sine of its angle from the normal.
+    """
 
     restitution: float
     friction: float
@@ -49,9 +52,9 @@ class ContactLaw:
 
 @dataclass(slots=True)
 class Flight:
-    """A released striker: its ball's centre and velocity in table, m and m/s, its axis, and the
-    travel that is left until its stroke ends. ``dent`` is the depth, m, that the last contact left
-    and that the ball has not come out of yet."""
+    """A released striker: centre and velocity of its ball in table (m, m/s), its axis, and the
+    remaining travel of its stroke (m). ``dent`` is the residual depth of the last contact, in m,
+    that the ball has not left yet."""
 
     x: float
     y: float
@@ -63,11 +66,11 @@ class Flight:
 
     @property
     def speed(self) -> float:
-        """Along the axis, m/s."""
+        """Speed along the axis, m/s."""
         return self.vx * self.axis[0] + self.vy * self.axis[1]
 
     def fly(self, time: float) -> None:
-        """Move on freely, guided by the bearing."""
+        """Move freely for ``time`` s, guided by the bearing."""
         speed = self.speed
         self.vx, self.vy = speed * self.axis[0], speed * self.axis[1]
         self.x += time * self.vx
@@ -76,7 +79,7 @@ class Flight:
 
 
 class Outline:
-    """The outline of a body as the striker's ball meets it."""
+    """Outline of a body for its contact with the striker's ball."""
 
     def __init__(self, body: Disk | Ring | Polygon, centre: tuple[float, float]) -> None:
         """``centre``: the centre of mass in the object's frame, m."""
@@ -95,8 +98,8 @@ class Outline:
             ]
 
     def nearest(self, motion: Motion, x: float, y: float) -> tuple[float, float, float]:
-        """Distance (m, negative inside) of a point in table from the outline, and the unit normal
-        out of the object there."""
+        """Return the distance (m, negative inside) of a point in table from the outline, and the
+        outward unit normal there."""
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
         dx, dy = x - motion.x, y - motion.y
         px, py = cos * dx + sin * dy, cos * dy - sin * dx
@@ -126,7 +129,7 @@ class Outline:
 
 
 class Contact:
-    """The striker of one tapper on one object."""
+    """Contact of one tapper's striker with one object."""
 
     def __init__(
         self,
@@ -137,8 +140,8 @@ class Contact:
         law: ContactLaw,
         friction: Callable[[Motion], Acceleration],
     ) -> None:
-        """``friction``: what the table does to the object meanwhile; mass in kg, inertia in
-        kg m^2 about the centre of mass."""
+        """``friction``: acceleration of the object by the table during the contact; mass in kg,
+        inertia in kg m^2 about the centre of mass."""
         self._outline = outline
         self._mass, self._inertia = mass, inertia
         self._striker_mass = striker.mass
@@ -149,11 +152,11 @@ class Contact:
         self._stiffness = (math.pi / law.contact_time) ** 2 / (1 / mass + 1 / striker.mass)
 
     def gap(self, motion: Motion, flight: Flight) -> float:
-        """Distance between ball and object, m."""
+        """Return the distance between ball and object, m."""
         return self._outline.nearest(motion, flight.x, flight.y)[0] - self._tip + flight.dent
 
     def closing_speed(self, motion: Motion, flight: Flight) -> float:
-        """How fast the gap shrinks, m/s."""
+        """Return the rate at which the gap decreases, m/s."""
         away, nx, ny = self._outline.nearest(motion, flight.x, flight.y)
         rx, ry = flight.x - away * nx - motion.x, flight.y - away * ny - motion.y
         ux = motion.vx - motion.omega * ry - flight.vx
@@ -161,8 +164,8 @@ class Contact:
         return ux * nx + uy * ny
 
     def collide(self, motion: Motion, flight: Flight) -> tuple[Motion, float]:
-        """From the first touch until the two come apart: the object's motion then, and after how
-        many s. ``flight`` goes on with what is left to the striker."""
+        """Integrate from the first contact until separation; return the object's motion and the
+        elapsed time in s. ``flight`` is updated with the striker's remaining motion."""
         law, tip = self._law, self._tip
         x, y, theta, vx, vy, omega = motion
         approach = self.closing_speed(motion, flight)
@@ -180,7 +183,7 @@ class Contact:
             if count % _FRICTION_EVERY == 0:
                 drag = self._friction(Motion(x, y, theta, vx, vy, omega))
             count += 1
-            # Half a step of the way, a whole one of the speeds, half a step of the way.
+            # Leapfrog: half a step in position, a full step in velocity, half a step in position.
             half = step / 2
             x, y, theta = x + half * vx, y + half * vy, theta + half * omega
             flight.x += half * flight.vx
@@ -233,13 +236,13 @@ class Contact:
             flight.y += half * flight.vy
             flight.left -= step * flight.speed
             if flight.left <= 0 and flight.speed > 0:
-                flight.vx = flight.vy = 0.0  # the end of its stroke stops it dead
+                flight.vx = flight.vy = 0.0  # the end of the stroke stops the striker
             elapsed += step
         flight.dent = max(0.0, dent)
         return Motion(x, y, theta, vx, vy, omega), elapsed
 
     def _restitution(self, motion: Motion, flight: Flight, approach: float) -> float:
-        """Of an impact that begins so; ``approach`` is the speed along the normal, m/s."""
+        """Return the restitution of an impact with the normal speed ``approach``, m/s."""
         law = self._law
         restitution = law.restitution
         if law.oblique_loss > 0:

@@ -1,7 +1,7 @@
-"""What every emulated serial device offers: bytes in, bytes out, time told from outside.
+"""Interface of the emulated serial devices: bytes in, bytes out, and time as an argument.
 
-An emulator is a state machine without a thread and without a clock of its own. A pseudo-terminal
-runs it in real time, a test in any time it likes.
+An emulator is a state machine without a thread or a clock. A pseudo-terminal runs it in real time,
+a test in virtual time.
 """
 
 from __future__ import annotations
@@ -11,26 +11,26 @@ from typing import Protocol
 
 
 class DeviceEmulator(Protocol):
-    """A serial device in simulated time; ``now`` in s never goes back from call to call."""
+    """A serial device in simulated time; ``now`` in s must not decrease between calls."""
 
     def receive(self, data: bytes, now: float) -> None:
-        """Bytes arrive from the host."""
+        """Process bytes from the host."""
 
     def advance(self, now: float) -> None:
-        """Let everything happen that is due by ``now``."""
+        """Process all events that are due by ``now``."""
 
     def take_output(self, now: float) -> bytes:
-        """The bytes that have left the device by ``now``."""
+        """Return the bytes that were transmitted by ``now``."""
 
     def next_event(self) -> float | None:
-        """When the device will next do or send something by itself; None if never."""
+        """Return the time of the next internal event or transmission; None if there is none."""
 
     def power_cycle(self, now: float) -> None:
-        """The board restarts, as on a loss of power or when opening the port resets it."""
+        """Restart the board, as after a power loss or when opening the port resets it."""
 
 
 class OutputQueue:
-    """Bytes on their way out, each with the time at which it has left the device."""
+    """Bytes in transmission, each with the time when its transmission ends."""
 
     def __init__(self, latency: float, byte_time: float) -> None:
         self._latency = latency
@@ -39,23 +39,23 @@ class OutputQueue:
         self._line_free = 0.0
 
     def put(self, data: bytes, now: float) -> None:
-        """Send ``data``; it is out when the line has carried it."""
+        """Queue ``data``; it is available once the line has transmitted it."""
         start = max(now + self._latency, self._line_free)
         self._line_free = start + len(data) * self._byte_time
         self._queue.append((self._line_free, data))
 
     def take(self, now: float) -> bytes:
-        """What is out by ``now``."""
+        """Return the bytes transmitted by ``now``."""
         parts: list[bytes] = []
         while self._queue and self._queue[0][0] <= now:
             parts.append(self._queue.popleft()[1])
         return b"".join(parts)
 
     def next_time(self) -> float | None:
-        """When the next bytes are out."""
+        """Return the time when the next bytes are transmitted; None if the queue is empty."""
         return self._queue[0][0] if self._queue else None
 
     def clear(self) -> None:
-        """Forget what has not left yet."""
+        """Discard the bytes that are not transmitted yet."""
         self._queue.clear()
         self._line_free = 0.0

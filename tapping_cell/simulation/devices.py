@@ -1,4 +1,4 @@
-"""The simulated arm and tapper on their pseudo-terminals, joined to the world by a strike."""
+"""Simulated arm and tapper on pseudo-terminals; a strike acts on the simulated world."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import ArmTruth
 
 OnStrike = Callable[[Pose, float, float, float], float]
-"""Called at a release: true tip pose in ``table``, its height in m, commanded speed in m/s, time in
-s; returns what the tapper's gate measures of the speed."""
+"""Callback of a release: true tip pose in ``table``, its height in m, commanded speed in m/s, time
+in s. Returns the speed that the tapper's speed gate measures."""
 
 SINKING_SPEED = 0.02
-"""Of a quill without a brake while its motor has no power, m/s."""
+"""Sinking speed of a quill without a brake while its motor has no power, m/s."""
 LARGEST_BOOT = 1_000_000
 
 
 class SimulatedDevices:
-    """Two emulated boards, each behind a port that a driver opens like any other.
+    """Two emulated boards, each on a port that drivers open like a real one.
 
     Raises:
         PortTakenError: a port's path belongs to a running process.
@@ -50,7 +50,7 @@ class SimulatedDevices:
         self._on_strike = on_strike
         now = time.monotonic()
         self._arm = arm_emulator(cell.arm, truth, seed, now)
-        # A world that is started anew is a board that was switched on anew: another boot number.
+        # A restarted simulation acts as a board after power-on, with a new boot number.
         boot = int(time.time()) % LARGEST_BOOT + 1
         self._tapper = TapperEmulator(on_fire=self._fire, boot=boot, now=now)
         self._arm_port = PseudoTerminal(self._arm, arm_port)
@@ -63,31 +63,31 @@ class SimulatedDevices:
             raise
 
     def close(self) -> None:
-        """Unplug both devices."""
+        """Disconnect both devices."""
         self._tapper_port.close()
         self._arm_port.close()
 
     def press_clear_button(self) -> None:
-        """What a person does at the cell before a latched stop can be cleared."""
+        """Press the button at the cell that a person must press before a stop can be cleared."""
         with self._tapper_port.lock:
             self._tapper.press_clear_button(time.monotonic())
 
     def _fire(self, shot: int, energy: float, now: float) -> float | None:
-        """The tapper was released: the striker flies from where the arm truly holds it."""
+        """Handle a release: the striker starts at the arm's true position."""
         tip, height = self.tip(now)
-        # The spring holds whole steps: at the ends of the table a little more or less than asked.
+        # The spring stores whole steps, so the energy may lie slightly outside the table.
         least, most = self._curve.table[0][0], self._curve.table[-1][0]
         speed = self._curve.speed_for(min(max(energy, least), most))
         return self._on_strike(tip, height, speed, now)
 
     def solids(self, now: float) -> tuple[Occluder, ...]:
-        """What the camera sees of the arm where it truly is."""
+        """Return the silhouettes of the arm at its true position for the camera."""
         with self._arm_port.lock:
             joints = self._arm.joints(now)
         return arm_solids(self._arm_section, self._tapper_section, self._base, joints)
 
     def tip(self, now: float) -> tuple[Pose, float]:
-        """Where the striker's tip truly is: its pose in ``table`` and its height in m."""
+        """Return the true pose of the striker's tip in ``table`` and its height in m."""
         with self._arm_port.lock:
             joints = self._arm.joints(now)
         tip = self._geometry.forward(joints)
@@ -97,7 +97,7 @@ class SimulatedDevices:
 def arm_emulator(
     arm: ArmSection, truth: ArmTruth, seed: int, now: float
 ) -> GrblEmulator | MarlinEmulator:
-    """The emulated controller of the cell's dialect, set up for the cell's arm."""
+    """Return the emulated controller for the cell's dialect, configured for the cell's arm."""
     errors = AxisErrors(
         offset=truth.joint_offset, backlash=truth.backlash, repeatability=truth.repeatability
     )

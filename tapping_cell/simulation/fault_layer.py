@@ -1,8 +1,8 @@
-"""A bad serial line between a driver and an emulated device.
+"""Simulation of a faulty serial line between a driver and an emulated device.
 
-Wraps an emulator and is one itself, so it stands behind a pseudo-terminal or a virtual line alike.
-Each fault is tied to a byte: the n-th byte that goes in one direction. What happens is scripted, or
-drawn from a seed with :func:`random_fault`; either way a run can be repeated exactly.
+The layer wraps an emulator and is itself an emulator, so it works behind a pseudo-terminal or a
+virtual line. Each fault is tied to the n-th byte of one direction. Faults are scripted, or drawn
+from a seed with :func:`random_fault`, so every run can be repeated exactly.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from tapping_cell.simulation.device_emulator import DeviceEmulator
 
 
 class FaultKind(Enum):
-    """What can happen to a line."""
+    """Kinds of line faults."""
 
     DROP = "drop"
     """Bytes are lost."""
     DELAY = "delay"
-    """From this byte on the direction is late, in order, until it has caught up."""
+    """From this byte on, all bytes of the direction are delayed, in order, until it catches up."""
     DUPLICATE = "duplicate"
-    """A run of bytes comes twice."""
+    """A run of bytes is received twice."""
     FLIP = "flip"
     """One bit changes."""
     SPLIT = "split"
     """A short pause within a line."""
     MERGE = "merge"
-    """Bytes are held and come in one piece with the following."""
+    """Bytes are held back and arrive together with the following ones."""
     STALL = "stall"
-    """Neither direction moves for a while."""
+    """Neither direction transmits for a while."""
     HANG_UP = "hang_up"
-    """The port vanishes and comes back; what was on the line is lost."""
+    """The port disappears and returns; bytes in transmission are lost."""
     RESET = "reset"
     """The board restarts."""
 
 
 class Direction(Enum):
-    """Which way the bytes go."""
+    """Direction of transmission."""
 
     TO_DEVICE = "to_device"
     TO_HOST = "to_host"
@@ -49,22 +49,22 @@ class Direction(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LineFault:
-    """One fault at the byte number ``byte`` (from 0) of a direction."""
+    """One fault at byte number ``byte`` (from 0) of a direction."""
 
     kind: FaultKind
     direction: Direction
     byte: int
     length: int = 1
-    """Bytes that are dropped, doubled or held together."""
+    """Number of bytes that are dropped, duplicated or held together."""
     duration: float = 0.0
-    """How long a pause, a stall or an absence lasts, s."""
+    """Duration of a pause, a stall or an absence, s."""
     bit: int = 0
 
 
 def random_fault(
     rng: np.random.Generator, direction: Direction, first: int, span: int
 ) -> LineFault:
-    """A fault of any kind at one of ``span`` bytes from number ``first`` on."""
+    """Return a fault of a random kind at one of ``span`` bytes from number ``first`` on."""
     kind = list(FaultKind)[int(rng.integers(len(FaultKind)))]
     longest = {
         FaultKind.DELAY: 1.5,
@@ -84,7 +84,7 @@ def random_fault(
 
 
 class _Channel:
-    """One direction: counts bytes, and holds those that are late."""
+    """One direction: counts bytes and holds the delayed ones."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -98,15 +98,15 @@ class _Channel:
 
     @property
     def undisturbed(self) -> bool:
-        """Whether no earlier fault changes what enters now."""
+        """Whether no earlier fault affects the bytes that enter now."""
         return not (self._dropping or self._run_left or self._merge_left)
 
     def put(self, data: bytes, now: float) -> None:
-        """Bytes enter that no fault changes."""
+        """Add bytes that no fault affects."""
         self._queue.append((max(now, self._free), data))
 
     def feed(self, byte: int, now: float, fault: LineFault | None) -> None:
-        """One byte enters, with the fault that is tied to it."""
+        """Add one byte with the fault that is tied to it."""
         if fault is not None:
             if fault.kind is FaultKind.DROP:
                 self._dropping = fault.length
@@ -136,39 +136,42 @@ class _Channel:
             if self._merge_left:
                 due = max(due, self._merge_until)
             else:
-                # The piece is complete: what waited goes out with its last byte.
+                # The piece is complete: the held bytes are delivered with its last byte.
                 self._queue = deque((min(at, due), held) for at, held in self._queue)
         self._queue.append((due, bytes((byte,))))
 
     def hold(self, until: float) -> None:
-        """Nothing that enters from now on leaves before ``until``."""
+        """Delay all bytes that enter from now on until ``until``."""
         self._free = max(self._free, until)
 
     def hold_all(self, until: float) -> None:
-        """Nothing leaves before ``until``, also not what is under way."""
+        """Delay all bytes until ``until``, including those in transmission."""
         self.hold(until)
         self._queue = deque((max(at, until), held) for at, held in self._queue)
 
     def take(self, now: float) -> bytes:
-        """What has come through by ``now``, in order."""
+        """Return the bytes that have arrived by ``now``, in order."""
         out = b""
         while self._queue and self._queue[0][0] <= now:
             out += self._queue.popleft()[1]
         return out
 
     def next_time(self) -> float | None:
-        """When the next byte comes through."""
+        """Return the time when the next byte arrives; None if none is in transmission."""
         return self._queue[0][0] if self._queue else None
 
     def clear(self) -> None:
-        """Lose what is under way."""
+        """Discard the bytes in transmission."""
         self._queue.clear()
         self._free = 0.0
         self._dropping = self._run_left = self._merge_left = 0
 
 
 class FaultLayer:
-    """See the module. ``on_plug`` is told when the port vanishes (False) and comes back (True)."""
+    """Emulator behind a faulty line.
+
+    ``on_plug`` is called when the port disappears (False) and when it returns (True).
+    """
 
     def __init__(
         self,
@@ -178,9 +181,9 @@ class FaultLayer:
     ) -> None:
         self.emulator = emulator
         self.happened: list[tuple[float, LineFault]] = []
-        """Every fault that has struck, with its time in s."""
+        """Every fault that has occurred, with its time in s."""
         self.absences = 0
-        """How often the port has vanished."""
+        """Number of times that the port has disappeared."""
         self.on_plug = on_plug
         self._channels = {direction: _Channel() for direction in Direction}
         self._plan: dict[tuple[Direction, int], LineFault] = {}
@@ -190,29 +193,29 @@ class FaultLayer:
 
     @property
     def plugged(self) -> bool:
-        """Whether the port is there."""
+        """Whether the port is present."""
         return self._back_at is None
 
     def count(self, direction: Direction) -> int:
-        """Bytes that have entered a direction so far."""
+        """Return the number of bytes that have entered a direction."""
         return self._channels[direction].count
 
     def add(self, fault: LineFault) -> None:
-        """Plan one more fault."""
+        """Schedule one more fault."""
         self._plan[(fault.direction, fault.byte)] = fault
 
     def forget(self) -> None:
-        """Plan no more faults."""
+        """Discard the scheduled faults."""
         self._plan.clear()
 
     def receive(self, data: bytes, now: float) -> None:
-        """Bytes from the host enter the line."""
+        """Send bytes from the host into the line."""
         self.advance(now)
         self._enter(Direction.TO_DEVICE, data, now)
         self._deliver(now)
 
     def advance(self, now: float) -> None:
-        """Let the line and the device behind it go on to ``now``, event by event."""
+        """Advance the line and the device behind it to ``now``, event by event."""
         while True:
             due = self.next_on_line()
             if due is None or due > now:
@@ -221,22 +224,22 @@ class FaultLayer:
         self.emulator.advance(now)
 
     def take_output(self, now: float) -> bytes:
-        """Bytes that have come through to the host."""
+        """Return the bytes that have arrived at the host."""
         self.advance(now)
         self._collect(now)
         return self._channels[Direction.TO_HOST].take(now)
 
     def next_event(self) -> float | None:
-        """Next time at which anything happens by itself."""
+        """Return the time of the next event; None if there is none."""
         times = (self.next_on_line(), self._channels[Direction.TO_HOST].next_time())
         return min((t for t in times if t is not None), default=None)
 
     def power_cycle(self, now: float) -> None:
-        """The board restarts."""
+        """Restart the board."""
         self.emulator.power_cycle(now)
 
     def next_on_line(self) -> float | None:
-        """Next event but for bytes that only wait for the host to read them."""
+        """Return the time of the next event, except bytes that only wait to be read by the host."""
         times = [
             self.emulator.next_event(),
             self._channels[Direction.TO_DEVICE].next_time(),

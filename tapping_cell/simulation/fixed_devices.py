@@ -1,4 +1,4 @@
-"""The simulated boards of tappers at fixed mounts, on pseudo-terminals, joined to the world."""
+"""Simulated boards of tappers at fixed mounts on pseudo-terminals, connected to the world."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachin
 from tapping_cell.simulation.truth import MountsTruth
 
 RETURN_SPEED = 1.0
-"""With which its spring brings a striker back, m/s."""
+"""Speed of a striker that its spring returns, m/s."""
 
 OnFixedStrike = Callable[[Pose, float, float, TapperSection, float], tuple[float, float]]
-"""Called at a release: true tip pose in ``table``, its height in m, commanded speed in m/s, the
-tapper, time in s; returns what the gate measures of the speed, m/s, and how far the tip goes, m."""
+"""Callback of a release: true tip pose in ``table``, its height in m, commanded speed in m/s, the
+tapper, time in s. Returns the speed measured by the speed gate, m/s, and the tip's travel, m."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """A striker that was released: when, in s, how fast, in m/s, and how far, in m."""
+    """A released striker: time of the release in s, speed in m/s, and travel in m."""
 
     begun: float
     speed: float
     travel: float
 
     def extension(self, now: float) -> float:
-        """How far out the tip is, m."""
+        """Return the extension of the tip at ``now``, m."""
         out = self.speed * (now - self.begun)
         back = self.travel - RETURN_SPEED * (now - self.begun - self.travel / self.speed)
         return max(0.0, min(out, back))
 
     @property
     def duration(self) -> float:
-        """From the release to the return, s."""
+        """Time from the release to the return, s."""
         return self.travel / self.speed + self.travel / RETURN_SPEED
 
 
 def true_mounts(cell: Cell, truth: MountsTruth, seed: int) -> dict[str, Pose]:
-    """Where the strikers truly are, by name: drawn about the cell file's mounts."""
+    """Return the strikers' true poses by name, drawn at random around the cell file's mounts."""
     random = np.random.default_rng([seed, 22])
     mounts = {}
     for entry in cell.fixed_tappers.tappers:
@@ -63,12 +63,12 @@ def true_mounts(cell: Cell, truth: MountsTruth, seed: int) -> dict[str, Pose]:
 
 
 def numbered(port: str, board: int) -> str:
-    """The port of a board where one port is given for the first: ``tapper``, ``tapper_1``."""
+    """Return the port of board number ``board``, such as ``tapper``, ``tapper_1``."""
     return f"{port}_{board}" if port and board else port
 
 
 class FixedTapperBoard:
-    """One emulated board and the strikers that it drives."""
+    """One emulated board and its strikers."""
 
     def __init__(
         self,
@@ -109,7 +109,7 @@ class FixedTapperBoard:
         return measured
 
     def solids(self, now: float) -> tuple[Occluder, ...]:
-        """What the camera sees of the strikers."""
+        """Return the silhouettes of the strikers for the camera."""
         made: list[Occluder] = []
         for channel, entry in self._entries.items():
             flight = self._flights.get(entry.name)
@@ -121,9 +121,9 @@ class FixedTapperBoard:
 
 
 class FixedDevices:
-    """Every board of a cell, each behind a port that a driver opens like any other.
+    """All boards of a cell, each on a port that drivers open like a real one.
 
-    ``ports``: makes a path of the number of a board and its port in the cell file.
+    ``ports``: returns the path for a board number and the board's port in the cell file.
 
     Raises:
         PortTakenError: a port's path belongs to a running process.
@@ -154,16 +154,16 @@ class FixedDevices:
             raise
 
     def close(self) -> None:
-        """Unplug every board."""
+        """Disconnect every board."""
         for port in self._ports:
             port.close()
 
     def press_clear_button(self) -> None:
-        """What a person does at each board before a latched stop can be cleared."""
+        """Press the button at each board that must be pressed before a stop can be cleared."""
         for port, board in zip(self._ports, self._boards, strict=True):
             with port.lock:
                 board.emulator.press_clear_button(time.monotonic())
 
     def solids(self, now: float) -> tuple[Occluder, ...]:
-        """What the camera sees of the strikers."""
+        """Return the silhouettes of the strikers for the camera."""
         return tuple(solid for board in self._boards for solid in board.solids(now))

@@ -1,9 +1,9 @@
-"""A Grbl 1.1 controller with an arm behind it, as a state machine in told time.
+"""Emulator of a Grbl 1.1 controller with an arm: a state machine in simulated time.
 
-Written from Grbl's documentation and independent of the driver's codec: lines are read with a
-parser of its own. Real-time bytes act at once; lines wait for room in the planner; each move is a
-trapezoid within the axes' rates and accelerations; every block ends at rest. What is not emulated
-is refused with Grbl's error number, never silently taken.
+It follows Grbl's documentation and is independent of the driver's codec, with its own line parser.
+Real-time bytes take effect immediately, and lines wait for space in the planner. Each move is a
+trapezoid within the rates and accelerations of the axes, and every block ends at rest. Unsupported
+commands are rejected with Grbl's error number, never silently accepted.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from tapping_cell.simulation.grbl_program import Line, Modal, Refused, read_line
 from tapping_cell.simulation.joint_motion import Array, AxisTrack, Torque
 
 RECEIVE_BUFFER = 128
-"""Bytes that the controller can hold; more are lost (Grbl's RX_BUFFER_SIZE)."""
+"""Size of the receive buffer; further bytes are lost (Grbl's RX_BUFFER_SIZE)."""
 PLANNER_BLOCKS = 15
 LINE_LENGTH = 80
-"""Longest line (Grbl's LINE_BUFFER_SIZE)."""
+"""Maximum length of a line (Grbl's LINE_BUFFER_SIZE)."""
 LINE_TIME = 0.001
-"""What reading a line costs the processor, s."""
+"""Processing time of a line, s."""
 SLIP = 0.3
 """Standard deviation of the steps lost by a reset in motion, in axis units."""
 HOLD = 255
-"""Value of the hold setting with which motors never lose their power."""
+"""Value of the hold setting with which the motors always keep their torque."""
 QUILL = 2
 
 
@@ -45,7 +45,7 @@ class _Block:
 
 
 class GrblEmulator:
-    """See the module; one instance is one board with its arm."""
+    """One emulated board with its arm."""
 
     def __init__(self, machine: GrblMachine | None = None, seed: int = 0, now: float = 0.0) -> None:
         self.machine = machine or GrblMachine()
@@ -76,34 +76,33 @@ class GrblEmulator:
         self._systems = {number: np.zeros(AXES) for number in range(54, 60)}
         self._restart(now, hard=True)
 
-    # What the world asks.
+    # Interface to the simulated world.
 
     def joints(self, time: float) -> tuple[float, float, float, float]:
-        """True joints at ``time``: rad, rad, m, rad; the controller's report may differ."""
+        """Return the true joints (rad, rad, m, rad) at ``time``; reported values may differ."""
         units = self._track.joints(time) * self._sign / TO_UNITS
         units[QUILL] -= self._torque.sunk(float(units[QUILL]), time)
         a, b, c, d = (units + np.asarray(self.machine.errors.offset)).tolist()
         return a, b, c, d
 
     def moving(self, time: float) -> bool:
-        """Whether the motors move the axes at ``time``."""
+        """Return whether the motors move the axes at ``time``."""
         return self._track.moving(time)
 
     @property
     def holds(self) -> bool:
-        """Whether the motors have power."""
+        """Whether the motors have torque."""
         return self._torque.on
 
     def fall_asleep(self, now: float) -> None:
-        """The motors go off, as by ``$SLP`` from another sender; a move under way ends at once."""
+        """Cut the motors and end any move, as ``$SLP`` from another sender does."""
         self._track.freeze(now)
         self._blocks.clear()
         self._state = "Sleep"
         self._torque.cut(now)
 
     def push(self, joints: tuple[float, float, float, float], now: float) -> None:
-        """A person moves the resting, unpowered arm to ``joints``; the controller does not
-        notice."""
+        """Move the resting, unpowered arm by hand to ``joints``, unknown to the controller."""
         self.advance(now)
         before = self._track.motors(now)
         after = self._units(joints) - self._units(self.machine.errors.offset)
@@ -111,14 +110,14 @@ class GrblEmulator:
         self._reference = self._reference + (after - before)
 
     def hit_limit(self, now: float) -> None:
-        """A limit switch closes: alarm 1."""
+        """Close a limit switch: alarm 1."""
         self.advance(now)
         self._alarm(1, now)
 
-    # DeviceEmulator.
+    # DeviceEmulator interface.
 
     def receive(self, data: bytes, now: float) -> None:
-        """Bytes arrive; real-time bytes are picked out of the stream at once."""
+        """Receive bytes; real-time bytes are processed immediately."""
         self.advance(now)
         for byte in data:
             if byte == 0x18:
@@ -141,7 +140,7 @@ class GrblEmulator:
         self._work(now)
 
     def advance(self, now: float) -> None:
-        """Finish what ends by ``now`` and begin what follows."""
+        """Finish everything that ends by ``now`` and start what follows."""
         while self._due is not None and self._due <= now:
             due, self._due = self._due, None
             after, self._after = self._after, None
@@ -154,18 +153,18 @@ class GrblEmulator:
         self._idle_out(now)
 
     def take_output(self, now: float) -> bytes:
-        """Bytes out by ``now``."""
+        """Return the bytes transmitted by ``now``."""
         self.advance(now)
         return self._output.take(now)
 
     def next_event(self) -> float | None:
-        """Next end of a motion or of a byte going out."""
+        """Return the time of the next end of a motion or a transmission."""
         pending = (self._due, self._boots_until, self._output.next_time())
         times = [t for t in pending if t is not None]
         return min(times) if times else None
 
     def power_cycle(self, now: float) -> None:
-        """Power off and on: the arm stays where it is, everything volatile is gone."""
+        """Cycle the power; the arm stays in place and all volatile state is lost."""
         self.advance(now)
         self._track.freeze(now)
         self._reference = self._track.motors(now)
@@ -198,7 +197,7 @@ class GrblEmulator:
             self._greet(now)
 
     def _greet(self, now: float) -> None:
-        """Lines that came while the board started are lost."""
+        """Send the greeting; lines received while the board started are lost."""
         self._received.clear()
         self._output.put(self._variant.banner, now)
         if self._state != "Alarm":
@@ -214,7 +213,7 @@ class GrblEmulator:
         return float(self._names[name]) if name else self._settings[1]
 
     def _power(self, now: float) -> None:
-        """Motors on: they hold where the quill has sunk to, and the count does not know."""
+        """Enable the motors; they hold a quill that has sunk, but the step count is unchanged."""
         units = self._track.joints(now) * self._sign / TO_UNITS
         sunk = self._torque.sunk(float(units[QUILL]), now)
         self._torque.restore()
@@ -226,7 +225,7 @@ class GrblEmulator:
             self._reference = self._reference + moved
 
     def _idle_out(self, now: float) -> None:
-        """Motors off after the idle time, as the hold setting says."""
+        """Cut the motors after the idle time of the hold setting."""
         if self._due is not None or self._blocks:
             self._rests_since = None
             return
@@ -241,7 +240,7 @@ class GrblEmulator:
         delay = 0.0
         if self._track.moving(now):
             self._track.freeze(now)
-            # Steps are lost: the motors run on a little, the counter does not know.
+            # Steps are lost: the motors coast a little, but the step count is unchanged.
             here = self._track.motors(now)
             slip = self._rng.normal(0.0, SLIP, AXES)
             self._track.shift(here + slip, now)
@@ -294,7 +293,7 @@ class GrblEmulator:
         self._output.put(f"<{'|'.join(fields)}>\r\n".encode(), now)
 
     def _shown(self, values: Array) -> str:
-        """Axis values as a report lists them, for as many axes as the build has."""
+        """Format axis values as in a report, with as many axes as the build has."""
         padded = [*(values + 0.0).tolist(), *[0.0] * self._variant.axes][: self._variant.axes]
         return ",".join(f"{value:.3f}" for value in padded)
 
@@ -325,7 +324,7 @@ class GrblEmulator:
     # Lines.
 
     def _work(self, now: float) -> None:
-        """Take lines as long as nothing makes them wait."""
+        """Process lines until one has to wait."""
         while self._wants_room is None and self._wants_rest is None:
             end = next((i for i, b in enumerate(self._received) if b in b"\r\n"), None)
             if end is None:
@@ -405,7 +404,7 @@ class GrblEmulator:
         self._ok(now)
 
     def _listed(self) -> dict[int, float]:
-        """What ``$$`` tells: rows of axis settings as long as the build has axes."""
+        """Return the settings in ``$$``; axis settings are listed for the axes of the build."""
         variant = self._variant
         shown = {}
         for number, value in self._settings.items():
@@ -418,7 +417,7 @@ class GrblEmulator:
         return shown
 
     def _named(self, name: str, value: str | None, now: float) -> None:
-        """Ask for, or set, a setting that has a name."""
+        """Report or set a named setting."""
         if name not in self._names:
             raise Refused(3)
         if value is None:
@@ -459,7 +458,7 @@ class GrblEmulator:
         self._ok(now)
 
     def _plan(self, line: Line, jog: bool, now: float) -> None:
-        """A straight move; waits for room in the planner."""
+        """Plan a straight move, or wait for space in the planner."""
         modal, axes, feed = line.modal, line.axes, line.feed
         machine_frame = line.action == 53
         target = self._parser_position.copy()
@@ -496,7 +495,7 @@ class GrblEmulator:
             enqueue(now)
 
     def _block(self, modal: Modal, target: Array, rapid: bool, jog: bool) -> _Block | None:
-        """Speeds of a block: the programmed feed within every axis's rate and acceleration."""
+        """Return a block with the programmed feed, limited by each axis's rate and acceleration."""
         start = self._parser_position
         delta = target - start
         length = float(np.linalg.norm(delta))
@@ -529,7 +528,7 @@ class GrblEmulator:
         if self._blocks:
             self._blocks.popleft()
         else:
-            # A cancelled move: the parser goes on from where the axes are.
+            # After a cancelled move, the parser continues from the position of the axes.
             self._parser_position = self._machine_position(now)
         self._busy = ""
         waiting = self._wants_room or (None if self._blocks else self._wants_rest)
@@ -540,7 +539,7 @@ class GrblEmulator:
             waiting(now)
 
     def _when_still(self, now: float, act: Callable[[float], None]) -> None:
-        """Run ``act`` once every block is done."""
+        """Run ``act`` when all blocks are finished."""
         if self._due is None and not self._blocks:
             act(now)
         else:
@@ -558,7 +557,7 @@ class GrblEmulator:
         self._due, self._after = now + seconds, done
 
     def _home(self, now: float) -> None:
-        """Seek the switches axis by axis (quill first), pull off, take the homed position."""
+        """Seek the switches axis by axis (quill first), pull off, and set the homed position."""
         self._state, self._busy = "Idle", "Home"
         self._power(now)
         self._wants_rest = _nothing
@@ -609,7 +608,7 @@ class GrblEmulator:
         return axis not in variant.unhomed_axes
 
     def _homed_place(self) -> Array:
-        """What the axes are called where homing ends."""
+        """Return the machine position at the end of homing."""
         variant = self._variant
         if variant.ends_at_place:
             names = [f"/axes/{letter.lower()}/homing/mpos_mm" for letter in self.machine.letters]
@@ -621,11 +620,11 @@ class GrblEmulator:
         return np.where(toward_low, pull_off - self._per_axis(130), -pull_off)
 
     def _per_axis(self, first: int) -> Array:
-        """Four settings in a row, one an axis."""
+        """Return four consecutive settings, one per axis."""
         return np.array([self._settings[first + axis] for axis in range(AXES)], dtype=float)
 
     def _units(self, joints: tuple[float, float, float, float]) -> Array:
-        """Joint values in the axes' units and senses."""
+        """Convert joint values to axis units and directions."""
         units: Array = np.asarray(joints, dtype=float) * TO_UNITS * self._sign
         return units
 
@@ -639,4 +638,4 @@ class GrblEmulator:
 
 
 def _nothing(now: float) -> None:
-    """A line that waits for an end which takes it off by itself."""
+    """Placeholder for a waiting line whose end is handled elsewhere."""

@@ -1,4 +1,4 @@
-"""The emulated Grbl controller's ``$$`` settings and the arm behind it."""
+"""Settings of the emulated Grbl controller and the arm behind it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tapping_cell.simulation.joint_motion import AxisErrors
 
 AXES = 4
 TO_UNITS = np.array([180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi])
-"""Joint values (rad, rad, m, rad) to axis units (deg, deg, mm, deg)."""
+"""Factors from joint values (rad, rad, m, rad) to axis units (deg, deg, mm, deg)."""
 
 
 def default_settings() -> dict[int, float]:
-    """``$$`` of the simulated arm; rates in units/min, accelerations in units/s2, travels in
-    units."""
+    """Return the settings of the simulated arm; rates in units/min, accelerations in units/s2,
+    travels in units."""
     return {
         0: 10,
         1: 255,
@@ -50,16 +50,16 @@ class GrblMachine:
     letters: str = "XYZA"
     axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
     start_joints: tuple[float, float, float, float] = (0.6, 0.9, -0.030, 0.2)
-    """Where the arm stands when power comes."""
+    """Position of the arm at power-on."""
     home_joints: tuple[float, float, float, float] = (0.0, 1.5708, 0.0, 0.0)
-    """Where homing ends, by the drawing; the errors say where it truly ends."""
+    """Nominal position at the end of homing; ``errors`` determines the true one."""
     errors: AxisErrors = field(default_factory=AxisErrors)
     settings: dict[int, float] = field(default_factory=default_settings)
     variant: GrblVariant = GRBL
     quill_sinks: float = 0.02
-    """How fast the quill sinks while the motors have no power, m/s; 0 with a brake."""
+    """Sinking speed of the quill while the motors have no power, m/s; 0 with a brake."""
     quill_floor: float = -0.148
-    """Where a sinking quill comes to rest, m."""
+    """Lowest position of a sinking quill, m."""
     reply_latency: float = 0.002
-    """USB adapter and processor, s."""
+    """Latency of the USB adapter and the processor, s."""
     baud: int = 115200

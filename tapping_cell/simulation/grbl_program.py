@@ -1,4 +1,4 @@
-"""How the emulated Grbl controller reads a line of a program."""
+"""Line parser of the emulated Grbl controller."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import re
 from dataclasses import dataclass, replace
 
 INCH = 25.4
-"""mm."""
+"""Length of an inch, mm."""
 
 _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
 
 
 class Refused(Exception):
-    """A line refused with Grbl's error number."""
+    """A line rejected with Grbl's error number."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -21,7 +21,7 @@ class Refused(Exception):
 
 @dataclass(slots=True)
 class Modal:
-    """The parser's state; a reset brings it back to this."""
+    """Modal state of the parser; the defaults are the state after a reset."""
 
     motion: int = 0
     plane: int = 17
@@ -42,11 +42,11 @@ class Modal:
 
 @dataclass(slots=True)
 class Line:
-    """What one line asks for: the modes after it, and at most one action."""
+    """Content of one line: the modes after it, and at most one action."""
 
     modal: Modal
     action: float | None
-    """The number of a non-modal G: 4, 53, 92 or 92.1."""
+    """Number of a non-modal G code: 4, 53, 92 or 92.1."""
     axes: dict[int, float]
     """Axis number to value, in mm or degrees."""
     pause: float
@@ -66,7 +66,7 @@ def _words(text: str) -> list[tuple[str, float]]:
 
 
 def read_line(text: str, letters: str, before: Modal) -> Line:
-    """Read a line without spaces or comments, in capitals; raises Refused."""
+    """Parse an upper-case line without spaces or comments; raises Refused."""
     modal = replace(before)
     line = Line(modal, None, {}, 0.0, None)
     motions = 0
@@ -93,7 +93,7 @@ def read_line(text: str, letters: str, before: Modal) -> Line:
         elif letter not in "NS":
             raise Refused(20)
     if motions and line.action == 92:
-        # Both want the axis words.
+        # Both a motion and G92 need the axis words.
         raise Refused(24)
     if line.feed is not None:
         modal.feed = line.feed

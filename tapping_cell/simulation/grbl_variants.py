@@ -1,6 +1,6 @@
-"""How the controllers of the Grbl family differ, as far as a host can see it.
+"""Differences between the controllers of the Grbl family that are visible to a host.
 
-Written from the firmwares' sources, apart from the driver's own table of them.
+Based on the source code of the firmwares, independent of the driver's table of controllers.
 """
 
 from __future__ import annotations
@@ -12,34 +12,34 @@ GREETING = b"\r\n%s ['$' for help]\r\n"
 
 @dataclass(frozen=True, slots=True)
 class GrblVariant:
-    """One firmware; the arm behind it is a ``GrblMachine``."""
+    """One firmware; ``GrblMachine`` describes the arm behind it."""
 
     banner: bytes = GREETING % b"Grbl 1.1h"
     information: tuple[bytes, ...] = (b"[VER:1.1h.20190825:]", b"[OPT:V,15,128]")
     """Answer to ``$I``."""
     axes: int = 4
-    """Axes in a report; those behind the arm's four stand at zero."""
+    """Number of axes in a report; axes beyond the arm's four remain at zero."""
     unlisted: frozenset[int] = frozenset()
-    """Settings that ``$$`` leaves out."""
+    """Settings that ``$$`` does not list."""
     names: dict[str, str] = field(default_factory=dict)
-    """Settings under names, such as ``/stepping/idle_ms``."""
+    """Named settings, such as ``/stepping/idle_ms``."""
     hold_name: str = ""
-    """The named setting that takes the part of ``$1``."""
+    """Named setting that replaces ``$1``."""
     alarm_cuts_torque: bool = True
-    """Motors lose their power on an alarm and on a reset in motion."""
+    """Whether an alarm or a reset in motion cuts the motors' power."""
     reset_delay: float = 0.0
-    """From a soft reset out of a motion to the greeting, s; lines sent meanwhile are lost."""
+    """Time from a soft reset in motion to the greeting, s; lines sent meanwhile are lost."""
     unhomed_alarm: int | None = None
-    """Alarm told after the greeting while nothing has been homed."""
+    """Alarm reported after the greeting before anything has been homed."""
     reports_while_homing: bool = False
     homing_masks: tuple[int, ...] = ()
-    """Settings that choose the axes of each homing cycle; empty: all four axes home."""
+    """Settings that select the axes of each homing cycle; if empty, all four axes home."""
     unhomed_axes: frozenset[int] = frozenset()
-    """Axes that homing leaves alone, by the build."""
+    """Axes that homing does not move in this build."""
     forces_origin: bool = False
-    """Homing ends at zero, by the build."""
+    """Whether homing ends at machine position zero in this build."""
     ends_at_place: bool = False
-    """Homing ends at the named ``mpos_mm`` of each axis."""
+    """Whether homing ends at the named setting ``mpos_mm`` of each axis."""
 
 
 GRBL = GrblVariant()
@@ -66,7 +66,7 @@ GRBL_HAL = GrblVariant(
 
 
 def fluid_nc(version: str, unlisted: frozenset[int]) -> GrblVariant:
-    """FluidNC of one version: its settings live in a file, ``$$`` lists a few."""
+    """Return FluidNC of one version; its settings are stored in a file, and ``$$`` lists few."""
     names = {
         "/stepping/idle_ms": "255",
         "/report_inches": "false",
@@ -103,4 +103,4 @@ VARIANTS = {
     "fluidnc3": FLUID_NC_3,
     "fluidnc4": FLUID_NC_4,
 }
-"""Those with four axes at least, by name."""
+"""Variants with at least four axes, by name."""

@@ -1,4 +1,4 @@
-"""Where the emulated arm's axes are at any time: trapezoids, holds, backlash and repeatability."""
+"""Axis positions of the emulated arm over time: trapezoids, holds, backlash, repeatability."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 HISTORY = 3.0
-"""How far back positions stay known, s: longer than a camera's latency."""
+"""Time for which past positions are kept, s; longer than a camera's latency."""
 
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """A stretch of constant acceleration along the line of a move."""
+    """An interval of constant acceleration along the line of a move."""
 
     start: float
     duration: float
@@ -34,12 +34,12 @@ class Profile:
 
     @property
     def end(self) -> float:
-        """When the motion ends, s."""
+        """End of the motion, s."""
         last = self.phases[-1]
         return last.start + last.duration
 
     def at(self, time: float) -> tuple[float, float]:
-        """Distance and speed along the line at ``time``."""
+        """Return distance and speed along the line at ``time``."""
         chosen = self.phases[0]
         for phase in self.phases:
             if phase.start <= time:
@@ -51,7 +51,7 @@ class Profile:
         )
 
     def brake(self, time: float, deceleration: float) -> Profile:
-        """The same motion, slowing down to rest from ``time`` on."""
+        """Return the same motion, braking to rest from ``time`` on."""
         place, speed = self.at(time)
         kept = tuple(
             replace(phase, duration=min(phase.duration, time - phase.start))
@@ -62,7 +62,7 @@ class Profile:
 
 
 def trapezoid(start: float, length: float, speed: float, acceleration: float) -> Profile:
-    """From rest to rest over ``length``, starting at time ``start``."""
+    """Return a motion over ``length`` from rest to rest, starting at time ``start``."""
     ramp = min(speed / acceleration, math.sqrt(length / acceleration))
     peak = acceleration * ramp
     cruise = max(length - peak * ramp, 0.0) / peak if peak > 0 else 0.0
@@ -78,11 +78,11 @@ def trapezoid(start: float, length: float, speed: float, acceleration: float) ->
 
 @dataclass(frozen=True, slots=True)
 class AxisErrors:
-    """What the true arm does that its controller does not know; joint order, rad or m.
+    """Errors of the true arm that its controller does not know; joint order, rad or m.
 
     ``offset``: true joint minus reported joint after homing. ``backlash``: full play of the drive.
-    ``repeatability``: standard deviation of where one and the same target ends, drawn anew per
-    move. ``homing``: standard deviation of the home switches, drawn anew per homing.
+    ``repeatability``: standard deviation of the end position for the same target, drawn per move.
+    ``homing``: standard deviation of the home switches, drawn per homing.
     """
 
     offset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -93,26 +93,26 @@ class AxisErrors:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """One straight move of the motors, with what the joints make of it."""
+    """One straight move of the motors, and the resulting joint motion."""
 
     start: float
     origin: Array
     direction: Array
-    """Unit vector; zeros for rest."""
+    """Unit vector; zeros at rest."""
     profile: Profile
     play: Array
-    """Joint value at the start, behind the backlash."""
+    """Joint value at the start, after the backlash."""
     noise_before: Array
     noise_after: Array
     length: float
 
     def motors(self, time: float) -> Array:
-        """Motor values at ``time``."""
+        """Return the motor values at ``time``."""
         distance, _ = self.profile.at(time)
         return self.origin + self.direction * distance
 
     def joints(self, time: float, backlash: Array) -> Array:
-        """Joint values behind backlash and repeatability at ``time``."""
+        """Return the joint values with backlash and repeatability at ``time``."""
         motors = self.motors(time)
         distance, _ = self.profile.at(time)
         part = distance / self.length if self.length > 0 else 1.0
@@ -120,12 +120,12 @@ class Piece:
         return self.drive(motors, backlash) + noise
 
     def drive(self, motors: Array, backlash: Array) -> Array:
-        """The play operator, exact because each axis moves one way within a piece."""
+        """Apply the play operator, which is exact because no axis reverses within a piece."""
         return np.asarray(np.clip(self.play, motors - backlash / 2, motors + backlash / 2))
 
 
 class Torque:
-    """Whether the motors hold, and how far a quill has sunk while they did not; SI."""
+    """Torque state of the motors, and the sinking of an unpowered quill; SI units."""
 
     def __init__(self, sinks: float, floor: float) -> None:
         self._sinks = sinks
@@ -138,23 +138,23 @@ class Torque:
         return self._off_since is None
 
     def cut(self, time: float) -> None:
-        """The motors lose their power."""
+        """Cut the motors' power."""
         if self._off_since is None:
             self._off_since = time
 
     def sunk(self, quill: float, time: float) -> float:
-        """How far a quill that stood at ``quill`` has sunk by ``time``, m."""
+        """Return the distance that a quill has sunk from ``quill`` by ``time``, m."""
         if self._off_since is None or time <= self._off_since:
             return 0.0
         return min(self._sinks * (time - self._off_since), max(quill - self._floor, 0.0))
 
     def restore(self) -> None:
-        """The motors have power again."""
+        """Restore the motors' power."""
         self._off_since = None
 
 
 class AxisTrack:
-    """The motion of all axes over time, in one unit system of the caller's choice."""
+    """Motion of all axes over time, in units that the caller chooses."""
 
     def __init__(
         self, position: Array, backlash: Array, repeatability: Array, rng: np.random.Generator
@@ -185,19 +185,19 @@ class AxisTrack:
         return self._pieces[-1]
 
     def moving(self, time: float) -> bool:
-        """Whether the motors move at ``time``."""
+        """Return whether the motors move at ``time``."""
         return self.last.start <= time < self.last.profile.end
 
     def motors(self, time: float) -> Array:
-        """Motor values at ``time``."""
+        """Return the motor values at ``time``."""
         return self._piece(time).motors(time)
 
     def joints(self, time: float) -> Array:
-        """True joint values at ``time``, up to :data:`HISTORY` s back."""
+        """Return the true joint values at ``time``, up to :data:`HISTORY` s back."""
         return self._piece(time).joints(time, self._backlash)
 
     def move(self, target: Array, start: float, speed: float, acceleration: float) -> float:
-        """Begin a move from rest; returns when it ends."""
+        """Start a move from rest; return its end time."""
         before = self.last
         origin = before.motors(start)
         delta = np.asarray(target, dtype=float) - origin
@@ -218,14 +218,14 @@ class AxisTrack:
         return piece.profile.end
 
     def brake(self, time: float, deceleration: float) -> float:
-        """Slow the present move down to rest; returns when it rests."""
+        """Brake the current move to rest; return the time when it is at rest."""
         if not self.moving(time):
             return time
         self._pieces[-1] = replace(self.last, profile=self.last.profile.brake(time, deceleration))
         return self.last.profile.end
 
     def freeze(self, time: float) -> None:
-        """End the present move at once where it is."""
+        """End the current move immediately at its present position."""
         if not self.moving(time):
             return
         piece = self.last
@@ -235,10 +235,9 @@ class AxisTrack:
         self._rest(motors, piece.drive(motors, self._backlash), noise, time)
 
     def shift(self, motors: Array, time: float) -> None:
-        """At rest: the motor values are renamed to ``motors`` while the joints' places are kept
-        apart.
+        """At rest, set the motor values to ``motors``; the joints jump by the same difference.
 
-        Used when the arm slips or is moved by hand: the joints jump by the same amount.
+        Used when the arm slips or is moved by hand.
         """
         piece = self.last
         old = piece.motors(time)

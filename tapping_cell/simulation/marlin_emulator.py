@@ -1,8 +1,8 @@
-"""A Marlin 2 controller with an arm behind it, as a state machine in told time.
+"""Emulator of a Marlin 2 controller with an arm: a state machine in simulated time.
 
 Its answers to wrong, repeated and skipped lines are those of real boards: a duplicate of the last
-line is met with silence, an error is told as ``Error``, ``Resend``, ``ok``. Lines are read with a
-parser of its own, independent of the driver's codec.
+line is not answered, and an error is reported as ``Error``, ``Resend``, ``ok``. It has its own line
+parser, independent of the driver's codec.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from tapping_cell.simulation.device_emulator import OutputQueue
 from tapping_cell.simulation.joint_motion import Array, AxisErrors, AxisTrack, Torque
 
 QUEUE_LENGTH = 4
-"""Lines read ahead (Marlin's BUFSIZE)."""
+"""Number of lines read ahead (Marlin's BUFSIZE)."""
 PLANNER_BLOCKS = 16
 LINE_LENGTH = 96
 RECEIVE_BUFFER = 256
 LINE_TIME = 0.001
-"""What one line costs the processor, s."""
+"""Processing time of a line, s."""
 BUSY_PERIOD = 2.0
 KILL_TIME = 0.03
-"""From ``M112`` to standing still, s."""
+"""Time from ``M112`` to standstill, s."""
 SLIP = 0.3
 """Standard deviation of the steps lost by a sudden stop, in axis units."""
 AXES = 4
@@ -46,30 +46,30 @@ class MarlinMachine:
     home_joints: tuple[float, float, float, float] = (0.0, math.pi / 2, 0.0, 0.0)
     errors: AxisErrors = field(default_factory=AxisErrors)
     steps: tuple[float, float, float, float] = (200.0, 200.0, 400.0, 100.0)
-    """Per unit (M92)."""
+    """Steps per unit (M92)."""
     max_rate: tuple[float, float, float, float] = (115.0, 143.0, 250.0, 345.0)
-    """Units/s (M203)."""
+    """Maximum speed, units/s (M203)."""
     acceleration: tuple[float, float, float, float] = (458.0, 573.0, 2000.0, 1720.0)
-    """Units/s2 (M201)."""
+    """Acceleration, units/s2 (M201)."""
     homing_rate: float = 60.0
-    """Units/s."""
+    """Homing speed, units/s."""
     emergency_parser: bool = True
     soft_endstops: bool = False
     soft_low: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     soft_high: tuple[float, float, float, float] = (200.0, 200.0, 200.0, 200.0)
-    """What ``M211`` tells; the emulated firmware does not clip."""
+    """Upper limits that ``M211`` reports; the emulated firmware does not clip."""
     idle_time: float = 120.0
-    """After which standing motors lose their power, s (DEFAULT_STEPPER_TIMEOUT_SEC)."""
+    """Idle time after which the motors lose their power, s (DEFAULT_STEPPER_TIMEOUT_SEC)."""
     quill_sinks: float = 0.02
-    """How fast the quill sinks while the motors have no power, m/s; 0 with a brake."""
+    """Sinking speed of the quill while the motors have no power, m/s; 0 with a brake."""
     quill_floor: float = -0.148
-    """Where a sinking quill comes to rest, m."""
+    """Lowest position of a sinking quill, m."""
     reply_latency: float = 0.002
     baud: int = 115200
 
 
 class MarlinEmulator:
-    """See the module; one instance is one board with its arm."""
+    """One emulated board with its arm."""
 
     def __init__(
         self, machine: MarlinMachine | None = None, seed: int = 0, now: float = 0.0
@@ -98,34 +98,34 @@ class MarlinEmulator:
         self._reference = start
         self._restart(now)
 
-    # What the world asks.
+    # Interface to the simulated world.
 
     def joints(self, time: float) -> tuple[float, float, float, float]:
-        """True joints at ``time``: rad, rad, m, rad; the controller's counts may differ."""
+        """Return the true joints (rad, rad, m, rad) at ``time``; the step counts may differ."""
         units = self._track.joints(time) * self._sign / TO_UNITS
         units[QUILL] -= self._torque.sunk(float(units[QUILL]), time)
         a, b, c, d = (units + np.asarray(self.machine.errors.offset)).tolist()
         return a, b, c, d
 
     def moving(self, time: float) -> bool:
-        """Whether the axes move at ``time``."""
+        """Return whether the axes move at ``time``."""
         return self._track.moving(time)
 
     def fall_asleep(self, now: float) -> None:
-        """The motors go off, as by ``M84`` from another sender; a move under way ends at once."""
+        """Cut the motors and end any move, as ``M84`` from another sender does."""
         self._track.freeze(now)
         self._blocks.clear()
         self._torque.cut(now)
 
     @property
     def halted(self) -> bool:
-        """Whether the firmware has killed itself."""
+        """Whether the firmware has halted itself."""
         return self._killed
 
-    # DeviceEmulator.
+    # DeviceEmulator interface.
 
     def receive(self, data: bytes, now: float) -> None:
-        """Bytes arrive; with the emergency parser the stops act as their line ends."""
+        """Receive bytes; with the emergency parser, stops take effect at the end of their line."""
         self.advance(now)
         if self._killed:
             return
@@ -141,7 +141,7 @@ class MarlinEmulator:
         self._work(now)
 
     def advance(self, now: float) -> None:
-        """Everything that is due by ``now``, in its order."""
+        """Process everything that is due by ``now``, in order."""
         while True:
             due = self._next_internal()
             if due is None or due > now:
@@ -157,17 +157,17 @@ class MarlinEmulator:
                 self._busy_at = due + BUSY_PERIOD
 
     def take_output(self, now: float) -> bytes:
-        """Bytes out by ``now``."""
+        """Return the bytes transmitted by ``now``."""
         self.advance(now)
         return self._output.take(now)
 
     def next_event(self) -> float | None:
-        """Next end of a motion, busy message or byte going out."""
+        """Return the time of the next end of a motion, busy message or transmission."""
         times = [t for t in (self._next_internal(), self._output.next_time()) if t is not None]
         return min(times) if times else None
 
     def power_cycle(self, now: float) -> None:
-        """The board restarts; the arm stays where it is and is called zero."""
+        """Restart the board; the arm stays in place, and its position is set to zero."""
         self.advance(now)
         self._freeze(now)
         self._output.clear()
@@ -191,7 +191,7 @@ class MarlinEmulator:
         self._relative = False
         self._inches = False
         self._feed = 1500.0
-        # Where the motors stand is called zero; logical = native + shift.
+        # The motors' position becomes zero; logical = native + shift.
         self._reference = self._track.motors(now)
         self._commanded: Array = np.zeros(AXES)
         self._shift: Array = np.zeros(AXES)
@@ -199,7 +199,7 @@ class MarlinEmulator:
             self._say(line, now)
 
     def _power(self, now: float) -> None:
-        """Motors on: they hold where the quill has sunk to, and the count does not know."""
+        """Enable the motors; they hold a quill that has sunk, but the step count is unchanged."""
         units = self._track.joints(now) * self._sign / TO_UNITS
         sunk = self._torque.sunk(float(units[QUILL]), now)
         self._torque.restore()
@@ -211,7 +211,7 @@ class MarlinEmulator:
             self._reference = self._reference + moved
 
     def _idle_out(self, now: float) -> None:
-        """Motors off after the idle time; a limit of 0 keeps them on."""
+        """Cut the motors after the idle time; a limit of 0 keeps them on."""
         if self._due is not None or self._blocks:
             self._rests_since = now
         elif self._idle_limit and now >= self._rests_since + self._idle_limit:
@@ -220,10 +220,10 @@ class MarlinEmulator:
     def _say(self, text: str, now: float) -> None:
         self._output.put(text.encode() + b"\n", now)
 
-    # Lines in.
+    # Received lines.
 
     def _read_line(self, line: bytes, now: float) -> None:
-        """As the serial reader does: number, checksum, then into the queue."""
+        """Check number and checksum as the serial reader does, then queue the line."""
         text = line.decode("ascii", "replace").split(";")[0].strip()
         stop = re.match(r"^(M112|M410)\b", text)
         if stop and (stop[1] == "M112" or self.machine.emergency_parser):
@@ -241,7 +241,7 @@ class MarlinEmulator:
                 self._line_error("No Checksum with line number", now)
                 return
             if not is_m110 and number == self._last_number:
-                # Real boards drop a repeated line without a word.
+                # Real boards drop a repeated line without an answer.
                 if self._checksum_of(text[:star]) == _number_of(text[star + 1 :]):
                     return
             elif not is_m110 and number != self._last_number + 1:
@@ -287,7 +287,7 @@ class MarlinEmulator:
         self._commanded = self._native(now)
 
     def _freeze(self, now: float) -> None:
-        """The motors stop dead and lose steps if they moved."""
+        """Stop the motors immediately; they lose steps if they moved."""
         if not self._track.moving(now):
             return
         self._track.freeze(now)
@@ -295,10 +295,10 @@ class MarlinEmulator:
         self._track.shift(self._track.motors(now) + slip, now)
         self._reference = self._reference + slip
 
-    # Lines out of the queue.
+    # Execution of queued lines.
 
     def _work(self, now: float) -> None:
-        """Run queued lines until one takes time."""
+        """Execute queued lines until one takes time."""
         while not self._killed:
             if self._running is not None:
                 if not self._running(now):
@@ -340,12 +340,12 @@ class MarlinEmulator:
             self._say("ok", now + LINE_TIME)
 
     def _begin(self, done: Callable[[float], bool], now: float) -> None:
-        """A line whose ``ok`` waits until ``done``; ``busy`` is said meanwhile."""
+        """Delay a line's ``ok`` until ``done``; ``busy`` is sent meanwhile."""
         self._running = done
         self._busy_at = now + BUSY_PERIOD
 
     def _setting(self, code: str, words: dict[str, float], now: float) -> bool:
-        """Codes that are done at once; False for an unknown one."""
+        """Execute a code that takes no time; return False for an unknown code."""
         letters = self.machine.letters
         if code in ("G90", "G91"):
             self._relative = code == "G91"
@@ -355,7 +355,7 @@ class MarlinEmulator:
             self._last_number = int(words.get("N", self._last_number))
         elif code == "M114":
             logical = self._commanded + self._shift
-            # Marlin's counts follow G92: it sets the stepper position anew.
+            # Marlin's counts follow G92, because it also sets the stepper position.
             counts = np.round((self._native(now) + self._shift) * self._steps).tolist()
             place = " ".join(f"{a}:{v:.2f}" for a, v in zip(letters, logical, strict=True))
             count = " ".join(f"{a}:{int(n)}" for a, n in zip(letters, counts, strict=True))
@@ -452,7 +452,7 @@ class MarlinEmulator:
         self._begin(rest, now)
 
     def _home(self, now: float) -> None:
-        """Seek the end stops axis by axis, quill first; then the position is zero there."""
+        """Seek the end stops axis by axis, quill first, then set the position to zero."""
         noise = self._rng.normal(0.0, 1.0, AXES) * self._units(self.machine.errors.homing)
         place = self._units(self.machine.home_joints) + noise
         order = [2, 0, 1, 3]
@@ -482,7 +482,7 @@ class MarlinEmulator:
         return units
 
     def _native(self, now: float) -> Array:
-        """Where the motors are, in the frame of the commanded values."""
+        """Return the motor positions in the frame of the commanded values."""
         return np.asarray(self._track.motors(now) - self._reference, dtype=float)
 
 
@@ -491,7 +491,7 @@ def _number_of(text: str) -> int:
 
 
 def _parse(text: str) -> tuple[str, dict[str, float]]:
-    """Code and words; a word without a readable number is left out, as Marlin does."""
+    """Split a line into code and words; words without a valid number are ignored, as in Marlin."""
     found = re.match(r"^([GMT]\d{1,4}(?:\.\d)?)\s*(.*)$", text)
     if found is None:
         return text, {}

@@ -1,9 +1,9 @@
-"""When the simulated camera takes its next picture, on a machine that may be too slow for it.
+"""Timing of the simulated camera's images on a machine that may be too slow to render them.
 
-A real camera's pictures are evenly spaced whatever the computer does. So while the object slides
-the world's time goes on by one period of the camera from picture to picture, and waits where the
-machine is late: a slide is then played slower than it is, and its stamps, in the world's time, are
-what they would be. A while after the slide the world's time catches up with the machine's.
+A real camera takes images at equal intervals, whatever the computer does. While the object slides,
+the world time therefore advances by one camera period per image and waits if the machine is late.
+The slide is then played in slow motion, but its stamps, in world time, are correct. Some time after
+the slide, the world time catches up with the machine's time.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import math
 from dataclasses import dataclass, field
 
 STEADY_S = 0.25
-"""How long after a slide the pictures stay evenly spaced: its end is still to be judged."""
+"""Time after a slide during which images stay evenly spaced, because its end is still analysed."""
 
 
 @dataclass(slots=True)
 class Pace:
-    """``period`` of the camera in s; ``slow_motion``: slides are played so many times slower."""
+    """``period`` of the camera in s; ``slow_motion``: factor by which slides are played slower."""
 
     period: float
     slow_motion: float = 1.0
@@ -26,16 +26,17 @@ class Pace:
     _next: float = field(default=-math.inf, init=False)
 
     def next_picture(self, now: float, at_rest: bool) -> float | None:
-        """The world's time of a picture at the machine's time ``now`` (s); None for no picture yet.
+        """Return the world time of an image at machine time ``now`` (s), or None if none is due.
 
-        ``at_rest``: whether the object neither moves nor is about to be hit. Never goes back.
+        ``at_rest``: whether the object neither moves nor is about to be hit. The returned time
+        never decreases.
         """
         if now < self._next:
             return None
         played, self._next = now, -math.inf
         if math.isfinite(self._taken) and (not at_rest or self._taken < self._moved + STEADY_S):
             played = max(self._taken, min(now, self._taken + self.period))
-            # Half a period early at most: the caller's timer is not exact.
+            # At most half a period early, because the caller's timer is not exact.
             self._next = now + self.period * (self.slow_motion - 0.5)
         if not at_rest:
             self._moved = played

@@ -1,4 +1,4 @@
-"""An emulated device behind a real pseudo-terminal, found by drivers under a path of its own."""
+"""Emulated device on a real pseudo-terminal that drivers open by a path."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from pathlib import Path
 from tapping_cell.simulation.device_emulator import DeviceEmulator
 
 LONGEST_SLEEP = 0.05
-"""Between looks at the emulator when it expects nothing, s of real time."""
+"""Longest wait between updates of an idle emulator, s of real time."""
 UNREAD_LIMIT = 65536
-"""Bytes kept for a driver that does not read; beyond that they are lost, as on a real line."""
+"""Bytes kept for a driver that does not read; further bytes are lost, as on a real line."""
 
 
 class PortTakenError(RuntimeError):
-    """The path belongs to a running process or to something that is no link of ours."""
+    """The path belongs to a running process or is not a link to a pseudo-terminal."""
 
 
 class PseudoTerminal:
-    """Runs one emulator in a thread behind a pseudo-terminal; ``path`` is a link to it.
+    """Runs one emulator in a thread on a pseudo-terminal; ``path`` is a link to the terminal.
 
-    The driver may close and open the path as often as it likes. A lock file beside the path tells a
-    running owner from a dead one, so a link left by a crash is replaced, and never that of a live
-    process. The link goes through a descriptor of this process: one that is left by a crash leads
-    nowhere, while the terminal's number may soon be that of somebody else's terminal. Use as a
-    context manager, or ``open``/``close``.
+    The driver may close and open the path repeatedly. A lock file beside the path shows whether its
+    owner is running, so a link left by a crash is replaced but never the link of a live process.
+    The link points to a file descriptor of this process. After a crash it is therefore dangling,
+    whereas the terminal's number could soon be reused for another terminal. Use it as a context
+    manager, or call ``open`` and ``close``.
 
-    ``clock`` gives the emulator's time in s and runs ``time_scale`` times as fast as real time.
-    ``reset_on_open``: opening the port restarts the board, as the DTR line does on many.
+    ``clock`` returns the emulator's time in s and runs ``time_scale`` times as fast as real time.
+    ``reset_on_open``: opening the port restarts the board, as the DTR line does on many boards.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class PseudoTerminal:
         self.emulator = emulator
         self.path = Path(path)
         self.lock = threading.RLock()
-        """Held while the emulator works; hold it to touch the emulator from another thread."""
+        """Held while the emulator works; hold it to access the emulator from another thread."""
         self._clock = clock
         self._time_scale = time_scale
         self._reset_on_open = reset_on_open
@@ -70,7 +70,7 @@ class PseudoTerminal:
         self.close()
 
     def open(self) -> None:
-        """Take the path and start serving; raises PortTakenError."""
+        """Claim the path and start serving; raises PortTakenError."""
         self._guard = self._take_path()
         self._wake_read, self._wake_write = os.pipe()
         self._stop.clear()
@@ -96,7 +96,7 @@ class PseudoTerminal:
         self._guard = None
 
     def hang_up(self) -> None:
-        """The cable is pulled: the driver sees the device vanish, the link goes."""
+        """Simulate unplugging: the device and the link disappear."""
         with self.lock:
             if self._master is None:
                 return
@@ -114,17 +114,17 @@ class PseudoTerminal:
         self._wake()
 
     def plug_in(self) -> None:
-        """The cable is put back, usually under another device number."""
+        """Simulate plugging in again, usually under another device number."""
         with self.lock:
             if self._master is not None:
                 return
             master, slave = os.openpty()
             tty.setraw(slave)
             os.set_blocking(master, False)
-            # A place in the file system; it does not hold the terminal open.
+            # O_PATH refers to the file without keeping the terminal open.
             self._linked = os.open(os.ttyname(slave), os.O_PATH | os.O_CLOEXEC)
             if self._reset_on_open:
-                # Without a descriptor of ours the terminal shows when a driver opens it.
+                # Without a descriptor of this process, the terminal shows when a driver opens it.
                 os.close(slave)
             else:
                 self._slave = slave
@@ -142,7 +142,7 @@ class PseudoTerminal:
         return self.path.with_name(self.path.name + ".lock")
 
     def _take_path(self) -> int:
-        """The descriptor of the locked lock file."""
+        """Lock the path's lock file; return its descriptor."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         while True:
             guard = os.open(self._guard_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -154,7 +154,7 @@ class PseudoTerminal:
                     f"{self.path} belongs to a running process: end it or choose another path"
                 ) from error
             try:
-                # The owner before may have removed the file between our open and our lock.
+                # The previous owner may have removed the file between our open and our lock.
                 current = os.stat(self._guard_path).st_ino == os.fstat(guard).st_ino
             except FileNotFoundError:
                 current = False
@@ -187,14 +187,14 @@ class PseudoTerminal:
                     os.read(self._wake_read, 4096)
 
     def _serve(self) -> float:
-        """Move bytes and time once; returns how long nothing will happen, s of real time."""
+        """Transfer bytes and advance the emulator; return the time until the next event, s."""
         now = self._clock()
         wait = LONGEST_SLEEP
         if self._master is not None:
             if self._reset_on_open:
                 wait = min(wait, self._watch_open(self._master, now))
             with contextlib.suppress(BlockingIOError, OSError):
-                # An OSError here is the driver having closed its end: nothing to read.
+                # An OSError here means that the driver has closed its end: nothing to read.
                 data = os.read(self._master, 4096)
                 self.emulator.receive(data, now)
         self.emulator.advance(now)
@@ -210,7 +210,7 @@ class PseudoTerminal:
         return wait
 
     def _watch_open(self, master: int, now: float) -> float:
-        """Restart the board when a driver opens the port; how soon to look again, s."""
+        """Restart the board when a driver opens the port; return the time to the next check, s."""
         poller = select.poll()
         poller.register(master, select.POLLIN)
         hung = any(event & select.POLLHUP for _, event in poller.poll(0))

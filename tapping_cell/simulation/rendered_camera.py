@@ -1,9 +1,9 @@
-"""The overhead camera of the simulated world: images with exact truth, fast enough for 30 Hz.
+"""Overhead camera of the simulated world: images with exact ground truth, fast enough for 30 Hz.
 
-Perspective from a tilted pose, lens distortion, markers sampled over the area of each pixel, uneven
-light, sensor noise, blur while moving, the object's side wall, and silhouettes above the table (the
-arm, a hand). The static scene is drawn once, objects at rest when one of them has moved, and a
-frame redraws only the patches around those that move.
+Includes perspective from a tilted pose, lens distortion, area sampling of markers, uneven light,
+sensor noise, motion blur, the object's side wall, and silhouettes above the table (the arm, a
+hand). The static scene is drawn once. Objects at rest are redrawn when one of them has moved, and
+a frame redraws only the regions around moving objects.
 """
 
 from __future__ import annotations
@@ -33,22 +33,24 @@ TOP_REFLECTANCE = 0.30
 WALL_REFLECTANCE = 0.16
 BRIGHT_TOP_REFLECTANCE = 0.78
 BRIGHT_WALL_REFLECTANCE = 0.42
-"""Of an object brighter than the table."""
+"""Reflectances of the top and the wall of an object that is brighter than the table."""
 DARK_DOT_REFLECTANCE = 0.08
 BRIGHT_DOT_REFLECTANCE = 0.95
 WHITE_LEVEL = 230.0
-"""Grey level of reflectance 1 where the light is brightest."""
+"""Grey level of reflectance 1 in the brightest light."""
 _FRACTION = 16
-"""Sub-steps of a grey level in the clean image, so that rounding comes after the noise."""
+"""Fixed-point scale of the clean image per grey level, so that rounding happens after the noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneSettings:
-    """Light and sensor. ``light_falloff`` is the share of the light lost from the brightest side to
-    the darkest, towards ``light_direction`` (rad, in table); ``noise`` one standard deviation in
-    grey levels; ``blur`` the point spread's sigma in pixels, the pixel's own area included;
-    ``shadow`` how far (m, in table) the object's shadow falls, ``shadow_depth`` the share of the
-    light that it takes.
+    """Light and sensor.
+
+    ``light_falloff``: fraction of the light lost from the brightest side to the darkest, in the
+    direction ``light_direction`` (rad, in table); ``noise``: standard deviation in grey levels;
+    ``blur``: sigma of the point spread function in pixels, including the pixel's own area;
+    ``shadow``: displacement of the object's shadow (m, in table); ``shadow_depth``: fraction of the
+    light that the shadow removes.
     """
 
     noise: float = 2.0
@@ -62,10 +64,10 @@ class SceneSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Occluder:
-    """A silhouette over the table: corners (N, 3) in table, in m, and its grey level.
+    """A silhouette above the table: corners (N, 3) in table, in m, and its grey level.
 
-    ``convex``: a solid, whose silhouette is the hull of the corners' images; else the corners are
-    those of a polygon in their order.
+    ``convex``: a solid whose silhouette is the convex hull of the projected corners; otherwise the
+    corners form a polygon in their order.
     """
 
     points: NDArray[np.float64]
@@ -75,15 +77,17 @@ class Occluder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneObject:
-    """An object in the picture: its convex outline in its frame, points (N, 2) in m, and what its
-    top shows and how high that is: a marker, or the plain top of an object without one."""
+    """An object in the image: its convex outline, points (N, 2) in m in its frame, and its top.
+
+    ``marker`` describes the height and the content of the top: a marker, or a plain top.
+    """
 
     outline: NDArray[np.float64]
     marker: ObjectMarker | ObjectOutline
 
 
 class _Look:
-    """How one object looks from the camera."""
+    """Pre-computed appearance of one object in the camera."""
 
     def __init__(
         self,
@@ -92,7 +96,7 @@ class _Look:
         pixel: float,
         blur: float,
     ) -> None:
-        """``rays``: where each pixel meets the plane of the object's top, (rows, columns, 2)."""
+        """``rays``: intersections of pixel rays with the plane of the top, (rows, columns, 2)."""
         marker = shown.marker
         self.outline, self.height = shown.outline, marker.height
         self.x, self.y = (np.ascontiguousarray(rays[..., i], dtype=np.float32) for i in (0, 1))
@@ -106,8 +110,8 @@ class _Look:
 class SceneRenderer:
     """Renders the table with its reference markers and the objects on it.
 
-    ``camera`` and ``pose`` are the true ones; ``outline`` and ``marker`` describe the first object
-    as in ``SceneObject``, ``others`` the further ones. Frames depend on ``seed``.
+    ``camera`` and ``pose`` are the true ones. ``outline`` and ``marker`` describe the first object
+    as in ``SceneObject``; ``others`` are further objects. ``seed`` sets the random noise.
     """
 
     def __init__(
@@ -124,7 +128,7 @@ class SceneRenderer:
         self.view = View(camera, pose)
         self.settings = settings or SceneSettings()
         self._random = np.random.default_rng(seed)
-        # The coverage of whole pixels already holds a pixel's own area.
+        # Pixel coverage already averages over a pixel's area, so the point spread excludes it.
         self._point_spread = max(0.1, np.sqrt(max(0.0, self.settings.blur**2 - 1.0 / 12.0)))
         distance = float(pose.position[2])
         pixel = distance / camera.fx
@@ -143,7 +147,7 @@ class SceneRenderer:
         if self.settings.shadow_depth > 0.0:
             self._ground = ground.astype(np.float32)
         self._noise = self._noise_pool()
-        # What lies still is drawn into one picture, what moves over it into another.
+        # Stationary objects are drawn into one image, moving objects over a copy of it.
         self._still, self._still16 = background.copy(), self._background16.copy()
         self._still_key: tuple[tuple[float, ...], ...] = ()
         self._still_windows: list[tuple[slice, slice]] = []
@@ -157,11 +161,11 @@ class SceneRenderer:
         occluders: Sequence[Occluder] = (),
         light: float = 1.0,
     ) -> Image:
-        """One frame, uint8 (height, width).
+        """Render one frame, uint8 (height, width).
 
-        ``object_pose`` is (x, y, theta) in table when the exposure begins and ``end_pose`` when it
-        ends (the same when at rest), or one such row for each object; ``light`` scales the whole
-        scene's light (0 is dark).
+        ``object_pose``: (x, y, theta) in table at the start of the exposure, or one row per object;
+        ``end_pose``: the same at its end (None: at rest). ``light`` scales the light of the whole
+        scene (0 is dark).
         """
         start = np.atleast_2d(np.asarray(object_pose, dtype=float))
         end = start if end_pose is None else np.atleast_2d(np.asarray(end_pose, dtype=float))
@@ -182,7 +186,7 @@ class SceneRenderer:
         return np.asarray(cv2.convertScaleAbs(noisy, alpha=1.0 / _FRACTION), dtype=np.uint8)
 
     def _light_map(self, ground: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Share of the full light at every pixel, 1 at the brightest."""
+        """Return the fraction of the full light at every pixel, 1 at the brightest."""
         s = self.settings
         along = ground[..., 0] * np.cos(s.light_direction) + ground[..., 1] * np.sin(
             s.light_direction
@@ -202,7 +206,7 @@ class SceneRenderer:
         blur: float,
     ) -> Array32:
         reflectance = np.full(ground.shape[:2], TABLE_REFLECTANCE, dtype=np.float32)
-        # A faint grain of the table, a centimetre wide.
+        # A faint grain of the table, about a centimetre wide.
         grain = self._random.standard_normal((64, 80)).astype(np.float32) * 0.006
         size = (ground.shape[1], ground.shape[0])
         smooth = cv2.resize(grain, size, interpolation=cv2.INTER_CUBIC)
@@ -220,7 +224,7 @@ class SceneRenderer:
         return np.asarray(reflectance * self._light * np.float32(WHITE_LEVEL))
 
     def _window(self, pixels: NDArray[np.float64], margin: int = 5) -> tuple[slice, slice] | None:
-        """The part of the image around these pixels, None if outside."""
+        """Return the region of the image around these pixels; None if it is outside."""
         low = np.floor(pixels.min(axis=0)).astype(int) - margin
         high = np.ceil(pixels.max(axis=0)).astype(int) + margin + 1
         camera = self.view.camera
@@ -231,7 +235,7 @@ class SceneRenderer:
         return slice(low[1], high[1]), slice(low[0], high[0])
 
     def _draw_objects(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
-        """Draw the objects at rest, if one of them has moved, and over them those that move."""
+        """Redraw the objects at rest if one of them has moved, then draw the moving objects."""
         still = np.all(start == end, axis=-1)
         key = tuple((number, *start[number].tolist()) for number in np.flatnonzero(still).tolist())
         if key != self._still_key:
@@ -270,8 +274,8 @@ class SceneRenderer:
         end: NDArray[np.float64],
         floor: Array32,
     ) -> tuple[tuple[slice, slice], Array32] | None:
-        """A window of the picture and the scene in it with an object that goes from one pose to
-        another; None where it is out of view. ``floor``: the picture without it."""
+        """Return an image region and the scene in it with an object moving between two poses; None
+        if it is out of view. ``floor`` is the image without the object."""
         ends = np.stack([start, end])
         base = se2.transform_points(ends[:, None, :], look.outline)
         rims = np.stack([self.view.project(base), self.view.project(base, look.height)])
@@ -294,7 +298,7 @@ class SceneRenderer:
         pose: NDArray[np.float64],
         floor: Array32,
     ) -> Array32:
-        """The scene in a window with the object at one pose."""
+        """Render the scene in a region with the object at one pose."""
         light = self._light[window] * np.float32(WHITE_LEVEL)
         body = self._body_coverage(look, window, pose)
         if self.settings.shadow_depth > 0.0:
@@ -304,7 +308,7 @@ class SceneRenderer:
             floor = floor * (1 - np.float32(self.settings.shadow_depth) * shaded)
         x, y = look.x[window], look.y[window]
         top, covered = look.body.sample(*_local(pose, x, y))
-        # Top, wall and floor share every pixel: where no wall is seen none shows between them.
+        # Coverages of top, wall and floor add up, so no wall appears at edges where it is hidden.
         behind = np.maximum(body - covered, 0.0) * light * np.float32(look.wall)
         patch = floor * (1 - np.maximum(body, covered)) + behind + top * light
         if look.label is not None:
@@ -316,7 +320,7 @@ class SceneRenderer:
     def _body_coverage(
         self, look: _Look, window: tuple[slice, slice], pose: NDArray[np.float64]
     ) -> Array32:
-        """Coverage by the whole body: from the outline on the table to the one on top."""
+        """Return the coverage of the whole body, from the outline on the table to the top."""
         base = se2.transform_points(pose, look.outline)
         rims = np.concatenate([self.view.project(base), self.view.project(base, look.height)])
         hull = cv2.convexHull(rims.astype(np.float32))[:, 0]
@@ -333,7 +337,7 @@ class SceneRenderer:
         return np.round(field * np.float32(self.settings.noise * _FRACTION)).astype(np.int16)
 
     def _noise_field(self) -> NDArray[np.int16]:
-        """A window of the pool at a random place: 200 000 different fields."""
+        """Return one of about 200 000 windows of the noise pool, chosen at random."""
         camera = self.view.camera
         _, rows, columns = self._noise.shape
         which = self._random.integers(self._noise.shape[0])
@@ -345,7 +349,7 @@ class SceneRenderer:
 def _label(
     shown: ObjectMarker | ObjectOutline, pixel: float, blur: float
 ) -> tuple[Layer | None, NDArray[np.float64]]:
-    """What is on the object's top, and its pose in the object's frame."""
+    """Return the layer on the object's top, and its pose in the object's frame."""
     if isinstance(shown, ObjectMarker):
         layer = marker_layer(shown.dictionary, shown.id, shown.size, pixel, blur)
         return layer, np.array(shown.offset)
@@ -368,8 +372,8 @@ def _fixed_point(image: Array32) -> NDArray[np.int16]:
 
 
 def _ray_map(camera: CameraModel) -> NDArray[np.float64]:
-    """Directions (height, width, 2) of all pixels: exact on a grid of 16 pixels, splines
-    between."""
+    """Return the ray directions (height, width, 2) of all pixels: exact on a grid of 16 pixels,
+    interpolated by splines between."""
     step = 16
     x = np.arange(-step, camera.width + 2 * step, step)
     y = np.arange(-step, camera.height + 2 * step, step)

@@ -1,7 +1,7 @@
-"""Photographs of a printed sheet with exact truth: what calibration is tried on.
+"""Photographs of a printed sheet with exact ground truth, for tests of the calibration.
 
-Every pixel is the mean of ``SAMPLES`` x ``SAMPLES`` looks at the print, through the lens; then
-come the point spread, uneven light, noise and rounding.
+Every pixel is the mean of ``SAMPLES`` x ``SAMPLES`` samples of the print through the lens. Then
+point spread, uneven light, noise and rounding are applied.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from tapping_cell.vision.camera import CameraModel, CameraPose, Image, View
 
 SAMPLES = 3
 _PAPER, _INK, _TABLE = 215.0, 35.0, 120.0
-"""Grey levels of white and black print and of what lies around the sheet, in full light."""
+"""Grey levels of white and black print and of the table around the sheet, in full light."""
 _NODE = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sheet:
-    """A print: ``pattern`` (rows, columns), 255 where white, of ``pixel`` m a pixel; its frame has
-    its origin in the middle of the sheet, x to the right and y up.
+    """A print: ``pattern`` (rows, columns), 255 for white, with a pixel size of ``pixel`` m.
+
+    Its frame has the origin in the middle of the sheet, x to the right and y up.
     """
 
     pattern: Image
@@ -37,7 +38,7 @@ class Sheet:
 
 
 class SheetCamera:
-    """A camera that takes photographs of sheets; its lens is worked out once."""
+    """A camera that takes photographs of sheets; its lens map is computed only once."""
 
     def __init__(self, camera: CameraModel, seed: int = 0) -> None:
         self.camera = camera
@@ -55,10 +56,10 @@ class SheetCamera:
         blur: float = 0.6,
         falloff: float = 0.3,
     ) -> Image:
-        """An image, uint8 (height, width), from ``pose`` (of the sheet in the camera).
+        """Return an image, uint8 (height, width), taken from ``pose`` (of the sheet in the camera).
 
-        ``noise`` in grey levels, ``blur`` the point spread's sigma in pixels without the pixel's
-        own area, ``falloff`` the share of light lost from left to right.
+        ``noise`` in grey levels; ``blur``: sigma of the point spread function in pixels, without
+        the pixel's own area; ``falloff``: fraction of the light lost from left to right.
         """
         camera = self.camera
         image = np.full((camera.height, camera.width), _TABLE)
@@ -80,7 +81,7 @@ class SheetCamera:
         return np.asarray(np.clip(np.rint(noisy), 0, 255), dtype=np.uint8)
 
     def _window(self, sheet: Sheet, pose: CameraPose) -> tuple[slice, slice]:
-        """The part of the image in which the sheet lies."""
+        """Return the region of the image that contains the sheet."""
         width, height = sheet.size
         x = np.linspace(-0.5, 0.5, 21)
         rim = np.concatenate([[(a, b), (b, a)] for a in x for b in (-0.5, 0.5)])
@@ -93,7 +94,7 @@ class SheetCamera:
 
 
 def _look(sheet: Sheet, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Grey levels of points (..., 2) of the sheet's plane."""
+    """Return the grey levels of points (..., 2) in the plane of the sheet."""
     rows, columns = sheet.pattern.shape
     column = np.floor(points[..., 0] / sheet.pixel + columns / 2).astype(np.intp)
     row = np.floor(rows / 2 - points[..., 1] / sheet.pixel).astype(np.intp)

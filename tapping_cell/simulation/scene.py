@@ -1,4 +1,4 @@
-"""The rendered camera of one cell, by its truth file."""
+"""Rendered camera of one cell, from its simulation parameters."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tapping_cell.vision.camera import CameraModel, CameraPose
 
 
 def true_camera(calibrated: CameraModel, truth: CameraTruth) -> CameraModel:
-    """The lens as it really is."""
+    """Return the calibrated camera with the true lens parameters."""
     first, *others = (
         (*calibrated.distortion, 0.0) if not calibrated.distortion else (calibrated.distortion)
     )
@@ -33,7 +33,7 @@ def make_renderer(
     seed: int,
     others: Sequence[SceneObject] = (),
 ) -> SceneRenderer:
-    """A renderer of the cell's table, its object and further ones as the truth has them."""
+    """Return a renderer of the cell's table, its object and further ones, with true parameters."""
     return SceneRenderer(
         camera=true_camera(cell.camera, truth),
         pose=CameraPose.above(truth.position, truth.aim, truth.turn),

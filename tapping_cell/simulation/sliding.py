@@ -1,9 +1,9 @@
-"""A body sliding on the table, integrated in time from the friction under each point of it.
+"""A body sliding on the table, integrated in time from the friction under each support point.
 
-Independent of the closed forms of the mechanics room on purpose: support, table and friction law
-may be what those cannot express. Each point of the support drags against its own velocity
-v + omega x r with its share of the weight; the torque of it all is multiplied by the torque factor,
-the empirical finding of Huang and Mason (section 3.1.2).
+Independent of the closed forms of ``tapping_cell.mechanics`` on purpose: support, table and
+friction law may be ones that those forms cannot represent. Each support point drags against its own
+velocity v + omega x r with its fraction of the weight. The total torque is multiplied by the torque
+factor, the empirical finding of Huang and Mason (section 3.1.2).
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LARGEST_LOSS = 0.1
-"""A step ends where friction would take this share of the speed: the motion then changes little in
-direction, and steps shrink with the speed towards rest."""
+"""Maximum fraction of the speed that friction removes in one step. It keeps the change of direction
+small and shortens the steps as the body comes to rest."""
 LONGEST_STEP_S = 0.005
 PATCH_STEP_M = 0.001
-"""A step on a table whose friction changes with the place moves no farther than this."""
+"""Maximum distance of a step, m, on a table whose friction depends on the position."""
 STOP_SPEED = 0.0002
-"""Below this speed, m/s, of the body's rim the rest of the slide is under 0.1 micrometre: stop."""
+"""Speed of the body's rim, m/s, below which it is stopped; it would slide under 0.1 um more."""
 _LONGEST_SLIDE_S = 60.0
 _STILL = 1e-9
-"""A point slower than this, m/s, has no direction to drag against."""
+"""Speed below which a point has no direction of drag, m/s."""
 
 
 class Motion(NamedTuple):
@@ -48,7 +48,7 @@ class Motion(NamedTuple):
 
 
 class Acceleration(NamedTuple):
-    """Of the centre of mass, m/s^2, and about it, rad/s^2."""
+    """Acceleration of the centre of mass, m/s^2, and about it, rad/s^2."""
 
     x: float
     y: float
@@ -57,14 +57,14 @@ class Acceleration(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TableFriction:
-    """How the table drags.
+    """Friction of the table.
 
-    friction: coefficient of a fast slide off every patch; torque_factor: multiplies the friction's
-    torque; slope: tilt in rad, downhill along +x and +y; anisotropy: friction across the grain over
-    that along it, with the grain's direction in rad (the geometric mean is ``friction``);
-    slow_rise: friction of a creeping point over ``friction``, less 1, falling with the speed as
-    exp(-v / slow_speed); viscous: relative rise per m/s; patches: discs (x, y, radius, factor) in
-    table, m, where the friction is so many times as large; gravity in m/s^2.
+    friction: coefficient of a fast slide outside every patch; torque_factor: factor on the friction
+    torque; slope: tilt in rad, downhill along +x and +y; anisotropy: ratio of the friction across
+    the grain to that along it (their geometric mean is ``friction``); grain: direction of the grain
+    in rad; slow_rise: relative increase of the friction of a creeping point, which falls with the
+    speed as exp(-v / slow_speed); viscous: relative increase per m/s; patches: discs (x, y, radius,
+    factor) in table, m, that multiply the friction by the factor; gravity in m/s^2.
     """
 
     friction: float
@@ -80,13 +80,13 @@ class TableFriction:
 
 
 class Slide:
-    """The equations of motion of one body on one table."""
+    """Equations of motion of one body on one table."""
 
     def __init__(
         self, points: Array, grip: Array, friction: TableFriction, gyration_squared: float
     ) -> None:
-        """``points`` (n, 2) in m from the centre of mass in the object's axes, with the share of
-        the grip (n,) of each; ``gyration_squared`` is inertia over mass in m^2."""
+        """``points`` (n, 2) in m from the centre of mass in the object's axes; ``grip`` (n,):
+        fraction of the grip at each; ``gyration_squared``: inertia over mass in m^2."""
         self._x, self._y = (np.ascontiguousarray(column) for column in points.T)
         self._grip = grip
         self._friction = friction
@@ -98,21 +98,21 @@ class Slide:
         self._across = math.sqrt(friction.anisotropy)
 
     def speed(self, motion: Motion) -> float:
-        """A bound of the speed of every point of the support, m/s."""
+        """Return an upper bound of the speed of all support points, m/s."""
         return math.hypot(motion.vx, motion.vy) + self.reach * abs(motion.omega)
 
     def stays(self, motion: Motion) -> bool:
-        """Whether friction holds a body at rest against the tilt."""
+        """Return whether friction holds a body at rest against the tilt."""
         law = self._friction
         grip = float(np.sum(self._grip_at(motion)))
         hold = min(self._along, self._across) * law.friction * (1 + law.slow_rise) * grip
         return math.hypot(*self._pull) <= hold * law.gravity
 
     def acceleration(self, motion: Motion) -> Acceleration:
-        """Of a body that moves, by friction and tilt."""
+        """Return the acceleration of a moving body by friction and tilt."""
         law = self._friction
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
-        # In the object's axes, where the points do not move.
+        # In the object's axes, in which the support points are fixed.
         ux = cos * motion.vx + sin * motion.vy - motion.omega * self._y
         uy = cos * motion.vy - sin * motion.vx + motion.omega * self._x
         grip = self._grip_at(motion)
@@ -136,10 +136,10 @@ class Slide:
         )
 
     def step(self, motion: Motion, longest: float = LONGEST_STEP_S) -> tuple[Motion, float]:
-        """One step of fourth-order Runge-Kutta: the motion after it, and its length in s.
+        """Make one fourth-order Runge-Kutta step; return the motion after it and its length in s.
 
-        The step is as long as the accuracy allows, ``longest`` at most. A body that has come to
-        rest and stays has no speed left.
+        The step is as long as the accuracy allows, at most ``longest``. The returned velocity is
+        zero if the body has come to rest and friction holds it.
         """
         first = self.acceleration(motion)
         speed = self.speed(motion)
@@ -170,10 +170,10 @@ class Slide:
         return after, length
 
     def rest(self, motion: Motion) -> tuple[Motion, float]:
-        """Where a motion ends, and after how many s.
+        """Integrate until the body is at rest; return its motion then and the elapsed time in s.
 
         Raises:
-            ValueError: friction does not stop it within a minute, as on a steep slope.
+            ValueError: friction does not stop the body within a minute, as on a steep slope.
         """
         elapsed = 0.0
         while not motion.at_rest:
@@ -187,7 +187,7 @@ class Slide:
         return motion, elapsed
 
     def _grip_at(self, motion: Motion) -> Array:
-        """The grip of every point where it is on the table."""
+        """Return the grip of every support point at its position on the table."""
         if not self._friction.patches:
             return self._grip
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
@@ -202,8 +202,8 @@ class Slide:
     def _against_the_grain(
         self, ux: Array, uy: Array, grip: Array, grain: float
     ) -> tuple[Array, Array]:
-        """Drag where the friction differs with the direction: the limit curve is an ellipse, and
-        the force on it is the one that takes the most power."""
+        """Return the drag for direction-dependent friction: the limit curve is an ellipse, and the
+        force on it is the one that dissipates the most power."""
         cos, sin = math.cos(grain), math.sin(grain)
         along = self._along * (cos * ux + sin * uy)
         across = self._across * (cos * uy - sin * ux)

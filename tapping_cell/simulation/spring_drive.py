@@ -1,7 +1,7 @@
-"""The tapper's carriage on its spring: what the steps are counted to do, and what they truly do.
+"""The tapper's spring carriage: its counted steps and its true motion.
 
-The same rules as ``firmware/tapper/drive.c``, computed from one end of a movement to the next
-instead of step by step. Places are in steps from where the front switch closes.
+It follows the same rules as ``firmware/tapper/drive.c``, computed from movement to movement instead
+of step by step. Positions are in steps from the point where the front switch closes.
 """
 
 from __future__ import annotations
@@ -12,44 +12,44 @@ from dataclasses import dataclass
 from enum import Enum
 
 LEAVE_STEPS = 400
-"""Longest way off a closed front switch."""
+"""Maximum number of steps to move off a closed front switch."""
 HYSTERESIS_LIMIT = 50
-"""From this count on the switch must be open."""
+"""Step count from which the switch must be open."""
 SLACK = 6
-"""Greatest difference of the switch from the place where it closed at homing."""
+"""Maximum difference of the switch's closing position from that at homing, steps."""
 SETTLE_TIME = 0.002
-"""The switch's level counts when it was the same for this long, s; no steps are made meanwhile."""
+"""Time for which the switch level must be constant to count, s; no steps are made meanwhile."""
 WAKE_TIME = 0.010
-"""From enabling the motor to its first step, s."""
+"""Time from enabling the motor to its first step, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpringMechanism:
-    """Figures of the spring, its carriage and its motor."""
+    """Parameters of the spring, its carriage and its motor."""
 
     stiffness: float = 500.0
-    """N/m."""
+    """Spring constant, N/m."""
     step_length: float = 5e-6
-    """m: 8 mm lead, 200 steps a turn, eighth steps."""
+    """Travel per step, m: 8 mm lead, 200 steps per turn, eighth steps."""
     step_rate: float = 4000.0
-    """1/s."""
+    """Step rate, 1/s."""
     longest_draw: int = 12000
-    """Steps."""
+    """Maximum position of the carriage when charging, steps."""
     switch_hysteresis: float = 24.0
-    """The switch opens so many steps behind where it closes."""
+    """Distance between the switch's closing and opening positions, steps."""
     back_drive: float = 4000.0
-    """Speed with which the spring pushes the carriage back while the motor is off, steps/s."""
+    """Speed at which the spring pushes the carriage back while the motor is off, steps/s."""
 
     def steps_for(self, energy: float) -> int:
-        """Whole steps that store ``energy`` in J best."""
+        """Return the number of whole steps whose energy is nearest to ``energy`` in J."""
         return math.floor(math.sqrt(2 * energy / self.stiffness) / self.step_length + 0.5)
 
     def energy_at(self, place: float) -> float:
-        """Energy in J at ``place`` in steps."""
+        """Return the energy in J at ``place`` in steps."""
         return 0.5 * self.stiffness * (place * self.step_length) ** 2
 
     def can_store(self, energy: float) -> bool:
-        """Whether whole steps store ``energy`` in J to within 3 %."""
+        """Return whether whole steps store ``energy`` in J to within 3 %."""
         steps = self.steps_for(energy)
         return (
             0 < steps <= self.longest_draw and abs(self.energy_at(steps) - energy) <= 0.03 * energy
@@ -57,16 +57,16 @@ class SpringMechanism:
 
 
 class Status(Enum):
-    """How far the last movement has come."""
+    """Status of the last movement."""
 
     THERE = "there"
     MOVING = "moving"
     UNKNOWN = "unknown"
-    """The motor is off, and the place not known."""
+    """The motor is off, and the position is unknown."""
 
 
 class Phase(Enum):
-    """What the drive is at."""
+    """Phase of the drive."""
 
     OFF = "off"
     LEAVING = "leaving"
@@ -78,7 +78,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class _End:
-    """How the movement under way ends: after so many steps, when, and in which phase."""
+    """End of the current movement: time, number of steps, next phase, and step count then."""
 
     at: float
     steps: int
@@ -87,7 +87,7 @@ class _End:
 
 
 class SpringDrive:
-    """One carriage; ``now`` in s never goes back from call to call."""
+    """One carriage; ``now`` in s must not decrease between calls."""
 
     def __init__(self, mechanism: SpringMechanism, now: float, place: float = 0.0) -> None:
         self.mechanism = mechanism
@@ -105,54 +105,54 @@ class SpringDrive:
 
     @property
     def status(self) -> Status:
-        """How far the last movement has come."""
+        """Status of the last movement."""
         if self._phase is Phase.OFF:
             return Status.UNKNOWN
         return Status.THERE if self._phase is Phase.HOLDING else Status.MOVING
 
     def place(self, now: float) -> float:
-        """Where the carriage truly is, in steps from where the switch closes."""
+        """Return the true position of the carriage, in steps from where the switch closes."""
         self.advance(now)
         self._take(now)
         return self._place
 
-    # What the firmware orders.
+    # Firmware commands.
 
     def can_store(self, energy: float) -> bool:
-        """Whether whole steps store ``energy`` in J to within 3 %."""
+        """Return whether whole steps store ``energy`` in J to within 3 %."""
         return self.mechanism.can_store(energy)
 
     def charge(self, energy: float, now: float) -> None:
-        """Draw the spring for ``energy`` in J."""
+        """Charge the spring with ``energy`` in J."""
         self.out(self.mechanism.steps_for(energy), now)
 
     def stored(self, now: float) -> float:
-        """What the spring stores now, J."""
+        """Return the energy that the spring stores, J."""
         return self.mechanism.energy_at(self.place(now))
 
     def at_mounts(self, now: float) -> int:
-        """Mask of the strikers that a switch sees at their mounts: none, an arm carries it."""
+        """Return 0, because a tapper on an arm has no switches at mounts."""
         return 0
 
     def released(self, channel: int, now: float) -> None:
-        """The latch was released: the carriage goes back by ``back``."""
+        """Do nothing on a release, because ``back`` returns the carriage."""
 
     def start(self) -> None:
-        """The board was switched on."""
+        """Do nothing when the board is powered on."""
 
     def home(self, now: float) -> None:
-        """Leave the front switch if it is closed, and look for it."""
+        """Leave the front switch if it is closed, then seek it."""
         wake = WAKE_TIME if self._phase is Phase.OFF else 0.0
         self._begin(Phase.LEAVING, now, wake)
 
     def out(self, steps: int, now: float) -> None:
-        """Draw the spring; only where the place is known."""
+        """Charge the spring to the position ``steps``, if the present position is known."""
         if self._phase is Phase.HOLDING:
             self._target, self._opened = steps, False
             self._begin(Phase.OUT, now)
 
     def back(self, now: float) -> None:
-        """Go back to the front switch; nothing while the place is unknown."""
+        """Return to the front switch; do nothing while the position is unknown."""
         if self._phase in (Phase.LEAVING, Phase.SEEKING):
             self.halt(now)
         elif self._phase is not Phase.OFF and not (
@@ -164,22 +164,22 @@ class SpringDrive:
         """Switch the motor off."""
         self._begin(Phase.OFF, now)
 
-    # What can be wrong with it.
+    # Faults.
 
     def set_power(self, on: bool, now: float) -> None:
-        """The motor's supply; the emergency stop cuts it."""
+        """Set the motor's supply, which the emergency stop cuts."""
         self._take(now)
         self._powered = on
         self._begin(self._phase, now)
 
     def set_switch(self, stuck: bool | None, now: float) -> None:
-        """The front switch is stuck closed (True) or open (False), or works (None)."""
+        """Set the front switch to stuck closed (True), stuck open (False), or working (None)."""
         self._take(now)
         self._stuck = stuck
         self._begin(self._phase, now)
 
     def lose_steps(self, count: int, now: float) -> None:
-        """The next ``count`` steps move nothing."""
+        """Make the next ``count`` steps move nothing."""
         self._take(now)
         self._lose = count
         self._begin(self._phase, now)
@@ -187,11 +187,11 @@ class SpringDrive:
     # Time.
 
     def next_event(self) -> float | None:
-        """When the movement under way ends."""
+        """Return the end time of the current movement; None if there is none."""
         return None if self._end is None else self._end.at
 
     def advance(self, now: float) -> None:
-        """Let every movement end that is due."""
+        """End every movement that is due by ``now``."""
         while self._end is not None and self._end.at <= now:
             end = self._end
             self._move(end.steps)
@@ -213,7 +213,7 @@ class SpringDrive:
         )
 
     def _take(self, now: float) -> None:
-        """Bring place and count to where they are at ``now``."""
+        """Update position and step count to ``now``."""
         if self._phase is Phase.OFF:
             if now > self._since and self._place > 0.0:
                 slip = self.mechanism.back_drive * (now - self._since)
@@ -238,7 +238,7 @@ class SpringDrive:
         self._lose = max(0, self._lose - steps)
 
     def _switch_after(self, steps: int) -> bool:
-        """The working switch after so many more steps."""
+        """Return the state of a working switch after ``steps`` more steps."""
         place = self._place + self._direction() * self._effective(steps)
         return place < self.mechanism.switch_hysteresis if self._closed else place <= 0.0
 
@@ -246,13 +246,13 @@ class SpringDrive:
         return self._closed if self._stuck is None else self._stuck
 
     def _steps_until(self, distance: float) -> float:
-        """Steps until the switch changes after ``distance`` of true steps; inf for never."""
+        """Return the steps until the switch changes after ``distance`` true steps; inf if never."""
         if not self._powered or self._stuck is not None:
             return math.inf
         return self._lose + max(0.0, math.ceil(distance))
 
     def _plan(self) -> _End | None:
-        """How the phase ends; None for never."""
+        """Return the end of the current phase; None if it does not end."""
         rate, hysteresis = self.mechanism.step_rate, self.mechanism.switch_hysteresis
 
         def after(steps: float, phase: Phase, count: int, settle: float = 0.0) -> _End:

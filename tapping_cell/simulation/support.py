@@ -1,9 +1,9 @@
-"""What the object rests on: how its weight is spread over its underside.
+"""Support of the object: the distribution of its weight over its underside.
 
-The underside is a set of points with a share of the weight each. However the shares are drawn, they
-are brought into balance: a body at rest presses so that the centre of pressure lies under its
-centre of mass. As under a rigid body on an elastic foundation, the correction is linear in the
-place, and a point that would have to pull lifts off.
+The underside is a set of points, each with a fraction of the weight. The fractions are corrected so
+that the centre of pressure lies under the centre of mass, as for a body at rest. As for a rigid
+body on an elastic foundation, the correction is linear in the position, and points that would have
+to pull are removed.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from tapping_cell.simulation.truth import SupportTruth
 Array = NDArray[np.float64]
 
 _RINGS, _SPOKES = 8, 32
-"""Of a disk's sample: 256 points, by which a slide is within 0.5 % of the exact one."""
+"""Sample of a disk: 256 points, which give a slide within 0.5 % of the exact one."""
 _RIM_POINTS = 180
 _GRID = 20
-"""Points along the longer side of a polygon."""
+"""Number of points along the longer side of a polygon."""
 
 
 def sample_support(body: Disk | Ring | Polygon, truth: SupportTruth) -> tuple[Array, Array]:
-    """Points (n, 2) in the object's frame, m, and the grip (n,) of each, with sum 1.
+    """Return points (n, 2) in the object's frame, m, and the grip (n,) of each, with sum 1.
 
-    Grip is the share of the weight times the point's friction relative to the mean (``lean``).
+    The grip is the fraction of the weight times the point's friction relative to the mean
+    (``lean``).
     """
     points: Array
     shares: Array
@@ -54,7 +55,7 @@ def sample_support(body: Disk | Ring | Polygon, truth: SupportTruth) -> tuple[Ar
 
 
 def balanced(points: Array, shares: Array, centre: Array) -> tuple[Array, Array]:
-    """The points that carry, and their shares of the weight, centred on ``centre`` (m).
+    """Return the loaded points and their fractions of the weight, balanced about ``centre`` (m).
 
     Raises:
         ValueError: the centre is outside all points, so that the object would tip over.
@@ -77,12 +78,12 @@ def balanced(points: Array, shares: Array, centre: Array) -> tuple[Array, Array]
 
 
 def _face(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
-    """Points of equal share all over the underside of a body that presses evenly."""
+    """Return equally loaded points over the underside of a body with even pressure."""
     if isinstance(body, Ring):
         return _rim(body)
     if isinstance(body, Disk):
         radius = body.radius * np.sqrt((np.arange(_RINGS) + 0.5) / _RINGS)
-        # Each ring is turned against the next, so that the points do not stand in rows.
+        # Each ring is rotated relative to the next, so that the points do not form rows.
         turn = np.arange(_RINGS) * (math.pi * (3 - math.sqrt(5)))
         angles = (np.arange(_SPOKES) + 0.5) * (2 * math.pi / _SPOKES) + turn[:, None]
         circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -93,7 +94,7 @@ def _face(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
 
 
 def _rim(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
-    """Points along the outline, with shares as their lengths of it."""
+    """Return points along the outline, weighted by the length that each represents."""
     if isinstance(body, Polygon):
         lengths = body.edge_lengths
         points, shares = [], []
@@ -109,7 +110,7 @@ def _rim(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
 
 
 def _grid_inside(body: Disk | Ring | Polygon, per_side: int) -> Array:
-    """Centres of a square grid's cells that lie inside the outline."""
+    """Return the centres of a square grid's cells that lie inside the outline."""
     outline = (
         body.points
         if isinstance(body, Polygon)

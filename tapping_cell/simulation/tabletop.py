@@ -1,8 +1,8 @@
-"""Several objects on one simulated table: one is struck, slides, and may meet the others.
+"""Several objects on one simulated table: a struck object slides and may collide with others.
 
-Each object is a ``World`` of its own; this holds them to one time, gives the striker to the first
-object on its way, and lets objects that meet collide (``simulation.collision``). Time runs in steps
-that shrink before a contact, so that objects overlap by less than 0.1 mm.
+Each object is a ``World``. The tabletop keeps them at the same time, lets the striker hit the first
+object in its path, and computes collisions (``simulation.collision``). Time steps shrink before a
+contact, so that objects overlap by less than 0.1 mm.
 """
 
 from __future__ import annotations
@@ -23,21 +23,22 @@ from tapping_cell.simulation.world import World
 
 SHORTEST_STEP_S, LONGEST_STEP_S = 1e-4, 2e-3
 TOUCHING_M = 2e-5
-"""Objects nearer than this touch."""
+"""Distance below which objects touch, m."""
 NOTED_SPEED = 0.001
-"""Contacts that close slower than this, m/s, are not reported: two that slide side by side."""
+"""Minimum closing speed of a reported contact, m/s; excludes objects sliding side by side."""
 APART_S = 0.05
-"""Within so long after a contact of two objects another one belongs to it."""
+"""Time after a contact within which further ones of the same two objects are ignored, s."""
 START_GAP_M = 0.04
-"""Between an object that is put somewhere at random and the others."""
+"""Minimum gap between a randomly placed object and the others, m."""
 EDGE_M = 0.06
-"""Between its outline and the table's edge."""
+"""Minimum gap between a randomly placed object's outline and the table's edge, m."""
 TRIES, RESTARTS = 300, 40
 
 
 @dataclass(frozen=True, slots=True)
 class TrueContact:
-    """Two objects met: who came, on whom, when (s), where (m, in table) and how fast (m/s)."""
+    """Contact of two objects: moving object, object hit, time (s), point (m, in table), and closing
+    speed (m/s)."""
 
     name: str
     other: str
@@ -47,7 +48,7 @@ class TrueContact:
 
 
 class Tabletop:
-    """The objects of a cell on its table. Times in s, never going back from call to call."""
+    """The objects of a cell on its table. Times are in s and must not decrease between calls."""
 
     def __init__(
         self,
@@ -58,11 +59,11 @@ class Tabletop:
         seed: int,
         size: tuple[float, float],
     ) -> None:
-        """``contents``: the cell's object first; ``stroke``: see ``World``; ``size`` of the table:
-        length and width, m.
+        """``contents``: the cell's own object first; ``stroke``: see ``World``; ``size``: length
+        and width of the table, m.
 
         Raises:
-            ValueError: there is no room for them all, or a centre of mass is not over its support.
+            ValueError: there is not enough free space, or a centre of mass is outside its support.
         """
         self.worlds: dict[str, World] = {
             content.name: World(
@@ -80,7 +81,7 @@ class Tabletop:
 
     @property
     def poses(self) -> Mapping[str, Pose]:
-        """Where every object is at the time that this was last advanced to."""
+        """Poses of all objects at the time of the last ``advance``."""
         return {name: world.pose for name, world in self.worlds.items()}
 
     @property
@@ -89,7 +90,7 @@ class Tabletop:
         return all(world.at_rest for world in self.worlds.values())
 
     def advance(self, now: float) -> None:
-        """Let time go on until ``now``."""
+        """Advance the simulation to ``now``."""
         if math.isinf(self._now):
             self._advance_all(now)
         while self._now < now:
@@ -101,7 +102,7 @@ class Tabletop:
             self._collide(self._pairs())
 
     def strike(self, tip: Pose, tip_height: float, speed: float, now: float) -> bool:
-        """Release the striker, see ``World.strike``: the first object on its way is struck."""
+        """Release the striker (see ``World.strike``); the first object in its path is struck."""
         self.advance(now)
         travels = {
             name: world.travel_to_meet(tip, tip_height, speed)
@@ -109,33 +110,33 @@ class Tabletop:
         }
         name = min(travels, key=lambda each: travels[each])
         if math.isinf(travels[name]):
-            # It meets nothing that rests; an object that slides may yet come into its way.
+            # It hits no object at rest, but an object that slides may still enter its path.
             moving = [each for each, world in self.worlds.items() if not world.at_rest]
             name = moving[0] if moving else name
         self._tapped = name
         return self.worlds[name].strike(tip, tip_height, speed, now)
 
     def take_striker(self, striker: Striker, stroke: float) -> None:
-        """See ``World.take_striker``."""
+        """Change the striker, see ``World.take_striker``."""
         for world in self.worlds.values():
             world.take_striker(striker, stroke)
 
     def travel_to_meet(self, tip: Pose, tip_height: float, speed: float) -> float:
-        """See ``World.travel_to_meet``: of the first object on the way."""
+        """Return ``World.travel_to_meet`` for the first object in the path."""
         return min(world.travel_to_meet(tip, tip_height, speed) for world in self.worlds.values())
 
     def gate_speed(self, speed: float) -> float:
-        """What the tapper's gate measures, see ``World.gate_speed``."""
+        """Return the speed that the tapper's gate measures, see ``World.gate_speed``."""
         return next(iter(self.worlds.values())).gate_speed(speed)
 
     def reseed(self, seed: int) -> None:
-        """Begin the random numbers anew."""
+        """Restart the random numbers with a new seed."""
         for number, world in enumerate(self.worlds.values()):
             world.reseed(seed if number == 0 else int(_seed(seed, number).integers(2**31)))
         self._random = _seed(seed, len(self.worlds))
 
     def place(self, name: str, pose: Pose) -> None:
-        """Put an object somewhere, at rest."""
+        """Place an object at a pose, at rest."""
         self.worlds[name].place(pose)
 
     def free_pose(
@@ -144,11 +145,12 @@ class Tabletop:
         others: Sequence[str] | None = None,
         disc: tuple[float, float, float] | None = None,
     ) -> Pose:
-        """A random pose on the table, away from its edges and from the other objects; with its
-        centre in a ``disc`` (middle x and y, and radius, m) where one is given.
+        """Return a random pose on the table, away from its edges and from the other objects.
+
+        ``disc``: middle x and y, and radius (m) of a disc that must contain its centre.
 
         Raises:
-            ValueError: there is no room.
+            ValueError: there is not enough free space.
         """
         world = self.worlds[name]
         names = list(self.worlds) if others is None else others
@@ -172,12 +174,12 @@ class Tabletop:
         )
 
     def take_contacts(self) -> list[TrueContact]:
-        """The contacts between objects since the last call."""
+        """Return the contacts between objects since the last call."""
         contacts, self._contacts = self._contacts, []
         return contacts
 
     def _spread(self, truth: TruthFile) -> None:
-        """Put the further objects where the truth file says, or at random free places."""
+        """Place the further objects at the poses of the simulation parameters, or at random."""
         own, *further = self.worlds
         for name, start in zip(further, truth.further_starts, strict=False):
             self.worlds[name].place(Pose(*start))
@@ -189,7 +191,7 @@ class Tabletop:
                     self.worlds[name].place(self.free_pose(name, placed))
                     placed.append(name)
             except ValueError:
-                # Those before may stand badly: all begin anew.
+                # The objects placed before may be in unfavourable places: start over.
                 if attempt == RESTARTS - 1:
                     raise
             else:
@@ -201,7 +203,7 @@ class Tabletop:
             world.advance(self._now)
 
     def _pairs(self) -> list[tuple[str, str, float]]:
-        """Pairs of which one moves, and the speed at which they may approach, m/s."""
+        """Return each pair with a moving object, and an upper bound of its closing speed, m/s."""
         speeds = {}
         for name, world in self.worlds.items():
             vx, vy, omega = world.twist
@@ -213,8 +215,8 @@ class Tabletop:
         ]
 
     def _step_length(self, pairs: Sequence[tuple[str, str, float]]) -> float:
-        """So long nothing can meet, s."""
-        # Nobody knows how fast an object is that a striker is about to hit; others only slow down.
+        """Return a time during which no objects can meet, s."""
+        # The speed of an object is unknown while a striker may hit it; others only slow down.
         struck = any(world.struck for world in self.worlds.values())
         longest = LONGEST_STEP_S if struck else math.inf
         for first, second, speed in pairs:
@@ -248,7 +250,7 @@ class Tabletop:
 
 
 def _clearance(one: World, other: World) -> float:
-    """The least that two objects can be apart, whatever their rotation, m."""
+    """Return a lower bound of the distance between two objects for any rotation, m."""
     here, there = one.motion, other.motion
     between = math.hypot(here.x - there.x, here.y - there.y)
     return between - one.solid.reach - other.solid.reach

@@ -1,6 +1,6 @@
-"""Taps in the simulated world for the evaluation of planners: many trials, no devices, no pictures.
+"""Taps in the simulated world to evaluate planners: many trials without devices or images.
 
-One tap takes about 10 ms; an answer has the form that ``planning.evaluation`` asks of its worlds.
+One tap takes about 10 ms. ``answer`` has the signature that ``planning.evaluation`` requires.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SimulatedTaps:
-    """The striker is put where the planner's mechanics say, and the world answers.
+    """Simulates taps, with the striker placed as the planner's mechanics compute.
 
-    model: the mechanics that the planner believes, by which a displacement becomes a strike;
-    content: the object file that the truth is relative to; standoff: from the tip at rest to the
-    contact, m; stroke: the most that the tip travels, m; round_position, round_angle: the tip's
-    pose at rest is rounded to multiples of these (m, rad), 0 for none.
+    model: mechanics of the planner, which convert a displacement into a strike; content: object
+    file to which ``truth`` is relative; standoff: distance from the tip at rest to the contact, m;
+    stroke: maximum travel of the tip, m; round_position, round_angle: increments to which the tip's
+    pose at rest is rounded (m, rad), 0 for none.
     """
 
     model: Tap
@@ -45,11 +45,11 @@ class SimulatedTaps:
         gains: Array,
         rng: np.random.Generator,
     ) -> Array:
-        """True displacements (n, 3) of taps on objects at ``poses``, planned for those seen.
+        """Return true displacements (n, 3) of taps on objects at ``poses``, planned for ``seen``.
 
-        All are (n, 3) in table axes. The first two of ``gains`` (n, 4) multiply distance and
-        rotation on top (where the centre of mass lies is told by the truth file, not by the other
-        two); a tap that misses moves nothing.
+        All arrays but ``gains`` are (n, 3) in table axes. The first two of ``gains`` (n, 4) also
+        multiply distance and rotation; the other two are ignored, because ``truth`` gives the
+        centre of mass. A tap that misses moves nothing.
         """
         plan = self.model.plan(commanded, seen)
         tips = np.array(plan.strike_pose)

@@ -1,7 +1,7 @@
-"""The tapper's board as a state machine in simulated time, with a parser and checksum of its own.
+"""Emulator of the tapper board: a state machine in simulated time with its own parser and checksum.
 
-The real firmware is ``firmware/tapper``; this stands in for it together with the spring, the
-interlock and the buttons at the cell. Tests hold both to the same behaviour.
+It replaces the real firmware, ``firmware/tapper``, together with the spring, the interlock and the
+buttons at the cell. Tests verify that both behave the same.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from tapping_cell.simulation.spring_drive import SpringDrive, SpringMechanism, S
 
 SILENCE = 0.5
 CLEAR_WINDOW = 10.0
-"""How long after the button at the cell was pressed a CLEAR is taken, s."""
+"""Time after a press of the clear button during which CLEAR is accepted, s."""
 SHORTEST_PRESS = 0.5
-"""A shorter press of the clear button does not count, s."""
+"""Minimum duration of a press of the clear button, s."""
 FORGET_PRESS = 5.0
-"""A press as long as this, while the board is at rest, forgets the shot numbers used, s."""
+"""Duration of a press that resets the used shot numbers while the board is at rest, s."""
 LONGEST_WINDOW_MS = 100
 LARGEST_JUMP = 2**32
 OLD_VERSION = "2.0.0-sim"
-"""Of a board that knows no channels."""
+"""Firmware version of a board without channels."""
 SETTLING = {
     "HOMING": "SAFE",
     "SAFE": "SAFE",
@@ -31,36 +31,36 @@ SETTLING = {
     "CHARGED": "CHARGED",
     "DISCHARGING": "SAFE",
 }
-"""States with a movement, and what they become when it has ended well."""
+"""States with a movement, and the states that follow when it has ended successfully."""
 
 FireCallback = Callable[[int, float, float], float | None]
-"""Called at a release with shot, energy in J and time in s; returns the measured speed in m/s or
+"""Callback of a release with shot, energy in J and time in s; returns the measured speed in m/s or
 None."""
 
 
 @dataclass(frozen=True, slots=True)
 class TapperMachine:
-    """The mechanics and electronics around the board."""
+    """Mechanics and electronics around the board."""
 
     spring: SpringMechanism = field(default_factory=SpringMechanism)
     coils: int = 0
-    """Channels of a board with coils at fixed mounts in the place of the spring; 0: the spring."""
+    """Number of channels of a board with coils at fixed mounts; 0 for a board with a spring."""
     version: str = "2.1.0-sim"
-    """Of the firmware."""
+    """Firmware version."""
     carriage: float = 0.0
-    """Where the carriage stands at first, steps from its front switch."""
+    """Initial position of the carriage, steps from its front switch."""
     release_time: float = 0.02
     """Length of the release pulse, s."""
     maximum_energy: float = 1.0
-    """J."""
+    """Maximum energy, J."""
     setup_energy: float = 0.005
-    """Greatest energy in set-up mode without the enabling switch, J."""
+    """Maximum energy in set-up mode without the enabling switch, J."""
     maximum_timeout: float = 10.0
-    """s."""
+    """Maximum charge timeout, s."""
     first_time_ms: int = 0
-    """The board's time when it starts, ms."""
+    """Board time at start-up, ms."""
     reply_latency: float = 0.002
-    """USB adapter and processor, s."""
+    """Latency of the USB adapter and the processor, s."""
     baud: int = 115200
 
 
@@ -85,7 +85,7 @@ def _checksum(data: bytes) -> int:
 
 
 class TapperEmulator:
-    """See the module; one instance is one board with its striker."""
+    """One emulated board with its striker or strikers."""
 
     def __init__(
         self,
@@ -98,14 +98,14 @@ class TapperEmulator:
         self.on_fire = on_fire
         self.interlock_closed = True
         self.fires: list[tuple[int, float, float]] = []
-        """Every release: shot, energy in J, time in s."""
+        """All releases: shot, energy in J, time in s."""
         self.drive: SpringDrive | CoilBank = (
             CoilBank(self.machine.coils)
             if self.machine.coils
             else SpringDrive(self.machine.spring, now, self.machine.carriage)
         )
         self.channel = 0
-        """Of the last shot that was charged."""
+        """Channel of the last shot that was charged."""
         self._boot = boot - 1
         self._used = 0  # kept in EEPROM: the greatest shot ever charged
         self._enabled = False
@@ -137,35 +137,35 @@ class TapperEmulator:
         self.drive.halt(now)
         self._state = "UNHOMED"
 
-    # What the world asks and does.
+    # Interface to the simulated world.
 
     @property
     def coils(self) -> CoilBank:
-        """The coils of a board with channels (TypeError: it drives a spring)."""
+        """Coils of a board with channels; raises TypeError for a board with a spring."""
         if not isinstance(self.drive, CoilBank):
             raise TypeError("this board drives a spring")
         return self.drive
 
     @property
     def spring(self) -> SpringDrive:
-        """The carriage of a board with a spring (TypeError: it has coils)."""
+        """Carriage of a board with a spring; raises TypeError for a board with coils."""
         if not isinstance(self.drive, SpringDrive):
             raise TypeError("this board has coils")
         return self.drive
 
     @property
     def state(self) -> str:
-        """UNHOMED, HOMING, SAFE, CHARGING, CHARGED, RELEASING, DISCHARGING or STOPPED."""
+        """One of UNHOMED, HOMING, SAFE, CHARGING, CHARGED, RELEASING, DISCHARGING, STOPPED."""
         return self._state
 
     def press_clear_button(self, now: float) -> None:
-        """A person presses the clear button long enough, and lets it go ``now``."""
+        """Press the clear button long enough and release it at ``now``."""
         self.advance(now)
         if self._state == "STOPPED":
             self._acknowledged = now
 
     def set_clear_button(self, pressed: bool, now: float) -> None:
-        """The clear button goes down or up; a press counts when it ends, by its length."""
+        """Press or release the clear button; a press takes effect at its end, by its duration."""
         self.advance(now)
         if pressed == self._button:
             return
@@ -183,33 +183,33 @@ class TapperEmulator:
             self._setup = True
 
     def set_interlock(self, closed: bool, now: float) -> None:
-        """The guard opens or closes."""
+        """Open or close the guard."""
         self.advance(now)
         self.interlock_closed = closed
         if not closed:
             self._discharge(now)
 
     def set_enabling_switch(self, held: bool, now: float) -> None:
-        """The enabling switch of the set-up mode is held or let go."""
+        """Hold or release the enabling switch of the set-up mode."""
         self.advance(now)
         self._enabled = held
         self._leave_setup_limit(now)
 
     def set_motor_power(self, on: bool, now: float) -> None:
-        """The supply of the spring's motor fails, or is back: without it steps move nothing."""
+        """Switch the supply of the spring's motor; without it, steps move nothing."""
         self.advance(now)
         assert isinstance(self.drive, SpringDrive), "coils have no motor"
         self.drive.set_power(on, now)
 
     def open_stop_loop(self, now: float) -> None:
-        """The emergency stop's wire opens, and closes again: the motor has had no power."""
+        """Open and close the emergency stop's loop, which cuts the motor's power meanwhile."""
         self.advance(now)
         self._stop(by_wire=True, now=now)
 
-    # DeviceEmulator.
+    # DeviceEmulator interface.
 
     def receive(self, data: bytes, now: float) -> None:
-        """Bytes arrive: a stop byte latches wherever it stands."""
+        """Receive bytes; a stop byte latches the stop at any position."""
         self.advance(now)
         for byte in data:
             if byte == 0x21:
@@ -228,11 +228,11 @@ class TapperEmulator:
                 self._line.append(byte)
 
     def advance(self, now: float) -> None:
-        """Time-outs and the ends of movements and releases, in their order."""
+        """Process timeouts and the ends of movements and releases, in order."""
         while True:
             due = self._next_internal()
             if due is None or due > now:
-                # Coils make no movement whose end is an event.
+                # The movements of coils do not end with an event.
                 if self._state == "SAFE" or (self.machine.coils and self._state in SETTLING):
                     self._settle(SETTLING[self._state], self._state)
                 return
@@ -246,23 +246,23 @@ class TapperEmulator:
                 self._settle(SETTLING[self._state], self._state)
 
     def take_output(self, now: float) -> bytes:
-        """Bytes out by ``now``."""
+        """Return the bytes transmitted by ``now``."""
         self.advance(now)
         return self._output.take(now)
 
     def next_event(self) -> float | None:
-        """Next change of state or byte going out."""
+        """Return the time of the next change of state or transmission."""
         times = [t for t in (self._next_internal(), self._output.next_time()) if t is not None]
         return min(times) if times else None
 
     def power_cycle(self, now: float) -> None:
-        """The board restarts: the motor goes off, the boot number counts up."""
+        """Restart the board: the motor is switched off and the boot number increases."""
         self.advance(now)
         self._output.clear()
         self._start(now)
 
     def _limit(self) -> float:
-        """When silence or the time-out ends what is under way."""
+        """Return the time when silence or the timeout ends the current action."""
         if self._state == "HOMING":
             return self._heard + SILENCE
         if self._state in ("CHARGING", "CHARGED"):

@@ -1,10 +1,10 @@
-"""A joint_trajectory_controller with its arm, as ros2_control runs them, in a time that is given.
+"""Emulator of a joint_trajectory_controller and its arm in ros2_control, with time as an argument.
 
-It takes a trajectory whose joints are its own, in any order, and whose times rise; a new one
-replaces the one under way from where the commands stand (preemption). Points with velocities are
-joined by cubics, others by straight lines. The arm follows its commands late. A goal of the action
-succeeds once every joint is within its goal tolerance after the trajectory's end, and is aborted
-where that takes longer than the goal time or the arm leaves the path tolerance.
+It accepts a trajectory whose joints are its own, in any order, and whose times increase. A new
+trajectory replaces the current one, starting from the present command (preemption). Points with
+velocities are joined by cubics, others by straight lines. The arm follows its commands with a lag.
+An action goal succeeds once every joint is within its goal tolerance after the trajectory's end. It
+is aborted if that takes longer than the goal time or if the arm leaves the path tolerance.
 """
 
 from __future__ import annotations
@@ -23,46 +23,46 @@ from tapping_cell.hardware.trajectory_link import GoalState, Progress
 Array = NDArray[np.float64]
 
 STEP = 1e-3
-"""Over which the arm's speed is measured, s."""
+"""Time step over which the arm's speed is measured, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class ControllerSettings:
-    """How the controller and its arm behave."""
+    """Behaviour of the controller and its arm."""
 
     names: tuple[str, ...]
     lag: float = 0.02
-    """From a command to the arm being there, s."""
+    """Delay from a command to the arm reaching it, s."""
     goal_tolerance: float = 1e-3
-    """rad or m."""
+    """Maximum position error at the goal, rad or m."""
     goal_time: float = 0.5
-    """s."""
+    """Maximum time to reach the goal after the trajectory's end, s."""
     path_tolerance: float = 0.05
-    """rad or m; looked at only while an action's goal is active."""
+    """Maximum position error on the path, rad or m; only checked while an action goal is active."""
     speed_scaling: float = 1.0
-    """The trajectory runs at this part of its speed, as behind a robot's speed slider."""
+    """Factor on the trajectory's speed, as set by a robot's speed slider."""
     offset: float = 0.0
-    """By which every joint ends beside its command, as a drive without stiffness, rad or m."""
+    """Constant position error of every joint, as of a compliant drive, rad or m."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """A trajectory from the moment it was taken."""
+    """A trajectory and the time when it was accepted."""
 
     start: float
     points: tuple[TrajectoryPoint, ...]
-    """The state at the start first."""
+    """Points of the trajectory; the first is the state at the start."""
 
 
 class TrajectoryController:
-    """See the module's docstring. Times in s, never falling; positions in rad or m."""
+    """One controller with its arm. Times in s, never decreasing; positions in rad or m."""
 
     def __init__(
         self, settings: ControllerSettings, positions: Sequence[float], now: float = 0.0
     ) -> None:
         self.settings = settings
         self.active = True
-        """False while the controller is not activated: it then takes nothing."""
+        """Whether the controller is activated; otherwise it accepts nothing."""
         self.taken = 0
         still = (0.0,) * len(settings.names)
         self._runs = [_Run(now, (TrajectoryPoint(0.0, tuple(positions), still),))]
@@ -77,7 +77,10 @@ class TrajectoryController:
         now: float,
         as_goal: bool = False,
     ) -> str:
-        """Take a trajectory; empty, or why it is refused. ``as_goal``: it came by the action."""
+        """Accept a trajectory; return the reason if it is rejected, else an empty string.
+
+        ``as_goal``: whether it was received through the action.
+        """
         refusal = self._refusal(names, points)
         if refusal:
             if as_goal:
@@ -102,7 +105,7 @@ class TrajectoryController:
         return ""
 
     def cancel(self, now: float) -> None:
-        """Cancel the goal: the commands stay where they are."""
+        """Cancel the goal; the commands remain at their present position."""
         if not self._goal_active:
             return
         place, _ = self._commanded(now)
@@ -110,36 +113,36 @@ class TrajectoryController:
         self._progress = Progress(GoalState.FAILED, "cancelled")
 
     def block(self, now: float) -> None:
-        """An obstacle holds the arm where it is."""
+        """Block the arm at its present position by an obstacle."""
         self._blocked = (now, self._follows(now))
 
     def unblock(self, now: float) -> None:
-        """The obstacle is gone: the arm jumps to its commands."""
+        """Remove the obstacle; the arm jumps to its commands."""
         self._blocked = None
 
     def push(self, offset: Sequence[float], now: float) -> None:
-        """Somebody pushes the arm by so much, and it stays there."""
+        """Push the arm externally by ``offset``; it stays there."""
         place, _ = self._commanded(now)
         self._hold(place + np.asarray(offset, dtype=float), now)
 
     def state(self, now: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Where the joints truly are, and their speeds."""
+        """Return the true positions and speeds of the joints."""
         place = self._follows(now)
         speed = (place - self._follows(now - STEP)) / STEP
         return tuple(place.tolist()), tuple(speed.tolist())
 
     def moving(self, now: float) -> bool:
-        """Whether the arm truly moves."""
+        """Return whether the arm truly moves."""
         _, speeds = self.state(now)
         return max(map(abs, speeds)) > 1e-6
 
     def progress(self, now: float) -> Progress:
-        """What became of the last goal."""
+        """Return the state of the last goal."""
         self._watch(now)
         return self._progress
 
     def _watch(self, now: float) -> None:
-        """Judge the goal under way by its tolerances."""
+        """Check the tolerances of the active goal."""
         if not self._goal_active:
             return
         run, settings = self._runs[-1], self.settings
@@ -180,7 +183,7 @@ class TrajectoryController:
         return ""
 
     def _follows(self, time: float) -> Array:
-        """Where the arm is: late behind its commands, or held."""
+        """Return the arm's position: its delayed commands, or where it is blocked."""
         if self._blocked is not None and time >= self._blocked[0]:
             return self._blocked[1]
         return self._commanded(time - self.settings.lag)[0] + self.settings.offset
@@ -198,7 +201,7 @@ class TrajectoryController:
 
 
 def _between(before: TrajectoryPoint, after: TrajectoryPoint, time: float) -> tuple[Array, Array]:
-    """The cubic, or without velocities the straight line, between two points."""
+    """Interpolate between two points by a cubic, or linearly without velocities."""
     a, b = np.array(before.positions), np.array(after.positions)
     span = after.time - before.time
     u = (time - before.time) / span
@@ -216,6 +219,6 @@ def _between(before: TrajectoryPoint, after: TrajectoryPoint, time: float) -> tu
 
 
 def stamps(since: float, until: float, rate: float) -> list[float]:
-    """Times in (since, until] at which states are published, ``rate`` a second."""
+    """Return the times in (since, until] at which states are published at ``rate`` Hz."""
     first = math.floor(since * rate) + 1
     return [number / rate for number in range(first, math.floor(until * rate) + 1)]

@@ -1,7 +1,7 @@
-"""What is true in the simulated world and told to no planner: ``config/truth/*.yaml``.
+"""Parameters of the simulated world that planners do not receive: ``config/truth/*.yaml``.
 
-Factors multiply and offsets are added to what the object, cell and camera files say, so that one
-truth file serves every object.
+Factors multiply the values of the object, cell and camera files, and offsets are added to them, so
+that one file applies to every object.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from tapping_cell.configuration.schema import choice, quantity, section, text
 
 @dataclass(frozen=True, slots=True)
 class SupportTruth:
-    """How the object really rests on the table."""
+    """True support of the object on the table."""
 
     friction_factor: float = quantity("true over configured friction", "", 0.1, 10.0, default=1.0)
     torque_factor_factor: float = quantity(
@@ -66,7 +66,7 @@ class SupportTruth:
 
 @dataclass(frozen=True, slots=True)
 class PatchTruth:
-    """A round patch of the table with another friction."""
+    """A round patch of the table with different friction."""
 
     middle: tuple[float, float] = quantity("x and y in table", "m", -3.0, 3.0)
     radius: float = quantity("radius", "m", 0.001, 3.0)
@@ -75,7 +75,7 @@ class PatchTruth:
 
 @dataclass(frozen=True, slots=True)
 class SurfaceTruth:
-    """How the table's friction depends on direction, speed and place."""
+    """Dependence of the table's friction on direction, speed and place."""
 
     anisotropy: float = quantity(
         "friction across the grain over that along it", "", 0.2, 5.0, default=1.0
@@ -101,7 +101,7 @@ class SurfaceTruth:
 
 @dataclass(frozen=True, slots=True)
 class ImpactTruth:
-    """How the striker and the object really meet."""
+    """True impact between striker and object."""
 
     restitution_factor: float = quantity("true over configured", "", 0.1, 3.0, default=1.0)
     contact_friction_factor: float = quantity("true over configured", "", 0.1, 10.0, default=1.0)
@@ -144,7 +144,7 @@ class ImpactTruth:
 
 @dataclass(frozen=True, slots=True)
 class ScatterTruth:
-    """One standard deviation, drawn anew for every tap."""
+    """Standard deviations of the random errors of each tap."""
 
     speed: float = quantity("of the launch speed, relative", "", 0.0, 0.5, default=0.0)
     spin: float = quantity("of the launch spin, relative", "", 0.0, 1.0, default=0.0)
@@ -153,7 +153,7 @@ class ScatterTruth:
 
 @dataclass(frozen=True, slots=True)
 class ArmTruth:
-    """How the arm really stands and moves."""
+    """True pose and motion errors of the arm."""
 
     base_offset: tuple[float, float, float] = quantity(
         "true minus configured base pose: m, m, rad", "", -0.05, 0.05, default=(0.0, 0.0, 0.0)
@@ -182,7 +182,7 @@ class ArmTruth:
 
 @dataclass(frozen=True, slots=True)
 class MountsTruth:
-    """How the lines of fixed tappers really lie: drawn about the cell file's by the seed."""
+    """True lines of travel of fixed tappers, drawn at random around those of the cell file."""
 
     offset: float = quantity(
         "standard deviation of a line beside its place", "m", 0.0, 0.01, default=0.0002
@@ -194,7 +194,7 @@ class MountsTruth:
 
 @dataclass(frozen=True, slots=True)
 class CameraTruth:
-    """How the camera really is, against its calibration file."""
+    """True parameters of the camera, compared with its calibration file."""
 
     position: tuple[float, float, float] = quantity(
         "of the lens in table", "m", -3.0, 3.0, default=(0.02, -0.015, 0.7)
@@ -218,7 +218,7 @@ class CameraTruth:
 
 @dataclass(frozen=True, slots=True)
 class TruthFile:
-    """The simulated world's own parameters."""
+    """Parameters of the simulated world."""
 
     object_start: tuple[float, float, float] = quantity(
         "x and y in m and theta in rad of the object when the world begins", "", -7.0, 7.0

@@ -1,7 +1,7 @@
-"""Drivers and emulated devices in one thread and in a time of their own, as fast as they compute.
+"""Drivers and emulated devices in one thread in virtual time, as fast as they can be computed.
 
-The clock jumps from event to event while a driver waits, so hours of a cell pass in seconds and
-every run repeats exactly. The driver is the real one; only its transport is this.
+While a driver waits, the clock jumps from event to event, so hours of operation take seconds and
+every run is repeatable. The driver is the real one; only its transport is replaced.
 """
 
 from __future__ import annotations
@@ -12,36 +12,36 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.simulation.fault_layer import FaultLayer
 
 IDLE_READS = 100_000
-"""Reads without any time passing after which the driver counts as spinning."""
+"""Number of reads without progress of time after which the driver counts as stuck in a loop."""
 
 
 class HangError(Exception):
-    """A driver's call went on beyond the limit set for it."""
+    """A driver's call exceeded its time limit."""
 
 
 class VirtualClock:
-    """The common time of all lines, s."""
+    """Common virtual time of all lines, s."""
 
     def __init__(self) -> None:
         self.now = 0.0
         self.limit = float("inf")
-        """Time beyond which a call counts as hanging."""
+        """Time after which a call counts as hanging, s."""
         self._lines: list[FaultLayer] = []
         self._still = 0
 
     def add(self, line: FaultLayer) -> None:
-        """Let a line live in this time."""
+        """Add a line to this clock."""
         self._lines.append(line)
 
     def step(self, until: float, reading: FaultLayer | None = None) -> None:
         """Go to the next event of any line, at most to ``until``; raises HangError past the limit.
 
-        ``reading``: the line whose bytes to the host are waited for.
+        ``reading``: the line from which the caller waits for bytes.
         """
         times = [t for line in self._lines if (t := line.next_on_line()) is not None]
         if reading is not None and (output := reading.next_event()) is not None:
             times.append(output)
-        # An event that is due already is dealt with without going back.
+        # An event that is already due is processed without going back in time.
         target = max(min([until, *times]), self.now)
         self._still = self._still + 1 if target == self.now else 0
         self.now = target
@@ -69,21 +69,21 @@ class VirtualTransport:
 
     @property
     def is_open(self) -> bool:
-        """Whether the line is open as far as known."""
+        """Whether the line is open, as far as is known."""
         return self._absences is not None
 
     def now(self) -> float:
-        """The virtual clock, s."""
+        """Return the virtual time, s."""
         return self._clock.now
 
     def sleep(self, duration: float) -> None:
-        """Let ``duration`` s pass."""
+        """Advance the virtual time by ``duration`` s."""
         end = self._clock.now + duration
         while self._clock.now < end:
             self._clock.step(end)
 
     def open(self, timeout: float) -> None:
-        """Open anew, waiting for the port; bytes that came before are dropped."""
+        """Reopen the line, waiting for the port; earlier bytes are discarded."""
         self._absences = None
         deadline = self._clock.now + timeout
         while not self._line.plugged:
@@ -98,10 +98,10 @@ class VirtualTransport:
         self._absences = None
 
     def read(self, timeout: float) -> bytes:
-        """The bytes at hand, letting up to ``timeout`` s pass for the first."""
+        """Return the available bytes, waiting up to ``timeout`` s for the first."""
         deadline = self._clock.now + timeout
         if timeout > 0:
-            # Real time passes however short the wait; rounding must not make it stand still.
+            # Real time passes during any wait; rounding must not make virtual time stand still.
             deadline = max(deadline, math.nextafter(self._clock.now, math.inf))
         while True:
             self._require()
@@ -114,7 +114,7 @@ class VirtualTransport:
         """Write all of ``data``."""
         self._require()
         self._line.receive(data, self._clock.now)
-        # A port that vanished under these bytes took some of them or none: who knows.
+        # A port that disappeared during this write may have received some of the bytes or none.
         self._require()
 
     def stop(self, data: bytes) -> bool:
@@ -126,7 +126,7 @@ class VirtualTransport:
         return True
 
     def release(self) -> None:
-        """End the latch of ``stop``."""
+        """Release the latch of ``stop``."""
         self._stopped = False
 
     def _require(self) -> None:

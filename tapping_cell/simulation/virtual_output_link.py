@@ -1,7 +1,7 @@
-"""A robot's digital output with its driver, and the way to it, in a time that somebody else keeps.
+"""Emulated digital output of a robot with its driver and link, in externally controlled time.
 
-A level takes effect late, requests of one client are served in their order, and nothing on this
-side knows shots, deadlines or the longest pulse: as with the outputs that robots have.
+A level takes effect with a delay, and requests of one client are processed in order. The remote
+side knows neither shots nor deadlines nor a maximum pulse, as is usual for robot outputs.
 """
 
 from __future__ import annotations
@@ -16,46 +16,46 @@ from tapping_cell.hardware.output_link import Answer, Heard
 
 @dataclass(slots=True)
 class OutputFaults:
-    """What the network and the robot do wrong."""
+    """Faults of the network and the robot."""
 
     present: bool = True
-    """Whether the robot's driver is there."""
+    """Whether the robot's driver is available."""
     silent_inputs: bool = False
     """Whether guard and read-back have stopped."""
     lost_on: int = 0
-    """So many of the next requests to switch on are lost, with their answers."""
+    """Number of the next requests to switch on that are lost, with their answers."""
     lost_off: int = 0
     refuses: bool = False
-    """The robot answers that it did not switch on."""
+    """Whether the robot answers that it did not switch on."""
     lost_answers: bool = False
     late: float = 0.0
-    """By which a level takes effect later, s."""
+    """Additional delay of a level's effect, s."""
     broken_wire: bool = False
-    """The read-back never shows the output on."""
+    """Whether the read-back never shows the output on."""
 
 
 @dataclass(slots=True)
 class OutputDevice:
-    """The output, the guard and the truth about the coil."""
+    """The output, the guard, and the true state of the coil."""
 
     latency: float = 0.004
-    """From a request to its effect, and from there to its answer, s."""
+    """Delay from a request to its effect, and from there to its answer, s."""
     guard_closed: bool = True
     faults: OutputFaults = field(default_factory=OutputFaults)
     edges: list[tuple[float, bool]] = field(default_factory=list)
     """Times and levels, in order."""
 
     def set_at(self, time: float, level: bool) -> None:
-        """A level takes effect; never before one that was asked for earlier."""
+        """Set a level at ``time``, but not before an earlier request's level."""
         last = self.edges[-1][0] if self.edges else -math.inf
         self.edges.append((max(time, last), level))
 
     def level(self, time: float) -> bool:
-        """Whether the coil has current."""
+        """Return whether the coil has current."""
         return next((level for at, level in reversed(self.edges) if at <= time), False)
 
     def pulses(self) -> list[tuple[float, float]]:
-        """Times from on to off; infinity where it stays on."""
+        """Return the on and off times of all pulses; infinity if the output stays on."""
         found: list[tuple[float, float]] = []
         since: float | None = None
         for at, level in self.edges:
@@ -70,7 +70,7 @@ class OutputDevice:
 class VirtualOutputLink:
     """An :class:`~tapping_cell.hardware.output_link.OutputLink` in virtual time.
 
-    ``now``: the time, s. ``sleep``: lets time pass for the driver.
+    ``now``: returns the time, s. ``sleep``: lets time pass for the driver.
     """
 
     name = "/robot/set_output"
@@ -99,18 +99,18 @@ class VirtualOutputLink:
 
     @property
     def is_open(self) -> bool:
-        """Whether the output was there at the last ``open``."""
+        """Whether the output was available at the last ``open``."""
         return not math.isinf(self._opened)
 
     @property
     def guard(self) -> Heard | None:
-        """The guard's level, told ``rate`` times a second."""
+        """Level of the guard, published at ``rate`` Hz."""
         told = self._told_at()
         return None if told is None else Heard(self.device.guard_closed, told)
 
     @property
     def read_back(self) -> Heard | None:
-        """The output's level, told ``rate`` times a second and at each change."""
+        """Level of the output, published at ``rate`` Hz and at each change."""
         told = self._told_at()
         if not self.reads_back or told is None:
             return None
@@ -120,7 +120,7 @@ class VirtualOutputLink:
 
     @property
     def last_on(self) -> float:
-        """When the read-back last told that the output is on."""
+        """Time when the read-back last reported the output as on."""
         if not self.reads_back or self.device.faults.broken_wire:
             return -math.inf
         until = self._now()
@@ -128,15 +128,15 @@ class VirtualOutputLink:
         return until if self.device.level(until) else max(ons, default=-math.inf)
 
     def now(self) -> float:
-        """The clock, s."""
+        """Return the time of the clock, s."""
         return self._now()
 
     def sleep(self, duration: float) -> None:
-        """Let time pass."""
+        """Let ``duration`` s pass."""
         self._sleep(duration)
 
     def open(self, timeout: float) -> None:
-        """Wait until the output is there."""
+        """Wait until the output is available."""
         self._opened = math.inf
         deadline = self.now() + timeout
         while not self.device.faults.present:
@@ -146,7 +146,7 @@ class VirtualOutputLink:
         self._opened = self.now()
 
     def close(self) -> None:
-        """Use it no more."""
+        """Disconnect from the output."""
         self._opened = math.inf
 
     def stop(self, data: bytes) -> bool:
@@ -156,11 +156,11 @@ class VirtualOutputLink:
         return self.device.faults.present
 
     def release(self) -> None:
-        """End the latch of ``stop``."""
+        """Release the latch of ``stop``."""
         self._stopped = False
 
     def wait(self, duration: float) -> None:
-        """Let time pass."""
+        """Let ``duration`` s pass."""
         self._require()
         self._sleep(max(duration, 1e-4))
         self._require()
@@ -181,7 +181,7 @@ class VirtualOutputLink:
         return number
 
     def answer(self, number: int) -> Answer:
-        """What became of a request."""
+        """Return the result of a request."""
         if self.interface != "service":
             return Answer.UNTOLD
         at, answer = self._answers[number]
@@ -210,7 +210,7 @@ class VirtualOutputLink:
         return self._number
 
     def _told_at(self) -> float | None:
-        """When the inputs were told last; None before anything was heard."""
+        """Return the time of the last input message; None before the first one."""
         faults = self.device.faults
         if math.isinf(self._opened):
             return None

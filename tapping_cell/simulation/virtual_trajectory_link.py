@@ -1,4 +1,4 @@
-"""The way to an emulated trajectory controller, in a time that somebody else keeps."""
+"""Link to an emulated trajectory controller, in externally controlled time."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ KEPT = 1.0
 
 @dataclass(slots=True)
 class LinkFaults:
-    """What the network and the arm's computer do wrong."""
+    """Faults of the network and the arm's computer."""
 
     present: bool = True
-    """Whether the controller is there."""
+    """Whether the controller is available."""
     silent: bool = False
-    """Whether no joint states come."""
+    """Whether no joint states are received."""
     lost_trajectories: int = 0
-    """So many of the next trajectories are lost."""
+    """Number of the next trajectories that are lost."""
     late: float = 0.0
-    """Joint states come so long after they were measured, s."""
+    """Delay of the joint states after their measurement, s."""
     ahead: float = 0.0
-    """The arm's clock is ahead by so much, s."""
+    """Time by which the arm's clock is ahead, s."""
     foreign_names: bool = False
-    """The joint states are those of other joints."""
+    """Whether the joint states are those of other joints."""
     no_velocities: bool = False
 
 
 class VirtualTrajectoryLink:
     """A :class:`~tapping_cell.hardware.trajectory_link.TrajectoryLink` in virtual time.
 
-    ``now``: the time, s. ``sleep``: lets time pass for the driver.
+    ``now``: returns the time, s. ``sleep``: lets time pass for the driver.
     """
 
     name = "/scara_controller"
@@ -71,31 +71,31 @@ class VirtualTrajectoryLink:
 
     @property
     def interface(self) -> str:
-        """How trajectories are sent."""
+        """Interface through which trajectories are sent: topic or action."""
         return "action" if self._by_action else "topic"
 
     @property
     def is_open(self) -> bool:
-        """Whether the controller was there at the last ``open``."""
+        """Whether the controller was available at the last ``open``."""
         return self._open
 
     @property
     def other_names(self) -> Sequence[str]:
-        """Joint names of the last message that lacked some of ours."""
+        """Joint names of the last message that lacked some of the arm's."""
         return ("gripper",) if self.faults.foreign_names else ()
 
     @property
     def samples(self) -> Sequence[JointSample]:
-        """What was heard in the last second, the newest last."""
+        """Joint states received in the last second, newest last."""
         self._listen()
         return tuple(self._samples)
 
     def now(self) -> float:
-        """The clock, s."""
+        """Return the time of the clock, s."""
         return self._now()
 
     def open(self, timeout: float) -> None:
-        """Wait until the controller is there."""
+        """Wait until the controller is available."""
         self._open = False
         deadline = self.now() + timeout
         while not self.faults.present:
@@ -107,16 +107,16 @@ class VirtualTrajectoryLink:
         self._open = True
 
     def close(self) -> None:
-        """Use it no more."""
+        """Disconnect from the controller."""
         self._open = False
 
     def stop(self, data: bytes) -> bool:
-        """Latch the stop, and brake."""
+        """Latch the stop and brake."""
         self._stopped = True
         return self.brake()
 
     def brake(self) -> bool:
-        """Send what brings the arm to rest."""
+        """Send a trajectory that brings the arm to rest; return whether it was sent."""
         self._listen()
         course, self._course = self._course, None
         point = braking_point(self._samples, course, self.now(), self._max_acceleration)
@@ -126,7 +126,7 @@ class VirtualTrajectoryLink:
         return True
 
     def release(self) -> None:
-        """End the latch of ``stop``."""
+        """Release the latch of ``stop``."""
         self._stopped = False
 
     def wait(self, duration: float) -> None:
@@ -150,12 +150,12 @@ class VirtualTrajectoryLink:
         )
 
     def progress(self) -> Progress:
-        """What became of the last trajectory."""
+        """Return the state of the last trajectory."""
         progress = self.controller.progress(self.now())
         return progress if self._by_action else Progress(GoalState.UNTOLD)
 
     def _listen(self) -> None:
-        """Take in the states that came since the last time."""
+        """Receive the states published since the last call."""
         until = self.now() - self.faults.late
         for measured in stamps(self._heard_until, until, self._rate):
             self._heard_until = measured

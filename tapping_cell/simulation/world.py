@@ -1,8 +1,8 @@
-"""The simulated table, object and striker: a tap in, a pose over time out.
+"""The simulated table, object and striker: computes the object's pose over time after a tap.
 
-Everything is integrated in time, by the world's own parameters (``TruthFile``): the striker's
-flight, its contacts with the object and the slide. Time is an argument. Steps follow from the
-motion alone, so that where the object comes to rest does not depend on when the world is asked.
+The striker's flight, its contacts with the object and the slide are integrated in time with the
+true parameters (``TruthFile``). Time is an argument. The step lengths depend only on the motion, so
+the final pose of the object does not depend on the times of the calls.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from tapping_cell.simulation.support import sample_support
 from tapping_cell.simulation.truth import TruthFile
 
 _SHORTEST_STEP_S = 2e-6
-"""Of a flight close to the object."""
+"""Minimum step of a flight close to the object, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Scatter:
-    """How one tap differs from what the mechanics say."""
+    """Random deviation of one tap from the mechanics."""
 
     faster: float
     spinnier: float
     turn: float
 
     def apply(self, before: Motion, after: Motion) -> Motion:
-        """The motion after a contact, with its change of the twist scattered."""
+        """Return the motion after a contact, with random errors on its change of the twist."""
         vx, vy = after.vx - before.vx, after.vy - before.vy
         cos, sin = math.cos(self.turn), math.sin(self.turn)
         return after._replace(
@@ -55,7 +55,7 @@ class _Tap:
 
 
 class World:
-    """One object on one table. Times in s, never going back from call to call."""
+    """One object on one table. Times are in s and must not decrease between calls."""
 
     def __init__(
         self,
@@ -65,11 +65,10 @@ class World:
         truth: TruthFile,
         random: int | np.random.Generator,
     ) -> None:
-        """``stroke``: how far the tip travels at most when it is released, in m; ``random``: a
-        seed, or the generator to draw from.
+        """``stroke``: maximum travel of the released tip, in m; ``random``: a seed or a generator.
 
         Raises:
-            ValueError: the truth's centre of mass is not over the object's support.
+            ValueError: the true centre of mass is not over the object's support.
         """
         self._height = content.height
         self._striker = striker
@@ -104,19 +103,19 @@ class World:
         self._body = body
         self._contact = self._contact_with(striker)
         self.solid = Solid.of(body, offset, inertia)
-        """The object as others meet it."""
+        """The object's shape for collisions with other objects."""
         self._random = np.random.default_rng(random)
-        # Of its own: how a tap scatters does not depend on whether it is measured.
+        # A separate generator, so that measuring the speed does not change a tap's scatter.
         self._gate_random = self._random.spawn(1)[0]
         self._tap: _Tap | None = None
         self._now = -math.inf
-        # The step under way: the motion is known where it begins and where it ends.
+        # The current step: the motion is known at its beginning and at its end.
         self._begun = self._done = -math.inf
         self._before = self._after = self._centred(Pose(*truth.object_start))
 
     @property
     def outline(self) -> NDArray[np.float64]:
-        """The object's outline in its own frame, shape (n, 2), in m, counter-clockwise."""
+        """Outline of the object in its own frame, shape (n, 2), in m, counter-clockwise."""
         angles = np.linspace(-math.pi, math.pi, 96, endpoint=False)
         return np.asarray(self._body.boundary(angles))
 
@@ -127,12 +126,12 @@ class World:
 
     @property
     def struck(self) -> bool:
-        """True while a striker is out that may hit the object."""
+        """True while a released striker may hit the object."""
         return self._tap is not None
 
     @property
     def pose(self) -> Pose:
-        """Where the object is at the time that the world was last advanced to."""
+        """Pose of the object at the time that the world was last advanced to."""
         motion = self._motion()
         x, y = self._truth.support.mass_offset
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
@@ -144,17 +143,17 @@ class World:
 
     @property
     def twist(self) -> tuple[float, float, float]:
-        """Velocity of the centre of mass in table, m/s, and spin, rad/s, at that time."""
+        """Present velocity (m/s, in table) and spin (rad/s) of the centre of mass."""
         motion = self._motion()
         return motion.vx, motion.vy, motion.omega
 
     @property
     def motion(self) -> Motion:
-        """Pose and twist of the centre of mass at that time."""
+        """Pose and twist of the centre of mass at the last ``advance``."""
         return self._motion()
 
     def go_on(self, motion: Motion) -> None:
-        """Go on from here with another motion of the centre of mass: something else was met."""
+        """Continue with another motion of the centre of mass, after a collision."""
         self._cut(motion)
 
     def _contact_with(self, striker: Striker) -> Contact:
@@ -168,17 +167,16 @@ class World:
         )
 
     def reseed(self, seed: int) -> None:
-        """Begin the random numbers anew."""
+        """Restart the random numbers with a new seed."""
         self._random = np.random.default_rng(seed)
 
     def place(self, pose: Pose) -> None:
-        """Put the object somewhere, at rest."""
+        """Place the object at a pose, at rest."""
         self._tap = None
         self._cut(self._centred(pose))
 
     def take_striker(self, striker: Striker, stroke: float) -> None:
-        """Strike with another striker from now on, with a stroke in m: each of several tappers has
-        its own."""
+        """Change the striker and its stroke in m; with several tappers, each has its own."""
         self._stroke = stroke
         if striker != self._striker:
             self._striker, self._contact = striker, self._contact_with(striker)
@@ -186,8 +184,8 @@ class World:
     def strike(self, tip: Pose, tip_height: float, speed: float, now: float) -> bool:
         """Release the striker at a true tip pose in ``table`` with a speed in m/s.
 
-        Returns whether it will hit the object where it lies: a striker above the object's top,
-        below the table, beside the object or farther from it than the stroke hits nothing.
+        Returns whether it will hit the object at its current pose. A striker misses if it is above
+        the object's top, below the table, beside the object, or farther away than the stroke.
         """
         self.advance(now)
         self._cut(self._motion())
@@ -216,8 +214,8 @@ class World:
         return meets
 
     def travel_to_meet(self, tip: Pose, tip_height: float, speed: float) -> float:
-        """How far a released striker travels until it meets the object where it lies now, m; inf
-        where it does not."""
+        """Return the travel of a released striker until it meets the object at its current pose, m;
+        inf if it misses."""
         if not 0 < tip_height < self._height or speed <= 0:
             return math.inf
         axis = (math.cos(tip.theta), math.sin(tip.theta))
@@ -226,13 +224,13 @@ class World:
         return self._travel(flight)
 
     def gate_speed(self, speed: float) -> float:
-        """What the tapper's gate measures, m/s, of a striker released with a commanded speed."""
+        """Return the measurement of the tapper's speed gate, m/s, for a commanded striker speed."""
         impact = self._truth.impact
         noise = impact.gate_noise * self._gate_random.standard_normal()
         return speed * impact.striker_speed_factor * (1 + float(noise))
 
     def advance(self, now: float) -> None:
-        """Let time go on until ``now``."""
+        """Advance the simulation to ``now``."""
         if math.isinf(self._now):
             self._begun = self._done = now
         self._now = max(self._now, now)
@@ -244,14 +242,14 @@ class World:
                 self._step()
 
     def settle(self, longest: float = 60.0) -> float:
-        """Let time go on until the object rests, for ``longest`` s at most; the time then."""
+        """Advance until the object is at rest, for at most ``longest`` s; return the time then."""
         until = self._now + longest
         while not self.at_rest and self._now < until:
             self.advance(min(until, max(self._done, math.nextafter(self._now, math.inf))))
         return self._now
 
     def _step(self) -> None:
-        """One step of whatever happens: a contact, a flight, a slide."""
+        """Make one step of a contact, a flight or a slide."""
         self._begun, self._before = self._done, self._after
         tap = self._tap
         if tap is None:
@@ -261,7 +259,7 @@ class World:
         self._done = self._begun + length
 
     def _step_with(self, tap: _Tap) -> float:
-        """A step while the striker is out; its length in s."""
+        """Make a step while the striker is out; return its length in s."""
         contact, flight, before = self._contact, tap.flight, self._before
         gap = contact.gap(before, flight)
         closing = contact.closing_speed(before, flight)
@@ -291,26 +289,26 @@ class World:
         return length
 
     def _end(self, tap: _Tap, time: float) -> None:
-        """Draw the striker back where its stroke or its time is over, or where it cannot meet the
-        object any more."""
+        """Retract the striker if its stroke or its time is over, or if it can no longer meet the
+        object."""
         flight = tap.flight
         over = flight.left <= 0 or flight.speed <= 0 or time >= tap.ends
         if over or (self._after.at_rest and not self._meets(replace(flight))):
             self._tap = None
 
     def _bring_out(self, flight: Flight) -> None:
-        """A tip that stands in the object is moved back along its axis until it does not."""
+        """Move a tip that overlaps the object back along its axis until it is outside."""
         while (gap := self._contact.gap(self._after, flight)) < 0:
             back = max(-gap, TOUCH_M)
             flight.x -= back * flight.axis[0]
             flight.y -= back * flight.axis[1]
 
     def _meets(self, flight: Flight) -> bool:
-        """Whether a striker that goes on would meet the object where it lies now."""
+        """Return whether a striker that continues would meet the object at its current pose."""
         return math.isfinite(self._travel(flight))
 
     def _travel(self, flight: Flight) -> float:
-        """How far a striker that goes on travels until it meets the object where it lies now."""
+        """Return the travel of a continuing striker until it meets the object; inf if it misses."""
         nearest, left = math.inf, flight.left
         while flight.left > 0:
             gap = self._contact.gap(self._after, flight)
@@ -318,14 +316,14 @@ class World:
                 meets = self._contact.closing_speed(self._after, flight) > 0
                 return left - flight.left if meets else math.inf
             if gap > nearest:
-                # The outline is convex: once the way leads off, it stays so.
+                # The outline is convex, so an increasing gap never decreases again.
                 return math.inf
             nearest = gap
             flight.fly(max(gap, TOUCH_M) / flight.speed)
         return math.inf
 
     def _motion(self) -> Motion:
-        """The motion now, between the ends of the step under way (cubic, as the ends' speeds)."""
+        """Return the current motion, interpolated by a cubic within the current step."""
         before, after = self._before, self._after
         length = self._done - self._begun
         if self._now >= self._done or length <= 0:
@@ -342,12 +340,12 @@ class World:
         return Motion(*where, *twist)
 
     def _cut(self, motion: Motion) -> None:
-        """Go on from here with another motion."""
+        """Continue from the current time with another motion."""
         self._begun = self._done = self._now
         self._before = self._after = motion
 
     def _centred(self, pose: Pose) -> Motion:
-        """An object at rest whose frame is at ``pose``."""
+        """Return the motion at rest of an object whose frame is at ``pose``."""
         x, y = self._truth.support.mass_offset
         cos, sin = math.cos(pose.theta), math.sin(pose.theta)
         return Motion(pose.x + cos * x - sin * y, pose.y + sin * x + cos * y, pose.theta)
