@@ -14,7 +14,7 @@ TURN = math.radians(120.0)
 _INSIDE = 0.01
 """Clearance to the joint limits, in rad, so that an uncalibrated zero cannot stop a move."""
 _TRIED = 50
-"""Number of positions tried for each one wanted; a cell's arm reaches most of its table."""
+"""Number of candidate positions per requested pose; an arm reaches most of its table."""
 
 
 def arm_places(

@@ -115,7 +115,7 @@ def calibrate_camera(
     """Calibrate the camera that took these views in images of ``size`` (width, height).
 
     ``lens_model`` is ``plumb_bob`` or ``rational_polynomial``; None chooses by cross-validation.
-    ``unseen`` are photographs without a detected target, which are listed among the rejected ones.
+    ``unseen`` are photographs without a detected target; the result lists them as rejected.
 
     Raises:
         CalibrationRefused: too few views remain, or they do not determine the focal length.
@@ -184,7 +184,7 @@ def _check_perspective(views: Sequence[TargetView], target: Target) -> None:
         homography, _ = cv2.findHomography(points, view.pixels)
         if homography is None:
             continue
-        # The ratio of the distances to the far end and the near end of the target.
+        # Relative difference of the distances to the far end and the near end of the target.
         scale = points @ homography[2, :2] + homography[2, 2]
         depths.append(float(scale.max() / scale.min()) - 1.0 if scale.min() > 0 else 1.0)
     if not depths or np.quantile(depths, 0.75) < 0.03:
@@ -302,7 +302,7 @@ def _choose(
     size: tuple[int, int],
     lenses: Sequence[Lens],
 ) -> tuple[Lens, dict[str, float]]:
-    """Choose the simplest lens model whose cross-validation error is as low as any other's.
+    """Choose the simplest lens model that no other model surpasses in cross-validation.
 
     A more complex model must reduce the squared error by a quarter, or by both a fiftieth and two
     standard errors of the difference over the views. It must also be invertible over the whole

@@ -3,7 +3,7 @@
 The Fisher information of the launches (squared derivatives by the parameters, divided by the
 variance of a tap) covers all parameters, including those that the fit keeps fixed. A parameter is
 not determined if its relative standard deviation is too large with all others free. Eigenvectors
-with a small eigenvalue are the combinations that are not determined. The information of candidate
+with small eigenvalues are the combinations that are not determined. The information of candidate
 experiments is added to that of the trials, and the best candidate is recommended.
 """
 

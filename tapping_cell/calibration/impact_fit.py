@@ -4,11 +4,11 @@ A trial gives the striker's speed, contact point, incidence and launch: speed, s
 direction relative to the contact normal. The residuals to the impact model (``mechanics.impact``)
 are divided by the scatter of a tap. This scatter is estimated together with the parameters.
 
-The data decide which parameters are free. Restitution is always free. Contact friction is free if
-the contact slid in enough trials. The scale of B1 (and of B3 if B3 varies) is free only if the
-Bayesian information criterion supports it. B2 and the restitution only act in combination, as
-(1 + e) / B2. Therefore B2 keeps its model value unless no restitution from 0 to 1 explains the
-launches.
+The data decide which parameters are free. Restitution is free, and contact friction is free if the
+contact slid in enough trials. The scale of B1 (and of B3 if B3 varies) is free only if the Bayesian
+information criterion supports it. B2 and the restitution only act in combination, as (1 + e) / B2.
+Therefore B2 keeps its model value. Only if no restitution from 0 to 1 explains the launches, B2 is
+fitted instead of the restitution.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from tapping_cell.configuration.provenance import Provenance, read_provenance
 from tapping_cell.configuration.schema import ConfigurationError
 
 _SLACK = 1.01
-"""A one per cent larger value is not worse: files hold six digits, and fits vary slightly."""
+"""Maximum ratio of new to old value that is not worse: files hold six digits, and fits vary."""
 
 
 class KeptFile(ValueError):

@@ -92,7 +92,7 @@ class Taps:
     direction: Array
 
     def deviations(self) -> dict[str, Array]:
-        """Compute measured over predicted values, minus 1; NaN if the prediction is too small."""
+        """Compute relative deviations from the predictions; NaN for small predicted rotations."""
         measured, predicted = self.measured, self.predicted
         turned = np.abs(predicted.rotation) > _LEAST_TURN * predicted.distance
         rotation = np.where(turned, predicted.rotation, 1.0)

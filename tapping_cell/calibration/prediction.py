@@ -3,7 +3,7 @@
 There are four comparisons, each averaged over a run: displacements calculated from measured initial
 velocities and the inverse (sliding alone), initial velocities calculated from the striker's speed
 and the incidence (impact alone), and displacements calculated from these velocities (whole tap).
-The error is the calculated over the measured mean of a run, minus one. Rotations and spins are
+The error is the ratio of calculated to measured mean of a run, minus 1. Rotations and spins are
 positive in the direction in which the object turned, so that taps to both sides do not cancel.
 """
 
@@ -89,7 +89,7 @@ def run_errors(
 
 
 def _off(calculated: Array, seen: Array, sign: Array) -> float:
-    """Return the mean calculated over the mean measured value, minus one, ignoring NaN."""
+    """Return the ratio of the calculated to the measured mean, minus 1, ignoring NaN."""
     both = np.isfinite(calculated) & np.isfinite(seen)
     if not both.any():
         return math.nan

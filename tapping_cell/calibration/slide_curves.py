@@ -1,8 +1,8 @@
 """Fast computation of slides over time for fits: states of many launches at many times.
 
 The equations and tables are those of ``mechanics.sliding``, but arranged for fits, which need few
-samples of many slides with changing parameters. Slides are similar, and the ratio of spin and speed
-follows one curve on either side of its terminal value. So one table of that curve over the
+samples of many slides with changing parameters. Slides are self-similar, and the ratio of spin and
+speed follows one curve on either side of its terminal value. So one table of that curve over the
 remaining time is sufficient for all launches. Tables exist on a grid of torque factors. Between
 them values are interpolated, which also gives the derivative.
 """
@@ -90,7 +90,7 @@ class _Curve:
         return np.asarray(result + self._terminal)
 
     def at(self, speed: Array, rim: Array, time: Array, rows: NDArray[np.intp]) -> State:
-        """Compute states of non-negative launches (n,) at reduced times (N,); ``rows`` as below."""
+        """Compute states at reduced times (N,); ``rows`` selects among launches (n,), all >= 0."""
         total = self.table.rest_many(speed, rim)
         left = np.maximum(total[2][rows] - time, 0.0)
         share = np.maximum(left / np.maximum(total[2][rows], 1e-300), _LEAST_LEFT)

@@ -46,8 +46,8 @@ USUAL_DEVIATION = 1e-4
 _NO_MOTION = 0.0003
 """Displacement in m below which the object did not move (three times the camera's error)."""
 _SHORT, _NEIGHBOURS = 0.003, 5
-"""Displacement in m below which a tap may fail for lack of energy, and the number of taps of
-similar energy whose median displacement is compared with it."""
+"""A tap without motion counts as too weak if the median displacement of this many taps of similar
+energy is below this length in m; otherwise it counts as a miss."""
 _RELIABLE = 0.9
 """Fraction of the taps of one energy that must move the object."""
 _OUTLIER = 4.5

@@ -38,7 +38,7 @@ from tapping_cell.vision import CameraModel, ReferenceMap, marker_ids
 
 FourNumbers = tuple[float, float, float, float]
 ARM_TAPPER = "tapper"
-"""Name of the one tapper that an arm carries."""
+"""Name of the tapper that the arm carries."""
 
 Constraint = Literal["linear_bearings", "free"]
 JointName = Literal["shoulder", "elbow", "quill", "tool"]
@@ -540,7 +540,7 @@ class TapperSection:
         return OutputTapperSettings(self.energies, self.output.pulses, self.output.latency)
 
     def check_dialect(self) -> None:
-        """Refuse keys that contradict each other (ValueError)."""
+        """Raise ValueError for keys that contradict each other."""
         if self.dialect == "board":
             if self.output is not None:
                 raise ValueError("tapper.output has no meaning for the dialect board")

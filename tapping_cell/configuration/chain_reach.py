@@ -51,7 +51,7 @@ def chain_reach(cell: Cell) -> Iterator[str]:
 
 
 def _stations(cell: Cell) -> Iterator[Array]:
-    """Yield tip poses in ``arm_base`` that the SCARA reaches, each near the one before."""
+    """Yield tip poses in ``arm_base`` that the SCARA reaches, in the order of a grid."""
     table, geometry, to_base = cell.file.table, cell.arm.geometry(), cell.arm_base.inverse()
     for x in np.linspace(-table.length / 2, table.length / 2, PLACES):
         for y in np.linspace(-table.width / 2, table.width / 2, PLACES):

@@ -18,7 +18,7 @@ from tapping_cell.mechanics import MechanicsError
 from tapping_cell.planning import FreeSpace, PlanningError, make_planner, planner_names
 
 LEAST_WORKABLE = 0.5
-"""Fraction of the usable area that the arm must be able to serve, else a warning is issued."""
+"""Fraction of the usable area below which the arm's reach causes a warning."""
 NOISE_ROOM = 3.0
 """Number of standard deviations of the measured pose that should fit into the tolerance."""
 
