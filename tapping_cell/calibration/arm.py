@@ -382,7 +382,7 @@ def _result(
 
 
 def _by_differences(joints: Array, values: dict[str, float], names: Sequence[str]) -> Array:
-    """Derivatives (N, 3, len(names)) of the wrist's x and y and the forearm's heading."""
+    """Compute derivatives (N, 3, len(names)) of the wrist's x and y and the forearm's heading."""
 
     def place(values: dict[str, float]) -> Array:
         base = complex(values["base_x"], values["base_y"])

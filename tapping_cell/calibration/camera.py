@@ -23,7 +23,7 @@ from tapping_cell.vision.camera import Array, CameraError, CameraModel
 LEAST_VIEWS = 6
 """Minimum number of views for a calibration; about 20 are good."""
 _LEAST_TURN = np.radians(10.0)
-"""Minimum angle that the two views of the most different tilt must span."""
+"""Minimum of the largest angle between the target planes of two views."""
 _WORST_FOCAL = 0.01
 """Maximum relative standard deviation of a focal length."""
 _OUTLIER_RATIO, _OUTLIER_PIXELS = 3.0, 0.4

@@ -90,7 +90,10 @@ class _Curve:
         return np.asarray(result + self._terminal)
 
     def at(self, speed: Array, rim: Array, time: Array, rows: NDArray[np.intp]) -> State:
-        """Compute states at reduced times (N,); ``rows`` selects among launches (n,), all >= 0."""
+        """Compute states at reduced times (N,) for launches (n,) that are not negative.
+
+        ``rows`` (N,) is the launch of each time.
+        """
         total = self.table.rest_many(speed, rim)
         left = np.maximum(total[2][rows] - time, 0.0)
         share = np.maximum(left / np.maximum(total[2][rows], 1e-300), _LEAST_LEFT)

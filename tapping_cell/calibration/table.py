@@ -238,8 +238,8 @@ def _square_up(view: MarkerView, sizes: Mapping[int, float]) -> tuple[CameraPose
 
 
 def _squareness(pose: CameraPose, view: MarkerView, side: Array) -> tuple[Array, Array]:
-    """Compute the residuals (8 M,) of the corners on the plane from squares, relative to their
-    sizes, and the squares' poses (M, 3)."""
+    """Fit squares to the corners on the plane; return the residuals (8 M,) relative to the sizes of
+    the squares, and the squares' poses (M, 3)."""
     matrix = np.linalg.inv(pose.plane(0.0))
     homogeneous = view.rays @ matrix[:, :2].T + matrix[:, 2]
     points = homogeneous[..., :2] / homogeneous[..., 2:]

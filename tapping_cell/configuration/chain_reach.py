@@ -78,8 +78,8 @@ def _first(chain: SerialChain, target: Array) -> Array | None:
 def _near(chain: SerialChain, target: Array, seed: Array) -> tuple[Array | None, str]:
     """Solve the inverse kinematics of a pose, starting from the joints of a neighbouring pose.
 
-    If this fails, try again with one rotary joint turned by a full turn. The text is the reason
-    of a failure.
+    If this fails, try again with one rotary joint shifted by a full turn. The returned text is the
+    reason for a failure.
     """
     first = chain.inverse(target, seed)
     if first.success:
