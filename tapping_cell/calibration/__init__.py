@@ -1,1 +1,1 @@
-"""From measurements to files in ``config/``: camera, table, arm, tapper and object."""
+"""Calibration of camera, table, arm, tapper and object; the results go to files in ``config/``."""

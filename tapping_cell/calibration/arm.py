@@ -1,14 +1,15 @@
-"""Where the arm stands and where its joints' zeros are, from poses of a marker that it holds, or
-from touched points.
+"""Calibration of the arm's base pose and joint offsets from measured poses of a marker on the tool,
+or from touched points.
 
-With complex numbers for points of the table, base b and turn c = exp(i yaw), a point (m, on the
-tool) is seen at
+Points of the table are complex numbers. With the base position b, the base rotation c = exp(i yaw)
+and a point m in the tool frame, the predicted position is
 
     p = b + c (L1 exp(i q1) + L2 exp(i (q1 + q2)) + m exp(i (q1 + q2 + q4)))
 
-and turned by yaw + q1 + q2 + q4 + its own angle on the tool. With q2 as the controller says plus
-the elbow's zero. The shoulder's zero only adds to the base's yaw, and the tool's to the angle of
-what it holds: no record of poses tells these apart.
+and the predicted angle is yaw + q1 + q2 + q4 plus the marker's angle on the tool. Here q2 is the
+controller's value plus the offset of the elbow. The offset of the shoulder has the same effect as
+the base's yaw, and the offset of the tool joint has the same effect as the marker's angle on the
+tool. No record of poses can separate them.
 """
 
 from __future__ import annotations
@@ -39,18 +40,18 @@ RECORD_COLUMNS = (
     Column("y", "m", -3.0, 3.0, least_largest=0.01),
     Column("theta", "rad", -20.0, 20.0, required=False),
 )
-"""Of the file, a row a pose."""
+"""Columns of the record file; each row is one pose."""
 _LOOSE = {"m": 0.005, "rad": np.radians(1.0)}
-"""Standard deviations beyond which a value is not taken from the record."""
+"""Maximum standard deviations; a less certain value keeps the value of the cell file."""
 _TIED = 0.97
-"""Correlation from which two values are said to be known only together."""
+"""Correlation above which two values are reported as known mainly in combination."""
 _OUTLIER = 4.5
-"""Robust standard deviations from which a row is an outlier, with the floors below."""
+"""Number of robust standard deviations above which a row is an outlier; minimum values below."""
 _POSITION_FLOOR, _ANGLE_FLOOR = 2e-5, 2e-4
 _WORST_SPREAD = 0.005
-"""Scatter of the points in m above which the rows are not poses of this arm."""
+"""Standard deviation of the points, in m, above which the rows do not fit this arm."""
 _ALIKE = 0.01
-"""Joints within this, in rad, are one pose."""
+"""Grid size, in rad, to which joints are rounded when different poses are counted."""
 _SUBSETS = 200
 _IN_WORDS = {
     "base_x": "x of the base",
@@ -67,9 +68,11 @@ _IN_WORDS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmRecord:
-    """Joints of the controller (N, 3): shoulder, elbow, tool in rad; where the camera saw the
-    marker, or the touched point, ``points`` (N, 2) in m; the marker's ``angles`` (N,) in rad, None
-    for touched points; ``rows`` (N,) of the file.
+    """Recorded poses of the arm.
+
+    ``joints`` (N, 3) are the controller's shoulder, elbow and tool angles in rad. ``points`` (N, 2)
+    are the measured marker positions or the touched points, in m. ``angles`` (N,) are the marker's
+    angles in rad, None for touched points. ``rows`` (N,) are the row numbers in the file.
     """
 
     joints: Array
@@ -80,7 +83,7 @@ class ArmRecord:
 
 @dataclass(frozen=True, slots=True)
 class ArmOutlier:
-    """A row that was left out, and by how much it misses: m, rad (NaN without angles)."""
+    """A rejected row with its residuals: ``distance`` in m, ``angle`` in rad (NaN if unknown)."""
 
     row: int
     distance: float
@@ -93,10 +96,13 @@ class ArmOutlier:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmCalibration:
-    """``values`` by name (NAMES, LINKS; m and rad), standard ``deviations`` of those that were
-    fitted (``held`` names the others), ``residuals`` (N, 2) in m and ``turns`` (N,) in rad of the
-    rows used; ``wrist_deviation`` of the wrist's place over the record's poses in m,
-    ``heading_deviation`` of the forearm's heading in rad; ``notes`` in words.
+    """Result of the arm's calibration.
+
+    ``values`` are in m and rad, by name (NAMES, LINKS). ``deviations`` are the standard deviations
+    of the fitted values; ``held`` names the values that were not fitted. ``residuals`` (N, 2) in m
+    and ``turns`` (N,) in rad are those of the rows used. ``wrist_deviation`` in m and
+    ``heading_deviation`` in rad are the standard deviations of the wrist position and the forearm's
+    heading over the recorded poses.
     """
 
     values: dict[str, float]
@@ -111,7 +117,7 @@ class ArmCalibration:
 
     @property
     def position_rms(self) -> float:
-        """Root mean square distance between seen and predicted points, m."""
+        """Root mean square distance between measured and predicted points, m."""
         return float(np.sqrt((self.residuals**2).sum(axis=1).mean()))
 
     @property
@@ -123,11 +129,10 @@ class ArmCalibration:
 def calibrate_arm(
     record: ArmRecord, geometry: ScaraGeometry, links: bool = False
 ) -> ArmCalibration:
-    """The base, the elbow's zero and the mount that bring the record together; the links as well
-    where ``links``.
+    """Fit the base pose, the elbow's offset, the mount and, if ``links``, the link lengths.
 
     Raises:
-        CalibrationRefused: too few poses, or they do not even tell where the base is.
+        CalibrationRefused: there are too few poses, or they do not determine the base pose.
     """
     different = len(np.unique(np.round(record.joints / _ALIKE), axis=0))
     if different < LEAST_POSES:
@@ -163,14 +168,14 @@ def _unit(name: str) -> str:
 
 
 def _to_hold(free: Sequence[str], loose: dict[str, float]) -> str:
-    """Which value to keep as the file has it: what a file knows best and the record least."""
+    """Choose the poorly determined value that is most likely accurate in the cell file."""
     order = ("forearm", "upper_arm", "elbow_zero", "mount_x", "mount_y", "mount_angle")
     known = [name for name in order if name in free and not loose[name] <= 1.0]
     return known[0] if known else max(loose, key=lambda name: loose[name])
 
 
 def wrist(joints: Array, values: dict[str, float]) -> Complex:
-    """The quill's axis in the arm's base, (N,), for joints (N, 3) of the controller."""
+    """Compute the quill axis (N,) in the arm's base frame for controller joints (N, 3)."""
     reach = joints[:, 0] + joints[:, 1] + values["elbow_zero"]
     return np.asarray(
         values["upper_arm"] * np.exp(1j * joints[:, 0]) + values["forearm"] * np.exp(1j * reach)
@@ -178,7 +183,7 @@ def wrist(joints: Array, values: dict[str, float]) -> Complex:
 
 
 def predicted(joints: Array, values: dict[str, float]) -> tuple[Complex, Array]:
-    """Points (N,) and angles (N,) of what the arm holds, in table."""
+    """Predict points (N,) and angles (N,) of the marker or tip on the tool, in ``table``."""
     heading = joints.sum(axis=1) + values["elbow_zero"]
     mount = complex(values["mount_x"], values["mount_y"]) * np.exp(1j * heading)
     turn = np.exp(1j * values["base_yaw"])
@@ -190,9 +195,9 @@ def predicted(joints: Array, values: dict[str, float]) -> tuple[Complex, Array]:
 def _begin(
     record: ArmRecord, geometry: ScaraGeometry
 ) -> tuple[dict[str, float], NDArray[np.bool_]]:
-    """First values by linear least squares on the best of many subsets, and the rows that agree.
+    """Compute initial values by linear least squares on the best of many subsets, and the inliers.
 
-    With the file's lengths and zeros the model is linear in b, c and c m.
+    With the file's link lengths and offsets, the model is linear in b, c and c m.
     """
     offset = geometry.joint_offset
     values = {name: 0.0 for name in NAMES} | {
@@ -208,7 +213,7 @@ def _begin(
     columns = np.stack([np.ones_like(reach), reach, heading], axis=1)
     singular = np.linalg.svd(columns, compute_uv=False)
     if singular[-1] < 1e-3 * singular[0]:
-        # The tool always points one way against the forearm: keep the file's mount.
+        # The tool always has the same angle to the forearm, so keep the file's mount.
         columns = columns[:, :2]
         columns[:, 1] += complex(geometry.tip_forward, geometry.tip_side) * heading
     random = np.random.default_rng(0)
@@ -219,7 +224,7 @@ def _begin(
             found = np.linalg.lstsq(columns[rows], seen[rows], rcond=1e-9)[0]
         except np.linalg.LinAlgError:
             continue
-        # A turn has length one; a subset that says otherwise is nearly singular or wrong.
+        # A rotation has length one; a subset with another length is nearly singular or wrong.
         misfit = abs(abs(found[1]) - 1.0)
         error = float(np.median(np.abs(columns @ found - seen))) * (1.0 + 10.0 * misfit)
         if error < least:
@@ -247,7 +252,7 @@ def _begin(
 
 
 def _misses(record: ArmRecord, values: dict[str, float]) -> tuple[Array, Array | None]:
-    """Seen minus predicted: points (N, 2) in m, angles (N,) in rad."""
+    """Compute residuals, measured minus predicted: points (N, 2) in m, angles (N,) in rad."""
     points, angles = predicted(record.joints, values)
     left = record.points - np.stack([points.real, points.imag], axis=1)
     if record.angles is None:
@@ -262,7 +267,7 @@ def _robust(
     used: NDArray[np.bool_],
     sigma: Array,
 ) -> tuple[dict[str, float], Array, Array, NDArray[np.bool_]]:
-    """Least squares of the rows that agree: values, covariance, noise (m, rad), rows used."""
+    """Fit the inliers by least squares; return values, covariance, noise (m, rad), rows used."""
     values = dict(start)
     for _ in range(12):
         values, _ = _least_squares(record, values, free, used, sigma)
@@ -300,13 +305,13 @@ def _robust(
     if turns is not None:
         squares += float((turns[used] ** 2).sum() / sigma[1] ** 2)
         number += int(used.sum())
-    # Noise below the floors is a lucky record, not knowledge.
+    # Noise below the minimum values is chance, so it must not reduce the covariance.
     factor = max(1.0, squares / max(number - len(free), 1))
     return values, factor * _inverse(jacobian.T @ jacobian), sigma, used
 
 
 def _inverse(information: Array) -> Array:
-    """The inverse; directions without information get a very large variance, not none."""
+    """Invert an information matrix; directions without information get a very large variance."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-30))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T
@@ -324,7 +329,7 @@ def _least_squares(
     used: NDArray[np.bool_],
     sigma: Array,
 ) -> tuple[dict[str, float], Array]:
-    """Values that fit the rows ``used``, and the residuals' derivatives (over the noise)."""
+    """Fit the rows ``used``; return the values and the Jacobian of the normalised residuals."""
     scale = np.array([1.0 if _unit(name) == "rad" else 0.1 for name in free])
 
     def residuals(unknown: Array) -> Array:
@@ -377,7 +382,7 @@ def _result(
 
 
 def _by_differences(joints: Array, values: dict[str, float], names: Sequence[str]) -> Array:
-    """Derivatives (N, 3, len(names)) of the wrist's x, y and the forearm's heading in table."""
+    """Compute derivatives (N, 3, len(names)) of the wrist's x and y and the forearm's heading."""
 
     def place(values: dict[str, float]) -> Array:
         base = complex(values["base_x"], values["base_y"])
@@ -402,7 +407,7 @@ def _notes(
     covariance: Array,
     used: NDArray[np.bool_],
 ) -> list[str]:
-    """What the record cannot tell, and which poses would."""
+    """Describe what the record does not determine, and which poses would."""
     said = [
         "the shoulder's zero and the base's yaw have one and the same effect: their sum stands in"
         " the base's yaw"

@@ -1,4 +1,4 @@
-"""Where an arm is to hold its marker for a calibration: all over the table, in many postures."""
+"""Choice of arm poses for a calibration, spread over the table and over the joint ranges."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from tapping_cell.hardware.scara import Branch, Joints, ScaraGeometry
 from tapping_cell.se2 import Pose
 
 TURN = math.radians(120.0)
-"""The tool is turned by up to this to either side of the line from the shoulder."""
+"""Maximum angle of the tool to either side of the line from the shoulder."""
 _INSIDE = 0.01
-"""Room to the joints' limits, in rad: an uncalibrated zero must not end a move."""
+"""Clearance to the joint limits, in rad, so that an uncalibrated zero cannot stop a move."""
 _TRIED = 50
-"""Places tried for each that is wanted; a cell's arm reaches most of its table."""
+"""Number of candidate positions per requested pose; an arm reaches most of its table."""
 
 
 def arm_places(
@@ -24,10 +24,11 @@ def arm_places(
     height: float,
     count: int,
 ) -> list[Joints]:
-    """At most ``count`` postures with the tip at ``height`` m over a rectangle of ``half`` lengths
-    (x, y in m) about the table's origin: places, tool's turns and elbow's sides spread evenly.
+    """Return at most ``count`` joint positions with the tip at ``height`` m above the table.
 
-    ``base`` of the arm in ``table``. The postures are the same for the same arguments.
+    Tip positions, tool angles and elbow sides are evenly distributed over a rectangle about the
+    table's origin with half lengths ``half`` (x, y in m). ``base`` is the arm's base pose in
+    ``table``. The result is deterministic.
     """
     into_base = base.inverse()
     found: list[Joints] = []
@@ -45,7 +46,7 @@ def arm_places(
 
 
 def _spread(number: int, prime: int) -> float:
-    """The number's place in Van der Corput's sequence of a base: evenly over 0 to 1."""
+    """Return the element ``number`` of the Van der Corput sequence in base ``prime``, in [0, 1)."""
     place, share = 0.0, 1.0
     while number:
         share /= prime

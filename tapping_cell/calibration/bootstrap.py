@@ -1,11 +1,11 @@
-"""Confidence intervals by a bootstrap over trials, for estimates that solve a sum of scores.
+"""Bootstrap confidence intervals over trials, for estimates that solve a sum of scores.
 
-An estimate t solves sum_i s_i(t) = 0 over the trials; near it s_i(t) = s_i + H_i (t - t_0), with
-the score s_i and the information H_i that the fit leaves. A resample of the trials has its estimate
-in one Newton step, and with it its standard error: thousands cost no more than a matrix product.
-Trials are drawn anew within each run, as the experiment was done. The interval is the studentised
-one (percentile-t; Davison and Hinkley, Bootstrap Methods and their Application, 1997, section
-5.2.1), whose coverage holds with few trials where the plain percentile interval is too short.
+An estimate t solves sum_i s_i(t) = 0 over the trials. Near it, s_i(t) = s_i + H_i (t - t_0), with
+the score s_i and the information H_i of the fit. One Newton step gives the estimate of a resample
+and its standard error, so thousands of resamples cost only a matrix product. Trials are resampled
+within each run, as in the experiment. The interval is the studentised one (percentile-t; Davison
+and Hinkley, Bootstrap Methods and their Application, 1997, section 5.2.1). Its coverage holds for
+few trials, for which the plain percentile interval is too short.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ Array = NDArray[np.float64]
 
 REPLICATES = 2000
 LEVEL = 0.95
-_MOST_STD = 5.0  # standard errors: a resample that lost what tells the parameter is no resample
+_MOST_STD = 5.0  # clip in standard errors: a resample can lack the trials that fix a parameter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """Offsets of the interval's ends from the estimate and the standard error, each (p,)."""
+    """Offsets of the interval's ends from the estimate, and the standard error; each (p,)."""
 
     low: Array
     high: Array
@@ -41,10 +41,12 @@ def spread(
     replicates: int = REPLICATES,
     level: float = LEVEL,
 ) -> Spread:
-    """The interval of an estimate from its trials' scores (n, p) and information (n, p, p).
+    """Compute the interval of an estimate from the scores (n, p) and information (n, p, p).
 
-    ``runs`` (n,) says which trials belong together. Raises ValueError where the trials together do
-    not determine the parameters.
+    ``runs`` (n,) is the run of each trial.
+
+    Raises:
+        ValueError: the trials do not determine the parameters.
     """
     labels = np.asarray(runs)
     count, size = score.shape
@@ -61,19 +63,19 @@ def spread(
     offset, own_std = _newton(weights, score, information)
     usable = np.isfinite(offset).all(axis=1) & np.isfinite(own_std).all(axis=1)
     ratio = offset[usable] / np.maximum(own_std[usable], 1e-3 * std + 1e-300)
-    # Within a run of n the resample's variance is short by (n - 1) / n.
+    # Within a run of n trials, the variance of a resample is too small by the factor (n - 1) / n.
     sizes = np.array([np.sum(labels == run) for run in labels], dtype=float)
     ratio *= math.sqrt(float(np.mean(sizes / np.maximum(sizes - 1, 1))))
     ratio = np.clip(ratio, -_MOST_STD, _MOST_STD)
     tail = (1 - level) / 2
     upper, lower = np.quantile(ratio, [1 - tail, tail], axis=0)
-    # Few trials: the standard error itself is a little short (degrees of freedom).
+    # For few trials the standard error is slightly too small (degrees of freedom).
     std = std[0] * math.sqrt(count / max(count - size, 1))
     return Spread(low=-upper * std, high=-lower * std, std=std)
 
 
 def _newton(weights: Array, score: Array, information: Array) -> tuple[Array, Array]:
-    """Estimates' offsets and standard errors (b, p) of weighted trials (b, n)."""
+    """Compute offsets and standard errors (b, p) of the estimates for trial weights (b, n)."""
     count, size = score.shape
     h = (weights @ information.reshape(count, -1)).reshape(-1, size, size)
     inverse = np.full_like(h, math.nan)
@@ -83,7 +85,7 @@ def _newton(weights: Array, score: Array, information: Array) -> tuple[Array, Ar
     inverse[good] = np.linalg.inv(unit[good])
     inverse = inverse / scale[:, :, None] / scale[:, None, :]
     offset = -np.einsum("bij,bj->bi", inverse, weights @ score)
-    # Scores at the resample's own estimate, so that its standard error is its own.
+    # The standard error of a resample needs the scores at the estimate of that resample.
     at_own = score[None] + np.einsum("nij,bj->bni", information, np.nan_to_num(offset))
     outer = np.einsum("bn,bni,bnj->bij", weights, at_own, at_own)
     covariance = inverse @ outer @ inverse

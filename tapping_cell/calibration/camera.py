@@ -1,9 +1,9 @@
-"""The camera's focal lengths, principal point and lens from photographs of a flat target.
+"""Calibration of the camera's intrinsics and distortion from photographs of a flat target.
 
-Zhang's method (A flexible new technique for camera calibration, PAMI 22, 2000) in OpenCV's least
-squares, with what a person needs around it: views that do not belong are left out by name and
-reason, sets that cannot tell the focal length are refused, and the lens model is chosen by what it
-predicts in views that it was not fitted to.
+The method is Zhang's (A flexible new technique for camera calibration, PAMI 22, 2000), as
+implemented in OpenCV. In addition, unsuitable views are rejected with name and reason, sets of
+views that do not determine the focal length are refused, and the lens model is chosen by
+cross-validation.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from tapping_cell.calibration.target import Target, TargetView
 from tapping_cell.vision.camera import Array, CameraError, CameraModel
 
 LEAST_VIEWS = 6
-"""Views without which no camera is calibrated; about 20 are good."""
+"""Minimum number of views for a calibration; about 20 are good."""
 _LEAST_TURN = np.radians(10.0)
-"""Largest angle between two views of the target below which they all look alike."""
+"""Minimum of the largest angle between the target planes of two views."""
 _WORST_FOCAL = 0.01
-"""Relative standard deviation of a focal length above which it is not known."""
+"""Maximum relative standard deviation of a focal length."""
 _OUTLIER_RATIO, _OUTLIER_PIXELS = 3.0, 0.4
-"""A view whose error is this many times the median's, and more than this many pixels, is wrong."""
+"""A view is an outlier if its error exceeds this multiple of the median and this many pixels."""
 _CORNER_RATIO, _CORNER_PIXELS = 6.0, 0.4
 _HIGH_RMS = 0.5
 _FOLDS = 4
@@ -35,11 +35,11 @@ _SUBSETS = 30
 
 
 class CalibrationRefused(ValueError):
-    """Photographs that do not determine the camera; the message says what to take instead."""
+    """Raised for data that do not determine the result; the message says what to record instead."""
 
 
 class Lens(NamedTuple):
-    """A lens model: ROS's name, how many coefficients it keeps, OpenCV's flags for it."""
+    """A lens model: display name, ROS name, number of coefficients and OpenCV flags."""
 
     label: str
     model: str
@@ -57,8 +57,10 @@ _NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsedView:
-    """A view of the calibration: ``residuals`` (N, 2) are seen minus predicted, in pixels; ``rms``
-    of their lengths; ``tilt`` between the target and the image plane in rad; ``blur`` in pixels.
+    """A view used for the calibration.
+
+    ``residuals`` (N, 2) are measured minus predicted corners in pixels, ``rms`` is the root mean
+    square of their lengths, and ``tilt`` is the angle from target to image plane in rad.
     """
 
     view: TargetView
@@ -69,12 +71,12 @@ class UsedView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraCalibration:
-    """A calibrated camera and how good it is.
+    """A calibrated camera and the quality of the calibration.
 
-    ``rms`` of the distances between seen and predicted corners in pixels; ``deviations`` one
-    standard deviation of each parameter (pixels; none for the coefficients); ``held_out`` error in
-    pixels of each lens model in views that it was not fitted to; ``coverage`` (rows, columns)
-    counts the views with corners in each part of the image; ``warnings`` what a person should know.
+    ``rms`` is the root mean square reprojection error in pixels. ``deviations`` are the standard
+    deviations of the parameters (in pixels; coefficients have no unit). ``held_out`` is the
+    cross-validation error of each lens model in pixels. ``coverage`` (rows, columns) counts the
+    views with corners in each part of the image. ``warnings`` are for the user.
     """
 
     model: CameraModel
@@ -89,13 +91,13 @@ class CameraCalibration:
 
     @property
     def focal_deviation(self) -> float:
-        """Relative standard deviation of the focal length, the larger of both."""
+        """Relative standard deviation of the focal length, the larger of x and y."""
         d, m = self.deviations, self.model
         return max(d["fx"] / m.fx, d["fy"] / m.fy)
 
 
 class _Fit(NamedTuple):
-    """A fit to some views: camera matrix, coefficients, standard deviations, target poses."""
+    """A fit to some views: camera matrix, coefficients, standard deviations, target rotations."""
 
     matrix: Array
     coefficients: Array
@@ -110,10 +112,10 @@ def calibrate_camera(
     lens_model: str | None = None,
     unseen: Sequence[Rejected] = (),
 ) -> CameraCalibration:
-    """The camera that took these views in images of ``size`` (width, height).
+    """Calibrate the camera that took these views in images of ``size`` (width, height).
 
-    ``lens_model``: ``plumb_bob`` or ``rational_polynomial``, None to choose by evidence;
-    ``unseen`` are photographs without a view, named among those left out.
+    ``lens_model`` is ``plumb_bob`` or ``rational_polynomial``; None chooses by cross-validation.
+    ``unseen`` are photographs without a detected target; the result lists them as rejected.
 
     Raises:
         CalibrationRefused: too few views remain, or they do not determine the focal length.
@@ -144,7 +146,7 @@ def calibrate_camera(
         again = errors <= limit
         if np.array_equal(again, members):
             break
-        # Strangers among the views may have bent the first fit: then only what agrees goes on.
+        # Outliers may have distorted the first fit, so continue with a robust consensus set.
         members = again if turn else _consensus(kept, target, size, lenses)
     chosen = [view for view, member in zip(kept, members, strict=True) if member]
     strangers = [view for view, member in zip(kept, members, strict=True) if not member]
@@ -175,14 +177,14 @@ def _check_number(views: Sequence[TargetView], rejected: Sequence[Rejected]) -> 
 
 
 def _check_perspective(views: Sequence[TargetView], target: Target) -> None:
-    """Refuse sets in which every view looks straight at the target."""
+    """Raise CalibrationRefused if nearly all views show the target without tilt."""
     depths = []
     for view in views:
         points = target.points[view.ids]
         homography, _ = cv2.findHomography(points, view.pixels)
         if homography is None:
             continue
-        # How much nearer one end of the target is than the other.
+        # Relative difference of the distances to the far end and the near end of the target.
         scale = points @ homography[2, :2] + homography[2, 2]
         depths.append(float(scale.max() / scale.min()) - 1.0 if scale.min() > 0 else 1.0)
     if not depths or np.quantile(depths, 0.75) < 0.03:
@@ -200,8 +202,10 @@ def _consensus(
     size: tuple[int, int],
     lenses: Sequence[Lens],
 ) -> NDArray[np.bool_]:
-    """Which views agree with each other, (V,): those near the least median of squares over random
-    subsets (Rousseeuw 1984), fitted with the simplest and the richest lens in turn.
+    """Return a mask (V,) of the views that agree with each other.
+
+    The method is the least median of squares over random subsets (Rousseeuw 1984), alternating
+    between the simplest and the most complex lens model.
     """
 
     def judged(part: Sequence[TargetView], lens: Lens) -> Array:
@@ -232,10 +236,10 @@ def _fit(
     lens: Lens,
     start: _Fit | None = None,
 ) -> _Fit:
-    """Least squares of all corners, begun at ``start`` where there is one.
+    """Fit a camera to all corners by least squares, starting from ``start`` if given.
 
     Raises:
-        CalibrationRefused: OpenCV finds no camera.
+        CalibrationRefused: OpenCV finds no solution.
     """
     points = [
         np.column_stack([target.points[view.ids], np.zeros(len(view.ids))]).astype(np.float32)
@@ -269,12 +273,12 @@ def _fit(
 
 
 def _eight(coefficients: Array) -> Array:
-    """Coefficients as OpenCV takes them for any of the models."""
+    """Pad the coefficients with zeros to eight, which OpenCV accepts for every model."""
     return np.concatenate([coefficients, np.zeros(8 - len(coefficients))])
 
 
 def _residuals(view: TargetView, target: Target, fit: _Fit) -> Array:
-    """Seen minus predicted corners (N, 2) of a view, its own pose fitted to this camera."""
+    """Compute the residuals (N, 2) of a view's corners after fitting its pose to this camera."""
     points = np.column_stack([target.points[view.ids], np.zeros(len(view.ids))])
     good, turn, shift = cv2.solvePnP(
         points, view.pixels, fit.matrix, fit.coefficients, flags=cv2.SOLVEPNP_IPPE
@@ -298,11 +302,11 @@ def _choose(
     size: tuple[int, int],
     lenses: Sequence[Lens],
 ) -> tuple[Lens, dict[str, float]]:
-    """The simplest lens that predicts left-out views as well as any other does.
+    """Choose the simplest lens model that no other model surpasses in cross-validation.
 
-    A richer one must be better than the simpler by a quarter of the squared error, or by a fiftieth
-    and two standard errors of the difference over the views; and it must be invertible over the
-    whole image.
+    A more complex model must reduce the squared error by a quarter, or by both a fiftieth and two
+    standard errors of the difference over the views. It must also be invertible over the whole
+    image.
     """
     order = np.random.default_rng(1).permutation(len(views))
     folds = [order[start::_FOLDS] for start in range(_FOLDS)]
@@ -337,7 +341,7 @@ def _choose(
 
 
 def _invertible(fit: _Fit, size: tuple[int, int], lens: Lens) -> bool:
-    """Whether every pixel of the image's rim has one direction, found again to 0.01 pixel."""
+    """Return whether the lens model can be inverted to 0.01 pixel along the image border."""
     model = _model(fit, size, lens)
     along = np.linspace(0.0, 1.0, 17)
     rim = np.concatenate([[(s, 0.0), (s, 1.0), (0.0, s), (1.0, s)] for s in along])
@@ -345,7 +349,7 @@ def _invertible(fit: _Fit, size: tuple[int, int], lens: Lens) -> bool:
     rays = model.rays(pixels)
     points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
     back = np.abs(model.project(points) - pixels).max()
-    # The radius in the image must still grow with the angle there.
+    # The image radius must still increase with the angle at the border.
     further = model.project(np.concatenate([1.02 * rays, np.ones((len(rays), 1))], axis=1))
     centre = np.array([model.cx, model.cy])
     grows = ((further - pixels) * (pixels - centre)).sum(axis=1) > 0
@@ -371,7 +375,7 @@ def _model(fit: _Fit, size: tuple[int, int], lens: Lens) -> CameraModel:
 def _without_stray_corners(
     views: Sequence[TargetView], target: Target, size: tuple[int, int], lens: Lens
 ) -> list[TargetView]:
-    """The views without corners that lie far from where the camera puts them."""
+    """Return the views without corners that have large residuals."""
     for _ in range(3):
         fit = _fit(views, target, size, lens)
         lengths = [np.linalg.norm(_residuals(view, target, fit), axis=1) for view in views]
@@ -439,7 +443,7 @@ def _result(
 def _warnings(
     used: Sequence[UsedView], counts: NDArray[np.intp], worst: float, residuals: Array
 ) -> list[str]:
-    """What a person should know of the used views; ``residuals`` (N, 2) are those of all."""
+    """Return warnings about the used views; ``residuals`` (N, 2) are those of all views."""
     said = []
     rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
     if rms > _HIGH_RMS:

@@ -17,7 +17,7 @@ from tapping_cell.vision.camera import Array, CameraModel
 def camera_record(
     result: CameraCalibration, target: str, inputs: Sequence[Path], notes: Sequence[str] = ()
 ) -> Provenance:
-    """The record of a calibration of a ``target``, in words, from image files."""
+    """Create the record of a calibration; ``target`` is a description of the target used."""
     return Provenance(
         by="calibrate camera",
         made=now(),
@@ -40,7 +40,7 @@ def camera_record(
 
 
 def camera_info_yaml(model: CameraModel, name: str, record: Provenance) -> str:
-    """The file's text. The projection matrix shows only pixels that the image has, as ROS's."""
+    """Format the file. As in ROS, the projection matrix contains only valid image pixels."""
     size = (model.width, model.height)
     projection, _ = cv2.getOptimalNewCameraMatrix(model.matrix, model.coefficients, size, 0.0)
     lines = [

@@ -1,5 +1,4 @@
-"""Views for the calibration of a camera: which are of use, and which parts of the image they
-cover."""
+"""Selection of usable views for the calibration of a camera, and their coverage of the image."""
 
 from __future__ import annotations
 
@@ -12,10 +11,10 @@ from numpy.typing import NDArray
 from tapping_cell.calibration.target import TargetView
 
 _SAME_SHARE = 0.004
-"""Views whose corners lie on average within this share of the image's diagonal are one view."""
+"""Mean corner distance, as a fraction of the image diagonal, below which views are duplicates."""
 _BLUR_SHARE, _BLUR_PIXELS, _BLUR_RATIO = 0.15, 2.5, 2.0
 GRID = (5, 6)
-"""Rows and columns of the parts of the image of which coverage is counted."""
+"""Number of rows and columns into which the image is divided to count coverage."""
 _PLACES = (
     ("top left", "top", "top right"),
     ("left", "middle", "right"),
@@ -25,7 +24,7 @@ _PLACES = (
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """A photograph that was not used, and why."""
+    """A rejected photograph with the reason."""
 
     name: str
     reason: str
@@ -34,7 +33,7 @@ class Rejected:
 def screen(
     views: Sequence[TargetView], size: tuple[int, int]
 ) -> tuple[list[TargetView], list[Rejected]]:
-    """Leave out what is blurred, and of views of one and the same pose all but the first."""
+    """Reject blurred views and, among views of the same pose, all except the first."""
     usual = float(np.median([view.blur for view in views])) if views else 0.0
     near = _SAME_SHARE * float(np.hypot(*size))
     kept: list[TargetView] = []
@@ -65,20 +64,20 @@ def screen(
 
 
 def _apart(view: TargetView, other: TargetView) -> float:
-    """Mean distance of the corners that both views show, in pixels; infinite without such."""
+    """Return the mean distance of common corners in pixels; infinite for fewer than four."""
     _, mine, others = np.intersect1d(view.ids, other.ids, return_indices=True)
     if len(mine) < 4:
         return np.inf
     first, second = view.pixels[mine], other.pixels[others]
     apart = np.linalg.norm(first - second, axis=1).mean()
     if len(view.ids) == len(other.ids) == len(mine):
-        # A chessboard found upside down is the same view.
+        # A chessboard detected with reversed corner order is the same view.
         apart = min(apart, np.linalg.norm(first - second[::-1], axis=1).mean())
     return float(apart)
 
 
 def coverage(views: Sequence[TargetView], size: tuple[int, int]) -> NDArray[np.intp]:
-    """In how many views each part of the image shows a corner, shape ``GRID``."""
+    """Count the views that have a corner in each part of the image; shape ``GRID``."""
     counts = np.zeros(GRID, dtype=np.intp)
     for view in views:
         column = np.clip((view.pixels[:, 0] + 0.5) / size[0] * GRID[1], 0, GRID[1] - 1)
@@ -90,7 +89,7 @@ def coverage(views: Sequence[TargetView], size: tuple[int, int]) -> NDArray[np.i
 
 
 def bare_places(counts: NDArray[np.intp]) -> list[str]:
-    """In words, the parts of the image where most of the area shows no corner in any view."""
+    """Name the regions of the image in which more than half the area has no corner in any view."""
     bare = []
     for row, names in enumerate(_PLACES):
         for column, name in enumerate(names):

@@ -1,4 +1,4 @@
-"""A cell file with a calibrated section: everything else in it, comments included, stays."""
+"""Update of one section of a cell file after a calibration, leaving all else unchanged."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def calibrated_cell(
     record: Provenance,
     target: Path,
 ) -> str:
-    """The text of the cell's file with ``values`` and ``record`` in its ``section``.
+    """Return the text of the cell file with ``values`` and ``record`` in its ``section``.
 
-    The names of the table, camera and object files are made to hold from the folder of ``target``.
+    The paths of the table, camera and object files become relative to the folder of ``target``.
 
     Raises:
-        ConfigurationError: the section is written in braces.
+        ConfigurationError: the section is written as a flow mapping (in braces).
     """
     text = cell.path.read_text(encoding="utf-8")
     texts = {key: numbers_text(value) for key, value in values.items()}

@@ -1,12 +1,11 @@
-"""Measurements in CSV files, read strictly: what is wrong is named by file and row.
+"""Strict reading of measurements from CSV files; every error names file and row.
 
-The first line that is not a comment (``#``) names the columns. A column's unit is SI, or the one
-that its name ends in: ``x`` and ``x_m`` are in m, ``x_mm`` in mm, ``shoulder_deg`` in degrees.
-Cells are separated by commas, or by semicolons or tabs; then all numbers may have decimal commas. A
-row with a cell that is no number or outside the column's range is left out and named in ``faults``;
-a file in which many rows are so is refused, with the unit that would mend it. Columns that nobody
-asked for are not read. Row numbers are those of a text editor or spreadsheet: the header is 1 when
-it is the first line.
+The first line that is not a comment (``#``) names the columns. A column's unit is SI or the suffix
+of its name: ``x`` and ``x_m`` are in m, ``x_mm`` in mm, ``shoulder_deg`` in degrees. Cells are
+separated by commas, semicolons or tabs. With semicolons or tabs, numbers may have decimal commas. A
+row in which a cell is not a number or is out of range is rejected and listed in ``faults``. If many
+rows are out of range, the file is rejected, and the message suggests another unit. Other columns
+are ignored. Row numbers are those of a text editor: the first line is row 1.
 """
 
 from __future__ import annotations
@@ -33,25 +32,24 @@ UNITS: dict[str, dict[str, float]] = {
     "kg": {"kg": 1.0, "g": 1e-3},
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
 }
-"""Endings of a column's name and what they multiply, by the SI unit of the quantity."""
+"""Suffixes of column names and their factors, for each SI unit."""
 
 _DECIMAL_POINT = re.compile(r"[+-]?\d*\.\d*([eE][+-]?\d+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d*([eE][+-]?\d+)?")
 _MOST = 0.3
-"""Share of rows out of range above which the file, not a row, is wrong."""
+"""Maximum fraction of rows out of range; above it, the whole file is rejected."""
 
 
 class RecordError(ValueError):
-    """A record that cannot be used at all; the message names file, row or column, and what to
-    do."""
+    """Raised for an unusable record; the message names file, row or column, and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of numbers: SI ``unit`` (a key of ``UNITS``) and the closed range, in it.
+    """A column of numbers with its SI ``unit`` (a key of ``UNITS``) and its closed range.
 
-    ``least_largest``: the largest magnitude of the whole column must be at least this, else the
-    unit is taken for wrong (metres in a column of millimetres).
+    ``least_largest`` is the minimum of the largest magnitude in the column. Smaller columns are
+    assumed to have the wrong unit (metres in a column of millimetres).
     """
 
     name: str
@@ -62,7 +60,7 @@ class Column:
     least_largest: float = 0.0
 
     def headers(self) -> dict[str, float]:
-        """Names that a file may give the column, and the factor to SI of each."""
+        """Return the permitted names of the column with their factors to SI."""
         return {self.name: 1.0} | {
             f"{self.name}_{ending}": factor for ending, factor in UNITS[self.unit].items()
         }
@@ -70,7 +68,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class RowFault:
-    """A row that was left out, and why."""
+    """A rejected row with the reason."""
 
     path: Path
     row: int
@@ -82,9 +80,10 @@ class RowFault:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CsvTable:
-    """The good rows of a file: their row numbers (N,), columns (N,) in SI, texts (N of them).
+    """The valid rows of a file: row numbers (N,), columns (N,) in SI, and columns of N texts.
 
-    An optional column that the file lacks is not in ``values``; an empty cell of one is NaN.
+    ``values`` does not contain optional columns that the file lacks. Empty cells of optional
+    columns are NaN.
     """
 
     path: Path
@@ -94,13 +93,13 @@ class CsvTable:
     faults: tuple[RowFault, ...]
 
     def columns(self, *names: str) -> Array:
-        """Columns side by side, shape (N, len(names))."""
+        """Stack columns side by side, shape (N, len(names))."""
         return np.stack([self.values[name] for name in names], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where a column stands in the file and what makes SI of it."""
+    """Position of a column in the file, and its factor to SI."""
 
     column: Column
     index: int
@@ -114,11 +113,11 @@ def read_csv(
     texts: Sequence[str] = (),
     optional_texts: Sequence[str] = (),
 ) -> CsvTable:
-    """The rows of a CSV file whose cells are all numbers within their ranges.
+    """Read the rows of a CSV file in which every cell is a number within its range.
 
     Raises:
-        RecordError: no file, no header, a column missing or there twice, no good row, or many rows
-            out of range: the units are wrong.
+        RecordError: the file, its header, a column or valid rows are missing, a column is repeated,
+            or many values indicate a wrong unit.
     """
     path = Path(path)
     lines = _lines(path)
@@ -160,7 +159,7 @@ def read_csv(
 
 
 def _lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Row numbers and cells of the lines that are neither empty nor comments; header first."""
+    """Read row number and cells of each line that is neither empty nor a comment; header first."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -186,8 +185,10 @@ def _lines(path: Path) -> list[tuple[int, list[str]]]:
 
 
 def _with_points(lines: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
-    """Decimal commas as points, in a file without a single decimal point: where there is one, a
-    comma may stand between thousands."""
+    """Convert decimal commas to points.
+
+    A file with any decimal point is left unchanged, because its commas may separate thousands.
+    """
     cells = [cell.strip() for _, row in lines[1:] for cell in row]
     if any(_DECIMAL_POINT.fullmatch(cell) for cell in cells):
         return lines
@@ -208,7 +209,7 @@ def _described(column: Column) -> str:
 
 
 def _find(path: Path, header: Sequence[str], column: Column) -> _Place | None:
-    """The place of a column, None if the file has none."""
+    """Find a column in the header; None if the file lacks it."""
     known = column.headers()
     found = [(index, name) for index, name in enumerate(header) if name in known]
     if len(found) > 1:
@@ -228,7 +229,10 @@ def _row(
     places: Sequence[_Place],
     outside: dict[str, list[float]],
 ) -> tuple[list[float], str | None]:
-    """The numbers of a row, or why it cannot be used. Values out of range go into ``outside``."""
+    """Return the numbers of a row, and the reason if it is unusable.
+
+    Values out of range are appended to ``outside``.
+    """
     if len(cells) != len(header):
         return [], f"has {len(cells)} cells where the header has {len(header)} columns"
     numbers, reasons = [], []
@@ -256,7 +260,7 @@ def _row(
 def _check_units(
     path: Path, places: Sequence[_Place], outside: dict[str, list[float]], total: int
 ) -> None:
-    """Refuse a file in which many values of a column are out of its range."""
+    """Raise RecordError if many values of a column are out of range."""
     for place in places:
         wrong = outside.get(place.column.name, [])
         if len(wrong) <= _MOST * total:
@@ -270,7 +274,7 @@ def _check_units(
 
 
 def _check_size(path: Path, places: Sequence[_Place], values: dict[str, Array]) -> None:
-    """Refuse a file in which all values of a column are too small to be what it says."""
+    """Raise RecordError if all values of a column are implausibly small."""
     for place in places:
         column, found = place.column, values[place.column.name]
         largest = float(np.max(np.abs(found[np.isfinite(found)]), initial=0.0))
@@ -284,7 +288,7 @@ def _check_size(path: Path, places: Sequence[_Place], values: dict[str, Array]) 
 
 
 def _cure(place: _Place, wrong: Sequence[float]) -> str:
-    """Which other unit would make these values (SI) fit."""
+    """Suggest another unit in which these values (SI) would be within range."""
     column = place.column
     for ending, factor in UNITS[column.unit].items():
         scaled = [abs(value) / place.factor * factor for value in wrong]

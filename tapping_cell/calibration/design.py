@@ -1,12 +1,11 @@
-"""The designed single-tap experiment: which taps, which way each, and what became of one.
+"""The designed single-tap experiment: its taps, their directions and their outcomes.
 
-A run is one striker speed with one incidence, tapped again and again (section 3.1 of the paper has
-four runs of ten trials). Small incidences stick and tell the impact's constants, large ones slide
-through and tell the contact friction; two speeds tell what depends on speed from what does not.
-Where the object starts and how it lies is varied on purpose: near the middle of the table it is
-sent out along a fan of directions, from anywhere else back towards the middle. So each pair of
-trials goes there and back, what the table's tilt adds to one it takes from the other, and the
-object needs no bringing back between trials.
+A run repeats taps with one striker speed and one incidence (section 3.1 of the paper has four runs
+of ten trials). At small incidences the contact sticks, which determines the impact constants. At
+large incidences it slides throughout, which determines the contact friction. Two speeds separate
+speed-dependent effects from others. The start pose varies on purpose: from the middle of the table
+the object is tapped outwards in varying directions, from elsewhere back to the middle. So the
+effect of the table's tilt cancels in each pair of trials, and nobody has to return the object.
 """
 
 from __future__ import annotations
@@ -31,20 +30,21 @@ from tapping_cell.se2 import Pose
 DESIGN_FILE = "design.yaml"
 
 SPEEDS = (0.75, 1.1)
-"""Striker speeds in m/s: the paper's disk travels 30 to 100 mm, 6 to 12 pictures at 30 Hz."""
+"""Striker speeds in m/s; the paper's disk then travels 30 to 100 mm in 6 to 12 frames at 30 Hz."""
 INCIDENCES = (math.radians(20.0), math.radians(-45.0))
-"""One that sticks and one that slides through, for contact frictions about 0.2; one to each side,
-so that the object does not wind up and a steady error of the arm's angle averages out."""
+"""Incidences at which the contact sticks and slides, respectively, for contact frictions near 0.2.
+Their signs differ, so that the object's rotations and a constant error of the arm's angle cancel.
+"""
 TRIALS = 10
 
 NEAR_MIDDLE = 0.030
-"""Distance from the table's middle, m, within which a trial goes outward."""
+"""Distance from the table's middle, m, within which a trial is directed outwards."""
 FAN = math.radians(137.507764)
-"""Golden angle: any number of directions stepped by it are spread evenly."""
+"""Golden angle: steps of this angle give evenly spread directions for any number of trials."""
 ATTEMPTS = 2
-"""Trials made for each that is wanted, before a run is given up."""
+"""Maximum number of attempts per wanted trial, after which a run is given up."""
 MISSED = 0.1
-"""A tap that moved the object by less than this share of the expected has missed it."""
+"""Fraction of the expected displacement below which a tap counts as missed."""
 
 USUAL_RATE_HZ = 30.0
 
@@ -53,7 +53,7 @@ _ONE_TAP = {"missed": "missed", "disturbed": "disturbed"}
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run: ``striker_speed`` in m/s, ``incidence`` in rad, numbered from 1."""
+    """One run, numbered from 1; ``striker_speed`` in m/s, ``incidence`` in rad."""
 
     number: int
     striker_speed: float
@@ -62,7 +62,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """Every speed with every incidence, ``trials`` times; kept as ``design.yaml``."""
+    """Design of ``trials`` taps at every speed with every incidence; stored as ``design.yaml``."""
 
     speeds: tuple[float, ...] = quantity(
         "striker speeds of the runs", "m/s", 0.01, 20.0, default=SPEEDS
@@ -83,21 +83,21 @@ class Design:
 
     @property
     def runs(self) -> tuple[Run, ...]:
-        """The runs in the order in which they are made."""
+        """The runs in the order of execution."""
         every = itertools.product(self.speeds, self.incidences)
         return tuple(Run(number, *both) for number, both in enumerate(every, start=1))
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a run is: trials that can be used, and all that were made."""
+    """Progress of a run: number of usable trials and of all trials made."""
 
     used: int
     made: int
 
 
 def progress(design: Design, trials: Iterable[Trial]) -> dict[int, Progress]:
-    """How far each run of a design is, by number."""
+    """Return the progress of each run of a design, by number."""
     made: Counter[int] = Counter()
     used: Counter[int] = Counter()
     for trial in trials:
@@ -107,14 +107,14 @@ def progress(design: Design, trials: Iterable[Trial]) -> dict[int, Progress]:
 
 
 def given_up(design: Design, far: Progress) -> bool:
-    """Whether a run has had its attempts."""
+    """Return whether a run has used all its attempts without reaching its number of trials."""
     return far.made >= ATTEMPTS * design.trials and far.used < design.trials
 
 
 def travel_direction(place: Pose, number: int) -> float:
-    """Direction, rad in ``table``, in which a trial should send the object from ``place``.
+    """Return the direction, rad in ``table``, in which a trial should move the object.
 
-    ``number`` counts the trials of the whole experiment.
+    ``place`` is the object's pose, and ``number`` counts the trials of the whole experiment.
     """
     if math.hypot(place.x, place.y) > NEAR_MIDDLE:
         return math.atan2(-place.y, -place.x)
@@ -122,7 +122,7 @@ def travel_direction(place: Pose, number: int) -> float:
 
 
 def contact_of(tap: Tap, start: Pose, tip: Pose, striker_speed: float) -> tuple[float, float]:
-    """Incidence and contact angle (rad) of a tip at rest at ``tip``; NaN where it would miss."""
+    """Compute incidence and contact angle (rad) of a strike from ``tip``; NaN if it misses."""
     hit = tap.strike(start, tip, striker_speed)
     if bool(hit.missed):
         return math.nan, math.nan
@@ -131,10 +131,10 @@ def contact_of(tap: Tap, start: Pose, tip: Pose, striker_speed: float) -> tuple[
 
 
 def judged(trial: Trial, header: ExperimentFile, expected: float) -> Trial:
-    """The trial with its outcome: whether one tap, seen from rest to rest, did all that was done.
+    """Return the trial with its outcome: whether a single tap explains the observed motion.
 
-    ``expected``: distance in m that the tap should have made. A trial that was lost already (no
-    pose after it) stays so.
+    ``expected`` is the expected displacement in m. The outcome of a lost trial (no pose after the
+    tap) is unchanged.
     """
     if trial.outcome == "lost":
         return trial
@@ -161,10 +161,10 @@ def judged(trial: Trial, header: ExperimentFile, expected: float) -> Trial:
 
 
 def write_design(folder: Path, design: Design) -> None:
-    """Keep the design in an experiment's folder, made if missing.
+    """Write the design to an experiment's folder, and create the folder if missing.
 
     Raises:
-        RecordError: there is one already.
+        RecordError: the folder already contains a design.
         OSError: the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -180,10 +180,10 @@ def write_design(folder: Path, design: Design) -> None:
 
 
 def read_design(folder: Path) -> Design:
-    """The design of an experiment's folder.
+    """Read the design of an experiment's folder.
 
     Raises:
-        RecordError: there is none, or it cannot be read.
+        RecordError: the folder contains no design, or the design cannot be read.
     """
     file = folder / DESIGN_FILE
     if not file.is_file():

@@ -1,4 +1,4 @@
-"""Fitted values with their intervals, beside the old ones."""
+"""Fitted values with their confidence intervals and the previous values."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from tapping_cell.configuration.objects import ObjectFile
 Array = NDArray[np.float64]
 
 _LEAST_SCATTER_TRIALS = 8
-_UNKNOWN = 0.5  # relative standard deviation from which a value is none
+_UNKNOWN = 0.5  # relative standard deviation above which a value counts as not determined
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A fitted value with its 95 % interval and standard deviation, beside the old one.
+    """A fitted value with its 95 % interval, standard deviation and previous value.
 
-    ``old`` is NaN where the object's file had none. A value that the data do not determine is kept:
+    ``old`` is NaN if the object file had no value. If the data do not determine the value,
     ``fitted`` is False, and low, high and std are NaN.
     """
 
@@ -44,10 +44,10 @@ class Estimate:
 def slide_estimates(
     slide: SlideFit, runs: Sequence[int], content: ObjectFile, seed: int
 ) -> list[Estimate]:
-    """Friction and torque factor; ``runs`` says which trials belong together.
+    """Estimate friction and torque factor; ``runs`` is the run of each trial.
 
     Raises:
-        RecordError: the trials do not determine both.
+        RecordError: the trials do not determine both values.
     """
     message = (
         "the trials do not determine friction and torque factor together: the object hardly "
@@ -57,7 +57,7 @@ def slide_estimates(
         width = spread(slide.score, slide.information, runs, seed)
     except ValueError as problem:
         raise RecordError(message) from problem
-    # Also by what the measurement alone would allow: exact slides without a turn have no spread.
+    # Also check the information of the fit: exact slides without rotation have no spread.
     expected = np.sqrt(np.diag(np.linalg.inv(slide.information.sum(axis=0))))
     if max(float(np.max(width.std[:2])), float(np.max(expected[:2]))) > _UNKNOWN:
         raise RecordError(message)
@@ -83,9 +83,9 @@ def impact_estimates(
     seed: int,
     inflation: float = 1.0,
 ) -> list[Estimate]:
-    """All parameters of the impact, those that were not fitted as well.
+    """Estimate all parameters of the impact, including those that were not fitted.
 
-    ``inflation`` widens the intervals of a model that does not fit.
+    ``inflation`` widens the intervals if the model does not fit.
     """
     old = {
         "restitution": content.restitution,
@@ -129,12 +129,13 @@ def scatter_estimates(
     seed: int,
     errors: Sequence[ModelError],
 ) -> list[Estimate]:
-    """Scatter of launches (speed, spin, direction) and of displacements (distance, rotation).
+    """Estimate the scatter of launches (speed, spin, direction) and displacements.
 
-    The latter two are what a planner should expect of a tap: with the model's ``errors``.
+    The scatter of distance and rotation includes the model's ``errors``, because a planner should
+    expect both.
     """
     expected = {entry.quantity: entry.total for entry in errors}
-    # Of taps that hardly turn the object a relative scatter of the rotation says nothing.
+    # The relative scatter of the rotation is meaningless for taps that hardly turn the object.
     clear = np.abs(tapped.rotation) > 0.2 * tapped.distance
     rotation = np.where(clear, tapped.rotation, 1.0)
     columns = {

@@ -1,4 +1,4 @@
-"""What holds for all trials of one experiment: ``experiment.yaml`` in the folder of its records."""
+"""Header of an experiment, valid for all its trials: ``experiment.yaml`` in its folder."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class StrikerSection:
     )
 
     def striker(self) -> Striker:
-        """The striker of the mechanics."""
+        """Return the striker of the mechanical model."""
         return Striker(self.mass, self.tip_radius, self.constraint)
 
 
 @dataclass(frozen=True, slots=True)
 class ExperimentFile:
-    """The header of the records. Standard deviations hold where a row or a sample gives none."""
+    """Header of the records. Its standard deviations are the defaults for rows and samples."""
 
     format: int = quantity("version of the format", "", 1, 1)
     made: str = text("date and time, ISO 8601")
@@ -76,7 +76,7 @@ class ExperimentFile:
 
 
 class Experiment(NamedTuple):
-    """The records of one folder: header, trials, and the rows that cannot be read."""
+    """Records of one folder: header, trials and unreadable rows."""
 
     folder: Path
     header: ExperimentFile
@@ -85,12 +85,12 @@ class Experiment(NamedTuple):
 
 
 def read_experiment(place: Path | str) -> Experiment:
-    """The experiment in a folder; or of one CSV file, whose header stands beside it.
+    """Read the experiment in a folder, or one CSV file with the header in the same folder.
 
-    Without a header nothing is known of object and striker, and standard deviations are usual ones.
+    Without a header, object and striker are None, and standard deviations have default values.
 
     Raises:
-        RecordError: records that cannot be used at all (see ``read_trials``).
+        RecordError: the records cannot be used (see ``read_trials``).
         ConfigurationError: the header has an unknown key or a value out of range.
     """
     place = Path(place)
@@ -104,10 +104,10 @@ def read_experiment(place: Path | str) -> Experiment:
 
 
 def write_header(folder: Path, header: ExperimentFile) -> None:
-    """Write ``experiment.yaml`` into a folder, made if missing.
+    """Write ``experiment.yaml`` into a folder, and create the folder if missing.
 
     Raises:
-        RecordError: there is one already.
+        RecordError: the file already exists.
         OSError: the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -121,7 +121,7 @@ def write_header(folder: Path, header: ExperimentFile) -> None:
 
 
 def plain(value: Any) -> Any:
-    """A section as YAML takes it: tuples as lists, keys without a value left out."""
+    """Convert a section for YAML: tuples become lists, and keys without a value are omitted."""
     if isinstance(value, dict):
         return {name: plain(entry) for name, entry in value.items() if entry is not None}
     if isinstance(value, (list, tuple)):

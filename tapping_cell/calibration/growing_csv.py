@@ -1,4 +1,4 @@
-"""A CSV file that grows by a row at a time, so that what was measured is never lost."""
+"""A CSV file to which each measurement is appended immediately, so that none is lost."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ from tapping_cell.calibration.csv_table import RecordError
 
 
 class GrowingCsv:
-    """Rows of numbers under one header; each is on the disk when ``append`` returns.
+    """Rows of numbers with a header; each row is on the disk when ``append`` returns.
 
-    ``rows`` counts those that the file holds.
+    ``rows`` is the number of rows in the file.
 
     Raises:
-        RecordError: the file is there already and ``resume`` is not wanted, or it holds other
-            columns.
+        RecordError: the file exists and ``resume`` is False, or the file has other columns.
     """
 
     def __init__(self, path: Path, header: Sequence[str], resume: bool) -> None:
@@ -47,10 +46,10 @@ class GrowingCsv:
             self._write("\n", "a")
 
     def append(self, values: Sequence[float]) -> None:
-        """Add a row: values as in the header, in its units.
+        """Append a row of values, in the order and units of the header.
 
         Raises:
-            OSError: the disk is full or away.
+            OSError: the file cannot be written, for example because the disk is full.
         """
         if len(values) != self._columns:
             raise ValueError(f"{len(values)} values for {self._columns} columns")

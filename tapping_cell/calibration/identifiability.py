@@ -1,10 +1,10 @@
-"""Which parameters the trials tell apart, and which further experiment would.
+"""Analysis of which parameters the trials determine, and which further taps would determine more.
 
-The Fisher information of the launches (the squares of their derivatives by the parameters, over
-the scatter of a tap) is asked about all parameters at once, also those that the fit keeps: a
-parameter whose standard deviation with all others free is as large as itself is not determined, and
-the eigenvectors of the information without weight say which combinations are not. Candidates for
-the next experiment are added to the information, and the best is named.
+The Fisher information of the launches (squared derivatives by the parameters, divided by the
+variance of a tap) covers all parameters, including those that the fit keeps fixed. A parameter is
+not determined if its relative standard deviation is too large with all others free. Eigenvectors
+with small eigenvalues are the combinations that are not determined. The information of candidate
+experiments is added to that of the trials, and the best candidate is recommended.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ _WORDS = {
     "scale_b3": "scale of B3",
     GAIN: "gain of the striker's speed",
 }
-_UNKNOWN = 0.5  # relative standard deviation from which a parameter is not determined
-_SHARE = 0.3  # of an eigenvector's largest component
+_UNKNOWN = 0.5  # relative standard deviation above which a parameter is not determined
+_SHARE = 0.3  # smallest component that counts, relative to an eigenvector's largest component
 _LARGE = 1e6
 _TAPS = 10
-_REBOUND_STD = 0.02  # of the striker's speed, if one measured it after the impact
+_REBOUND_STD = 0.02  # relative standard deviation of a measured striker speed after the impact
 _INCIDENCES = tuple(math.radians(angle) for angle in (0, 10, 20, 30, 40, 50, 60))
 
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """``alone`` and ``together``: relative standard deviation of each parameter with the others
-    known, and with all free (inf: not determined). ``sentences`` are for people."""
+    """Relative standard deviations of the parameters: ``alone`` with the others known, ``together``
+    with all free (inf if not determined); ``sentences`` are the findings as text."""
 
     alone: Mapping[str, float]
     together: Mapping[str, float]
@@ -54,10 +54,10 @@ def identifiability(
     scatter: Sequence[float],
     speed_known: float,
 ) -> Identifiability:
-    """What the impacts tell of all parameters of the impact.
+    """Analyse how well the trials determine all parameters of the impact.
 
-    ``speed_known``: relative standard deviation to which the strikers' speeds as a whole are known,
-    inf where only commanded ones are.
+    ``speed_known`` is the relative standard deviation of the common factor of the striker speeds;
+    it is inf if only the commanded speeds are known.
     """
     information = _information(model, values, scatter, speed_known)
     alone, together = _deviations(information, values)
@@ -88,7 +88,7 @@ def _information(
 
 
 def _deviations(information: Array, values: Mapping[str, float]) -> tuple[Array, Array]:
-    """Relative standard deviations with the other parameters known, and with none."""
+    """Compute relative standard deviations with the other parameters known, and with all free."""
     restitution = values["restitution"]
     to_relative = np.ones(len(information))
     to_relative[0] = (1 + restitution) / max(restitution, 1e-3)
@@ -134,7 +134,7 @@ def _confounded(information: Array, speed_known: float) -> list[str]:
 def _advice(
     model: ImpactModel, values: Mapping[str, float], scatter: Sequence[float], information: Array
 ) -> list[str]:
-    """For each parameter that is not determined, the next taps that would help most."""
+    """Recommend the most informative further taps for each parameter that is not determined."""
     sentences = []
     known = _deviations(information, values)[1]
     for index, name in enumerate(_ALL):
@@ -176,7 +176,7 @@ def _candidates(
 
 
 def _alike(strikes: Strikes, speed: float, incidence: float) -> Strikes:
-    """Taps with the middle trial's measurement, to both sides."""
+    """Create candidate taps to both sides, with the median measurement accuracy of the trials."""
 
     def many(column: Array) -> Array:
         return np.full(_TAPS, float(np.nanmedian(column)))
@@ -200,7 +200,7 @@ def _alike(strikes: Strikes, speed: float, incidence: float) -> Strikes:
 
 
 def _rebound(model: ImpactModel, values: Mapping[str, float]) -> Array:
-    """Information of the striker's speed before and after the impact."""
+    """Compute the information in measured striker speeds before and after the impact."""
     columns = []
     strikes = model.strikes
     for name in NAMES:

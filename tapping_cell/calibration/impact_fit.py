@@ -1,15 +1,14 @@
-"""Restitution, contact friction and the scales of B1, B2 and B3 from measured launches.
+"""Fit of restitution, contact friction and the scales of B1, B2 and B3 to measured launches.
 
-What a trial tells: the striker's speed, where and how it hit, and the launch: speed, spin over
-speed, and direction against the contact normal. Each is compared with the impact's model
-(``mechanics.impact``) over the scatter that a tap has of its own. That scatter is estimated with
-the parameters: the mean over the trials is what the parameters explain, the rest is scatter.
+A trial gives the striker's speed, contact point, incidence and launch: speed, spin over speed, and
+direction relative to the contact normal. The residuals to the impact model (``mechanics.impact``)
+are divided by the scatter of a tap. This scatter is estimated together with the parameters.
 
-Which parameters are free is decided from the data. Restitution is, where the striker's speed is
-known; contact friction, where the contact slid in some trials; the scale of B1 (and of B3 where it
-is not zero) only if the trials speak for it, by the Bayesian information criterion. B2 and the
-restitution always act together, as (1 + e) / B2, so B2 keeps its model value unless no restitution
-from 0 to 1 explains the launches.
+The data decide which parameters are free. Restitution is free, and contact friction is free if the
+contact slid in enough trials. The scale of B1 (and of B3 if B3 varies) is free only if the Bayesian
+information criterion supports it. B2 and the restitution only act in combination, as (1 + e) / B2.
+Therefore B2 keeps its model value. Only if no restitution from 0 to 1 explains the launches, B2 is
+fitted instead of the restitution.
 """
 
 from __future__ import annotations
@@ -31,20 +30,21 @@ NAMES = ("restitution", "contact_friction", "scale_b1", "scale_b2", "scale_b3")
 _LOW = dict(zip(NAMES, (0.0, math.log(0.005), *(math.log(0.05),) * 3), strict=True))
 _HIGH = dict(zip(NAMES, (math.log(2.0), math.log(2.0), *(math.log(20.0),) * 3), strict=True))
 _PASSES = 4
-_STICKS = 2.0  # a contact friction that holds any impulse
-_TELLING = 2.0  # by which the criterion must fall for a parameter more
-_LEAST_SLIDING = 3  # trials whose contact slides, to say anything of its friction
-_FLOOR = (0.003, 0.01, 0.001)  # least scatter of speed, spin (relative) and direction (rad)
+_STICKS = 2.0  # a contact friction at which every contact sticks
+_TELLING = 2.0  # minimum decrease of the criterion that justifies another parameter
+_LEAST_SLIDING = 3  # minimum number of trials with a sliding contact to fit its friction
+_FLOOR = (0.003, 0.01, 0.001)  # minimum scatter of speed, spin (relative) and direction (rad)
 _FIRST = (0.05, 0.15, 0.02)
 _STEP = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strikes:
-    """Impacts and what they did: arrays (n,), SI; NaN in ``angle`` where it was not measured.
+    """Impacts and the resulting launches: arrays (n,), SI.
 
-    ``contact`` (n, 2) is (c_n, c_t) of ``Impact.strike``; ``angle`` that of the launch from the
-    contact normal, rad. Deviations are those of the measurement, not of the tap.
+    ``contact`` (n, 2) is (c_n, c_t) of ``Impact.strike``. ``angle`` is the angle of the launch from
+    the contact normal in rad, NaN if not measured. Standard deviations are those of the
+    measurement, without the scatter of a tap.
     """
 
     speed: Array
@@ -59,18 +59,18 @@ class Strikes:
     angle_std: Array
 
     def of(self, rows: NDArray[np.intp]) -> Strikes:
-        """Those of some trials."""
+        """Select trials by index."""
         return Strikes(*(getattr(self, entry.name)[rows] for entry in fields(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpactFit:
-    """The result. ``free`` names the fitted parameters; ``score`` (n, p) and ``information``
-    (n, p, p) are those of their logarithms (ln(1 + e) for the restitution).
+    """Result of the fit. ``free`` names the fitted parameters.
 
-    ``scatter`` is one standard deviation of a tap: speed and spin over speed (relative), direction
-    (rad); ``sliding`` (n,) is true where the contact slid to the end; ``deviations`` (n, 3) are the
-    measured over the modelled values, minus one (minus the modelled angle, for the direction).
+    ``score`` (n, p) and ``information`` (n, p, p) refer to the logarithms of the free parameters
+    (ln(1 + e) for the restitution). ``scatter`` holds the standard deviations of a tap: speed and
+    spin over speed (relative), direction (rad). ``sliding`` (n,) is true if the contact slid to the
+    end. ``deviations`` (n, 3) are relative residuals (for the direction, residuals in rad).
     """
 
     values: Mapping[str, float]
@@ -84,9 +84,10 @@ class ImpactFit:
 
 
 def fit_impact(model: ImpactModel) -> ImpactFit:
-    """Fit the impact; what is not free keeps the value that the model knows.
+    """Fit the impact; parameters that are not free keep the model's known values.
 
-    Raises ValueError for fewer than four strikes.
+    Raises:
+        ValueError: there are fewer than four strikes.
     """
     count = model.strikes.speed.size
     if count < 4:
@@ -126,7 +127,7 @@ class _Fit:
 
 
 class ImpactModel:
-    """Launches that the parameters predict, and their residuals."""
+    """Prediction of launches from the parameters, with standard deviations."""
 
     def __init__(
         self, strikes: Strikes, body: Body, striker: Striker, known: dict[str, float]
@@ -137,7 +138,7 @@ class ImpactModel:
         self._striker = striker
 
     def impact(self, values: Mapping[str, float]) -> Impact:
-        """The impact with these values."""
+        """Create the impact model with these values."""
         return Impact(
             self._body,
             self._striker,
@@ -147,7 +148,7 @@ class ImpactModel:
         )
 
     def launch(self, values: Mapping[str, float]) -> Array:
-        """Speed, spin over speed and angle, (n, 3)."""
+        """Predict speed, spin over speed and angle, (n, 3)."""
         s = self.strikes
         result = self.impact(values).strike(s.speed, s.incidence, s.contact)
         speed = np.hypot(result.velocity[..., 0], result.velocity[..., 1])
@@ -155,41 +156,41 @@ class ImpactModel:
         return np.stack([speed, result.spin / np.maximum(speed, 1e-12), angle], axis=1)
 
     def sliding(self, values: Mapping[str, float]) -> NDArray[np.bool_]:
-        """Where the contact slides to the end, (n,)."""
+        """Return whether each contact slides to the end of the impact, (n,)."""
         s = self.strikes
         slid = self.impact(values).strike(s.speed, s.incidence, s.contact).sliding
         return np.asarray(slid != 0)
 
     def seen(self) -> Array:
-        """What was measured, as :meth:`launch`; NaN where nothing was."""
+        """Return the measured launches in the format of :meth:`launch`; NaN if not measured."""
         s = self.strikes
         return np.stack([s.launch_speed, s.spin / s.launch_speed, s.angle], axis=1)
 
     def measured_std(self) -> Array:
-        """Standard deviations of the measurement, (n, 3)."""
+        """Compute the standard deviations of the measurement, (n, 3)."""
         s = self.strikes
         ratio = s.spin_std / s.launch_speed
         relative = np.hypot(s.launch_speed_std, s.launch_speed * s.speed_std / s.speed)
         return np.stack([relative, ratio, s.angle_std], axis=1)
 
     def deviation_std(self, launch: Array, scatter: Sequence[float]) -> Array:
-        """Standard deviation of seen minus launch, (n, 3)."""
+        """Compute the standard deviations of the residuals, (n, 3)."""
         size = np.stack([launch[:, 0], np.abs(launch[:, 1]), np.ones(len(launch))], axis=1)
         return np.asarray(np.hypot(size * np.asarray(scatter), self.measured_std()))
 
     def with_known(self, **values: float) -> ImpactModel:
-        """The same with other values for what is not fitted."""
+        """Return a copy with other values of the parameters that are not fitted."""
         return ImpactModel(self.strikes, self._body, self._striker, self.known | values)
 
     def with_strikes(self, strikes: Strikes) -> ImpactModel:
-        """The same body and striker, hit otherwise."""
+        """Return a model of the same body and striker with other strikes."""
         return ImpactModel(strikes, self._body, self._striker, self.known)
 
     def rebound(self, values: Mapping[str, float]) -> Array:
-        """Speed (n,) of the striker along the contact normal after the impact, m/s.
+        """Compute the striker's speed (n,) along the contact normal after the impact, m/s.
 
-        By the restitution of the parting speeds, as the paper measured it: the contact point of the
-        body less e times the speed of the approach.
+        As in the paper, restitution is a ratio of relative speeds: the striker's speed is that of
+        the body's contact point minus e times the approach speed.
         """
         s = self.strikes
         result = self.impact(values).strike(s.speed, s.incidence, s.contact)
@@ -197,7 +198,7 @@ class ImpactModel:
         return np.asarray(point - values["restitution"] * s.speed * np.cos(s.incidence))
 
     def with_free(self, free: Sequence[str], x: Array) -> dict[str, float]:
-        """All parameters, those of ``free`` from their logarithms ``x``."""
+        """Return all parameters; ``x`` are the logarithms of the ``free`` ones."""
         values = dict(self.known)
         for name, value in zip(free, x.tolist(), strict=True):
             values[name] = _outside(name, value)
@@ -213,10 +214,10 @@ def _outside(name: str, value: float) -> float:
 
 
 def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
-    """Weighted least squares, the scatter estimated anew between passes.
+    """Fit by weighted least squares, re-estimating the scatter after each pass.
 
-    The weights are those of the pass before: they must not follow the parameters, or large modelled
-    values would excuse themselves.
+    The weights are fixed during a pass. If they followed the parameters, large predicted values
+    would reduce their own weight.
     """
     low = np.array([_LOW[name] for name in free])
     high = np.array([_HIGH[name] for name in free])
@@ -233,7 +234,7 @@ def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
     for _ in range(_PASSES):
         starts = [x]
         if "contact_friction" in free:
-            # Sticking and sliding trials change sides with the friction: look from several.
+            # Contacts switch between sticking and sliding with the friction, so use several starts.
             place = free.index("contact_friction")
             for friction in (0.08, 0.2, 0.5):
                 start = x.copy()
@@ -260,14 +261,14 @@ def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
 def _scatter(
     model: ImpactModel, off: Array, launch: Array, used: int
 ) -> tuple[float, float, float]:
-    """What a tap varies by itself: the residuals' spread less that of the measurement."""
+    """Estimate the scatter of a tap: the variance of the residuals minus the measurement's."""
     measured = model.measured_std()
     size = np.stack([launch[:, 0], np.abs(launch[:, 1]), np.ones(len(launch))], axis=1)
     values = []
     for k, floor in enumerate(_FLOOR):
         usable = np.isfinite(off[:, k])
         if k == 1:
-            # A spin near zero says nothing of a relative scatter.
+            # A spin near zero gives no relative scatter.
             usable &= size[:, 1] * 0.1 > measured[:, 1]
         if usable.sum() < 3:
             values.append(_FIRST[k])
@@ -281,9 +282,11 @@ def _scatter(
 
 
 def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[str]) -> ImpactModel:
-    """Contacts that stick as well explain the launches: the file's friction stays, unless with it
-    they are explained worse. No bound follows from that: a model that is wrong elsewhere lets
-    contacts seem to stick which slid."""
+    """Fix the contact friction, because contacts that stick explain the launches as well.
+
+    The file's friction is kept unless it explains the launches worse. This gives no bound on the
+    friction: an error elsewhere in the model can make sliding contacts appear to stick.
+    """
     known = model.known["contact_friction"]
     said = (
         "contacts that stick explain the launches as well: the contact friction is not determined"
@@ -304,7 +307,7 @@ def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[s
 
 
 def _candidates(model: ImpactModel, base: _Fit, slid: int) -> tuple[str, ...]:
-    """Scales that the trials could speak of."""
+    """Return the names of the scales that the trials could determine."""
     extra = []
     if model.strikes.speed.size - slid >= _LEAST_SLIDING:
         extra.append("scale_b1")
@@ -319,7 +322,7 @@ def _candidates(model: ImpactModel, base: _Fit, slid: int) -> tuple[str, ...]:
 def weighted_slopes(
     model: ImpactModel, values: Mapping[str, float], names: Sequence[str], deviation: Array
 ) -> Array:
-    """Derivatives of the residuals by the parameters, (n, 3, p); 0 where nothing was measured."""
+    """Compute derivatives of the residuals by the parameters, (n, 3, p); 0 if not measured."""
     known = np.isfinite(model.seen())
     columns = []
     for name in names:
@@ -354,9 +357,10 @@ def _result(model: ImpactModel, fit: _Fit, notes: tuple[str, ...]) -> ImpactFit:
 
 
 def contact_frame(body: Body, contact_angle: Array) -> tuple[Array, Array]:
-    """(c_n, c_t) of contacts (n, 2) and the direction (n,) of their normals in the body's frame.
+    """Compute (c_n, c_t) of contacts (n, 2) and the directions (n,) of their normals, body frame.
 
-    A NaN contact angle gives the contact at angle 0, which serves round bodies, and no direction.
+    For a NaN contact angle, the contact is that at angle 0 (exact for round bodies), and the
+    direction is NaN.
     """
     angle = np.nan_to_num(contact_angle)
     point, outward = body.boundary(angle), body.normal(angle)

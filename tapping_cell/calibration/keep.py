@@ -1,14 +1,13 @@
-"""One rule for every calibrated file: nothing is overwritten silently, a better one never by force
-alone.
+"""Writing of calibrated files without accidental loss of an existing or a better file.
 
-1. No file there: it is written.
-2. A file is there: refused, unless ``force``.
-3. With ``force``, the old file's record of the same verb is compared: if the old residual or the
-   old uncertainty is smaller than the new one, refused, unless ``accept_worse`` as well. A file
-   without such a record (written by hand) cannot be compared and gives way to ``force``.
+1. If there is no file, the new file is written.
+2. If there is a file, writing is refused unless ``force`` is given.
+3. With ``force``, the old file's record of the same verb is compared. If its residual or its
+   uncertainty is smaller than the new one, writing is refused unless ``accept_worse`` is given. A
+   file without such a record (written by hand) cannot be compared, and ``force`` replaces it.
 
-The new text is read back by the reader that the nodes use before it takes the old one's place; what
-that reader refuses is never written.
+Before the new text replaces the old file, the nodes' reader checks it. A text that this reader
+rejects is never written.
 """
 
 from __future__ import annotations
@@ -24,29 +23,29 @@ from tapping_cell.configuration.provenance import Provenance, read_provenance
 from tapping_cell.configuration.schema import ConfigurationError
 
 _SLACK = 1.01
-"""A hundredth more is no worse: files hold six digits, and fits end a little apart."""
+"""Maximum ratio of new to old value that is not worse: files hold six digits, and fits vary."""
 
 
 class KeptFile(ValueError):
-    """The file that is there stays; the message says why and which option would change that."""
+    """Raised if an existing file is kept; the message gives the reason and a remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """Where a calibration goes, and what the person allows."""
+    """Output file of a calibration, and the user's permissions to replace an existing file."""
 
     path: Path
     force: bool = False
     accept_worse: bool = False
     record_at: tuple[str, ...] = ("calibration",)
-    """Keys of the file's section with its :class:`Provenance`."""
+    """Path of keys to the file's :class:`Provenance`."""
 
 
 def refuse_existing(output: Output) -> None:
-    """Refuse before the work is done, where the result could not be written anyway.
+    """Check before the calibration that its result can be written.
 
     Raises:
-        KeptFile: the file is there and ``force`` is not given, or its folder is missing.
+        KeptFile: the file exists and ``force`` is not given, or its folder is missing.
     """
     if not output.path.parent.is_dir():
         raise KeptFile(f"{output.path}: there is no folder {output.path.parent}; make it first")
@@ -60,7 +59,7 @@ def refuse_existing(output: Output) -> None:
 
 
 def refuse_better(output: Output, new: Provenance) -> None:
-    """Refuse where the file that is there is the better one.
+    """Check that the existing file is not better than the new one.
 
     Raises:
         KeptFile: the old residual or uncertainty is smaller, and ``accept_worse`` is not given.
@@ -94,13 +93,13 @@ def refuse_better(output: Output, new: Provenance) -> None:
 
 
 def write_kept(output: Output, text: str, new: Provenance, read: Callable[[Path], object]) -> None:
-    """Write ``text``, which holds ``new``, by the rule of this module.
+    """Write ``text``, which contains ``new``, by the rules of this module.
 
-    ``read`` is the nodes' reader of such files; it is given the new file, in its folder.
+    ``read`` is the nodes' reader of such files. It reads a draft in the folder of the output.
 
     Raises:
-        KeptFile: a file is there that stays.
-        ConfigurationError: ``read`` refuses the new file (a fault of the calibration).
+        KeptFile: an existing file is kept.
+        ConfigurationError: ``read`` rejects the new file (an error of the calibration).
         OSError: the folder cannot be written.
     """
     refuse_existing(output)
@@ -112,7 +111,7 @@ def write_kept(output: Output, text: str, new: Provenance, read: Callable[[Path]
         if output.force:
             os.replace(draft, output.path)
         else:
-            # Never replaces a file that came in the meantime.
+            # Mode x does not replace a file that was created in the meantime.
             with output.path.open("x", encoding="utf-8") as file:
                 file.write(text)
     except FileExistsError as error:
@@ -122,12 +121,12 @@ def write_kept(output: Output, text: str, new: Provenance, read: Callable[[Path]
 
 
 def fingerprints(paths: Iterable[Path]) -> tuple[str, ...]:
-    """Names of input files with the first twelve digits of their SHA-256."""
+    """Return the names of input files with the first twelve digits of their SHA-256."""
     return tuple(
         f"{path.name} sha256 {hashlib.sha256(path.read_bytes()).hexdigest()[:12]}" for path in paths
     )
 
 
 def now() -> str:
-    """Date and time for a record, to the second, with the zone."""
+    """Return date and time for a record, to the second, with the time zone."""
     return datetime.now().astimezone().isoformat(timespec="seconds")

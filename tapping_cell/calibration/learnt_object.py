@@ -1,9 +1,9 @@
-"""Friction, torque factor and scatter of an object from the taps of ordinary goals.
+"""Fit of friction, torque factor and scatter of an object to the taps of ordinary goals.
 
-A tap commanded by a file's mechanics launches the object with a known twist; where it came to rest
-says with which friction and torque factor it slid. Both are fitted to all taps at once by robust
-least squares. Restitution and contact friction stay as the file has them: what they are wrong by is
-in the friction, which is then the one that makes this cell's taps come true.
+A tap commanded by the mechanics of a file launches the object with a known twist. The measured
+displacement then determines friction and torque factor. Both are fitted to all taps jointly by
+robust least squares. Restitution and contact friction are kept from the file. Their errors are
+absorbed by the friction, which becomes the value for which this cell's taps are accurate.
 """
 
 from __future__ import annotations
@@ -30,18 +30,19 @@ Array = NDArray[np.float64]
 
 FEWEST_TAPS = 5
 _DISTANCE, _ROTATION, _SLOPE = 0.05, 0.15, 0.1
-"""Weights: relative scatter of distance and rotation, and rad/m of a tap that asks for no turn."""
+"""Weights of the residuals: relative scatter of distance and of rotation, and an absolute scatter
+of the rotation in rad/m for taps without rotation."""
 _OUTLIER = 5.0
-"""Taps whose residual is above this many of the scatter are left out: bumps and misses."""
+"""Number of standard deviations above which a tap is an outlier, such as a collision or a miss."""
 _BOUNDS = (np.log([0.01, 0.05]), np.log([2.0, 20.0]))
 _UNKNOWN = 0.5
-"""Relative deviation from which the torque factor counts as not determined."""
+"""Relative standard deviation from which the torque factor counts as not determined."""
 _LEAST_SCATTER = 0.002
 
 
 @dataclass(frozen=True, slots=True)
 class LearntObject:
-    """What taps said: ``content`` is the file with the values, ``left_out`` counts bumped taps."""
+    """Result of the fit: ``content`` is the file with new values, ``left_out`` unused taps."""
 
     content: ObjectFile
     estimates: tuple[Estimate, ...]
@@ -50,11 +51,11 @@ class LearntObject:
 
 
 def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike) -> LearntObject:
-    """Learn from taps that were commanded by the mechanics of ``content``.
+    """Fit an object to taps that were commanded by the mechanics of ``content``.
 
     Args:
-        content: the file that was in use.
-        commanded, measured: displacements (n, 3) in the object's axes before the tap, m and rad.
+        content: object file with which the taps were commanded.
+        commanded, measured: displacements (n, 3) in the object frame before the tap, m and rad.
 
     Raises:
         RecordError: too few taps moved the object.
@@ -143,7 +144,7 @@ def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike)
 
 
 def learning_record(learnt: LearntObject, inputs: Sequence[Path]) -> Provenance:
-    """Where the values come from."""
+    """Create the record of the fit."""
     by_name = {entry.name: entry for entry in learnt.estimates}
     intervals = "; ".join(f"{e.name} {e.low:.4g} to {e.high:.4g}" for e in learnt.estimates)
     return Provenance(
@@ -162,7 +163,7 @@ def learning_record(learnt: LearntObject, inputs: Sequence[Path]) -> Provenance:
 
 
 def _errors(predicted: Array, measured: Array) -> tuple[Array, Array, Array]:
-    """Relative errors of distance and rotation, and those of the direction in rad."""
+    """Compute relative errors of distance and rotation, and errors of the direction in rad."""
     length = np.hypot(predicted[:, 0], predicted[:, 1])
     moved = np.hypot(measured[:, 0], measured[:, 1])
     distance = np.log(moved / length)
@@ -176,7 +177,7 @@ def _errors(predicted: Array, measured: Array) -> tuple[Array, Array, Array]:
 def _about(
     name: str, value: float, spread: float, wide: float, old: float, *, fitted: bool = True
 ) -> Estimate:
-    """An estimate whose logarithm has this deviation."""
+    """Create an estimate from the standard deviation ``spread`` of its logarithm."""
     if not fitted:
         return Estimate(name, old, math.nan, math.nan, math.nan, old, fitted=False)
     low, high = value * math.exp(-wide * spread), value * math.exp(wide * spread)
@@ -191,7 +192,7 @@ def _scatter(name: str, value: float, count: int, old: float, unit: str) -> Esti
 
 
 def _smallest(content: ObjectFile, predicted: Array) -> Estimate:
-    """The smallest tap that came true; the file's own where none was as small."""
+    """Return the smallest predicted tap among the taps used, as the new ``smallest_tap``."""
     seen = float(np.hypot(predicted[:, 0], predicted[:, 1]).min())
     value = min(max(seen, 1e-4), 0.1)
     return Estimate("smallest_tap", value, 0.0, value, 0.0, content.smallest_tap, "m")

@@ -1,14 +1,13 @@
-"""Whether the fitted model explains the taps, and how far off its predictions of new taps are.
+"""Lack-of-fit tests of the fitted model, and its prediction error for new taps.
 
-Lack of fit: the taps of a run repeat one setting, so their spread is what a tap varies by itself.
-Three things that this spread cannot explain are looked for by F tests (Draper and Smith, Applied
-Regression Analysis, 1998, sections 2.1 and 6.1): means of the runs that differ from the model, and,
-within the runs, deviations that go with the place of the contact on the object or with the
-direction of travel on the table.
+Lack of fit: the taps of a run repeat one setting, so their spread is the scatter of a tap. F tests
+(Draper and Smith, Applied Regression Analysis, 1998, sections 2.1 and 6.1) detect three effects
+that this scatter cannot explain: run means that differ from the model and, within the runs,
+deviations that depend on the contact point on the object or on the direction of travel.
 
-Prediction: a new tap deviates by the model's error at its setting, of which the runs are a sample,
-and by the scatter of a tap: two variances of a one-way random effects model, with Satterthwaite's
-degrees of freedom. So the interval widens by itself where the model is wrong.
+Prediction: the error of a new tap has two sources, the model's error at its setting, of which the
+runs are a sample, and the scatter of a tap. They are the variances of a one-way random effects
+model, with Satterthwaite's degrees of freedom. So the interval widens if the model is wrong.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ Array = NDArray[np.float64]
 
 LEVEL = 0.95
 _TELLING = 0.001
-"""Probability below which a deviation is no chance; six tests are made of one fit."""
+"""Significance level of one test; six tests are made for each fit."""
 _LEAST_TRIALS = 8
 _FLOOR = {"distance": 0.005, "rotation": 0.01}
-"""Relative: what is smaller matters to no tap, however exactly it was measured."""
+"""Relative deviations that are negligible for every tap, even if they are significant."""
 _LEAST_TURN = 0.2
-"""rad/m: of taps that turn less over their distance the relative rotation says nothing."""
+"""Minimum rotation per distance, in rad/m, for which a relative rotation error is meaningful."""
 _CAUSES = {
     "setting": "from run to run, that is with the striker's speed and the incidence",
     "place": "with the place of the contact on the object: is its centre of mass or of friction "
@@ -43,9 +42,9 @@ _CAUSES = {
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """A deviation that is no chance: of ``quantity`` (distance, rotation) with ``cause`` (setting,
-    place, direction); ``probability`` of the F test, ``size`` one standard deviation, relative, and
-    ``inflation``, the ratio of the variances."""
+    """A deviation of ``quantity`` (distance, rotation) that depends on ``cause`` (setting, place,
+    direction). ``probability`` is the p-value of the F test, ``size`` the relative standard
+    deviation, and ``inflation`` the ratio of the variances."""
 
     quantity: str
     cause: str
@@ -54,7 +53,7 @@ class Misfit:
     inflation: float
 
     def sentence(self) -> str:
-        """What to tell a person."""
+        """Describe the deviation for the user."""
         return (
             f"The model does not fit: the {self.quantity} deviates by {100 * self.size:.0f} % "
             f"{_CAUSES[self.cause]} (probability by chance {self.probability:.1g})."
@@ -63,9 +62,9 @@ class Misfit:
 
 @dataclass(frozen=True, slots=True)
 class ModelError:
-    """How far a new tap is off its prediction, relative: ``scatter`` of a tap at one setting and
-    ``error`` of the model from setting to setting, one standard deviation each; ``half_width`` of
-    the interval that holds 95 % of new taps."""
+    """Relative prediction error of a new tap. ``scatter`` of a tap at one setting and ``error`` of
+    the model between settings are standard deviations. ``half_width`` is that of the interval
+    that contains 95 % of new taps."""
 
     quantity: str
     scatter: float
@@ -74,16 +73,16 @@ class ModelError:
 
     @property
     def total(self) -> float:
-        """Both together, one standard deviation: what a planner should expect."""
+        """Standard deviation of scatter and model error combined, for use by a planner."""
         return math.hypot(self.scatter, self.error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taps:
-    """Measured taps beside what the model says of them, arrays (n,).
+    """Measured taps with the model's predictions, arrays (n,).
 
-    ``runs`` says which belong together; ``contact`` is the direction of the contact point in the
-    object and ``direction`` that of travel in table, rad, NaN where not known.
+    ``runs`` is the run of each tap. ``contact`` is the direction of the contact point in the object
+    frame, and ``direction`` is that of travel in ``table``, in rad; both are NaN if unknown.
     """
 
     measured: Launches
@@ -93,7 +92,7 @@ class Taps:
     direction: Array
 
     def deviations(self) -> dict[str, Array]:
-        """Measured over predicted, minus 1; NaN where that says nothing."""
+        """Compute relative deviations from the predictions; NaN for small predicted rotations."""
         measured, predicted = self.measured, self.predicted
         turned = np.abs(predicted.rotation) > _LEAST_TURN * predicted.distance
         rotation = np.where(turned, predicted.rotation, 1.0)
@@ -104,7 +103,7 @@ class Taps:
 
 
 def lack_of_fit(taps: Taps) -> tuple[Misfit, ...]:
-    """What the model does not explain, the least probable first."""
+    """Return the significant deviations from the model, by increasing probability."""
     found: list[Misfit | None] = []
     runs = np.array(taps.runs)
     sides = np.array(
@@ -114,9 +113,9 @@ def lack_of_fit(taps: Taps) -> tuple[Misfit, ...]:
         known = np.isfinite(off)
         if known.sum() < _LEAST_TRIALS or np.unique(runs[known]).size < 2:
             continue
-        # A model of p parameters has taken p of the means of the runs for itself; two here.
+        # The fit of p parameters (two here) removes p degrees of freedom from the run means.
         found.append(_by_setting(quantity, off[known], runs[known]))
-        # What turns the object to one side adds to one turn and takes from the other.
+        # A bias to one side increases rotations to that side and reduces those to the other.
         sign = np.sign(taps.predicted.rotation) if quantity == "rotation" else 1.0
         for cause, angle, orders in (
             ("place", taps.contact, (1,)),
@@ -131,7 +130,7 @@ def lack_of_fit(taps: Taps) -> tuple[Misfit, ...]:
 
 
 def model_errors(taps: Taps) -> tuple[ModelError, ...]:
-    """Of distance and rotation, where enough taps tell."""
+    """Estimate the prediction errors of distance and rotation, if there are enough taps."""
     found = []
     runs = np.array(taps.runs)
     for quantity, off in taps.deviations().items():
@@ -144,7 +143,7 @@ def model_errors(taps: Taps) -> tuple[ModelError, ...]:
         size = number / groups
         error = max(between - within, 0.0) / size
         variance = within * (1 + 2 / number) + error * (1 + 1 / groups)
-        # Satterthwaite: of the mean squares' weights in the sum.
+        # Satterthwaite's degrees of freedom, from the weights of the mean squares in the sum.
         parts = (error * (1 + 1 / groups)) ** 2 / max(groups - 1, 1)
         parts += (within * (1 + 2 / number)) ** 2 / (number - groups)
         freedom = variance**2 / parts if parts > 0 else number - groups
@@ -158,7 +157,7 @@ def model_errors(taps: Taps) -> tuple[ModelError, ...]:
 
 
 def _mean_squares(off: Array, groups: NDArray[np.str_]) -> tuple[float, float]:
-    """Within groups, and of the groups' means about the model."""
+    """Compute the mean squares within groups, and of the group means about the model."""
     names = np.unique(groups)
     within = sum(float(np.sum((off[groups == n] - off[groups == n].mean()) ** 2)) for n in names)
     between = sum(float(np.sum(groups == n) * off[groups == n].mean() ** 2) for n in names)
@@ -178,7 +177,7 @@ def _by_setting(quantity: str, off: Array, runs: NDArray[np.str_]) -> Misfit:
 def _by_angle(
     quantity: str, cause: str, off: Array, groups: NDArray[np.str_], columns: Array
 ) -> Misfit | None:
-    """Whether harmonics of an angle explain what the means of the groups leave."""
+    """Test whether harmonics of an angle explain the residuals about the group means."""
     means = np.stack([(groups == name).astype(float) for name in np.unique(groups)], axis=1)
     spare = off.size - means.shape[1] - (columns.shape[1] if columns.ndim == 2 else 0)
     if spare < _LEAST_TRIALS // 2:

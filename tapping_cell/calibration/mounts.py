@@ -1,11 +1,11 @@
-"""Line and speed of each fixed tapper from single taps seen by the camera.
+"""Calibration of the line and speed of each fixed tapper from single taps measured by the camera.
 
-A tap tells three numbers: the direction in which the object went, its rotation per distance and its
-distance. The first two follow from where and under which angle the line meets the object, the third
-from the speed. Three unknowns a tapper (offset of the line to its left in m, its angle in rad, and
-the logarithm of the speed's factor) are fitted to all of its taps by least squares, each number
-weighed by the tap's scatter and the camera's noise; taps that nothing explains count little
-(soft-l1). Taps at one place fix the line there; taps at several places along it fix its angle.
+A tap gives three numbers: the object's direction of travel, its rotation per distance and its
+distance. The first two depend on the offset and angle of the tapper's line, the third on the speed.
+Three unknowns per tapper (offset of the line to its left in m, its angle in rad, and the logarithm
+of the speed factor) are fitted to all of its taps by least squares. The weights come from the tap's
+scatter and the camera's noise, and the soft-l1 loss reduces the effect of outliers. Taps at one
+position determine the line there; taps at several positions along it determine its angle.
 """
 
 from __future__ import annotations
@@ -35,22 +35,25 @@ RECORD_COLUMNS = (
 )
 
 LEAST_TAPS = 4
-"""Of each tapper."""
+"""Minimum number of usable taps of each tapper."""
 
 LEAST_MOVE = 0.003
-"""Shorter taps, m, tell more of the camera than of the line."""
+"""Minimum displacement of a usable tap, m; in shorter taps the camera's noise dominates."""
 
 WIDEST = np.array([0.010, math.radians(5.0), 0.5])
-"""Standard deviations of the three unknowns before any tap: m, rad, relative."""
+"""Prior standard deviations of the three unknowns: m, rad, relative."""
 
 WANTED = 0.0003
-"""Standard deviation of the line where it meets the object, m, that planning needs."""
+"""Maximum standard deviation of the line at the object, m, for planning."""
 
 
 @dataclass(frozen=True, slots=True)
 class TapScatter:
-    """Standard deviations of a tap (shares of distance and rotation; rad) and of one look (m,
-    rad)."""
+    """Standard deviations of a tap and of one camera measurement.
+
+    ``distance`` and ``rotation`` are relative, ``direction`` and ``look_angle`` in rad,
+    ``look_position`` in m.
+    """
 
     distance: float
     rotation: float
@@ -61,10 +64,12 @@ class TapScatter:
 
 @dataclass(frozen=True, slots=True)
 class MountFit:
-    """One tapper. mount: its measured line. speed_factor: true over commanded speed.
+    """Result for one tapper. ``mount`` is its measured line.
 
-    line_deviation: standard deviation of the line where it meets the object, m; angle_deviation:
-    rad. residual: root mean square of the weighted residuals (1 where the scatter is as told).
+    ``offset`` in m and ``angle`` in rad are corrections of the nominal mount. ``speed_factor`` is
+    true over commanded speed. ``line_deviation`` in m is the standard deviation of the line at the
+    object, and ``angle_deviation`` in rad that of its angle. ``residual`` is the root mean square
+    of the weighted residuals (about 1 if the assumed scatter is correct).
     """
 
     name: str
@@ -80,7 +85,7 @@ class MountFit:
 
     @property
     def taps_wanted(self) -> int:
-        """About how many taps in all bring the line to ``WANTED``."""
+        """Approximate total number of taps needed to reach ``WANTED``."""
         return max(self.taps, math.ceil(self.taps * (self.line_deviation / WANTED) ** 2))
 
 
@@ -96,12 +101,12 @@ def fit_mount(
     """Fit one tapper to its taps.
 
     Args:
-        name: of the tapper.
-        nominal: its mount as the cell file gives it.
-        tap: the mechanics of the object and this tapper's striker.
-        speeds: (n,) commanded, m/s.
-        before, after: (n, 3) poses of the object at rest, m and rad.
-        scatter: of taps and looks.
+        name: name of the tapper.
+        nominal: mount of the tapper in the cell file.
+        tap: mechanics of the object and this tapper's striker.
+        speeds: commanded speeds (n,), m/s.
+        before, after: poses (n, 3) of the object at rest, m and rad.
+        scatter: standard deviations of taps and camera measurements.
 
     Raises:
         CalibrationRefused: too few taps moved the object.

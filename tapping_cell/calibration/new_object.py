@@ -1,4 +1,4 @@
-"""The first file of an object of which only shape, height and looks are known."""
+"""Initial file of an object of which only shape, height and appearance are known."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from tapping_cell.configuration.objects import (
 from tapping_cell.vision.outline.tracing import TracedObject
 
 FRICTION = 0.17
-"""In the middle (geometric) of 0.05, plastic on glass, and 0.6, rubber feet."""
+"""Geometric mean of 0.05 (plastic on glass) and 0.6 (rubber feet)."""
 TORQUE_FACTOR = 1.8
-"""In the middle (geometric) of 0.8, weight towards the centre, and 4.0, the heaviest rim of the
-publication's objects being 3.64."""
+"""Geometric mean of 0.8 (weight near the centre) and 4.0 (weight at the rim; the largest value in
+the publication is 3.64)."""
 RESTITUTION, CONTACT_FRICTION = 0.6, 0.2
-"""A hard tip on plastic or soft metal. What they are wrong by, learning puts into the friction."""
+"""Values for a hard tip on plastic or soft metal. Learning compensates their errors by friction."""
 DENSITY = 1500.0
-"""kg/m^3, between wood and aluminium, where the mass is not given: an error of the mass is one of
-the launch speed, which learning corrects with the friction."""
+"""Density in kg/m^3, between wood and aluminium, for objects of unknown mass. An error of the mass
+causes an error of the launch speed, which learning compensates by friction."""
 
 
 def new_object(
@@ -32,10 +32,10 @@ def new_object(
     outline: OutlineSection | None,
     mass: float | None = None,
 ) -> ObjectFile:
-    """An object file with values in the middle of what objects have, m and kg.
+    """Create an object file with typical values; lengths in m, mass in kg.
 
     Raises:
-        ValueError: the body is impossible, or nothing shows its place and angle.
+        ValueError: the body is impossible, or its pose cannot be detected.
     """
     weight = mass if mass is not None else max(0.001, DENSITY * height * _area(shape))
     made = ObjectFile(
@@ -56,7 +56,7 @@ def new_object(
 
 
 def traced_shape(traced: TracedObject) -> ShapeSection:
-    """The shape that a picture shows, to a hundredth of a millimetre."""
+    """Return the shape traced in an image, rounded to a hundredth of a millimetre."""
     if traced.radius is not None:
         return ShapeSection("disk", radius=_rounded(traced.radius))
     assert traced.vertices is not None
@@ -65,7 +65,7 @@ def traced_shape(traced: TracedObject) -> ShapeSection:
 
 
 def traced_marker(traced: TracedObject) -> MarkerSection | None:
-    """The marker that a picture shows on the object; None where there is none."""
+    """Return the marker detected on the traced object; None if there is none."""
     marker = traced.marker
     if marker is None:
         return None
@@ -75,14 +75,14 @@ def traced_marker(traced: TracedObject) -> MarkerSection | None:
 
 
 def traced_outline(traced: TracedObject) -> OutlineSection | None:
-    """How an object without a marker is seen; None where it has a marker."""
+    """Return the appearance of a traced object without a marker; None if it has a marker."""
     if traced.marker is not None:
         return None
     return OutlineSection("brighter" if traced.brighter else "darker")
 
 
 def _area(shape: ShapeSection) -> float:
-    """Area of the top in m^2."""
+    """Compute the area of the top in m^2."""
     if shape.vertices is None:
         assert shape.radius is not None
         return math.pi * shape.radius**2

@@ -1,4 +1,4 @@
-"""The fitted object as a file for ``config/objects``: the same keys, with the fit's record."""
+"""Output of a fitted object as a file for ``config/objects``, with the record of the fit."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MOST_SCATTER = {"distance": 0.5, "rotation": 1.0, "direction": 0.5}
 
 
 def fitted_object(fit: ObjectFit, record: Provenance) -> ObjectFile:
-    """The object with the fitted values; what was not fitted stays as it was."""
+    """Return the object with the fitted values; values that were not fitted are unchanged."""
     found = {entry.name: _rounded(entry.value) for entry in fit.estimates if entry.fitted}
     values = {name: found[name] for name in _VALUES if name in found}
     scatter = {
@@ -47,7 +47,7 @@ def fitted_object(fit: ObjectFit, record: Provenance) -> ObjectFile:
 
 
 def fit_record(fit: ObjectFit, inputs: Sequence[Path]) -> Provenance:
-    """Where the values come from, and the two figures by which a later fit is compared."""
+    """Create the record of the fit, with the figures for comparison with later fits."""
     off = fit.by_sliding.distance / fit.measured.distance - 1
     torque = fit.estimate("torque_factor")
     kept = [entry.name for entry in fit.estimates if not entry.fitted]
@@ -79,11 +79,11 @@ def fit_record(fit: ObjectFit, inputs: Sequence[Path]) -> Provenance:
 
 
 FITTED = "Fitted to single taps (tapping_cell fit)."
-"""Heading of a file that the verb fit writes."""
+"""Heading of files that the verb ``fit`` writes."""
 
 
 def object_yaml(content: ObjectFile, record: Provenance | None, heading: str = FITTED) -> str:
-    """The file's text."""
+    """Format the object file."""
     keys = plain(asdict(replace(content, calibration=None)))
     text = yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, allow_unicode=True)
     title = f"# {heading}\n# Lengths in m, masses in kg, angles in rad.\n"

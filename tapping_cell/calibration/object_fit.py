@@ -1,5 +1,5 @@
-"""From the records of single taps to the object's parameters: what is read, left out, fitted, and
-how far each figure can be trusted."""
+"""Fit of the object's parameters to records of single taps, with outlier rejection and confidence
+intervals."""
 
 from __future__ import annotations
 
@@ -50,11 +50,12 @@ _LEAST_FRICTION_SPREAD = 0.01
 _MISFIT = 5.0
 _MOST_OUTLIERS = 0.25
 _CORRELATED = 0.9
-_AS_TOLD = 0.01  # relative: of a striker's speed
+_AS_TOLD = 0.01  # relative error of the striker's speed that is not reported
 
 
 class SpeedPoint(NamedTuple):
-    """The tapper at one setting: draw (m, NaN if none) and commanded speed, and what it made."""
+    """Speed of the tapper at one setting: its draw (m, NaN if none) or commanded speed, and the
+    mean and standard deviation of the measured speeds in m/s."""
 
     draw: float
     commanded: float
@@ -65,7 +66,7 @@ class SpeedPoint(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectFit:
-    """Everything that ``fit`` found. Arrays have one entry a used trial."""
+    """Result of the verb ``fit``. Arrays have one entry for each trial used."""
 
     content: ObjectFile
     estimates: tuple[Estimate, ...]
@@ -86,7 +87,7 @@ class ObjectFit:
     sentences: tuple[str, ...]
 
     def estimate(self, name: str) -> Estimate:
-        """The estimate of that name; KeyError if there is none."""
+        """Return the estimate of that name; raise KeyError if there is none."""
         for entry in self.estimates:
             if entry.name == name:
                 return entry
@@ -94,10 +95,10 @@ class ObjectFit:
 
 
 def fit_object(experiments: Sequence[Experiment], content: ObjectFile, seed: int = 0) -> ObjectFit:
-    """Fit the object's parameters; ``content`` gives shape, mass and the old values.
+    """Fit the object's parameters; ``content`` provides shape, mass and the previous values.
 
     Raises:
-        RecordError: the records cannot be used; the message says why.
+        RecordError: the records cannot be used; the message gives the reason.
     """
     body = content.body()
     used, left_out = screen(experiments, body, GRAVITY)
@@ -169,7 +170,7 @@ def _fit_slides(used: Sequence[Used], body: Body) -> SlideFit:
 
 
 def _check_range(slide: SlideFit) -> None:
-    """Refuse a fit that ended where no object is."""
+    """Raise RecordError if the fitted torque factor is at the limit of its range."""
     low, high = TORQUE_FACTORS
     if not 1.01 * low < slide.torque_factor < 0.99 * high:
         raise RecordError(
@@ -180,7 +181,7 @@ def _check_range(slide: SlideFit) -> None:
 
 
 def _labels(used: Sequence[Used]) -> list[str]:
-    """Names of the runs, with the folder where there are several."""
+    """Return the names of the runs, with the number of the folder if there are several."""
     folders = list(dict.fromkeys(run_of(entry.trial)[0] for entry in used))
     several = len(folders) > 1
     return [
@@ -190,7 +191,7 @@ def _labels(used: Sequence[Used]) -> list[str]:
 
 
 def _strangers(used: Sequence[Used], slide: SlideFit) -> dict[int, LeftOut]:
-    """Trials that do not slide like the others: a push, a hand, a bump in the table."""
+    """Find outliers, such as trials disturbed by a hand or by a bump in the table."""
     own = np.log(slide.own_friction)
     centred = own - np.median(own)
     width = max(1.4826 * float(np.median(np.abs(centred))), _LEAST_FRICTION_SPREAD)
@@ -227,7 +228,7 @@ def _striker(experiments: Sequence[Experiment]) -> Striker | None:
 
 
 def predict(fit: ObjectFit, experiments: Sequence[Experiment]) -> tuple[RunErrors, ...]:
-    """How well a fit predicts other taps: errors of each run, relative.
+    """Compute the relative prediction errors of a fit for each run of other taps.
 
     Raises:
         RecordError: the records cannot be used.
@@ -246,7 +247,7 @@ def predict(fit: ObjectFit, experiments: Sequence[Experiment]) -> tuple[RunError
 
 
 def predicted_taps(fit: ObjectFit, experiments: Sequence[Experiment]) -> Taps:
-    """Other taps beside what a fit says of them.
+    """Return other taps with the predictions of a fit.
 
     Raises:
         RecordError: the records cannot be used, or the impact was not fitted.
@@ -264,7 +265,7 @@ def predicted_taps(fit: ObjectFit, experiments: Sequence[Experiment]) -> Taps:
 def _others(
     fit: ObjectFit, used: Sequence[Used], own: SlideFit, experiments: Sequence[Experiment]
 ) -> _Impacts | None:
-    """The fitted impact on other strikes."""
+    """Apply the fitted impact model to other strikes."""
     striker = _striker(experiments)
     if fit.impact is None or striker is None:
         return None
@@ -285,7 +286,7 @@ def _measured(used: Sequence[Used], slide: SlideFit) -> Launches:
 
 
 class _Impacts(NamedTuple):
-    """The impact's fit, its model, and the trials (indices) that it was made from."""
+    """Fit of the impact, its model, and the indices of the fitted trials."""
 
     fit: ImpactFit
     model: ImpactModel
@@ -313,7 +314,7 @@ def _fit_impact(
         )
     if rows.size < LEAST_TRIALS:
         return None
-    # A new fit stands on the model's own constants, not on those of the last one.
+    # A new fit starts from the model's own constants, not from the scales of the last fit.
     old = {"restitution": content.restitution, "contact_friction": content.contact_friction}
     scales = {"scale_b1": 1.0, "scale_b2": 1.0, "scale_b3": 1.0}
     model = ImpactModel(strikes.of(rows), body, striker, old | scales)
@@ -360,7 +361,7 @@ def _strikes(
 
 
 def _speed_known(used: Sequence[Used]) -> float:
-    """To what share the strikers' speeds as a whole are known."""
+    """Return the relative standard deviation of the common factor of the striker speeds."""
     measured = [not math.isnan(entry.trial.striker_speed_measured) for entry in used]
     if not all(measured):
         return math.inf
@@ -368,7 +369,7 @@ def _speed_known(used: Sequence[Used]) -> float:
 
 
 def _slid(measured: Launches, slide: SlideFit, body: Body) -> Launches:
-    """Displacements from measured velocities, and velocities from measured displacements."""
+    """Predict displacements from measured velocities, and velocities from displacements."""
     curves = SlideCurves(body.support, body.support_radius, body.gamma, GRAVITY)
     log_factor = math.log(slide.torque_factor)
     distance, rotation = _rest(curves, slide, measured.speed, measured.spin)
@@ -388,7 +389,7 @@ def _rest(curves: SlideCurves, slide: SlideFit, speed: Array, spin: Array) -> tu
 def _tapped(
     used: Sequence[Used], slide: SlideFit, impacts: _Impacts | None, body: Body
 ) -> Launches:
-    """Velocities and displacements by the striker's speed and the incidence alone."""
+    """Predict velocities and displacements from the striker's speed and the incidence alone."""
     columns = np.full((4, len(used)), math.nan)
     if impacts is not None:
         launch = impacts.model.launch(impacts.fit.values)
@@ -416,8 +417,10 @@ def _taps(
 
 
 def _inflation(misfits: Sequence[Misfit]) -> float:
-    """By how much the intervals widen where the runs do not agree with the model: they are then
-    what varies, and not the taps (Birge 1932)."""
+    """Return the factor by which intervals widen if the runs do not fit the model (Birge 1932).
+
+    In that case the runs are the independent samples, not the taps.
+    """
     ratios = [misfit.inflation for misfit in misfits if misfit.cause == "setting"]
     return math.sqrt(max([1.0, *ratios]))
 
@@ -470,7 +473,7 @@ def _slide_sentences(
 
 
 def _tapper_sentences(used: Sequence[Used]) -> list[str]:
-    """Whether the striker is as fast as it was told to be."""
+    """Report a striker speed that differs significantly from the commanded speed."""
     pairs = np.array([(t.trial.striker_speed_measured, t.trial.striker_speed) for t in used])
     ratios = pairs[np.isfinite(pairs).all(axis=1)]
     if len(ratios) < LEAST_TRIALS:
@@ -487,7 +490,7 @@ def _tapper_sentences(used: Sequence[Used]) -> list[str]:
 
 
 def _tapper(used: Sequence[Used]) -> tuple[SpeedPoint, ...]:
-    """Measured striker speed by draw, or by commanded speed."""
+    """Compute the measured striker speed for each draw, or for each commanded speed."""
     settings: dict[tuple[float, float], list[float]] = {}
     for entry in used:
         trial = entry.trial

@@ -1,9 +1,9 @@
 """The paper's criterion (section 3.1.2): the sum over the runs of the squares of the average
 difference between the measured initial velocities and those calculated from the displacements.
 
-Spins are counted in the direction of the rotation and times the support's radius, so that both
-differences are speeds. Averaging first lets the noise of single trials cancel; what it gives away
-is their weight, so it is the less exact of the two fits, and here for comparison.
+Spins are positive in the direction of the rotation and multiplied by the support's radius, so that
+both differences are speeds. Averaging first cancels the noise of single trials but loses their
+weights. Therefore this fit is less accurate than that of ``object_fit`` and serves for comparison.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 class PaperFit(NamedTuple):
-    """Friction and torque factor by the paper's criterion; ``rms`` (m/s) of the differences."""
+    """Friction and torque factor by the paper's criterion; ``rms`` of the differences in m/s."""
 
     friction: float
     torque_factor: float
@@ -38,7 +38,7 @@ def paper_fit(
     gravity: float,
     start: tuple[float, float],
 ) -> PaperFit:
-    """Fit both; ``start`` holds the friction and the torque factor where the search begins."""
+    """Fit friction and torque factor; ``start`` contains their initial values."""
     curves = SlideCurves(body.support, body.support_radius, body.gamma, gravity)
     names = np.array(labels)
     runs = [names == label for label in dict.fromkeys(labels)]

@@ -1,10 +1,10 @@
-"""How well the fitted models predict: the comparisons of sections 3.1.1 and 3.1.2 of the paper.
+"""Prediction errors of the fitted models: the comparisons of sections 3.1.1 and 3.1.2 of the paper.
 
-Four of them, each averaged over a run: displacements calculated from the measured initial
-velocities and the other way round (sliding alone), initial velocities from the striker's speed and
-the incidence (impact alone), and displacements from these (the whole tap). Errors are calculated
-over measured, minus one, of the run's means; rotations and spins are counted in the direction in
-which the object turned, so that runs with taps to both sides do not cancel.
+There are four comparisons, each averaged over a run: displacements calculated from measured initial
+velocities and the inverse (sliding alone), initial velocities calculated from the striker's speed
+and the incidence (impact alone), and displacements calculated from these velocities (whole tap).
+The error is the ratio of calculated to measured mean of a run, minus 1. Rotations and spins are
+positive in the direction in which the object turned, so that taps to both sides do not cancel.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ class Launches:
     rotation: Array
 
     def of(self, rows: NDArray[np.intp]) -> Launches:
-        """Those of some trials."""
+        """Select trials by index."""
         return Launches(self.speed[rows], self.spin[rows], self.distance[rows], self.rotation[rows])
 
 
 @dataclass(frozen=True, slots=True)
 class RunErrors:
-    """Relative errors of one run's means; NaN where it cannot be said.
+    """Relative errors of one run's means; NaN if unknown.
 
-    ``label`` names the run, ``trials`` counts, the rest as the module describes: ``sliding_*``
-    displacements from measured velocities, ``inverse_*`` velocities from measured displacements,
-    ``impact_*`` velocities from the striker, ``tap_*`` displacements from the striker.
+    ``label`` names the run, and ``trials`` is its number of trials. ``sliding_*`` are errors of
+    displacements from measured velocities, ``inverse_*`` of velocities from measured displacements,
+    ``impact_*`` of velocities from the striker, ``tap_*`` of displacements from the striker.
     """
 
     label: str
@@ -60,10 +60,10 @@ def run_errors(
     sliding: Launches,
     tapping: Launches,
 ) -> tuple[RunErrors, ...]:
-    """The errors of every run, in the order of their first trials.
+    """Compute the errors of every run, in the order of their first trials.
 
-    ``sliding`` holds velocities calculated from the displacements and displacements calculated from
-    the velocities; ``tapping`` both calculated from the striker (NaN where it is not known).
+    ``sliding`` contains velocities calculated from the displacements and displacements calculated
+    from the velocities. ``tapping`` contains both, calculated from the striker (NaN if unknown).
     """
     names = np.array(labels)
     found = []
@@ -89,7 +89,7 @@ def run_errors(
 
 
 def _off(calculated: Array, seen: Array, sign: Array) -> float:
-    """Mean calculated over mean seen, minus one, of what is known of both."""
+    """Return the ratio of the calculated to the measured mean, minus 1, ignoring NaN."""
     both = np.isfinite(calculated) & np.isfinite(seen)
     if not both.any():
         return math.nan

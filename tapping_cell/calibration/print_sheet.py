@@ -1,6 +1,6 @@
-"""What is printed for a cell, laid out to scale: targets, reference markers, object markers.
+"""Layout of the printed sheets of a cell, to scale: targets, reference markers, object markers.
 
-A page's frame: origin in its lower left corner, x to the right, y up, in m.
+The origin of a page is its lower left corner, with x to the right and y up, in m.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ PAPERS = {
     "letter": (0.2794, 0.2159),
     "tabloid": (0.4318, 0.2794),
 }
-"""Width and height in m of sheets lying on their long side."""
+"""Width and height in m of sheets in landscape orientation."""
 _MARGIN = 0.010
-"""What printers leave white, in m."""
+"""Margin that printers cannot print on, in m."""
 _FOOT = 0.014
 """Height of the line with ruler and text at the bottom, in m."""
 RULER = 0.100
 _QUIET = 0.125
-"""White around a marker, in sides of it: one module of an 8-module marker."""
+"""Width of the white border as a fraction of a marker's side: one module of an 8-module marker."""
 
 
 class SheetError(ValueError):
-    """Something does not fit on the paper; the message says what would."""
+    """Raised for content that cannot be laid out on the paper; the message gives a remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Label:
-    """Text at (x, y), its lower left corner, ``height`` of its capitals, all in m."""
+    """Text with its lower left corner at (x, y) and capitals of ``height``, all in m."""
 
     x: float
     y: float
@@ -53,8 +53,9 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """One page: black ``shapes``, each a list of loops (N, 2) with the ink to their left; thin
-    ``lines`` (x0, y0, x1, y1); ``labels``; everything in m.
+    """One page, in m: black ``shapes``, thin ``lines`` (x0, y0, x1, y1) and ``labels``.
+
+    Each shape is a list of closed loops (N, 2) with the black area on their left.
     """
 
     width: float
@@ -65,10 +66,10 @@ class Page:
 
 
 def paper_size(name: str) -> tuple[float, float]:
-    """Width and height in m of a paper such as ``a4``, or of ``900x600`` in mm.
+    """Return width and height in m of a paper such as ``a4``, or of ``900x600`` in mm.
 
     Raises:
-        SheetError: an unknown name or a size outside 100 to 5000 mm.
+        SheetError: the name is unknown, or the size is outside 100 to 5000 mm.
     """
     if name.lower() in PAPERS:
         return PAPERS[name.lower()]
@@ -84,10 +85,10 @@ def paper_size(name: str) -> tuple[float, float]:
 
 
 def target_page(paper: tuple[float, float], target: Target) -> Page:
-    """A ChArUco board or chessboard in the middle of a page.
+    """Lay out a ChArUco board or chessboard in the middle of a page.
 
     Raises:
-        SheetError: it does not fit.
+        SheetError: the target does not fit.
     """
     width, height = target.columns * target.square, target.rows * target.square
     room = (paper[0] - 2 * _MARGIN, paper[1] - 2 * _MARGIN - _FOOT)
@@ -116,10 +117,10 @@ def target_page(paper: tuple[float, float], target: Target) -> Page:
 def reference_map(
     paper: tuple[float, float], size: float, dictionary: str, first_id: int
 ) -> ReferenceMap:
-    """Eight markers of side ``size`` (m) along the rim of a sheet; origin in its middle.
+    """Arrange eight markers of side ``size`` (m) along the edges of a sheet; origin in its middle.
 
     Raises:
-        SheetError: they do not fit.
+        SheetError: the markers do not fit.
     """
     inset = _MARGIN + 0.5 * size
     x = 0.5 * paper[0] - inset
@@ -144,10 +145,10 @@ def reference_map(
 
 
 def reference_page(paper: tuple[float, float], references: ReferenceMap) -> Page:
-    """The reference markers around the middle of a page, with the table's origin and axes.
+    """Lay out the reference markers on a page, with the table's origin and axes in its middle.
 
     Raises:
-        SheetError: the markers, with the white around them, do not fit.
+        SheetError: the markers with their white borders do not fit.
     """
     _refuse_too_small(paper, references)
     middle = np.array(paper) / 2
@@ -181,12 +182,12 @@ def reference_page(paper: tuple[float, float], references: ReferenceMap) -> Page
 
 
 def _half_extent(marker: ReferenceMarker) -> float:
-    """Half the width and height of the upright square around a marker, in m."""
+    """Return half the side of a marker's axis-aligned bounding square, in m."""
     return 0.5 * marker.size * (abs(math.cos(marker.theta)) + abs(math.sin(marker.theta)))
 
 
 def _turned_marker(dictionary: str, marker: ReferenceMarker, centre: Array) -> tuple[Array, ...]:
-    """The outlines of a marker at ``centre`` of the page, turned by its angle."""
+    """Return the outlines of a marker at ``centre`` on the page, rotated by its angle."""
     cosine, sine = math.cos(marker.theta), math.sin(marker.theta)
     turn = np.array([[cosine, sine], [-sine, cosine]])
     loops = marker_loops(dictionary, marker.id, marker.size)
@@ -194,7 +195,7 @@ def _turned_marker(dictionary: str, marker: ReferenceMarker, centre: Array) -> t
 
 
 def _refuse_too_small(paper: tuple[float, float], references: ReferenceMap) -> None:
-    """Refuse a paper on which a marker would leave the page or meet the foot."""
+    """Raise SheetError if a marker would extend beyond the page or into its bottom line."""
     white = max(_MARGIN, _QUIET * max(marker.size for marker in references.markers))
     across = max(abs(marker.x) + _half_extent(marker) for marker in references.markers)
     above = max(marker.y + _half_extent(marker) for marker in references.markers)
@@ -213,10 +214,10 @@ def _refuse_too_small(paper: tuple[float, float], references: ReferenceMap) -> N
 def object_page(
     paper: tuple[float, float], ids: Sequence[int], size: float, dictionary: str
 ) -> Page:
-    """Object markers in rows, each in a square to cut out that leaves it white all round.
+    """Lay out object markers in rows, each in a square to cut out that includes a white border.
 
     Raises:
-        SheetError: they do not fit.
+        SheetError: the markers do not fit.
     """
     texts = [
         f"{dictionary} id {number}, {size * 1e3:g} mm; this edge is its foot" for number in ids
@@ -225,10 +226,10 @@ def object_page(
 
 
 def cut_page(paper: tuple[float, float], references: ReferenceMap) -> Page:
-    """The reference markers in rows, each in a square to cut out, with where to glue its centre.
+    """Lay out the reference markers in rows of squares to cut out, labelled with their poses.
 
     Raises:
-        SheetError: they do not fit, or differ in size.
+        SheetError: the markers do not fit, or differ in size.
     """
     sizes = {marker.size for marker in references.markers}
     if len(sizes) != 1:
@@ -252,7 +253,7 @@ def _cut_page(
     texts: Sequence[str],
     what: str,
 ) -> Page:
-    """Markers in rows in squares to cut out."""
+    """Lay out markers in rows of squares to cut out."""
     cell = size * (1 + 2.5 * _QUIET)
     pitch = cell + 0.008
     across = int((paper[0] - 2 * _MARGIN + 0.008) / pitch)
@@ -276,9 +277,9 @@ def _cut_page(
 
 
 def marker_loops(dictionary: str, marker_id: int, size: float) -> tuple[Array, ...]:
-    """Outlines of a marker's ink, loops (N, 2) in m from its lower left corner, ink to their left.
+    """Return the outlines of a marker's black areas: loops (N, 2) in m, with black on their left.
 
-    Whole outlines and not modules side by side, which would show seams.
+    The origin is the lower left corner. Separate modules would show seams where they touch.
     """
     black = ~marker_pattern(dictionary, marker_id)[::-1]
     module = size / black.shape[0]
@@ -286,7 +287,7 @@ def marker_loops(dictionary: str, marker_id: int, size: float) -> tuple[Array, .
 
 
 def _outlines(black: NDArray[np.bool_]) -> list[Array]:
-    """Loops around the cells that are True; cell (row, column) spans x = column, y = row."""
+    """Trace the loops around True cells; cell (row, column) has its corner at x=column, y=row."""
     edges: set[tuple[tuple[int, int], tuple[int, int]]] = set()
     for row, column in np.argwhere(black).tolist():
         corners = [(column, row), (column + 1, row), (column + 1, row + 1), (column, row + 1)]
@@ -324,7 +325,7 @@ def _page(
     text: str,
     labels: Sequence[Label] = (),
 ) -> Page:
-    """A page with the ruler and the text at its foot."""
+    """Create a page with the ruler and the text in its bottom line."""
     x, y = _MARGIN, _MARGIN
     ruler = [(x, y, x + RULER, y)]
     ruler += [

@@ -1,5 +1,8 @@
-"""Which trials a fit may use. What is wrong is named by file and row and left out, or refused where
-it is most of a file; nothing doubtful is averaged in."""
+"""Selection of the trials that a fit may use.
+
+Invalid and doubtful trials are rejected with file, row and reason. A file is rejected if most of
+its rows are invalid.
+"""
 
 from __future__ import annotations
 
@@ -21,18 +24,18 @@ LEAST_RUNS = 2
 LEAST_IN_RUN = 3
 LEAST_TRIALS = 8
 _LEAST_MOTION = 0.0002  # m
-_LEAST_SPEED = 0.02  # m/s: it would go 0.1 mm at a friction of 0.2
+_LEAST_SPEED = 0.02  # m/s: corresponds to a displacement of 0.1 mm at a friction of 0.2
 _FRICTION = (0.005, 5.0)
-_SPIN_GAIN = (0.3, 30.0)  # 1 + gamma kappa / 4 for torque factors to 20, with room for noise
-_STRIKER_GAIN = (0.01, 2.5)  # an elastic hit by a heavy striker doubles its speed
+_SPIN_GAIN = (0.3, 30.0)  # 1 + gamma kappa / 4 for torque factors to 20, with tolerance for noise
+_STRIKER_GAIN = (0.01, 2.5)  # in an elastic impact by a heavy striker, the ratio is 2
 _RATE = (0.5, 2.0)
-_SPEED_SHARE, _SPIN_SHARE = 0.03, 0.08  # standard deviations taken where none are given
+_SPEED_SHARE, _SPIN_SHARE = 0.03, 0.08  # default relative standard deviations
 _OTHER_NOISE = 6.0  # standard deviations
 _TRACK_POINTS = 2
 
 
 class Used(NamedTuple):
-    """A trial that is fit for use, its slide, and the header that it came with."""
+    """A usable trial, its slide, and the header of its experiment."""
 
     trial: Trial
     motion: Motion
@@ -40,7 +43,7 @@ class Used(NamedTuple):
 
 
 class Screened(NamedTuple):
-    """What a fit may use, and what it may not."""
+    """Usable and rejected trials."""
 
     used: tuple[Used, ...]
     left_out: tuple[LeftOut, ...]
@@ -52,7 +55,7 @@ class _Doubt(NamedTuple):
 
 
 def screen(experiments: Sequence[Experiment], body: Body, gravity: float) -> Screened:
-    """The trials of all experiments that can be used. Runs of different folders stay apart.
+    """Select the usable trials of all experiments. Runs of different folders remain separate.
 
     Raises:
         RecordError: most rows of a file have wrong units, or too few trials or runs are left.
@@ -86,7 +89,7 @@ def screen(experiments: Sequence[Experiment], body: Body, gravity: float) -> Scr
 
 
 def enough(used: Sequence[Used], left_out: Sequence[LeftOut]) -> Screened:
-    """The same without runs of too few trials.
+    """Remove runs with too few trials.
 
     Raises:
         RecordError: too few trials or runs are left.
@@ -119,12 +122,12 @@ def enough(used: Sequence[Used], left_out: Sequence[LeftOut]) -> Screened:
 
 
 def run_of(trial: Trial) -> tuple[str, int]:
-    """What makes a run: its number, and the folder that it stands in."""
+    """Return the key of a trial's run: its folder and its number."""
     return trial.file.rpartition("/")[0], trial.run
 
 
 def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> Motion | _Doubt:
-    """The trial's slide, or why it is not used."""
+    """Return the trial's slide, or the reason for its rejection."""
     if trial.outcome != "ok":
         return _Doubt(trial.outcome, f"the recorder says '{trial.outcome}'")
     if not math.isfinite(trial.displacement + trial.rotation):
@@ -136,7 +139,7 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
     doubt = _against_poses(trial, spread, turn_spread)
     if doubt is not None:
         return doubt
-    # An object that set out fast and went nowhere is no miss but a wrong unit: found below.
+    # A high initial speed without displacement is a wrong unit, not a miss; it is detected below.
     still = not trial.initial_speed > _LEAST_SPEED
     if still and trial.displacement < max(_LEAST_MOTION, _OTHER_NOISE * spread):
         return _Doubt(
@@ -159,7 +162,7 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
 
 
 def _against_poses(trial: Trial, spread: float, turn_spread: float) -> _Doubt | None:
-    """Displacement and rotation must be those of the poses, where all are given."""
+    """Check that displacement and rotation agree with the poses, if all are given."""
     by_poses = math.hypot(trial.end_x - trial.start_x, trial.end_y - trial.start_y)
     off = abs(by_poses - trial.displacement)
     if off > max(_LEAST_MOTION, 0.02 * by_poses, _OTHER_NOISE * spread):
@@ -233,7 +236,7 @@ def _from_velocities(
 
 
 def _cure(speed: float, distance: float, gravity: float) -> str:
-    """Which columns in other units would make a friction of this world."""
+    """Suggest the columns for which another unit would give a plausible friction."""
     for text, v, x in (
         ("is initial_speed_m_s in mm/s?", 1e-3, 1.0),
         ("is displacement_m in mm?", 1.0, 1e-3),
@@ -265,7 +268,7 @@ def _from_track(
     )
     if not isinstance(slide, Slide):
         return _Doubt(slide.reason, slide.sentence)
-    # Where only the track says how far it went, its own ends are the poses at rest.
+    # If only the track gives the displacement, its ends are the poses at rest.
     displacement, rotation = (
         _or(trial.displacement, slide.displacement),
         _or(trial.rotation, slide.turned),

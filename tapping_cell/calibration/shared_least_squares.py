@@ -1,10 +1,11 @@
-"""Least squares with parameters of every trial and parameters that all trials share.
+"""Least squares with local parameters of each trial and parameters shared by all trials.
 
-The residuals of a trial depend on its own ``local`` parameters and on the ``shared`` ones only, so
-the matrix of the normal equations is block-diagonal but for a border: the local parameters are
-eliminated trial by trial (Schur complement), and the work grows with the number of trials only.
+The residuals of a trial depend only on its own ``local`` parameters and on the ``shared`` ones. So
+the matrix of the normal equations is a bordered block-diagonal matrix. The local parameters are
+eliminated for each trial (Schur complement), and the effort is linear in the number of trials.
 
-Levenberg 1944, Marquardt 1963; the elimination: Triggs et al., "Bundle adjustment", 2000, sect. 6.
+Methods: Levenberg 1944 and Marquardt 1963; for the elimination, Triggs et al., "Bundle adjustment",
+2000, section 6.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ Rows = NDArray[np.intp]
 
 _STEPS = 60
 _LONGEST_STEP = 0.5
-"""Largest change of a shared parameter in a step: they are logarithms and shares."""
+"""Maximum change of a shared parameter (a logarithm or a ratio) in one step."""
 
 
 class Estimate(NamedTuple):
-    """Parameters of n trials: ``shared`` (s,) and ``local`` (n, p); half the sum of squares."""
+    """Parameters ``shared`` (s,) and ``local`` (n, p); ``cost`` is half the sum of squares."""
 
     shared: Array
     local: Array
@@ -33,8 +34,8 @@ class Estimate(NamedTuple):
 
 
 class NormalEquations(NamedTuple):
-    """A problem linearised: half the sum of squares, and what each trial adds to J^T J, (n, p, p),
-    (n, p, s), (n, s, s), and to J^T r, (n, p) and (n, s)."""
+    """A linearised problem: half the sum of squares, and each trial's contributions to J^T J,
+    (n, p, p), (n, p, s), (n, s, s), and to J^T r, (n, p) and (n, s)."""
 
     cost: float
     h_local: Array
@@ -46,11 +47,11 @@ class NormalEquations(NamedTuple):
 
 Linearise = Callable[[Estimate], NormalEquations]
 Limit = Callable[[Estimate, Estimate], Estimate]
-"""Keeps a trial step, given where it began, inside the range of the parameters."""
+"""Function of a new and the previous estimate that limits the new one to the valid range."""
 
 
 def normal_equations(cost: float, hessian: Array, gradient: Array, local: int) -> NormalEquations:
-    """Split J^T J (n, p + s, p + s) and J^T r (n, p + s) after ``local`` = p parameters."""
+    """Split J^T J (n, p + s, p + s) and J^T r (n, p + s) after the ``local`` = p parameters."""
     return NormalEquations(
         cost,
         hessian[:, :local, :local],
@@ -62,9 +63,9 @@ def normal_equations(cost: float, hessian: Array, gradient: Array, local: int) -
 
 
 def sum_by_trial(jacobian: Array, residuals: Array, rows: Rows, count: int) -> tuple[Array, Array]:
-    """J^T J (count, q, q) and J^T r (count, q) of each trial; ``rows`` (N,) says whose each is.
+    """Compute J^T J (count, q, q) and J^T r (count, q) of each trial.
 
-    Every trial has a residual at least.
+    ``rows`` (N,) is the trial of each residual. Every trial must have at least one residual.
     """
     order = np.argsort(rows, kind="stable")
     starts = np.searchsorted(rows[order], np.arange(count))
@@ -75,8 +76,10 @@ def sum_by_trial(jacobian: Array, residuals: Array, rows: Rows, count: int) -> t
 
 
 def eliminated(equations: NormalEquations) -> tuple[Array, Array]:
-    """Gradient (n, s) and curvature (n, s, s) of each trial in the shared parameters, its own
-    parameters at their best for these."""
+    """Compute gradient (n, s) and curvature (n, s, s) of each trial in the shared parameters.
+
+    The local parameters are eliminated, so they are optimal for the shared ones.
+    """
     by_shared, by_gradient = _solved(equations, equations.h_local)
     return _reduced(equations, by_shared, by_gradient)
 
@@ -84,7 +87,7 @@ def eliminated(equations: NormalEquations) -> tuple[Array, Array]:
 def solve(
     linearise: Linearise, start: Estimate, limit: Limit, *, local_only: bool = False
 ) -> Estimate:
-    """Least squares from ``start``; ``local_only`` keeps the shared parameters as they are."""
+    """Minimise the sum of squares from ``start``; ``local_only`` fixes the shared parameters."""
     at, damping, evaluations = start, 1e-4, start.evaluations
     point = linearise(at)
     for _ in range(_STEPS):
@@ -119,8 +122,8 @@ def _step(equations: NormalEquations, damping: float, local_only: bool) -> tuple
 
 
 def _solved(equations: NormalEquations, h_local: Array) -> tuple[Array, Array]:
-    """What the local parameters change with the shared ones (n, p, s), and by their own gradient
-    (n, p)."""
+    """Solve for the changes of the local parameters with the shared ones (n, p, s) and with their
+    own gradient (n, p)."""
     right = np.concatenate([equations.h_mixed, equations.g_local[:, :, None]], axis=2)
     solved = np.linalg.solve(h_local, right)
     return solved[:, :, :-1], solved[:, :, -1]

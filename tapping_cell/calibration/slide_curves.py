@@ -1,10 +1,10 @@
-"""Slides in time, quick enough for a fit: where many launches are at many times.
+"""Fast computation of slides over time for fits: states of many launches at many times.
 
-The same equations and tables as ``mechanics.sliding``, arranged for fits, which ask for few samples
-of many slides at ever other parameters. Sliding scales and the ratio of spin and speed follows one
-curve on either side of its terminal value, so one table of that curve over the time left serves all
-launches. Tables are kept on a grid of torque factors; between two of them values are interpolated,
-which gives the derivative as well.
+The equations and tables are those of ``mechanics.sliding``, but arranged for fits, which need few
+samples of many slides with changing parameters. Slides are self-similar, and the ratio of spin and
+speed follows one curve on either side of its terminal value. So one table of that curve over the
+remaining time is sufficient for all launches. Tables exist on a grid of torque factors. Between
+them values are interpolated, which also gives the derivative.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from tapping_cell.mechanics.slide_table import SlideTable
 Array = NDArray[np.float64]
 
 TORQUE_FACTORS = (0.1, 15.0)
-"""Torque factors that a fit looks for."""
+"""Range of torque factors that a fit considers."""
 FINE, COARSE = 0.02, 0.12
-"""Spacing of the tables in ln(torque factor): the interpolation errs by 3e-5 and by 1e-3 of the
-rotation. A table costs a tenth of a second; a search begins on the coarse ones."""
-_FARTHEST = 14.0  # ln of the largest ratio of spin and speed that is told from a pure motion
-_NEAREST = -20.0  # ln of the least distance from the terminal ratio
+"""Spacing of the tables in ln(torque factor). The interpolation errors are 3e-5 and 1e-3 of the
+rotation. A table takes a tenth of a second to compute, so a search starts with the coarse ones."""
+_FARTHEST = 14.0  # ln of the largest ratio of spin and speed; beyond it, the motion is pure
+_NEAREST = -20.0  # ln of the smallest distance from the terminal ratio
 _KNOTS = 1000
 _SPACING = 0.02
 _LEAST_LEFT = 1e-9
 
 
 class State(NamedTuple):
-    """Arrays: distance in m and rotation in rad covered, and the velocities, m/s and rad/s."""
+    """Arrays of distance (m) and rotation (rad) covered, speed (m/s) and spin (rad/s)."""
 
     distance: Array
     rotation: Array
@@ -49,7 +49,7 @@ class Slopes(NamedTuple):
 
 
 class _Curve:
-    """Slides of one support at one Lambda, reduced: lengths times mu g, rim speeds."""
+    """Slides of one support at one Lambda in reduced units: lengths times mu g, rim speeds."""
 
     def __init__(self, support: str, torque_ratio: float) -> None:
         self.table = SlideTable(support, torque_ratio)
@@ -59,17 +59,20 @@ class _Curve:
         self._below = self._side(-1.0)
 
     def _side(self, sign: float) -> tuple[Array, Array]:
-        """ln(R omega / v) on one side of the terminal ratio and ln(time left), both rising."""
+        """Tabulate ln(R omega / v) on one side of the terminal ratio, and ln(remaining time).
+
+        Both are increasing; the ratio is relative to its terminal value.
+        """
         width = _FARTHEST - sign * self._terminal
         if width < 1e-6:
             return np.zeros(0), np.zeros(0)
-        # Knots lie dense near the terminal ratio, which is approached but never reached, and evenly
+        # Knots are dense near the terminal ratio, which is approached but never reached, and evenly
         # spaced elsewhere.
         close = np.exp(np.linspace(_NEAREST, math.log(width), _KNOTS))
         away = np.union1d(close, np.arange(width, 0.0, -_SPACING))
         ratio = self._terminal + sign * away
         rate = sign * self.table.ratio_rate(ratio)
-        # d ln(left) = d ratio / rate, by ln(away), in which it is smooth
+        # d ln(left) = d ratio / rate, integrated over ln(away), in which it is smooth
         slope = away / np.maximum(rate, 1e-12)
         steps = np.diff(np.log(away)) * (slope[1:] + slope[:-1]) / 2
         left = np.concatenate([[0.0], np.cumsum(steps)])
@@ -87,7 +90,10 @@ class _Curve:
         return np.asarray(result + self._terminal)
 
     def at(self, speed: Array, rim: Array, time: Array, rows: NDArray[np.intp]) -> State:
-        """States of launches (n,), both not negative, at reduced times (N,) of launches rows."""
+        """Compute states at reduced times (N,) for launches (n,) that are not negative.
+
+        ``rows`` (N,) is the launch of each time.
+        """
         total = self.table.rest_many(speed, rim)
         left = np.maximum(total[2][rows] - time, 0.0)
         share = np.maximum(left / np.maximum(total[2][rows], 1e-300), _LEAST_LEFT)
@@ -111,7 +117,7 @@ def _curve(support: str, gamma: float, log_torque_factor: float) -> _Curve:
 
 
 class SlideCurves:
-    """Slides of a support: ``support`` is "disk" or "ring", ``radius`` R in m, gamma m R^2 / I."""
+    """Slides of a support ("disk" or "ring") of ``radius`` R in m, with ``gamma`` = m R^2 / I."""
 
     def __init__(
         self, support: str, radius: float, gamma: float, gravity: float, grid: float = FINE
@@ -123,11 +129,11 @@ class SlideCurves:
         self._grid = grid
 
     def on(self, grid: float) -> SlideCurves:
-        """The same with tables of another spacing."""
+        """Return a copy with tables of another spacing."""
         return SlideCurves(self._support, self._radius, self._gamma, self._gravity, grid)
 
     def _around(self, log_torque_factor: float) -> tuple[_Curve, _Curve, float]:
-        """The tables below and above, and the place between them from 0 to 1."""
+        """Return the tables below and above, and the position between them from 0 to 1."""
         low, high = (math.log(limit) for limit in (0.05, 20.0))
         place = min(max(log_torque_factor, low), high) / self._grid
         step = math.floor(place)
@@ -145,10 +151,10 @@ class SlideCurves:
         friction: Array,
         log_torque_factor: float,
     ) -> tuple[State, Slopes]:
-        """States (N,) of launches (speed and spin, (n,), m/s and rad/s) at times (N,) in s.
+        """Compute states (N,) of launches (speed and spin, (n,), m/s and rad/s) at times (N,) in s.
 
-        ``rows`` (N,) says whose time it is; ``friction`` (n,) is each launch's. A time of infinity
-        asks for the end.
+        ``rows`` (N,) is the launch of each time, and ``friction`` (n,) belongs to the launches. An
+        infinite time gives the end of the slide.
         """
         speed, spin = launch
         rim = np.abs(spin) * self._radius
@@ -174,7 +180,10 @@ class SlideCurves:
     def launch(
         self, distance: Array, rotation: Array, friction: float, log_torque_factor: float
     ) -> tuple[Array, Array, tuple[Array, Array]]:
-        """Speeds and spins (n,) that end there, and their derivatives by ln(torque factor)."""
+        """Compute speeds and spins (n,) that cause these displacements, and their derivatives.
+
+        The derivatives are by ln(torque factor).
+        """
         pull = friction * self._gravity
         below, above, part = self._around(log_torque_factor)
         (v0, s0), (v1, s1) = (

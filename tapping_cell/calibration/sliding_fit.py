@@ -1,18 +1,18 @@
-"""Support friction and torque factor from all trials of an experiment at once, by likelihood.
+"""Joint maximum likelihood fit of support friction and torque factor to all trials.
 
-Every trial has a launch of its own (speed and spin) and, where it has a track, a time of impact, a
-starting pose and a little friction of its own; friction and torque factor are those of all. What is
-compared is what was measured: samples of the track, or initial velocities and displacement. So no
-velocity is formed by differences of noisy poses, frames between which the object stops cost
-nothing, and a small displacement has the weight that its noise leaves it.
+Every trial has local parameters: its launch (speed and spin) and, if it has a track, its time of
+impact, its start pose and a small deviation of its friction. Friction and torque factor are shared.
+The residuals compare measured quantities: samples of the track, or initial velocities and
+displacement. So no velocity is computed from differences of noisy poses, a stop between two frames
+causes no error, and a small displacement is weighted by its noise.
 
-The solution is the least squares of all residuals over their standard deviations
-(``shared_least_squares.py``); this file says what the residuals are and how they change.
+The fit minimises the squared residuals divided by their variances (``shared_least_squares.py``).
+This module defines the residuals and their derivatives.
 
-No object presses evenly. Where the pressure is centred a little beside the centre of mass, friction
-turns the object to one side or the other, by the direction in which it slides: half a millimetre
-varies the rotation of the paper's disk by a fifth. So where that direction is known in the object's
-frame the place of the pressure is fitted as well, to first order in it.
+No object has an exactly uniform pressure distribution. If the centre of pressure is beside the
+centre of mass, friction rotates the object depending on its direction of travel: half a millimetre
+changes the rotation of the paper's disk by a fifth. So the centre of pressure is also fitted, to
+first order, if the direction of travel is known in the object frame.
 """
 
 from __future__ import annotations
@@ -39,28 +39,28 @@ from tapping_cell.calibration.slide_curves import COARSE, TORQUE_FACTORS, SlideC
 from tapping_cell.calibration.track import Slide
 from tapping_cell.mechanics import Body
 
-# Parameters of a trial, in this order: time of impact, speed, spin, offset of the starting
-# position and angle, and ln of its friction over that of all.
+# Local parameters, in this order: time of impact, speed, spin, offset of the start position and
+# angle, and ln of the trial's friction over the shared friction.
 _IMPACT, _SPEED, _SPIN, _START, _ANGLE, _FRICTION = range(6)
 _LOCAL = 6
-# Parameters of all: ln friction, ln torque factor, centre of pressure over the support's radius.
+# Shared parameters: ln friction, ln torque factor, centre of pressure over the support's radius.
 _SHARED = 4
 _LOWEST = (math.log(0.003), math.log(TORQUE_FACTORS[0]), -0.3, -0.3)
 _HIGHEST = (math.log(5.0), math.log(TORQUE_FACTORS[1]), 0.3, 0.3)
-_CENTRE_STD = 0.05  # prior of the centre of pressure: uneven by more an object is worn or tilted
+_CENTRE_STD = 0.05  # prior of the centre of pressure; only worn or tilted objects exceed it
 _STARTS = (0.6, 1.5, 3.5)
-_FREE = 0.3  # prior of a trial's own friction where it is to be found from that trial alone
+_FREE = 0.3  # prior of a trial's own friction when it is estimated from that trial alone
 _LEAST_SCATTER = 1e-4
 _NEAR_ONE = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """What is known of one trial's slide. SI.
+    """Measurements of one trial's slide. SI.
 
-    Either ``slide`` (a track) or measured initial velocities; displacement and rotation at rest
-    always. ``rotation`` has its sign; ``heading`` is the direction of travel in the object's frame,
-    NaN if not known.
+    A motion has either ``slide`` (a track) or measured initial velocities, and always displacement
+    and rotation at rest. ``rotation`` is signed. ``heading`` is the direction of travel in the
+    object frame, NaN if unknown.
     """
 
     displacement: float
@@ -77,13 +77,13 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlideFit:
-    """The result: values in SI, arrays with one entry a trial.
+    """Result of the fit: values in SI, arrays with one entry for each trial.
 
     ``score`` (n, 4) and ``information`` (n, 4, 4) are each trial's gradient and curvature of half
-    the sum of squares in (ln friction, ln torque factor, x and y of the centre of pressure over the
-    radius), its own parameters eliminated: what the bootstrap needs. ``pressure_centre`` is in m in
-    the object's frame. ``speed`` and ``spin`` are measured from each trial alone, its own friction
-    free; ``own_friction`` is that, relative to ``friction``.
+    the sum of squares, for the bootstrap. They refer to ln friction, ln torque factor, and x and y
+    of the centre of pressure over the radius, with the local parameters eliminated.
+    ``pressure_centre`` is in m in the object frame. ``speed``, ``spin`` and ``own_friction``
+    (relative to ``friction``) are estimated from each trial alone.
     """
 
     friction: float
@@ -108,9 +108,9 @@ class SlideFit:
 
 
 class _Samples(NamedTuple):
-    """Poses to explain, of all trials in a row: (N,); ``rows`` says whose.
+    """Measured poses of all trials, concatenated (N,); ``rows`` is the trial of each pose.
 
-    A time of infinity is the pose at rest, relative to the pose before the tap.
+    An infinite time denotes the pose at rest, relative to the pose before the tap.
     """
 
     rows: Rows
@@ -122,7 +122,7 @@ class _Samples(NamedTuple):
 
 
 class _Given(NamedTuple):
-    """Initial velocities that an instrument measured: (n,), NaN where there are none."""
+    """Directly measured initial velocities (n,), NaN if not measured."""
 
     speed: Array
     spin: Array
@@ -131,9 +131,12 @@ class _Given(NamedTuple):
 
 
 def fit_slides(motions: Sequence[Motion], body: Body, gravity: float) -> SlideFit:
-    """Friction and torque factor of a body from its slides.
+    """Fit friction and torque factor of a body to its slides.
 
-    A polygon slides as its equivalent disk. Raises ValueError for fewer than two motions.
+    A polygon is treated as its equivalent disk.
+
+    Raises:
+        ValueError: there are fewer than two motions.
     """
     if len(motions) < 2:
         raise ValueError(f"{len(motions)} slides cannot be fitted; two are needed at least")
@@ -154,7 +157,7 @@ def fit_slides(motions: Sequence[Motion], body: Body, gravity: float) -> SlideFi
 
 
 class _Problem(NamedTuple):
-    """Everything that does not change from step to step."""
+    """Data that are constant during the iterations."""
 
     curves: SlideCurves
     radius: float
@@ -194,7 +197,7 @@ def _problem(motions: Sequence[Motion], body: Body, gravity: float) -> _Problem:
 
 
 def _first_guess(problem: _Problem, motions: Sequence[Motion], torque_factor: float) -> Estimate:
-    """From displacements and the tracks' decelerations."""
+    """Compute initial values from displacements and the tracks' decelerations."""
     distance = np.array([m.displacement for m in motions])
     rotation = np.array([m.rotation for m in motions])
     pulls = [
@@ -211,7 +214,7 @@ def _first_guess(problem: _Problem, motions: Sequence[Motion], torque_factor: fl
 
 
 def _unblurred(problem: _Problem, motions: Sequence[Motion], at: Estimate) -> _Problem:
-    """Without samples whose exposure saw the impact: their pose is no pose at one time."""
+    """Remove samples whose exposure contains the impact, because they mix several poses."""
     samples = problem.samples
     exposure = np.array([0.0 if m.slide is None else m.slide.exposure for m in motions])
     away = np.abs(samples.time - at.local[samples.rows, _IMPACT])
@@ -220,7 +223,7 @@ def _unblurred(problem: _Problem, motions: Sequence[Motion], at: Estimate) -> _P
 
 
 def _weighted(problem: _Problem, at: Estimate) -> _Problem:
-    """With standard deviations scaled to what the fit leaves."""
+    """Scale the standard deviations to the residuals of the fit."""
     misses = _misses(problem, at)
     samples, given = problem.samples, problem.given
     sampled = np.isfinite(samples.time)
@@ -249,12 +252,12 @@ def _rms(values: Array) -> float:
 
 
 def _spread(values: Array) -> float:
-    """Standard deviation about zero from the median of magnitudes: a wild value does not count."""
+    """Estimate the standard deviation about zero robustly, from the median of magnitudes."""
     return 1.4826 * float(np.median(np.abs(values)))
 
 
 def _between(values: Array, deviations: Array) -> float:
-    """Standard deviation between trials beyond that of the measurement, robustly."""
+    """Estimate robustly the standard deviation between trials in excess of the measurement's."""
     known = np.isfinite(deviations) & (deviations < 0.5 * _FREE)
     if known.sum() < 4:
         return 0.0
@@ -263,8 +266,7 @@ def _between(values: Array, deviations: Array) -> float:
 
 
 class _Misses(NamedTuple):
-    """By how many standard deviations the samples are missed, (N,) each, and the derivatives of
-    these, (N, 10) each."""
+    """Normalised residuals of the samples, (N,) each, and their derivatives, (N, 10) each."""
 
     distance: Array
     rotation: Array
@@ -286,11 +288,11 @@ def _misses(problem: _Problem, at: Estimate) -> _Misses:
     finite_since = np.where(moving, since, 0.0)
 
     def derivatives(value: Array, bumped: Array, rate: Array, by_torque: Array) -> Array:
-        """Those that distance and rotation have alike, (N, 10)."""
+        """Compute the derivatives (N, 10) that have the same form for distance and rotation."""
         derivative = np.zeros((rows.size, _LOCAL + _SHARED))
         by_spin = (bumped - value) / bump[rows]
-        # Twice the launch goes four times as far in twice the time (Euler's theorem), and the
-        # friction enters with the time only.
+        # Twice the launch velocity gives four times the distance in twice the time (Euler's
+        # theorem), and the friction only scales the time.
         by_speed = (2 * value - finite_since * rate - spin[rows] * by_spin) / speed[rows]
         derivative[:, _IMPACT] = np.where(moving, -rate, 0.0)
         derivative[:, _SPEED], derivative[:, _SPIN] = by_speed, by_spin
@@ -316,7 +318,10 @@ def _misses(problem: _Problem, at: Estimate) -> _Misses:
 
 
 def _linearised(problem: _Problem, at: Estimate, prior: float) -> NormalEquations:
-    """With a standard deviation ``prior`` of a trial's ln friction from that of all."""
+    """Linearise the problem.
+
+    ``prior`` is the standard deviation of a trial's ln friction from the shared one.
+    """
     misses, rows, local = _misses(problem, at), problem.samples.rows, at.local
     count = local.shape[0]
     off = np.concatenate([misses.distance, misses.rotation])
@@ -329,7 +334,7 @@ def _linearised(problem: _Problem, at: Estimate, prior: float) -> NormalEquation
     cost += float(np.sum((local[:, _FRICTION] / prior) ** 2))
     for unused in (_IMPACT, _START, _ANGLE):
         hessian[~problem.tracked, unused, unused] += 1.0
-    # The prior of the centre of pressure, a share to each trial, so that sums over trials hold it.
+    # The prior of the centre of pressure is divided among the trials, so that sums contain it once.
     for index in (2, 3):
         hessian[:, _LOCAL + index, _LOCAL + index] += _CENTRE_STD**-2 / count
         gradient[:, _LOCAL + index] += at.shared[index] * _CENTRE_STD**-2 / count
@@ -338,11 +343,11 @@ def _linearised(problem: _Problem, at: Estimate, prior: float) -> NormalEquation
 
 
 def _turned_by_centre(problem: _Problem, at: Estimate, since: Array, friction: Array) -> Array:
-    """Derivatives (N, 2) of the rotations by the centre of pressure over the radius.
+    """Compute derivatives (N, 2) of the rotations by the centre of pressure over the radius.
 
-    Friction at the centre c turns the object by d omega / dt = - kappa gamma (mu g / R) (c x v) / v
-    and slows what that gives as it slows all spin, d omega / dt = - p omega (mu g / v), with p =
-    kappa gamma / 4, while the object slides more than it spins; v falls linearly.
+    Friction at the centre c accelerates the rotation, d omega / dt = - kappa gamma (mu g / R)
+    (c x v) / v. This rotation decays like all spin, d omega / dt = - p omega (mu g / v), with p =
+    kappa gamma / 4, while sliding dominates over spinning; v decreases linearly.
     """
     rows = problem.samples.rows
     pull = (friction * problem.gravity)[rows]
@@ -363,7 +368,7 @@ def _turned_by_centre(problem: _Problem, at: Estimate, since: Array, friction: A
 
 
 def _add_given(problem: _Problem, local: Array, hessian: Array, gradient: Array) -> float:
-    """The measured initial velocities, added in place; returns twice their cost."""
+    """Add the terms of measured initial velocities in place; return twice their cost."""
     known, given, cost = ~problem.tracked, problem.given, 0.0
     pairs = ((_SPEED, given.speed, given.speed_std), (_SPIN, given.spin, given.spin_std))
     for index, value, deviation in pairs:
@@ -375,7 +380,7 @@ def _add_given(problem: _Problem, local: Array, hessian: Array, gradient: Array)
 
 
 def _limited(trial: Estimate, before: Estimate) -> Estimate:
-    """A step that stays where the model holds: no launch backwards, no friction out of range."""
+    """Limit a step to the valid range: positive launch speeds, frictions within their bounds."""
     local = trial.local
     local[:, _SPEED] = np.maximum(local[:, _SPEED], 0.3 * before.local[:, _SPEED])
     np.clip(local[:, _FRICTION], -1.0, 1.0, out=local[:, _FRICTION])
@@ -385,12 +390,12 @@ def _limited(trial: Estimate, before: Estimate) -> Estimate:
 def _fitted(
     problem: _Problem, start: Estimate, prior: float, *, local_only: bool = False
 ) -> Estimate:
-    """The least squares; ``prior`` as in ``_linearised``."""
+    """Solve the least squares problem; ``prior`` as in ``_linearised``."""
     return solve(lambda at: _linearised(problem, at, prior), start, _limited, local_only=local_only)
 
 
 def _own_friction(problem: _Problem, at: Estimate) -> tuple[Array, Array]:
-    """ln of each trial's friction over that of all, and its standard deviation, from it alone."""
+    """Estimate ln of each trial's friction over the shared one, with standard deviations."""
     covariance = np.linalg.inv(_linearised(problem, at, _FREE).h_local)
     return at.local[:, _FRICTION], np.sqrt(covariance[:, _FRICTION, _FRICTION])
 

@@ -1,8 +1,8 @@
-"""Where the reference markers lie, from images of them by a calibrated camera.
+"""Calibration of the reference markers' poses from images by a calibrated camera.
 
-Bundle adjustment (Triggs et al., Vision Algorithms 1999): the poses of the camera and the planar
-poses of the markers that bring all corners onto the directions in which they were seen. The markers
-lie in one plane; their printed size sets the scale.
+Bundle adjustment (Triggs et al., Vision Algorithms 1999) fits the poses of the camera and the
+planar poses of the markers to the measured directions of all corners. The markers lie in one plane,
+and their printed size determines the scale.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from tapping_cell.vision.markers.detection import (
 from tapping_cell.vision.markers.edges import MarkerEdges, refine, straight_corners
 
 _LENS_NOISE = 0.03
-"""Pixels by which a well calibrated lens still bends a marker's corner, one standard deviation."""
+"""Standard deviation, in pixels, of a corner's position error from residual lens distortion."""
 _STRAY_RATIO, _STRAY_PIXELS = 5.0, 0.6
-"""A marker in an image with this many times the median error, and more than these pixels, is not
-used."""
+"""A marker in an image is an outlier if its error exceeds this multiple of the median and this many
+pixels."""
 _STEPS = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerView:
-    """The markers of one image: ``ids`` (M,), directions of their corners (M, 4, 2), their standard
-    deviations ``noise`` (M,).
+    """The markers of one image: ``ids`` (M,), directions ``rays`` (M, 4, 2) of their corners in
+    normalised coordinates, and the standard deviations ``noise`` (M,) of these directions.
     """
 
     name: str
@@ -50,7 +50,7 @@ class MarkerView:
 
 @dataclass(frozen=True, slots=True)
 class Stray:
-    """A marker of an image that was left out: its error against the rest, in pixels."""
+    """A rejected marker of an image, with its residual in pixels."""
 
     image: str
     marker: int
@@ -59,9 +59,12 @@ class Stray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableCalibration:
-    """The map, in the frame asked for; ``deviations`` (M, 3) of the markers' x, y (m) and theta
-    (rad) against the frame of all of them; ``rms`` of the corners' distances in pixels, ``seen``
-    (M,) in how many images each marker is used; ``poses`` of the camera, by image.
+    """The calibrated map ``references`` and its quality.
+
+    ``deviations`` (M, 3) are the standard deviations of the markers' x, y (m) and theta (rad)
+    relative to the common frame of all markers. ``rms`` is the root mean square corner error in
+    pixels, ``seen`` (M,) the number of images in which each marker is used, and ``poses`` are the
+    camera poses by image.
     """
 
     references: ReferenceMap
@@ -80,7 +83,7 @@ def look(
     dictionary: str,
     known: Sequence[int] | None = None,
 ) -> MarkerView | str:
-    """The markers of an image (those ``known``, or all), or a sentence why there are none."""
+    """Detect the markers of an image (those in ``known``, or all); a text gives the failure."""
     problem = camera.check_image(image)
     if problem:
         return problem
@@ -102,11 +105,11 @@ def look(
 
 
 def _noise(edges: MarkerEdges) -> Array:
-    """Standard deviation (M,) of a corner in pixels.
+    """Compute the standard deviation (M,) of a corner in pixels.
 
-    The end of a line through n points has 4 / n of the variance of one of them. A side's ends are
-    not measured, so that its corner lies a tenth of its length beyond the points (5.3 / n), and
-    sides do not meet at right angles in the image; of rendered markers it is 8 / n.
+    The end of a line through n points has 4 / n of the variance of one point. The ends of a side
+    are not measured, so a corner lies a tenth of the length beyond the points (5.3 / n). Also, the
+    sides are not perpendicular in the image. With rendered markers, the factor is 8 / n.
     """
     number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
     return np.asarray(np.sqrt(8.0 / number) * np.maximum(edges.spread, 0.01))
@@ -118,13 +121,13 @@ def calibrate_table(
     dictionary: str,
     focal: float,
 ) -> TableCalibration:
-    """The map of the markers in the frame of all of them: origin in their middle, x along their
-    mean direction.
+    """Calibrate the map of the markers in their common frame.
 
-    ``sizes`` in m by id; ``focal`` pixels a unit of direction.
+    The frame's origin is the mean marker position, and its x axis the mean marker direction.
+    ``sizes`` are in m by id; ``focal`` is the focal length in pixels.
 
     Raises:
-        CalibrationRefused: too few markers or images, or parts of the map that no image joins.
+        CalibrationRefused: too few markers or images, or no image connects two parts of the map.
     """
     views = [view for view in views if len(view.ids) >= 2]
     if len(views) < 2:
@@ -176,7 +179,7 @@ def _without(
     dictionary: str,
     focal: float,
 ) -> TableCalibration:
-    """The calibration without a marker that fits where the others are in no image."""
+    """Repeat the calibration without a marker that is an outlier in every image."""
     kept = [
         MarkerView(v.name, v.ids[own], v.rays[own], v.noise[own])
         for v in views
@@ -191,7 +194,7 @@ def _without(
 
 
 def _middle(markers: Array) -> Array:
-    """The frame of all markers: their middle, their mean direction to the nearest quarter turn."""
+    """Compute the common frame of all markers: their mean position and mean direction."""
     angles = markers[:, 2] - markers[0, 2]
     mean = markers[0, 2] + np.angle(np.exp(1j * angles).sum())
     return np.array([*markers[:, :2].mean(axis=0), mean])
@@ -203,10 +206,10 @@ def _turn(angle: float) -> Array:
 
 
 def _square_up(view: MarkerView, sizes: Mapping[int, float]) -> tuple[CameraPose, Array]:
-    """A first pose over the plane from one image, and the markers' poses (M, 3) in that frame.
+    """Estimate a camera pose over the plane from one image, and the markers' poses (M, 3) there.
 
-    Every marker alone offers two planes; taken is the one on which all of them are most nearly
-    squares of their size, refined for that.
+    Each marker gives two candidate planes. The plane on which all markers are closest to squares of
+    their size is chosen and refined by this criterion.
     """
     side = np.array([sizes[int(i)] for i in view.ids])
     candidates = []
@@ -220,7 +223,7 @@ def _square_up(view: MarkerView, sizes: Mapping[int, float]) -> tuple[CameraPose
             rotation = np.asarray(cv2.Rodrigues(turn)[0], dtype=float)
             candidates.append(CameraPose(rotation, np.asarray(shift, dtype=float).ravel()))
     best = min(candidates, key=lambda pose: float((_squareness(pose, view, side)[0] ** 2).sum()))
-    # The plane's tilt and distance; where in the plane its frame lies changes nothing.
+    # Refine the plane's tilt and distance; the frame's position in the plane has no effect.
     free = np.eye(6)[[0, 1, 5]]
     for _ in range(20):
         residual, _ = _squareness(best, view, side)
@@ -235,8 +238,8 @@ def _square_up(view: MarkerView, sizes: Mapping[int, float]) -> tuple[CameraPose
 
 
 def _squareness(pose: CameraPose, view: MarkerView, side: Array) -> tuple[Array, Array]:
-    """How far the corners on the plane are from squares, in sizes (8 M,), and the squares' poses
-    (M, 3)."""
+    """Fit squares to the corners on the plane; return the residuals (8 M,) relative to the sizes of
+    the squares, and the squares' poses (M, 3)."""
     matrix = np.linalg.inv(pose.plane(0.0))
     homogeneous = view.rays @ matrix[:, :2].T + matrix[:, 2]
     points = homogeneous[..., :2] / homogeneous[..., 2:]
@@ -249,10 +252,10 @@ def _squareness(pose: CameraPose, view: MarkerView, side: Array) -> tuple[Array,
 def _join(
     views: Sequence[MarkerView], starts: Sequence[tuple[CameraPose, Array]]
 ) -> tuple[NDArray[np.intp], Array, list[CameraPose]]:
-    """One first map from those of the images: ids, poses (M, 3), the camera's poses.
+    """Join the maps of the images to an initial map: ids, poses (M, 3), camera poses.
 
     Raises:
-        CalibrationRefused: images that share fewer than one marker with the others.
+        CalibrationRefused: an image has no marker in common with the others.
     """
     first = int(np.argmax([len(view.ids) for view in views]))
     places: dict[int, Array] = {
@@ -282,7 +285,7 @@ def _join(
     ids = np.array(sorted(places), dtype=np.intp)
     poses = []
     for k in range(len(views)):
-        # Table to this image's own plane, then to the camera.
+        # Transform from the table to this image's own plane, and from there to the camera.
         into = inverse(frames[k])
         turn = _turn(into.tolist()[2])
         start = starts[k][0]
@@ -292,7 +295,7 @@ def _join(
 
 
 class _Problem:
-    """Corners of all images against poses of the camera and of the markers."""
+    """Least squares problem of the camera and marker poses for the corners of all images."""
 
     def __init__(
         self, views: Sequence[MarkerView], ids: NDArray[np.intp], sizes: Mapping[int, float]
@@ -309,12 +312,12 @@ class _Problem:
         self.images, self.markers = len(views), len(ids)
 
     def counts(self) -> NDArray[np.intp]:
-        """In how many images each marker is used."""
+        """Count the images in which each marker is used."""
         return np.bincount(self.marker[self.used], minlength=self.markers)
 
     def _system(self, poses: Sequence[CameraPose], markers: Array) -> tuple[Array, Array, Array]:
-        """Residuals (O, 8), and their derivatives by the camera's (O, 8, 6) and the marker's pose
-        (O, 8, 3), all over the corners' noise."""
+        """Compute normalised residuals (O, 8) and their derivatives by the camera pose (O, 8, 6)
+        and by the marker pose (O, 8, 3)."""
         rotation = np.array([pose.rotation for pose in poses])[self.image]
         shift = np.array([pose.translation for pose in poses])[self.image]
         places = markers[self.marker]
@@ -353,7 +356,8 @@ class _Problem:
         )
 
     def errors(self, poses: Sequence[CameraPose], markers: Array) -> Array:
-        """Root mean square distance of the corners of each marker in each image, as directions."""
+        """Compute the root mean square corner error of each marker in each image, in normalised
+        coordinates."""
         used, self.used = self.used, np.ones_like(self.used)
         residual, _, _ = self._system(poses, markers)
         self.used = used
@@ -377,7 +381,7 @@ class _Problem:
         return matrix, right, float((residual**2).sum())
 
     def solve(self, poses: Sequence[CameraPose], markers: Array) -> tuple[list[CameraPose], Array]:
-        """Least squares by Levenberg and Marquardt; the frame stays free and hardly moves."""
+        """Minimise by Levenberg-Marquardt; the frame is not fixed, but it hardly moves."""
         poses, damping = list(poses), 1e-6
         matrix, right, cost = self._normal(poses, markers)
         for _ in range(_STEPS):
@@ -398,15 +402,17 @@ class _Problem:
         return poses, markers
 
     def covariance(self, poses: Sequence[CameraPose], markers: Array) -> Array:
-        """Of the markers (3 M, 3 M), against the frame of all of them; noise as the residuals say
-        where they say more."""
+        """Compute the markers' covariance (3 M, 3 M) relative to their common frame.
+
+        It is scaled up if the residuals exceed the assumed noise.
+        """
         matrix, _, cost = self._normal(poses, markers)
         split = 6 * self.images
         reduced = matrix[split:, split:] - matrix[split:, :split] @ np.linalg.solve(
             matrix[:split, :split], matrix[:split, split:]
         )
         values, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
-        # Moving and turning the whole table changes nothing: three directions without information.
+        # Three directions have no information: translations and rotation of the whole table.
         inverse_values = np.concatenate([np.zeros(3), 1.0 / values[3:]])
         free = 8 * int(self.used.sum()) - len(matrix) + 3
         factor = max(1.0, cost / max(free, 1))

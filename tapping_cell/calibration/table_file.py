@@ -1,4 +1,4 @@
-"""The reference markers as a table file."""
+"""Output of the reference markers as a table file."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tapping_cell.vision.markers.detection import ReferenceMap
 
 
 def table_yaml(references: ReferenceMap, record: Provenance | None, comment: str) -> str:
-    """The file's text: lengths in m to a tenth of a micrometre, angles in rad."""
+    """Format the file: lengths in m to a tenth of a micrometre, angles in rad."""
     lines = [f"# {comment}", f"dictionary: {references.dictionary}", "markers:"]
     lines += [
         f"  - {{id: {m.id}, size: {m.size:.7g}, x: {m.x:.7f}, y: {m.y:.7f}, theta: {m.theta:.7f}}}"

@@ -1,4 +1,4 @@
-"""Maps of reference markers in another frame or at another scale."""
+"""Conversion of maps of reference markers to another frame or scale."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from tapping_cell.vision.markers.detection import ReferenceMap, ReferenceMarker
 
 
 def in_frame(references: ReferenceMap, frame: Array) -> ReferenceMap:
-    """The same markers in another frame, whose pose (x, y, theta) in the old one is ``frame``."""
+    """Transform the markers to a frame whose pose (x, y, theta) in the old frame is ``frame``."""
     poses = compose(inverse(frame), _poses(references))
     return with_poses(references, poses, 1.0)
 
 
 def scaled(references: ReferenceMap, factor: float) -> ReferenceMap:
-    """The same map with all lengths multiplied, the markers' sizes as well."""
+    """Scale all lengths of the map, including the markers' sizes."""
     poses = _poses(references) * np.array([factor, factor, 1.0])
     return with_poses(references, poses, factor)
 
 
 def _poses(references: ReferenceMap) -> Array:
-    """Poses (M, 3) of the markers."""
+    """Return the poses (M, 3) of the markers."""
     return np.array([[m.x, m.y, m.theta] for m in references.markers])
 
 
 def with_poses(references: ReferenceMap, poses: Array, factor: float) -> ReferenceMap:
-    """The markers at other poses (M, 3), their sizes multiplied."""
+    """Return the markers with other poses (M, 3) and with sizes multiplied by ``factor``."""
     angles = wrap_angle(poses[:, 2])
     return ReferenceMap(
         references.dictionary,
@@ -42,10 +42,10 @@ def with_poses(references: ReferenceMap, poses: Array, factor: float) -> Referen
 
 
 def frame_of_markers(references: ReferenceMap, origin: int, along: int) -> Array:
-    """The frame with its origin on one marker and its x axis through another, shape (3,).
+    """Return the frame (3,) with its origin on one marker and its x axis through another marker.
 
     Raises:
-        CalibrationRefused: one of them is not in the map.
+        CalibrationRefused: one of the two markers is not in the map.
     """
     places = {m.id: np.array([m.x, m.y]) for m in references.markers}
     for number in (origin, along):
@@ -56,11 +56,12 @@ def frame_of_markers(references: ReferenceMap, origin: int, along: int) -> Array
 
 
 def frame_of_map(references: ReferenceMap, old: ReferenceMap) -> tuple[Array, float]:
-    """The frame in which the markers lie nearest to where ``old`` has them, shape (3,), and the
-    root mean square of the distances that remain, in m.
+    """Fit the frame (3,) in which the markers are closest to their positions in ``old``.
+
+    The second value is the root mean square of the remaining distances, in m.
 
     Raises:
-        CalibrationRefused: fewer than two markers are in both.
+        CalibrationRefused: the maps have fewer than two markers in common.
     """
     before = {m.id: (m.x, m.y) for m in old.markers}
     now = {m.id: (m.x, m.y) for m in references.markers}
@@ -77,7 +78,7 @@ def frame_of_map(references: ReferenceMap, old: ReferenceMap) -> tuple[Array, fl
 
 
 def rigid(a: Array, b: Array) -> Array:
-    """The pose that brings points ``a`` (N, 2) nearest to points ``b`` (N, 2)."""
+    """Fit the rigid transform from points ``a`` (N, 2) to points ``b`` (N, 2) by least squares."""
     da, db = a - a.mean(axis=0), b - b.mean(axis=0)
     cross = (da[:, 0] * db[:, 1] - da[:, 1] * db[:, 0]).sum()
     angle = float(np.arctan2(cross, (da * db).sum()))

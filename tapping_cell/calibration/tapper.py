@@ -1,13 +1,14 @@
-"""The striker's speed against the energy that the tapper stores, from how far the object went.
+"""Calibration of the striker's speed against the stored energy, from the object's displacements.
 
-The launch that ends after the measured travel (v0 = sqrt(2 mu g x) for one that does not turn) and
-the impact's ratio of launch to striker speed give a speed a tap. Over the energy it is fitted as
+The launch speed follows from the measured displacement (v0 = sqrt(2 mu g x) without rotation), and
+the striker's speed from the impact's ratio of launch to striker speed. The fitted model is
 
     ln v = a + ln(E) / 2 + g(ln E),
 
-the ideal drive (v ~ sqrt(E)) times a smooth departure g: a Gaussian process, averaged over its size
-and stretch by the marginal likelihood (Rasmussen and Williams, Gaussian Processes for Machine
-Learning, chapter 5). So the level is fitted freely, and a bend as far as the taps speak for it.
+which is the ideal drive (v ~ sqrt(E)) with a smooth deviation g. This deviation is a Gaussian
+process, averaged over amplitude and length scale by the marginal likelihood (Rasmussen and
+Williams, Gaussian Processes for Machine Learning, chapter 5). So the level a is fitted freely, and
+the deviation only as far as the data support it.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ Array = NDArray[np.float64]
 
 LEAST_TAPS = 8
 SHARES = (8, 4, 3, 3, 4, 8)
-"""Of 30 taps, how many at each of six energies (steps alike in ln E): only the taps there tell the
-ends of the range."""
+"""Distribution of 30 taps over six energies (equal steps in ln E). The ends of the range have more
+taps because only these taps determine the curve there."""
 POINTS = 8
-"""Pairs of the curve that is written."""
+"""Number of points of the resulting curve."""
 RECORD_COLUMNS = (
     Column("energy", "J", 1e-7, 100.0, least_largest=1e-5),
     Column("distance", "m", 0.0, 1.0, least_largest=0.002),
@@ -39,34 +40,35 @@ RECORD_COLUMNS = (
     Column("incidence", "rad", -1.4, 1.4, required=False),
     Column("distance_std", "m", 1e-6, 0.01, required=False),
 )
-"""Of the file, a row a tap."""
+"""Columns of the record file; each row is one tap."""
 USUAL_DEVIATION = 1e-4
-"""Of a travel, in m, where nothing is said of it: two looks of a camera over the table."""
+"""Default standard deviation of a displacement, in m, measured by an overhead camera."""
 _NO_MOTION = 0.0003
-"""Travel in m below which the object did not move (a camera's error three times over)."""
+"""Displacement in m below which the object did not move (three times the camera's error)."""
 _SHORT, _NEIGHBOURS = 0.003, 5
-"""Travel in m below which a tap may fail for want of energy; how many taps around it are asked."""
+"""A tap without motion counts as too weak if the median displacement of this many taps of similar
+energy is below this length in m; otherwise it counts as a miss."""
 _RELIABLE = 0.9
-"""Share of taps of an energy that must move the object."""
+"""Fraction of the taps of one energy that must move the object."""
 _OUTLIER = 4.5
 _FLOOR = 0.01
-"""Relative scatter below which no tap is called an outlier."""
+"""Minimum relative scatter assumed for outlier detection."""
 _AMPLITUDES = (0.08, 0.16, 0.32)
 _NOISES = 32
-"""Scatters of a tap that are tried."""
+"""Number of candidate values for the scatter of a tap."""
 _STRETCHES = (0.7, 1.4)
-"""Departures from the ideal drive, relative, and their lengths in shares of the range of ln E.
-Losses and thresholds bend every drive: to believe in smaller bends costs more where there is one
-than it gains where there is none."""
+"""Candidate length scales of the deviation, as fractions of the range of ln E. The amplitudes above
+are relative. Smaller amplitudes are excluded: losses and thresholds affect every drive, and
+assuming too small a deviation costs more accuracy than it gains."""
 _ALIKE = 0.02
-"""Energies this near to each other (relative) are one draw."""
+"""Relative difference up to which energies count as the same draw."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TapRecord:
-    """Taps (N,): ``energies`` in J, travel ``distances`` in m, ``rotations`` in rad, ``incidences``
-    between the contact normal and the striker's axis in rad, ``deviations`` of the distances in m
-    (what the camera leaves, one standard deviation); ``rows`` of the file.
+    """Taps (N,): ``energies`` in J, ``distances`` in m, ``rotations`` in rad, ``incidences`` from
+    the contact normal to the striker's axis in rad, and row numbers ``rows`` in the file.
+    ``deviations`` are the standard deviations of the distances by the camera's noise, in m.
     """
 
     energies: Array
@@ -79,7 +81,7 @@ class TapRecord:
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """A tap that was not used, and why."""
+    """A rejected tap with the reason."""
 
     row: int
     reason: str
@@ -90,8 +92,8 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """The taps of one energy: how many, how many of them moved the object, their mean speed in m/s
-    and its relative scatter (None for fewer than three)."""
+    """Statistics of the taps of one energy: number of taps, number that moved the object, mean
+    speed in m/s and relative scatter of the speed (None for fewer than three taps)."""
 
     energy: float
     taps: int
@@ -102,11 +104,13 @@ class Draw:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TapperCalibration:
-    """The curve, rising ``energies`` in J and ``speeds`` in m/s, relative standard ``deviations``
-    of the speeds; ``scatter`` of a tap's speed, relative; ``draws`` by energy; the smallest
-    reliable tap (``least_energy`` in J, ``least_travel`` in m); ``by_friction`` and
-    ``by_restitution``: relative change of all speeds per relative change of the object file's
-    friction and per unit of its restitution.
+    """The calibrated curve and its quality.
+
+    ``energies`` in J and ``speeds`` in m/s are increasing; ``deviations`` are relative standard
+    deviations of the speeds. ``scatter`` is the relative scatter of a tap's speed. ``least_energy``
+    in J and ``least_travel`` in m describe the smallest reliable tap. ``by_friction`` and
+    ``by_restitution`` are the relative changes of all speeds per relative change of the object
+    file's friction and per unit of its restitution.
     """
 
     energies: tuple[float, ...]
@@ -129,14 +133,14 @@ class TapperCalibration:
 
 
 def striker_speeds(record: TapRecord, tap: Tap) -> Array:
-    """Speed of the striker in m/s that each tap's travel tells, (N,)."""
+    """Compute the striker's speed (N,) in m/s from the displacement of each tap."""
     launch = tap.sliding.launch(record.distances, record.rotations)
     return np.asarray(launch.speed / launch_ratio(tap.impact, record.incidences))
 
 
 def launch_ratio(impact: Impact, incidences: Array) -> Array:
-    """Launch speed over striker speed for blows through the middle of the body's near side."""
-    # Towards -x from the centre; for a polygon the nearest side.
+    """Compute launch speed over striker speed for taps at the middle of the body's nearest side."""
+    # The contact is towards -x from the centre, at the distance of a polygon's nearest side.
     angles = np.linspace(0.0, 2.0 * np.pi, 721)
     near = float(np.linalg.norm(impact.body.boundary(angles), axis=-1).min())
     result = impact.strike(1.0, incidences, np.array([-near, 0.0]))
@@ -144,10 +148,11 @@ def launch_ratio(impact: Impact, incidences: Array) -> Array:
 
 
 def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
-    """The curve of the tapper from taps on the object of ``tap``.
+    """Calibrate the curve of the tapper from taps on the object of ``tap``.
 
     Raises:
-        CalibrationRefused: too few taps that moved the object, or energies of one draw only.
+        CalibrationRefused: too few taps moved the object, there are fewer than three different
+            energies, or the taps do not fit one curve.
     """
     groups = _groups(record.energies)
     moves = record.distances >= _NO_MOTION
@@ -169,7 +174,7 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
         )
     speeds = np.where(usable, striker_speeds(record, tap), 1.0)
     x, y = np.log(record.energies), np.log(speeds)
-    # A speed goes with the root of the travel.
+    # The speed is proportional to the square root of the displacement.
     seen = 0.5 * record.deviations / np.maximum(record.distances, _NO_MOTION)
     if len(np.unique(groups[usable])) < 3:
         raise CalibrationRefused(
@@ -178,7 +183,7 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
         )
     while True:
         curve = _Curve(x[usable], y[usable], seen[usable])
-        # What the camera adds to the scatter of the shortest travels is no reason to leave one out.
+        # The camera's noise dominates the shortest displacements and must not cause a rejection.
         off = np.abs(y - curve.at(x)[0]) / np.hypot(1.0, seen / max(curve.noise, _FLOOR))
         spread = max(1.4826 * float(np.median(off[usable])), _FLOOR)
         strange = usable & (off > _OUTLIER * spread)
@@ -225,7 +230,7 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
 
 
 def _groups(energies: Array) -> NDArray[np.intp]:
-    """A number for each tap's draw: energies nearly alike are one."""
+    """Number the draw of each tap; taps of nearly equal energy have the same draw."""
     order = np.argsort(energies, kind="stable")
     rises = np.diff(energies[order]) > _ALIKE * energies[order][:-1]
     groups = np.empty(len(energies), dtype=np.intp)
@@ -234,10 +239,10 @@ def _groups(energies: Array) -> NDArray[np.intp]:
 
 
 def _least(record: TapRecord, groups: NDArray[np.intp], moves: NDArray[np.bool_]) -> float:
-    """The least energy from which on all draws move the object reliably, in J.
+    """Return the smallest energy, in J, from which all draws move the object reliably.
 
-    A tap without motion among long ones missed the object; only among short ones does it say that
-    the draw is too small.
+    If a tap does not move the object but taps of similar energy move it far, the tap missed. Only
+    among short displacements does it show that the draw is too small.
     """
     if not moves.any():
         raise CalibrationRefused(
@@ -260,8 +265,9 @@ def _least(record: TapRecord, groups: NDArray[np.intp], moves: NDArray[np.bool_]
 
 
 class _Departure(NamedTuple):
-    """One size and stretch of the departure from the ideal drive, fitted: its share of the belief,
-    Cholesky factor of the covariance, weights of the taps, level a, noise."""
+    """A fitted Gaussian process for one amplitude and length scale (``stretch``): its posterior
+    probability ``share``, Cholesky factor of the covariance, weights of the taps, level a, noise.
+    """
 
     share: float
     amplitude: float
@@ -273,14 +279,14 @@ class _Departure(NamedTuple):
 
 
 class _Curve:
-    """The smooth curve of ln speed over ln energy: mean and standard deviation anywhere.
+    """The smooth curve of ln speed over ln energy, with mean and standard deviation.
 
-    Departures of all sizes and stretches are averaged, each by how likely it makes the taps: the
-    doubt whether a bend is there is part of the standard deviation.
+    Deviations of all amplitudes and length scales are averaged, weighted by their likelihood. So
+    the standard deviation includes the uncertainty about the form of the curve.
     """
 
     def __init__(self, x: Array, y: Array, seen: Array) -> None:
-        """Taps (N,): ln energies, ln speeds, and what the camera adds to the scatter of each."""
+        """Fit taps (N,) with ln energies, ln speeds and standard deviations by the camera."""
         self._x = x
         self._range = max(float(x.max() - x.min()), 1e-6)
         self._drive = y - 0.5 * x
@@ -303,13 +309,13 @@ class _Curve:
         return np.asarray(amplitude**2 * np.exp(-0.5 * apart**2))
 
     def _covariance(self, amplitude: float, stretch: float, noise: Array) -> Array:
-        """Of the taps, (..., N, N), for tappers that scatter by ``noise`` (...)."""
+        """Compute the covariance (..., N, N) of the taps for a tapper's scatter ``noise`` (...)."""
         own = noise[..., None] ** 2 + self._seen**2
         kernel = self._kernel(self._x, self._x, amplitude, stretch)
         return np.asarray(kernel + own[..., None] * np.eye(len(self._x)))
 
     def _solve(self, amplitude: float, stretch: float, noise: float) -> tuple[Array, Array, float]:
-        """Cholesky factor, weights, and the level a."""
+        """Compute Cholesky factor, weights, and the level a."""
         matrix = self._covariance(amplitude, stretch, np.array(noise))
         factor = np.asarray(np.linalg.cholesky(matrix), dtype=float)
         ones = np.linalg.solve(factor, np.ones(len(self._x)))
@@ -319,7 +325,10 @@ class _Curve:
         return factor, weights, level
 
     def _evidence(self, amplitude: float, stretch: float) -> tuple[float, float]:
-        """Greatest log marginal likelihood over the noise, the level integrated out; the noise."""
+        """Maximise the log marginal likelihood over the noise, with the level integrated out.
+
+        Return the maximum and the noise.
+        """
         highest = 1.2 * max(float(np.std(self._drive)), 1e-3)
         noise: Array = np.geomspace(highest / 12.0, highest, _NOISES, dtype=np.float64)
         factors = np.linalg.cholesky(self._covariance(amplitude, stretch, noise))
@@ -333,7 +342,7 @@ class _Curve:
         return float(evidence[best]), float(noise[best])
 
     def at(self, x: Array) -> tuple[Array, Array]:
-        """ln v and its standard deviation at ln energies ``x``."""
+        """Compute ln v and its standard deviation at ln energies ``x``."""
         mean, square = np.zeros(len(x)), np.zeros(len(x))
         for d in self._departures:
             one, variance = self._at(x, d)
@@ -342,7 +351,7 @@ class _Curve:
         return mean, np.sqrt(np.maximum(square - mean**2, 0.0))
 
     def _at(self, x: Array, d: _Departure) -> tuple[Array, Array]:
-        """Mean and variance for one departure."""
+        """Compute mean and variance for one amplitude and length scale."""
         cross = self._kernel(x, self._x, d.amplitude, d.stretch)
         mean = d.level + 0.5 * x + cross @ d.weights
         ones = np.linalg.solve(d.factor, np.ones(len(self._x)))
@@ -353,7 +362,7 @@ class _Curve:
 
 
 def _isotonic(values: Array) -> Array:
-    """The rising sequence nearest to ``values`` (pool adjacent violators)."""
+    """Fit a non-decreasing sequence to ``values`` (pool adjacent violators)."""
     blocks: list[tuple[float, int]] = []
     for value in values.tolist():
         blocks.append((value, 1))
@@ -364,8 +373,8 @@ def _isotonic(values: Array) -> Array:
 
 
 def _propagation(record: TapRecord, tap: Tap, usable: NDArray[np.bool_]) -> tuple[float, float]:
-    """Relative change of the speeds per relative change of the friction, and per unit of the
-    restitution, by differences."""
+    """Compute the relative change of the speeds per relative change of the friction, and per unit
+    of the restitution, by finite differences."""
     part = TapRecord(*(getattr(record, name)[usable] for name in TapRecord.__slots__))
     plain = striker_speeds(part, tap)
     step = 0.01
@@ -409,7 +418,7 @@ def _notes(
     used: int,
     ratio: float,
 ) -> tuple[str, ...]:
-    """What enters, how errors of it go on, and what would be better."""
+    """Describe the assumed values, the propagation of their errors, and possible improvements."""
     mu, e = tap.sliding.friction, tap.impact.restitution
     said = [
         f"assumed from the object file: friction {mu:g}, restitution {e:g}, masses"

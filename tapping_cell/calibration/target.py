@@ -1,8 +1,8 @@
-"""Calibration targets in photographs: chessboards and ChArUco boards, their corners to hundredths
-of a pixel, and why a photograph shows none.
+"""Detection of calibration targets (chessboards and ChArUco boards) in photographs.
 
-A board's frame: origin in its top left inner corner, x along a row to the right, y down the board.
-Corner ``k`` of a board of C x R squares stands in row ``k // (C - 1)`` and column ``k % (C - 1)``.
+Corners are accurate to hundredths of a pixel, and a failed detection is explained. The origin of a
+board's frame is its top left inner corner, with x along a row to the right and y down the board.
+Corner ``k`` of a board of C x R squares is in row ``k // (C - 1)`` and column ``k % (C - 1)``.
 """
 
 from __future__ import annotations
@@ -20,25 +20,27 @@ from tapping_cell.vision.markers import aruco
 from tapping_cell.vision.markers.detection import marker_dictionary
 
 _SEARCH_WIDTH = 1600
-"""Larger photographs are searched at this width; corners are refined at full size."""
+"""Width in pixels of the downscaled image for detection; corners are refined at full resolution."""
 _LEAST_SHARE = 0.2
 _LEAST_CORNERS = 8
-"""A view needs this share of the board's corners and this many."""
+"""Minimum fraction and minimum number of the board's corners in a view."""
 _NEWER = "; a board drawn by OpenCV before 4.6 can only be detected with OpenCV 4.7 or newer"
 _STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
 
 
 class TargetError(ValueError):
-    """A target that cannot exist; the message says which number is wrong."""
+    """Raised for an impossible target; the message names the wrong number."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """A board of ``columns`` x ``rows`` squares of side ``square`` in m; ``kind`` is
-    ``"chessboard"`` or ``"charuco"``, the latter with markers of side ``marker`` in m of an OpenCV
-    ``dictionary`` in its white squares.
+    """A board of ``columns`` x ``rows`` squares of side ``square`` in m.
 
-    Raises :class:`TargetError` for counts or sizes that make no board.
+    ``kind`` is ``"chessboard"`` or ``"charuco"``. A ChArUco board has markers of side ``marker`` in
+    m of an OpenCV ``dictionary`` in its white squares.
+
+    Raises:
+        TargetError: the counts or sizes are impossible.
     """
 
     kind: str
@@ -76,7 +78,7 @@ class Target:
 
     @property
     def inner(self) -> tuple[int, int]:
-        """Inner corners in a row and in a column."""
+        """Number of inner corners in a row and in a column."""
         return self.columns - 1, self.rows - 1
 
     @cached_property
@@ -88,18 +90,18 @@ class Target:
 
     @property
     def clear(self) -> float:
-        """How far around a corner nothing but the four squares is printed, in squares."""
+        """Radius around a corner that contains only the four squares, in squares."""
         if self.kind == "chessboard":
             return 0.35
         return 0.5 * (1.0 - self.marker / self.square)
 
     @cached_property
     def least_corners(self) -> int:
-        """Corners that a view must show."""
+        """Minimum number of corners in a view."""
         return max(_LEAST_CORNERS, int(np.ceil(_LEAST_SHARE * len(self.points))))
 
     def describe(self) -> str:
-        """For people: sizes in mm."""
+        """Describe the target for the user, with sizes in mm."""
         text = f"{self.kind} of {self.columns} x {self.rows} squares of {self.square * 1e3:g} mm"
         if self.kind == "charuco":
             text += f", markers {self.dictionary} of {self.marker * 1e3:g} mm"
@@ -108,9 +110,10 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetView:
-    """The corners of one photograph: numbers ``ids`` (N,) of the board's, ``pixels`` (N, 2);
-    ``blur`` is the standard deviation of the point spread across the board's edges in pixels,
-    ``side`` the smallest median side of its squares in pixels.
+    """The corners of one photograph: their numbers ``ids`` (N,) on the board and ``pixels`` (N, 2).
+
+    ``blur`` is the standard deviation of the point spread function in pixels. ``side`` is the
+    median side of the squares in pixels, in the more foreshortened direction.
     """
 
     name: str
@@ -121,7 +124,7 @@ class TargetView:
 
 
 def find_target(image: Image, target: Target, name: str) -> TargetView | str:
-    """The target's corners in a grey image, or a sentence why there are none."""
+    """Detect the target's corners in a grey image; a text gives the reason of a failure."""
     found = _chessboard(image, target) if target.kind == "chessboard" else _charuco(image, target)
     if isinstance(found, str):
         return found
@@ -147,8 +150,11 @@ def find_target(image: Image, target: Target, name: str) -> TargetView | str:
 
 
 def _chessboard(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] | str:
-    """All corners of a chessboard: the sector-based search (Duda and Frese 2018), then the
-    classic one, which bears more perspective."""
+    """Detect all corners of a chessboard.
+
+    The sector-based detector (Duda and Frese 2018) is tried first, then the classic one, which
+    tolerates more perspective.
+    """
     scale = max(1.0, image.shape[1] / _SEARCH_WIDTH)
     size = (round(image.shape[1] / scale), round(image.shape[0] / scale))
     small = image if scale == 1.0 else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
@@ -170,7 +176,7 @@ def _chessboard(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] 
 
 
 def _charuco(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] | str:
-    """The corners of a ChArUco board that markers beside them identify."""
+    """Detect the corners of a ChArUco board that adjacent markers identify."""
     best: tuple[NDArray[np.intp], Array] = (np.zeros(0, dtype=np.intp), np.zeros((0, 2)))
     markers = 0
     # Boards with an even number of rows made before OpenCV 4.6 begin with a marker.
@@ -199,7 +205,7 @@ def _charuco(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] | s
 
 
 def _neighbours(grid: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Pairs (P, 2) of indices of corners that one side of a square joins."""
+    """Return pairs (P, 2) of indices of corners that are connected by a side of a square."""
     place = {(x, y): index for index, (x, y) in enumerate(grid.tolist())}
     pairs = [
         (index, place[beside])
@@ -211,7 +217,7 @@ def _neighbours(grid: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _side(grid: NDArray[np.intp], pixels: Array) -> float:
-    """Median side of the squares in pixels, of the direction in which they look smaller."""
+    """Compute the median side of the squares in pixels, in the more foreshortened direction."""
     pairs = _neighbours(grid)
     if not len(pairs):
         return 8.0
@@ -221,10 +227,10 @@ def _side(grid: NDArray[np.intp], pixels: Array) -> float:
 
 
 def _blur(image: Image, target: Target, ids: NDArray[np.intp], pixels: Array) -> float:
-    """Standard deviation of the point spread across the sides of the squares, in pixels.
+    """Estimate the standard deviation of the point spread function in pixels.
 
-    A step of height c blurred by a Gaussian has the largest slope c / (sigma sqrt(2 pi)); the
-    median over grey profiles across all sides.
+    A step of height c, blurred by a Gaussian, has the maximum slope c / (sigma sqrt(2 pi)). The
+    result is the median over grey profiles across all sides of squares.
     """
     grid = np.stack([ids % target.inner[0], ids // target.inner[0]], axis=-1)
     pairs = _neighbours(grid)
@@ -234,7 +240,7 @@ def _blur(image: Image, target: Target, ids: NDArray[np.intp], pixels: Array) ->
     along = end - start
     length = np.linalg.norm(along, axis=1)
     normal = np.stack([-along[:, 1], along[:, 0]], axis=-1) / length[:, None]
-    # A ChArUco board's white squares are only clear beside their markers.
+    # The white squares of a ChArUco board are only clear around their markers.
     reach = np.clip(target.clear * float(np.median(length)), 2.0, 12.0)
     step = 0.5
     offsets = np.arange(-reach, reach + step, step)

@@ -1,4 +1,4 @@
-"""What a photograph shows instead of the target that was asked for."""
+"""Diagnosis of photographs that show a target other than the specified one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _FAMILIES = ("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL", "
 
 
 def hint(image: Image, target: Target) -> str | None:
-    """A sentence about the target that a grey image seems to show, None without an idea."""
+    """Describe the target that a grey image seems to show; None if no target is recognised."""
     others = [
         (replace(target, columns=target.columns + 1, rows=target.rows + 1), "--corners"),
         (replace(target, columns=target.columns - 1, rows=target.rows - 1), "--squares"),
@@ -43,6 +43,6 @@ def hint(image: Image, target: Target) -> str | None:
 
 
 def _markers(image: Image, name: str) -> int:
-    """How many markers of a dictionary the image shows."""
+    """Count the markers of a dictionary in the image."""
     found = aruco.detect_markers(image, marker_dictionary(name), aruco.detector_parameters())
     return len({number for number, _ in found})

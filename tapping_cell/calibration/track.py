@@ -1,5 +1,4 @@
-"""What a track of poses says before any model of sliding: when it moved, along which line, and
-whether something other than one tap moved it."""
+"""Model-free analysis of a track of poses: times and line of motion, and disturbances."""
 
 from __future__ import annotations
 
@@ -14,14 +13,14 @@ from tapping_cell.calibration.trials import Track, Trial
 
 Array = NDArray[np.float64]
 
-_EDGE = 0.02  # of the displacement: nearer to its ends a sample may be at rest
+_EDGE = 0.02  # fraction of the displacement near its ends within which a sample may be at rest
 _NOISE = 8.0  # standard deviations
-_LEAST_MOTION = 0.0002  # m: a shorter displacement is none
-_GAP = 1.6  # camera periods between two samples
+_LEAST_MOTION = 0.0002  # m: minimum displacement
+_GAP = 1.6  # maximum time between two samples, in camera periods
 
 
 class TrackProblem(NamedTuple):
-    """Why a track is not that of one tap: a word and a sentence."""
+    """Reason why a track is not the result of one tap, as a keyword and a sentence."""
 
     reason: str
     sentence: str
@@ -29,12 +28,12 @@ class TrackProblem(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slide:
-    """A track as a slide along a line: arrays (n,) in s, m, m, rad from the start, and guesses.
+    """A track as a slide along a line: arrays (n,) relative to the start, and initial estimates.
 
-    ``distance_std`` and ``rotation_std`` (n,) are those of one sample. ``impact`` (s) and
-    ``deceleration`` (m/s^2) are from the track alone; ``moving`` counts samples in the slide;
-    ``heading`` is the direction of travel in the object's frame, turned half-way; ``exposure`` (s)
-    is that of one sample.
+    ``time`` is in s, ``along`` in m and ``rotation`` in rad. ``distance_std`` and ``rotation_std``
+    (n,) are those of one sample. ``impact`` (s) and ``deceleration`` (m/s^2) are estimated from the
+    track alone. ``moving`` is the number of samples in the slide. ``heading`` is the direction of
+    travel in the object frame at half the rotation. ``exposure`` (s) is that of one sample.
     """
 
     time: Array
@@ -55,10 +54,10 @@ class Slide:
 def slide_of(
     trial: Trial, position_std: float, rotation_std: float, rate: float, exposure: float = 0.0
 ) -> Slide | TrackProblem:
-    """The slide in a trial's track, or what is wrong with it.
+    """Extract the slide from a trial's track, or return the problem of the track.
 
-    The standard deviations hold where a sample gives none; ``rate`` (Hz) and ``exposure`` (s) are
-    the camera's.
+    The standard deviations are the defaults for samples without their own. ``rate`` (Hz) and
+    ``exposure`` (s) are those of the camera.
     """
     track = trial.track
     if track is None or track.time.size < 4:
@@ -88,7 +87,7 @@ def slide_of(
     problem = _disturbed(track, along, across, (first, last), edge, rate)
     if problem is not None:
         return problem
-    # The mean of what rests is where the object was: better than one sample.
+    # The mean of the samples at rest is more accurate than one sample.
     before, after = slice(0, max(first - 1, 1)), slice(min(last + 2, along.size - 1), None)
     origin = float(np.mean(along[before]))
     angle = float(np.mean(track.theta[before]))
@@ -129,7 +128,7 @@ def _disturbed(
     edge: float,
     rate: float,
 ) -> TrackProblem | None:
-    """What else moved the object, or hid it, while it should rest or slide."""
+    """Detect gaps in the track and motions that a single tap does not cause."""
     first, last = motion
     steps = np.diff(track.time)
     during = slice(max(first - 1, 0), min(last + 1, steps.size))
@@ -148,7 +147,7 @@ def _disturbed(
         )
     velocity = np.diff(along[max(first, 0) : last + 2]) / steps[max(first, 0) : last + 1]
     if velocity.size >= 2:
-        # Two ends of a step are each off by the noise; friction alone never makes it faster.
+        # Friction never increases the speed; the limit allows for the noise of both samples.
         slack = 2 * edge * rate / _NOISE + 0.1 * velocity[:-1].max()
         faster = np.diff(velocity) > slack
         if faster.any():
@@ -162,8 +161,10 @@ def _disturbed(
 
 
 def _guess(time: Array, along: Array, displacement: float) -> tuple[float, float]:
-    """Time of the impact and deceleration: under a steady one the root of what is left falls
-    linearly."""
+    """Estimate the time of the impact and the deceleration.
+
+    At constant deceleration, the square root of the remaining distance decreases linearly.
+    """
     left = np.sqrt(np.maximum(displacement - along, 0.0))
     if time.size < 2 or not left[0] > left[-1]:
         deceleration = 1.5

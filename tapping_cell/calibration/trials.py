@@ -1,14 +1,14 @@
-"""Records of single-tap experiments: plain CSV files that other people can fill in too.
+"""Records of single-tap experiments: plain CSV files that can also be written by other tools.
 
 A folder is one experiment::
 
-    experiment.yaml               what holds for all its trials (see ``experiment.py``)
-    run_01.csv, run_02.csv, ...   one row a trial; or one trials.csv with a column ``run``
-    tracks/run_01_trial_03.csv    poses of the object over time, one file a trial (may be missing)
+    experiment.yaml               header for all trials (see ``experiment.py``)
+    run_01.csv, run_02.csv, ...   one row per trial; or one trials.csv with a column ``run``
+    tracks/run_01_trial_03.csv    poses of the object over time, one file per trial (optional)
 
-The first line names the columns, with their units: ``displacement_m`` or ``displacement_mm``. An
-empty cell means not measured. What each column holds is in ``docs/calibration.md``. In memory
-everything is SI and NaN means not measured.
+The first line names the columns with their units: ``displacement_m`` or ``displacement_mm``. An
+empty cell means not measured. ``docs/calibration.md`` describes the columns. In memory all values
+are in SI units, and NaN means not measured.
 """
 
 from __future__ import annotations
@@ -30,18 +30,19 @@ Array = NDArray[np.float64]
 
 TRACK_FOLDER = "tracks"
 OUTCOMES = ("ok", "missed", "disturbed", "lost")
-"""What the recorder says of a trial: the tap hit and the object was seen before and after it; the
-striker missed; something else moved the object; the camera lost it. Only ``ok`` is used."""
+"""Outcomes of a trial. ``ok``: the tap hit, and the object was measured before and after it.
+``missed``: the striker missed. ``disturbed``: something else moved the object. ``lost``: the camera
+lost the object. Fits use only ``ok``."""
 
-_TURNS = 100.0  # rad: an angle given in degrees is mostly beyond it, or off the other columns
+_TURNS = 100.0  # rad: most angles given in degrees exceed it or contradict the other columns
 
 
 def _column(name: str, unit: str, low: float, high: float) -> Column:
     return Column(name, unit, low, high, required=False)
 
 
-# Ranges are those of any tapping cell one could build; what is within them but does not fit the
-# rest of its row is found by ``screening``.
+# The ranges cover any conceivable tapping cell. ``screening`` detects values within them that
+# contradict the rest of their row.
 TRIAL_COLUMNS: tuple[Column, ...] = (
     _column("striker_speed", "m/s", 0.001, 20.0),
     _column("striker_speed_measured", "m/s", 0.001, 20.0),
@@ -82,8 +83,8 @@ _COUNT = 100_000
 class Track:
     """Poses of the object over time: arrays (n,) in s, m, m, rad (unwrapped), m, rad.
 
-    ``time`` is the middle of the exposure, on a clock of any origin. The standard deviations are
-    those of one axis of the position and of the angle, NaN where not known.
+    ``time`` is the middle of the exposure, with an arbitrary origin. The standard deviations are
+    those of the position along one axis and of the angle, NaN if unknown.
     """
 
     time: Array
@@ -96,12 +97,12 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One tap. SI; NaN where not measured. ``docs/calibration.md`` says what each field means.
+    """One tap. SI; NaN if not measured. ``docs/calibration.md`` describes the fields.
 
-    ``striker_speed`` is the commanded one. ``incidence`` is from the contact normal (into the
-    object) to the striker's axis, ``contact_angle`` the direction of the contact point from the
-    centre of mass in the object's frame, ``direction`` that of the travel in table axes.
-    ``file`` and ``row`` say where it was read.
+    ``striker_speed`` is the commanded speed. ``incidence`` is the angle from the contact normal
+    (into the object) to the striker's axis. ``contact_angle`` is the direction of the contact point
+    from the centre of mass in the object frame, and ``direction`` is that of the travel in table
+    axes. ``file`` and ``row`` are the source of the record.
     """
 
     run: int
@@ -136,7 +137,7 @@ class Trial:
 
 
 class LeftOut(NamedTuple):
-    """A row that is not used: where it stands, a word for why, and a sentence."""
+    """A rejected row: its file and number, and the reason as a keyword and a sentence."""
 
     file: str
     row: int
@@ -148,17 +149,17 @@ class LeftOut(NamedTuple):
 
 
 class Trials(NamedTuple):
-    """The trials of one or more files, and the rows that cannot be read."""
+    """The trials of one or more files, and the unreadable rows."""
 
     trials: tuple[Trial, ...]
     left_out: tuple[LeftOut, ...]
 
 
 def trial_files(place: Path) -> list[Path]:
-    """The CSV files with trials in a folder, or the file itself.
+    """Return the CSV files with trials in a folder, or the file itself.
 
     Raises:
-        RecordError: nothing there.
+        RecordError: there are no such files.
     """
     if place.is_file():
         return [place]
@@ -171,13 +172,13 @@ def trial_files(place: Path) -> list[Path]:
 
 
 def read_trials(place: Path | str) -> Trials:
-    """All trials of a folder, or of one CSV file, with their tracks where the folder has them.
+    """Read all trials of a folder, or of one CSV file, with their tracks if there are any.
 
-    Displacement, rotation and direction are filled in from the poses where only those are given.
+    Missing displacements, rotations and directions are computed from the poses.
 
     Raises:
-        RecordError: a file or a column is missing, most rows are out of range (wrong units), or a
-            trial is there twice.
+        RecordError: a file or a column is missing, many rows are out of range (wrong units), or a
+            trial is repeated.
     """
     trials: list[Trial] = []
     left_out: list[LeftOut] = []
@@ -238,10 +239,10 @@ def _check_columns(file: Path, have: set[str]) -> None:
 
 
 def completed(trial: Trial) -> Trial:
-    """The trial with displacement, rotation and direction from its poses where they are NaN.
+    """Return the trial with missing displacement, rotation and direction computed from its poses.
 
     Raises:
-        RecordError: the outcome is no word of ``OUTCOMES``.
+        RecordError: the outcome is not in ``OUTCOMES``.
     """
     if trial.outcome not in OUTCOMES:
         raise RecordError(f"outcome is {trial.outcome!r}; it must be one of {', '.join(OUTCOMES)}")
@@ -257,11 +258,11 @@ def completed(trial: Trial) -> Trial:
 
 
 def read_track(file: Path) -> Track:
-    """The samples of one trial.
+    """Read the samples of one trial.
 
     Raises:
-        RecordError: a column is missing, a cell is no number or out of range, or time does not
-            rise.
+        RecordError: a column is missing, a cell is not a number or is out of range, or time does
+            not increase.
     """
     table = read_csv(file, TRACK_COLUMNS)
     if table.faults:
@@ -282,24 +283,24 @@ def read_track(file: Path) -> Track:
 
 
 def run_name(run: int) -> str:
-    """Name of the file with the trials of a run."""
+    """Return the name of the file with the trials of a run."""
     return f"run_{run:02d}.csv"
 
 
 def track_name(run: int, trial: int) -> str:
-    """Name, in ``TRACK_FOLDER``, of the file with the samples of a trial."""
+    """Return the name, in ``TRACK_FOLDER``, of the file with the samples of a trial."""
     return f"run_{run:02d}_trial_{trial:02d}.csv"
 
 
 def append_trial(folder: Path, trial: Trial) -> None:
-    """Add a trial to its run's file and write its track; the row comes last.
+    """Write a trial's track, then append the trial to its run's file.
 
-    So a crash in between leaves a track without a row, which nothing reads and the repeated trial
-    writes anew; and the run's file is exchanged as a whole, so that a program that is ended in the
-    middle leaves no empty file and no half row. ``file`` and ``row`` of the trial are not used.
+    A crash in between leaves a track without a row, which is ignored and overwritten when the trial
+    is repeated. The run's file is replaced atomically, so that a crash leaves no empty or
+    incomplete file. ``file`` and ``row`` of the trial are ignored.
 
     Raises:
-        RecordError: the trial is there already.
+        RecordError: the run's file already contains the trial.
         OSError: the folder cannot be written.
     """
     file = folder / run_name(trial.run)
@@ -337,7 +338,7 @@ def _write_track(file: Path, track: Track) -> None:
 
 
 def _title(column: Column) -> str:
-    """The column's name with its SI unit, as it is written."""
+    """Return the column's name with its SI unit, for the header."""
     return column.name + ("_" + column.unit.replace("/", "_") if column.unit else "")
 
 

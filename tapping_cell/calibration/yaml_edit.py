@@ -1,4 +1,4 @@
-"""Change values in a YAML file's text and leave everything else, comments included, as it is."""
+"""Editing of values in a YAML text that leaves everything else, including comments, unchanged."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tapping_cell.configuration.schema import ConfigurationError
 
 
 def numbers_text(value: float | Sequence[float]) -> str:
-    """A number or a list of numbers as YAML, to a tenth of a millionth of most."""
+    """Format a number or a list of numbers as YAML, with nine significant digits."""
     if isinstance(value, Sequence):
         return "[" + ", ".join(numbers_text(entry) for entry in value) + "]"
     return repr(float(f"{value:.9g}"))
@@ -20,11 +20,12 @@ def numbers_text(value: float | Sequence[float]) -> str:
 def with_section(
     text: str, name: str, values: Mapping[str, str], record: Provenance, source: str
 ) -> str:
-    """The text with keys of the section ``name`` set to YAML ``values`` and its record of
-    calibration replaced; keys that are not there are added at the section's end.
+    """Set keys of the section ``name`` to YAML ``values``, and replace its calibration record.
+
+    Missing keys are added at the end of the section.
 
     Raises:
-        ConfigurationError: there is no such section, or it is not written one key a line.
+        ConfigurationError: the section is missing or not written with one key per line.
     """
     root = yaml.compose(text)
     section = _child(root, name)
@@ -54,7 +55,7 @@ def with_section(
 
 
 def with_value(text: str, name: str, value: str) -> str:
-    """The text with the value of a key replaced; dots lead into sections."""
+    """Replace the value of a key; dots in ``name`` separate sections."""
     node = yaml.compose(text)
     for part in name.split("."):
         node = _child(node, part)
@@ -70,7 +71,7 @@ def _child(node: yaml.Node | None, name: str) -> yaml.Node | None:
 
 
 def _last(node: yaml.Node) -> int:
-    """Where the last scalar or flow collection of a node ends."""
+    """Return the index at which the last scalar or flow collection of a node ends."""
     if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
         last = node.value[-1]
         return _last(last[1] if isinstance(last, tuple) else last)
@@ -78,7 +79,7 @@ def _last(node: yaml.Node) -> int:
 
 
 def _line_end(text: str, index: int) -> int:
-    """The beginning of the line after ``index``; an index at a line's beginning stays."""
+    """Return the start of the line after ``index``, or ``index`` if it is the start of a line."""
     if index and text[index - 1 : index] == "\n":
         return index
     after = text.find("\n", index)
@@ -90,10 +91,10 @@ def _end(text: str, section: yaml.Node) -> int:
 
 
 def with_entry(text: str, path: Sequence[str], index: int, values: Mapping[str, str]) -> str:
-    """The text with keys of one entry of the list at ``path`` set to YAML ``values``.
+    """Set keys of one entry of the list at ``path`` to YAML ``values``.
 
     Raises:
-        ConfigurationError: there is no such list or entry, or a key is missing in it.
+        ConfigurationError: the list, the entry or one of its keys is missing.
     """
     node: yaml.Node | None = yaml.compose(text)
     for name in path:

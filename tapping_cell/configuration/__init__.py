@@ -1,1 +1,1 @@
-"""The YAML files of a cell as frozen dataclasses: strict, with units and ranges."""
+"""The YAML files of a cell as frozen dataclasses, checked strictly against units and ranges."""

@@ -1,4 +1,4 @@
-"""From the arm's section of a cell file to its driver."""
+"""Construction of the arm's driver from the section ``arm`` of a cell file."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from tapping_cell.hardware.transport import Transport
 
 
 def make_arm_driver(arm: ArmSection, connection: Transport | TrajectoryLink) -> ArmDriver:
-    """The driver of the cell's arm on an open or closed connection; nothing is sent.
+    """Create the driver of the cell's arm on an open or closed connection; send nothing.
 
-    ``connection``: a serial line, or for the dialect ``ros2_control`` a link to its controller.
+    ``connection`` is a serial line or, for the dialect ``ros2_control``, a link to its controller.
     """
     return ArmDriver(
         connection, make_dialect(arm, connection), arm.geometry(), arm.driver_settings()
@@ -27,7 +27,7 @@ def make_arm_driver(arm: ArmSection, connection: Transport | TrajectoryLink) -> 
 
 
 def joint_accelerations(arm: ArmSection) -> tuple[float, ...]:
-    """With which the joints of an arm that has its own driver brake, rad/s^2 or m/s^2."""
+    """Return the decelerations of the joints of an arm with its own driver, rad/s^2 or m/s^2."""
     own = arm.ros2_control
     if own is None or own.chain is None:
         return arm.max_acceleration
@@ -35,7 +35,7 @@ def joint_accelerations(arm: ArmSection) -> tuple[float, ...]:
 
 
 def make_dialect(arm: ArmSection, connection: Transport | TrajectoryLink) -> ArmDialect:
-    """The language of the cell's controller, with what its settings must be."""
+    """Create the dialect of the arm's controller, with the controller settings it requires."""
     if arm.ros2_control is not None:
         link = cast(TrajectoryLink, connection)
         chain, section = arm.chain(), arm.ros2_control.chain
@@ -47,7 +47,7 @@ def make_dialect(arm: ArmSection, connection: Transport | TrajectoryLink) -> Arm
     needs = arm.controller_needs()
     if arm.dialect == "marlin":
         return MarlinDialect(transport, MarlinSettings(letters=arm.axis_letters, needs=needs))
-    # $13 = 0: reports in mm and degrees.
+    # $13 = 0 makes the controller report in mm and degrees.
     expected = {13: 0.0} | {int(number): value for number, value in arm.grbl_settings}
     return GrblDialect(
         transport,

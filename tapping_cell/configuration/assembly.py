@@ -1,4 +1,4 @@
-"""From a cell's files to what planning works with."""
+"""Construction of the planning objects from a cell's files."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from tapping_cell.se2 import Array, Pose, compose
 
 
 def make_tap(cell: Cell) -> Tap:
-    """How the cell's object answers the cell's striker, as far as the files know."""
+    """Create the tap model of the cell's object and striker from the files."""
     return cell.object.tap(cell.file.tapper.striker())
 
 
 def make_workspace(cell: Cell) -> Workspace:
-    """The table with its keep-outs."""
+    """Create the table with its keep-out zones."""
     table, keep_outs = cell.file.table, cell.file.keep_outs
     return Workspace(
         length=table.length,
@@ -44,13 +44,13 @@ def make_workspace(cell: Cell) -> Workspace:
 
 
 def make_scatter(cell: Cell) -> Scatter:
-    """The scatter of a tap that the planner expects."""
+    """Create the scatter of a tap that the planner assumes."""
     scatter = cell.object.scatter
     return Scatter(scatter.distance, scatter.rotation, scatter.direction)
 
 
 def make_strike_settings(cell: Cell) -> StrikeSettings:
-    """The striker's shape, heights and speeds."""
+    """Create the settings for the striker's shape, heights and speeds."""
     arm, tapper, curve = cell.arm, cell.file.tapper, cell.file.tapper.curve()
     return StrikeSettings(
         standoff=tapper.standoff,
@@ -65,7 +65,10 @@ def make_strike_settings(cell: Cell) -> StrikeSettings:
 
 
 def make_arm_reach(cell: Cell) -> ArmReach:
-    """Which tip poses (..., 3) in ``table`` the arm can strike from: one column an elbow side."""
+    """Create the test of which tip poses (..., 3) in ``table`` the arm can reach for a strike.
+
+    The result has one column for each side of the elbow.
+    """
     geometry = cell.arm.geometry()
     into_base = cell.arm_base.inverse()
     height = cell.arm.strike_height
@@ -80,7 +83,10 @@ def make_arm_reach(cell: Cell) -> ArmReach:
 
 
 def make_strike_space(cell: Cell, scatter: Scatter | None = None) -> StrikeSpace:
-    """Which taps can be struck in this cell; ``scatter`` in the place of the object file's."""
+    """Create the space of feasible taps of this cell.
+
+    ``scatter`` replaces the scatter of the object file.
+    """
     return StrikeSpace(
         make_tap(cell),
         make_workspace(cell),
@@ -91,7 +97,9 @@ def make_strike_space(cell: Cell, scatter: Scatter | None = None) -> StrikeSpace
 
 
 def make_fixed_space(cell: Cell, scatter: Scatter | None = None) -> FixedStrikeSpace:
-    """Which taps the cell's fixed tappers can make; ``scatter`` in the place of the object file's.
+    """Create the space of feasible taps of the cell's fixed tappers.
+
+    ``scatter`` replaces the scatter of the object file.
 
     Raises:
         ConfigurationError: the cell has an arm.
@@ -128,8 +136,10 @@ def make_planner_settings(
     scatter: Scatter | None = None,
     camera: CameraNoise | None = None,
 ) -> PlannerSettings:
-    """What a planning method is told, for a tolerance in m and rad; ``scatter`` and ``camera`` in
-    the place of the files'."""
+    """Create the settings of a planning method for a tolerance in m and rad.
+
+    ``scatter`` and ``camera`` replace the values of the files.
+    """
     tap = make_tap(cell)
     noise = cell.file.camera
     return PlannerSettings(

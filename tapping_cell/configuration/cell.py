@@ -1,4 +1,4 @@
-"""The cell file: where everything stands and how it moves; and the files that it names."""
+"""The cell file: poses, dimensions and settings of a cell, and loading of the files it names."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from tapping_cell.vision import CameraModel, ReferenceMap, marker_ids
 
 FourNumbers = tuple[float, float, float, float]
 ARM_TAPPER = "tapper"
-"""Name of the one tapper that an arm carries."""
+"""Name of the tapper that the arm carries."""
 
 Constraint = Literal["linear_bearings", "free"]
 JointName = Literal["shoulder", "elbow", "quill", "tool"]
@@ -48,16 +48,16 @@ JointName = Literal["shoulder", "elbow", "quill", "tool"]
 class TableSection:
     """The part of the table on which objects may lie."""
 
-    length: float = quantity("size along x, centred on the table's origin", "m", 0.05, 10.0)
-    width: float = quantity("size along y, centred on the table's origin", "m", 0.05, 10.0)
+    length: float = quantity("size of the area along x, centred on the origin", "m", 0.05, 10.0)
+    width: float = quantity("size of the area along y, centred on the origin", "m", 0.05, 10.0)
     edge_margin: float = quantity(
-        "minimum distance of the object from an edge", "m", 0.0, 0.5, default=0.005
+        "minimum distance between the object and a table edge", "m", 0.0, 0.5, default=0.005
     )
     keep_out_margin: float = quantity(
-        "minimum distance of object and striker from a keep-out zone", "m", 0.0, 0.5, default=0.005
+        "minimum distance of object and striker from keep-out zones", "m", 0.0, 0.5, default=0.005
     )
     overhang: float = quantity(
-        "how far beyond the edges the striker may reach", "m", 0.0, 2.0, default=0.15
+        "maximum distance of the striker beyond the table edges", "m", 0.0, 2.0, default=0.15
     )
 
 
@@ -66,21 +66,21 @@ class KeepOutSection:
     """Zones that neither the object nor the striker may enter."""
 
     circles: tuple[tuple[float, float, float], ...] = quantity(
-        "circles: x, y and radius, in the frame table", "m", -5.0, 5.0, default=()
+        "circular zones: x, y and radius, in the frame table", "m", -5.0, 5.0, default=()
     )
     polygons: tuple[tuple[tuple[float, float], ...], ...] = quantity(
-        "convex polygons: corners x, y in the frame table", "m", -5.0, 5.0, default=()
+        "convex polygonal zones: corners x, y in the frame table", "m", -5.0, 5.0, default=()
     )
 
 
 @dataclass(frozen=True, slots=True)
 class ChainSection:
-    """The kinematics of an arm that is no SCARA, as its URDF tells them."""
+    """Kinematics of an arm that is not a SCARA, taken from its URDF."""
 
     urdf: str = text(
-        "file of the arm's URDF, relative to this file; a xacro file is expanded first"
+        "path of the arm's URDF file, relative to this file; expand a xacro file beforehand"
     )
-    base_link: str = text("link of the URDF from which the chain begins")
+    base_link: str = text("link of the URDF at which the chain begins")
     tip_link: str = text("link of the URDF that carries the tapper")
     tool: tuple[float, float, float, float, float, float] = quantity(
         "pose of the striker's tip in tip_link, x along the line of travel, z up: x, y, z in m, "
@@ -90,7 +90,7 @@ class ChainSection:
         7.0,
     )
     max_acceleration: tuple[float, ...] = quantity(
-        "accelerations with which the arm's joints brake: rad/s^2 or m/s^2", "", 0.001, 1000.0
+        "decelerations of the arm's joints when braking: rad/s^2 or m/s^2", "", 0.001, 1000.0
     )
     mount: tuple[float, float, float, float, float, float] = quantity(
         "pose of base_link in arm_base: x, y, z in m, roll, pitch, yaw in rad",
@@ -100,7 +100,7 @@ class ChainSection:
         default=(0.0,) * 6,
     )
     tilt: float = quantity(
-        "greatest angle of the striker from upright before its place is not believed",
+        "maximum tilt of the striker from the vertical before its pose is rejected",
         "rad",
         0.0005,
         0.1,
@@ -110,33 +110,35 @@ class ChainSection:
 
 @dataclass(frozen=True, slots=True)
 class Ros2ControlSection:
-    """An arm with a ROS driver of its own: how it is commanded and where it tells its joints."""
+    """Interfaces of an arm with a ROS driver of its own: its controller and joint states."""
 
     controller: str = text(
-        "full name of its joint_trajectory_controller, such as /scara_controller"
+        "full name of the arm's joint_trajectory_controller, such as /scara_controller"
     )
     joints: tuple[str, ...] = text(
-        "its names of the joints, in the order of the arm's kinematics (SCARA: shoulder, elbow, "
-        "quill, tool)"
+        "names of the joints in the arm's driver, in the order of the arm's kinematics (SCARA: "
+        "shoulder, elbow, quill, tool)"
     )
-    joint_states: str = text("full name of the topic of its joint states", default="/joint_states")
+    joint_states: str = text(
+        "full name of the topic of the arm's joint states", default="/joint_states"
+    )
     interface: str = choice(
-        "how trajectories are sent: auto takes the action where control_msgs is installed and the "
-        "controller offers it, else the topic",
+        "interface for sending trajectories: auto uses the action if control_msgs is installed and "
+        "the controller offers it, otherwise the topic",
         "auto",
         "topic",
         "action",
         default="topic",
     )
     state_timeout: float = quantity(
-        "longest silence of the joint states before the arm counts as lost",
+        "timeout of the joint states, after which the arm counts as lost",
         "s",
         0.05,
         1.0,
         default=0.25,
     )
     chain: ChainSection | None = section(
-        "the arm's own kinematics, where it is no SCARA: any number of joints", default=None
+        "kinematics of an arm that is not a SCARA, with any number of joints", default=None
     )
 
     def __post_init__(self) -> None:
@@ -150,107 +152,128 @@ class Ros2ControlSection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmSection:
-    """The SCARA arm: where it stands, its dimensions, limits, moves and controller."""
+    """The SCARA arm: base pose, dimensions, limits, moves and controller."""
 
     base: tuple[float, float, float] = quantity(
         "pose of arm_base in table: x and y in m, angle in rad", "", -7.0, 7.0
     )
-    upper_arm: float = quantity("shoulder axis to elbow axis", "m", 0.02, 3.0)
-    forearm: float = quantity("elbow axis to quill axis", "m", 0.02, 3.0)
-    tip_forward: float = quantity("tip ahead of the quill axis", "m", -0.5, 0.5)
-    tip_side: float = quantity("tip to the left of the quill axis", "m", -0.5, 0.5)
-    tip_yaw: float = quantity("line of travel from the tool's heading", "rad", -7.0, 7.0)
-    tip_height: float = quantity("tip above the table with the quill at zero", "m", 0.0, 2.0)
+    upper_arm: float = quantity("distance from shoulder axis to elbow axis", "m", 0.02, 3.0)
+    forearm: float = quantity("distance from elbow axis to quill axis", "m", 0.02, 3.0)
+    tip_forward: float = quantity("offset of the tip ahead of the quill axis", "m", -0.5, 0.5)
+    tip_side: float = quantity("offset of the tip to the left of the quill axis", "m", -0.5, 0.5)
+    tip_yaw: float = quantity("angle from tool heading to line of travel", "rad", -7.0, 7.0)
+    tip_height: float = quantity("height of the tip when the quill is at zero", "m", 0.0, 2.0)
     lower: FourNumbers = quantity("lower joint limits: rad, rad, m, rad", "", -20.0, 20.0)
     upper: FourNumbers = quantity("upper joint limits: rad, rad, m, rad", "", -20.0, 20.0)
-    max_speed: FourNumbers = quantity("joint speeds: rad/s, rad/s, m/s, rad/s", "", 0.001, 100.0)
+    max_speed: FourNumbers = quantity(
+        "maximum joint speeds: rad/s, rad/s, m/s, rad/s", "", 0.001, 100.0
+    )
     max_acceleration: FourNumbers = quantity(
-        "joint accelerations: rad/s^2, rad/s^2, m/s^2, rad/s^2", "", 0.001, 1000.0
+        "maximum joint accelerations: rad/s^2, rad/s^2, m/s^2, rad/s^2", "", 0.001, 1000.0
     )
-    singularity_margin: float = quantity("least bend of the elbow", "rad", 0.0, 0.5)
+    singularity_margin: float = quantity("minimum bend angle of the elbow", "rad", 0.0, 0.5)
     strike_height: float = quantity(
-        "height of the tip over the table while it strikes", "m", 0.001, 0.2
+        "height of the tip above the table during a strike", "m", 0.001, 0.2
     )
-    travel_height: float = quantity("height of the tip while it travels", "m", 0.01, 1.0)
-    travel_speed: float = quantity("fraction of the joint speeds while raised", "", 0.01, 1.0)
-    near_speed: float = quantity("fraction of the joint speeds near the object", "", 0.01, 1.0)
-    back_off: float = quantity("backwards along the travel before raising", "m", 0.0, 0.1)
+    travel_height: float = quantity("height of the tip above the table in travel", "m", 0.01, 1.0)
+    travel_speed: float = quantity(
+        "travel speed as a fraction of the maximum joint speeds", "", 0.01, 1.0
+    )
+    near_speed: float = quantity(
+        "speed near the object as a fraction of the maximum joint speeds", "", 0.01, 1.0
+    )
+    back_off: float = quantity(
+        "retreat distance along the line of travel before raising", "m", 0.0, 0.1
+    )
     park: FourNumbers = quantity(
-        "joints where the arm waits out of the camera's view: rad, rad, m, rad", "", -20.0, 20.0
+        "joint positions of the park pose, out of the camera's view: rad, rad, m, rad",
+        "",
+        -20.0,
+        20.0,
     )
     dialect: str = choice(
-        "language of the arm's controller; ros2_control: the arm has a ROS driver of its own",
+        "protocol of the arm's controller; ros2_control if the arm has a ROS driver of its own",
         "grbl",
         "marlin",
         "ros2_control",
     )
     ros2_control: Ros2ControlSection | None = section(
-        "the arm's own ROS driver, for the dialect ros2_control", default=None
+        "settings of the arm's own ROS driver, for the dialect ros2_control", default=None
     )
     port: str = text(
-        "path of the controller's serial port; ~ is the home folder, {namespace} the node's, "
-        "{cell} a name of this namespace in this ROS domain, for the ports of the simulated cell",
+        "path of the controller's serial port; ~ is the home folder, {namespace} the node's "
+        "namespace, {cell} a name unique to this namespace and ROS domain, for the simulated ports",
         default="",
     )
-    baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000, default=115_200)
-    homing: str = choice("how the arm is homed", "firmware", "manual_pose", "none")
+    baud: int = quantity(
+        "baud rate of the arm's serial line", "baud", 1200, 4_000_000, default=115_200
+    )
+    homing: str = choice("homing method of the arm", "firmware", "manual_pose", "none")
     home: FourNumbers = quantity(
-        "joints where homing ends: rad, rad, m, rad", "", -20.0, 20.0, default=(0.0,) * 4
+        "joint positions at the end of homing: rad, rad, m, rad",
+        "",
+        -20.0,
+        20.0,
+        default=(0.0,) * 4,
     )
     near_height: float = quantity(
-        "height over the strike pose from which the striker is lowered at near_speed",
+        "height above the strike pose below which the striker is lowered at near_speed",
         "m",
         0.0,
         0.2,
         default=0.015,
     )
     link_half_width: float = quantity(
-        "half the width of the links as the camera sees them", "m", 0.001, 0.5, default=0.03
+        "half the width of the links as seen by the camera", "m", 0.001, 0.5, default=0.03
     )
-    link_thickness: float = quantity("height of the links", "m", 0.001, 0.5, default=0.04)
+    link_thickness: float = quantity("thickness of the links", "m", 0.001, 0.5, default=0.04)
     link_clearance: float = quantity(
-        "undersides of the links over the tip with the quill at zero",
+        "height of the links' undersides above the tip when the quill is at zero",
         "m",
         -0.5,
         1.0,
         default=0.03,
     )
     axes_without_switch: tuple[JointName, ...] = choice(
-        "joints that homing does not move: a person turns them to their home before it",
+        "joints without a home switch, which a person moves to their home before homing",
         *Joints._fields,
         default=(),
     )
     home_place: FourNumbers | None = quantity(
-        "what a Grbl-family controller calls the four axes after its homing, in degrees and mm; "
-        "left out: computed from its settings",
+        "axis positions that a Grbl-family controller reports after homing, in degrees and mm; "
+        "computed from the controller's settings if left out",
         "",
         -1e5,
         1e5,
         default=None,
     )
-    homing_timeout: float = quantity(
-        "longest time that homing may take", "s", 1.0, 600.0, default=60.0
-    )
+    homing_timeout: float = quantity("timeout of the homing cycle", "s", 1.0, 600.0, default=60.0)
     axis_letters: str = text(
-        "axis letters of shoulder, elbow, quill and tool at the controller", default="XYZA"
+        "axis letters of shoulder, elbow, quill and tool in the controller", default="XYZA"
     )
     axis_sign: tuple[int, int, int, int] = quantity(
-        "direction of each controller axis against the joint: 1 or -1",
+        "direction of each controller axis relative to its joint: 1 or -1",
         "",
         -1,
         1,
         default=(1, 1, 1, 1),
     )
     tolerance_angle: float = quantity(
-        "largest difference of a joint from its target when the arm is in position",
+        "maximum error of a rotary joint at which the arm counts as in position",
         "rad",
         1e-5,
         0.1,
         default=1e-3,
     )
-    tolerance_quill: float = quantity("the same for the quill", "m", 1e-6, 0.01, default=1e-4)
+    tolerance_quill: float = quantity(
+        "maximum error of the quill at which the arm counts as in position",
+        "m",
+        1e-6,
+        0.01,
+        default=1e-4,
+    )
     settle_time: float = quantity(
-        "rest after the last move before the arm counts as in position",
+        "settling time after the last move before the arm counts as in position",
         "s",
         0.0,
         5.0,
@@ -261,22 +284,24 @@ class ArmSection:
         default=False,
     )
     joint_offset: FourNumbers = quantity(
-        "true joints minus the controller's, as calibrated: rad, rad, m, rad",
+        "calibrated offset of the true joints from the controller's: rad, rad, m, rad",
         "",
         -1.0,
         1.0,
         default=(0.0,) * 4,
     )
-    calibration: Provenance | None = section("what base and offsets were made from", default=None)
+    calibration: Provenance | None = section(
+        "record of the calibration of base and joint offsets", default=None
+    )
     steps_per_unit: tuple[float, ...] = quantity(
-        "steps per degree or mm that the controller must be set to, four; empty: not checked",
+        "required steps per degree or mm in the controller, four values; not checked if empty",
         "",
         0.001,
         1e6,
         default=(),
     )
     grbl_settings: tuple[tuple[float, float], ...] = quantity(
-        "number and value of what $$ must say besides $13 = 0, such as [[23, 3], [27, 1.0]]",
+        "required $$ settings besides $13 = 0, as number and value, such as [[23, 3], [27, 1.0]]",
         "",
         -1e7,
         1e7,
@@ -284,7 +309,7 @@ class ArmSection:
     )
 
     def geometry(self) -> ScaraGeometry:
-        """Dimensions and limits for the kinematics."""
+        """Return the dimensions and limits for the kinematics."""
         return ScaraGeometry(
             upper_arm=self.upper_arm,
             forearm=self.forearm,
@@ -302,14 +327,14 @@ class ArmSection:
 
     @property
     def homes_alone(self) -> bool:
-        """Whether homing needs no person at the arm."""
+        """Return whether the arm can be homed without a person at the arm."""
         return self.homing != "manual_pose" and not self.axes_without_switch
 
     def driver_settings(self) -> ArmSettings:
-        """Wiring, homing and tolerances for the arm's driver.
+        """Return wiring, homing and tolerances for the arm's driver.
 
         Raises:
-            ValueError: axis_sign or axis_letters make no arm, or the dialect lacks what it needs.
+            ValueError: axis_sign or axis_letters are invalid, or keys do not suit the dialect.
         """
         check_letters(self.axis_letters)
         self._check_dialect()
@@ -347,10 +372,10 @@ class ArmSection:
             )
 
     def chain(self) -> SerialChain | None:
-        """The arm's own kinematics; None for a SCARA.
+        """Return the arm's own kinematics; None for a SCARA.
 
         Raises:
-            ValueError: the URDF cannot be read, or does not fit the section.
+            ValueError: the URDF cannot be read or contradicts the section.
         """
         section = self.ros2_control
         if section is None or section.chain is None:
@@ -374,10 +399,10 @@ class ArmSection:
             raise ValueError(f"arm.ros2_control.chain.urdf {chain.urdf}: {error}") from error
 
     def controller_needs(self) -> ControllerNeeds:
-        """What the controller's own settings must allow.
+        """Return the requirements on the controller's own settings.
 
         Raises:
-            ValueError: steps_per_unit has another number of values than four or none.
+            ValueError: steps_per_unit has neither four values nor none.
         """
         if len(self.steps_per_unit) not in (0, 4):
             raise ValueError(
@@ -386,7 +411,7 @@ class ArmSection:
         return needs_of(self.geometry(), self.steps_per_unit)
 
     def motion(self) -> MotionSettings:
-        """Heights, speeds and park pose of the tap moves."""
+        """Return heights, speeds and park pose of the tap moves."""
         return MotionSettings(
             travel_height=self.travel_height,
             travel_speed=self.travel_speed,
@@ -397,7 +422,7 @@ class ArmSection:
         )
 
     def shape(self, tapper: TapperSection) -> ArmShape:
-        """What of the arm and its tool can hide the table from the camera."""
+        """Return the parts of the arm and its tool that can occlude the table."""
         return ArmShape(
             link_half_width=self.link_half_width,
             link_thickness=self.link_thickness,
@@ -408,8 +433,8 @@ class ArmSection:
 
 
 LONGEST_SHOT = 0.1
-"""From the last check before a pulse until the output is off, s: with the striker's flight it must
-fit into the arm's promise to stand still."""
+"""Maximum time from the last check before a pulse until the output is off, in s. This time and the
+striker's flight must end before the arm is allowed to move again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -417,28 +442,28 @@ class OutputSection:
     """A digital output that fires the tapper, for the dialect io."""
 
     interface: str = choice(
-        "how it is switched: service (std_srvs/SetBool), topic (std_msgs/Bool), commands "
-        "(std_msgs/Float64MultiArray, as a forward_command_controller takes it) or pulse "
-        "(std_msgs/Float64: seconds to be on, timed by the other side)",
+        "interface that switches the output: service (std_srvs/SetBool), topic (std_msgs/Bool), "
+        "commands (std_msgs/Float64MultiArray, for a forward_command_controller) or pulse "
+        "(std_msgs/Float64: pulse length in s, timed by the receiver)",
         "service",
         "topic",
         "commands",
         "pulse",
     )
-    name: str = text("full name of that service or topic, such as /robot/set_output")
+    name: str = text("full name of the output's service or topic, such as /robot/set_output")
     guard: str = text(
-        "full name of the topic (std_msgs/Bool) that tells whether the guard is closed"
+        "full name of the topic (std_msgs/Bool) that reports whether the guard is closed"
     )
     pulses: tuple[float, ...] = quantity(
-        "length of the pulse at each of tapper.energies, increasing", "s", 0.0005, 0.08
+        "pulse lengths for tapper.energies, one each, increasing", "s", 0.0005, 0.08
     )
     read_back: str = text(
-        "full name of the topic (std_msgs/Bool) that tells whether the output is on; left out: "
-        "whether a shot was fired is known from the camera alone",
+        "full name of the topic (std_msgs/Bool) that reports whether the output is on; if left "
+        "out, only the camera can confirm that a shot was fired",
         default="",
     )
     latency: float = quantity(
-        "longest time from sending a level until the output has it, as measured",
+        "maximum measured delay from sending a level until the output has that level",
         "s",
         0.001,
         0.045,
@@ -467,53 +492,55 @@ class TapperSection:
     """The striker and the device that charges and fires it."""
 
     dialect: str = choice(
-        "what fires the striker: board is the tapper's own board, io a digital output of a robot "
-        "or another controller",
+        "device that fires the striker: board for the tapper's own board, io for a digital output "
+        "of a robot or another controller",
         "board",
         "io",
         default="board",
     )
-    output: OutputSection | None = section("the digital output, for the dialect io", default=None)
+    output: OutputSection | None = section("digital output, for the dialect io", default=None)
     port: str = text(
         "path of the serial port of the tapper's board; placeholders as in arm.port", default=""
     )
-    baud: int = quantity("speed of the serial line", "baud", 1200, 4_000_000, default=115_200)
+    baud: int = quantity(
+        "baud rate of the tapper's serial line", "baud", 1200, 4_000_000, default=115_200
+    )
     mass: float = quantity("mass of the striker", "kg", 0.001, 10.0)
     tip_radius: float = quantity("radius of the ball at the tip", "m", 0.0005, 0.1)
-    constraint: Constraint = choice("how the striker is held", "linear_bearings", "free")
+    constraint: Constraint = choice("guidance of the striker", "linear_bearings", "free")
     standoff: float = quantity("distance from the tip at rest to the object", "m", 0.001, 0.2)
     stroke: float = quantity("maximum travel of the tip", "m", 0.001, 0.3)
-    tool_radius: float = quantity("half width of the bar behind the tip", "m", 0.0005, 0.1)
-    tool_start: float = quantity("start of the bar behind the centre of the tip", "m", 0.0, 0.2)
-    tool_length: float = quantity("end of the bar behind the centre of the tip", "m", 0.0, 1.0)
+    tool_radius: float = quantity("half the width of the bar behind the tip", "m", 0.0005, 0.1)
+    tool_start: float = quantity("distance from tip centre to near end of the bar", "m", 0.0, 0.2)
+    tool_length: float = quantity("distance from tip centre to far end of the bar", "m", 0.0, 1.0)
     energies: tuple[float, ...] = quantity(
         "energies of the calibration curve, increasing", "J", 0.0, 1000.0
     )
     speeds: tuple[float, ...] = quantity(
-        "striker speeds at these energies, increasing", "m/s", 0.0, 100.0
+        "striker speeds at the energies of the calibration curve, increasing", "m/s", 0.0, 100.0
     )
     calibration: Provenance | None = section("record of the calibration of the curve", default=None)
 
     def curve(self) -> EnergyCurve:
-        """Striker speed against energy.
+        """Return the calibration curve of striker speed against energy.
 
         Raises:
-            ValueError: the two lists differ in length or do not rise.
+            ValueError: the two lists differ in length or are not increasing.
         """
         return EnergyCurve(tuple(zip(self.energies, self.speeds, strict=True)))
 
     def output_settings(self) -> OutputTapperSettings:
-        """Pulses and latency of the digital output.
+        """Return pulses and latency of the digital output.
 
         Raises:
-            ValueError: the dialect is not io, or a key of it is missing.
+            ValueError: the section ``output`` is missing.
         """
         if self.output is None:
             raise ValueError("key 'tapper.output' is missing: the dialect io needs it")
         return OutputTapperSettings(self.energies, self.output.pulses, self.output.latency)
 
     def check_dialect(self) -> None:
-        """Refuse keys that contradict each other (ValueError)."""
+        """Raise ValueError for keys that contradict each other."""
         if self.dialect == "board":
             if self.output is not None:
                 raise ValueError("tapper.output has no meaning for the dialect board")
@@ -529,30 +556,36 @@ class TapperSection:
             )
 
     def striker(self) -> Striker:
-        """The striker of the impact model."""
+        """Return the striker of the impact model."""
         return Striker(mass=self.mass, tip_radius=self.tip_radius, constraint=self.constraint)
 
 
 @dataclass(frozen=True, slots=True)
 class FixedTapperSection:
-    """One tapper at a fixed mount. What is left out is as in ``tapper``."""
+    """One tapper at a fixed mount. A key that is left out has its value from ``tapper``."""
 
-    name: str = text("name of the tapper, its own in the cell", longest=40)
+    name: str = text("name of the tapper, unique in the cell", longest=40)
     position: tuple[float, float] = quantity(
         "centre of the tip at rest, in the frame table: x, y", "m", -5.0, 5.0
     )
     direction: float = quantity("direction of the striker's travel, in table", "rad", -7.0, 7.0)
     channel: int = quantity("channel of the tapper on its board", "", 0, 31, default=0)
-    port: str | None = text("serial port of its board; left out: tapper.port", default=None)
+    port: str | None = text(
+        "serial port of the tapper's board; tapper.port if left out", default=None
+    )
     stroke: float | None = quantity("maximum travel of the tip", "m", 0.001, 0.5, default=None)
     tip_radius: float | None = quantity(
         "radius of the ball at the tip", "m", 0.0005, 0.1, default=None
     )
     energies: tuple[float, ...] | None = quantity(
-        "energies of its calibration curve, increasing", "J", 0.0, 1000.0, default=None
+        "energies of the tapper's calibration curve, increasing", "J", 0.0, 1000.0, default=None
     )
     speeds: tuple[float, ...] | None = quantity(
-        "striker speeds at these energies, increasing", "m/s", 0.0, 100.0, default=None
+        "striker speeds at the energies of the calibration curve, increasing",
+        "m/s",
+        0.0,
+        100.0,
+        default=None,
     )
 
 
@@ -561,19 +594,19 @@ class FixedTappersSection:
     """Tappers at fixed mounts and the disc that they serve."""
 
     working_area: tuple[float, float, float] = quantity(
-        "disc in which the object's centre may lie: middle x and y in m, in table, and radius",
+        "disc that must contain the object's centre: x and y of its middle in table, and radius",
         "m",
         -5.0,
         5.0,
     )
-    strike_height: float = quantity("height of the tips over the table", "m", 0.001, 0.2)
-    tappers: tuple[FixedTapperSection, ...] = section("the tappers")
+    strike_height: float = quantity("height of the tips above the table", "m", 0.001, 0.2)
+    tappers: tuple[FixedTapperSection, ...] = section("tappers at fixed mounts")
     calibration: Provenance | None = section(
         "record of the calibration of the mounts", default=None
     )
 
     def __post_init__(self) -> None:
-        """Refuse lists and areas that make no cell (ValueError)."""
+        """Raise ValueError for a missing or repeated tapper name or an empty working area."""
         names = [tapper.name for tapper in self.tappers]
         if not names:
             raise ValueError("'tappers' is empty; give at least one")
@@ -588,23 +621,23 @@ class FixedTappersSection:
 
 @dataclass(frozen=True, slots=True)
 class CameraSection:
-    """Accuracy of a pose measured at rest, as the planner assumes it."""
+    """Accuracy of a pose measured at rest that the planner assumes."""
 
     position_noise: float = quantity(
-        "standard deviation of the position along each axis", "m", 0.0, 0.1
+        "standard deviation of a measured position along each axis", "m", 0.0, 0.1
     )
-    angle_noise: float = quantity("standard deviation of the angle", "rad", 0.0, 1.0)
+    angle_noise: float = quantity("standard deviation of a measured angle", "rad", 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class GoalSection:
-    """When a goal is reached and when it is given up."""
+    """Conditions under which a goal counts as reached or is aborted, and the planner."""
 
     position_tolerance: float = quantity(
-        "maximum distance from the goal at which it counts as reached", "m", 0.0001, 0.1
+        "maximum distance from the goal at which the goal counts as reached", "m", 0.0001, 0.1
     )
     angle_tolerance: float = quantity(
-        "maximum rotation from the goal at which it counts as reached", "rad", 0.001, 1.0
+        "maximum rotation from the goal at which the goal counts as reached", "rad", 0.001, 1.0
     )
     planner: str = text("name of the planning method")
     max_taps: int = quantity("maximum number of taps for a goal", "", 1, 1000)
@@ -619,29 +652,29 @@ class GoalSection:
 
 @dataclass(frozen=True, slots=True)
 class CellFile:
-    """One cell."""
+    """Contents of a cell file."""
 
     name: str = text("display name of the cell", longest=100)
-    reference_markers: str = text("table file, relative to this file")
-    camera_info: str = text("camera_info file, relative to this file")
-    object: str = text("object file, relative to this file")
+    reference_markers: str = text("path of the table file, relative to this file")
+    camera_info: str = text("path of the camera_info file, relative to this file")
+    object: str = text("path of the object file, relative to this file")
     table: TableSection = section("usable area of the table")
-    tapper: TapperSection = section("the tapper, or what is common to all fixed tappers")
-    camera: CameraSection = section("the camera")
-    goal: GoalSection = section("goals")
-    arm: ArmSection | None = section("the arm that carries the tapper", default=None)
+    tapper: TapperSection = section("settings of the tapper, or those common to all fixed tappers")
+    camera: CameraSection = section("accuracy of the camera")
+    goal: GoalSection = section("tolerances of a goal and limits for reaching it")
+    arm: ArmSection | None = section("arm that carries the tapper", default=None)
     fixed_tappers: FixedTappersSection | None = section(
-        "tappers at fixed mounts, in the place of an arm", default=None
+        "tappers at fixed mounts, in place of an arm", default=None
     )
     keep_outs: KeepOutSection = section("keep-out zones", default=KeepOutSection())
     objects: tuple[str, ...] = text(
-        "object files of the further objects on the table, relative to this file; each has a name "
-        "and a marker of its own",
+        "paths of the object files of further objects on the table, relative to this file; each "
+        "object needs a unique name and marker",
         default=(),
     )
 
     def __post_init__(self) -> None:
-        """Refuse a cell with neither arm nor fixed tappers, or with both (ValueError)."""
+        """Raise ValueError for a cell with neither arm nor fixed tappers, or with both."""
         if (self.arm is None) == (self.fixed_tappers is None):
             raise ValueError(
                 "give either the key 'arm' (an arm that carries the tapper) or the key "
@@ -651,7 +684,7 @@ class CellFile:
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """A tapper's controller: its port, and the channel of each tapper on it, by name."""
+    """A tapper controller: its port and the channels of its tappers by name."""
 
     port: str
     channels: dict[str, int]
@@ -659,7 +692,7 @@ class Board:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A cell file with the files that it names, read and checked."""
+    """A cell file and the files that it names, read and checked."""
 
     path: Path
     file: CellFile
@@ -675,21 +708,21 @@ class Cell:
 
     @property
     def arm_base(self) -> Pose:
-        """X of arm_base in table."""
+        """Pose of ``arm_base`` in ``table``."""
         return Pose(*self.arm.base)
 
     @property
     def tapper_names(self) -> tuple[str, ...]:
-        """Names of the cell's tappers, as commands and states say them."""
+        """Names of the cell's tappers, as used in command and state messages."""
         fixed = self.file.fixed_tappers
         return (ARM_TAPPER,) if fixed is None else tuple(entry.name for entry in fixed.tappers)
 
     @property
     def arm(self) -> ArmSection:
-        """The arm.
+        """Section of the arm.
 
         Raises:
-            ConfigurationError: the cell has fixed tappers in its place.
+            ConfigurationError: the cell has fixed tappers instead of an arm.
         """
         if self.file.arm is None:
             raise ConfigurationError(
@@ -700,10 +733,10 @@ class Cell:
 
     @property
     def fixed_tappers(self) -> FixedTappersSection:
-        """The fixed tappers.
+        """Section of the fixed tappers.
 
         Raises:
-            ConfigurationError: the cell has an arm in their place.
+            ConfigurationError: the cell has an arm instead of fixed tappers.
         """
         if self.file.fixed_tappers is None:
             raise ConfigurationError(
@@ -713,7 +746,7 @@ class Cell:
         return self.file.fixed_tappers
 
     def tapper_of(self, entry: FixedTapperSection) -> TapperSection:
-        """A fixed tapper with what it shares with the others."""
+        """Return all settings of a fixed tapper, including those shared by all fixed tappers."""
         own = {
             name: value
             for name in ("port", "stroke", "tip_radius", "energies", "speeds")
@@ -723,7 +756,7 @@ class Cell:
 
     @property
     def tapper_sections(self) -> dict[str, TapperSection]:
-        """Every tapper by its name."""
+        """Settings of every tapper by name."""
         fixed = self.file.fixed_tappers
         if fixed is None:
             return {ARM_TAPPER: self.file.tapper}
@@ -731,7 +764,7 @@ class Cell:
 
     @property
     def boards(self) -> tuple[Board, ...]:
-        """The tappers' controllers, in the order of the cell file; channels rise on each."""
+        """The tapper controllers in the order of the cell file, with their channels sorted."""
         fixed = self.file.fixed_tappers
         channels = {} if fixed is None else {entry.name: entry.channel for entry in fixed.tappers}
         ports: dict[str, dict[str, int]] = {}
@@ -744,11 +777,11 @@ class Cell:
 
     @property
     def strike_height(self) -> float:
-        """Height of the tips over the table while they strike, m."""
+        """Height of the tips above the table during a strike, m."""
         return (self.file.fixed_tappers or self.arm).strike_height
 
     def outline(self) -> tuple[tuple[float, float], ...]:
-        """The object's outline in its own frame: points (x, y) in m, counter-clockwise."""
+        """Return the outline in the object frame: points (x, y) in m, counter-clockwise."""
         shape = self.object.shape
         if shape.vertices is not None:
             return shape.vertices
@@ -760,10 +793,12 @@ class Cell:
 
 
 def load_cell(path: Path | str | None = None, object_path: Path | str | None = None) -> Cell:
-    """The cell of a file (the package's own where None), with another object where one is given.
+    """Load a cell file, or the package's own if ``path`` is None.
+
+    ``object_path`` replaces the object file that the cell file names.
 
     Raises:
-        ConfigurationError: names file, key, value and range.
+        ConfigurationError: a file is invalid; the message names file, key, value and range.
     """
     cell_path = Path(path) if path else shared_folder() / "cell.yaml"
     cell_path = cell_path.expanduser().resolve()
@@ -802,7 +837,7 @@ def load_cell(path: Path | str | None = None, object_path: Path | str | None = N
 
 
 def _with_urdf_of(content: CellFile, folder: Path) -> CellFile:
-    """The cell file with the full path of its URDF, where it names one."""
+    """Return the cell file with the full path of its URDF, if it names one."""
     own = None if content.arm is None else content.arm.ros2_control
     if content.arm is None or own is None or own.chain is None:
         return content
@@ -811,15 +846,15 @@ def _with_urdf_of(content: CellFile, folder: Path) -> CellFile:
 
 
 def has_simulated_ports(cell: Cell) -> bool:
-    """True where arm or tapper has a port that the simulated world makes."""
+    """Return whether the arm or a tapper has a port that the simulated world creates."""
     return bool(_simulated_ports(cell))
 
 
 def refuse_simulated_ports(cell: Cell) -> None:
-    """See that a cell file describes devices, before it is used for a cell on hardware.
+    """Check that a cell file describes real devices, before it is used with hardware.
 
     Raises:
-        ConfigurationError: a port is one of the simulated cell, as in the package's own file.
+        ConfigurationError: a port belongs to the simulated cell, as in the package's own file.
     """
     for key, port in _simulated_ports(cell).items():
         raise ConfigurationError(
@@ -830,11 +865,11 @@ def refuse_simulated_ports(cell: Cell) -> None:
 
 
 def refuse_own_drivers(cell: Cell) -> None:
-    """See that a cell file commands no real device, before a simulated cell is started from it.
+    """Check that a cell file commands no real device, before a simulated cell is started from it.
 
     Raises:
-        ConfigurationError: the arm has a ROS driver of its own, or an output fires the tapper:
-            no simulated world stands in for either.
+        ConfigurationError: the arm has a ROS driver of its own, or an output fires the tapper.
+            Neither can be simulated.
     """
     output = cell.file.tapper.output
     if output is not None:
@@ -862,12 +897,14 @@ def _simulated_ports(cell: Cell) -> dict[str, str]:
 
 
 def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
-    """The objects on a cell's table besides its own: those of its key ``objects``, then those of
-    the parameter ``other_object_files``, ``paths`` separated by commas.
+    """Load the further objects on a cell's table, after the cell's main object.
+
+    First come the objects of the key ``objects``, then those of ``paths``, the comma-separated
+    parameter ``other_object_files``.
 
     Raises:
-        ConfigurationError: a file cannot be used, two objects have one name or one marker, or the
-            arm cannot travel over one.
+        ConfigurationError: a file is invalid, two objects share a name or a marker, or the arm
+            cannot travel above an object.
     """
     named = [path.strip() for path in paths.split(",") if path.strip()]
     places = [cell.path.parent / Path(path).expanduser() for path in cell.file.objects]

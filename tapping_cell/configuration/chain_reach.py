@@ -1,4 +1,4 @@
-"""Whether an arm that is no SCARA can follow the SCARA that its cell file describes."""
+"""Check that an arm that is not a SCARA can follow the SCARA that its cell file describes."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from tapping_cell.hardware.serial_chain import Array, SerialChain
 from tapping_cell.se2 import Pose
 
 PLACES = 5
-"""Along each side of the table."""
+"""Number of checked positions along each side of the table."""
 DIRECTIONS = 6
-"""Of the line of travel, at each place."""
+"""Number of checked directions of the line of travel at each position."""
 FIRST_SEEDS = 40
-"""Random postures from which the park pose is looked for."""
+"""Number of random initial joint positions for the inverse kinematics of the park pose."""
 
 
 def chain_reach(cell: Cell) -> Iterator[str]:
-    """A warning where the arm cannot strike at a place that the SCARA reaches."""
+    """Yield a warning if the arm cannot take a strike pose that the SCARA reaches."""
     chain = cell.arm.chain()
     if chain is None:
         return
@@ -51,7 +51,7 @@ def chain_reach(cell: Cell) -> Iterator[str]:
 
 
 def _stations(cell: Cell) -> Iterator[Array]:
-    """Tip poses in ``arm_base`` that the SCARA reaches, from place to neighbouring place."""
+    """Yield tip poses in ``arm_base`` that the SCARA reaches, in the order of a grid."""
     table, geometry, to_base = cell.file.table, cell.arm.geometry(), cell.arm_base.inverse()
     for x in np.linspace(-table.length / 2, table.length / 2, PLACES):
         for y in np.linspace(-table.width / 2, table.width / 2, PLACES):
@@ -67,7 +67,7 @@ def _stations(cell: Cell) -> Iterator[Array]:
 
 
 def _first(chain: SerialChain, target: Array) -> Array | None:
-    """Joints at a pose from some posture; None where none leads there."""
+    """Solve the inverse kinematics of a pose from several initial values; None if all fail."""
     draw = np.random.default_rng(0)
     middle = (chain.lower + chain.upper) / 2
     seeds = [middle, *draw.uniform(chain.lower, chain.upper, (FIRST_SEEDS, len(middle)))]
@@ -76,7 +76,11 @@ def _first(chain: SerialChain, target: Array) -> Array | None:
 
 
 def _near(chain: SerialChain, target: Array, seed: Array) -> tuple[Array | None, str]:
-    """Joints at a pose from those at another, a joint turned by a whole turn where it must be."""
+    """Solve the inverse kinematics of a pose, starting from the joints of a neighbouring pose.
+
+    If this fails, try again with one rotary joint shifted by a full turn. The returned text is the
+    reason for a failure.
+    """
     first = chain.inverse(target, seed)
     if first.success:
         return first.joints, ""

@@ -1,4 +1,4 @@
-"""What contradicts what among the files of a cell; every finding is a sentence with the remedy."""
+"""Detection of contradictions among the files of a cell; every finding states a remedy."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ LEAST_WORKABLE = 0.5
 LONGEST_FLIGHT_S = 2.0
 """The arm stands still while a striker is on its way, and everybody waits for it."""
 NOISE_ROOM = 3.0
-"""Standard deviations of a look that should fit into the tolerance."""
+"""Number of standard deviations of the measured pose that should fit into the tolerance."""
 
 
 def conflicts(cell: Cell) -> tuple[list[str], list[str]]:
-    """Errors (a goal would fail) and warnings (it may, or something is not there yet)."""
+    """Return errors (a goal would fail) and warnings (a goal may fail, or a port is missing)."""
     if cell.file.fixed_tappers is not None:
         errors = [*_markers(cell), *fixed_conflicts(cell), *_further_objects(cell)]
         return errors, [*_lens(cell), *_noise(cell), *_ports(cell)]
@@ -59,14 +59,14 @@ def _markers(cell: Cell) -> Iterator[str]:
 
 
 def _further_objects(cell: Cell) -> Iterator[str]:
-    """The key ``objects``: files that load, names and markers that differ, heights that suit."""
+    """Check the objects of the key ``objects``: files, names, markers and heights."""
     try:
         files = load_further_objects(cell)
     except ConfigurationError as error:
         yield str(error)
         return
     for file in files:
-        # Its marker is judged like that of the cell's object.
+        # Check the marker of a further object like that of the cell's main object.
         yield from (
             f"'{file.name}': {sentence}" for sentence in _markers(replace(cell, object=file))
         )
@@ -122,7 +122,7 @@ def _joints(cell: Cell) -> Iterator[str]:
 
 
 def _curve(cell: Cell) -> Iterator[str]:
-    """The speeds that the tapper can make, against the smallest tap of the object."""
+    """Compare the speeds of the tapper with the smallest tap of the object."""
     curve = cell.file.tapper.curve()
     smallest = cell.object.smallest_tap
     try:
@@ -160,7 +160,7 @@ def _planner(cell: Cell) -> Iterator[str]:
 
 
 def _reach(cell: Cell) -> tuple[list[str], list[str]]:
-    """How much of the usable area can be worked on, by the planner's own map."""
+    """Check how much of the usable area the arm can serve, using the planner's own map."""
     space = make_strike_space(cell)
     free = FreeSpace(space)
     fits = space.workspace.object_room(free.centres) >= space.object_radius

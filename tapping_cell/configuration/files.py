@@ -1,4 +1,4 @@
-"""Where the package's own data files are."""
+"""Location of the package's own data files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ament_index_python.packages import get_package_share_directory
 
 
 def shared_folder() -> Path:
-    """The ``config`` folder: of the source tree when run from one, else of the installation."""
+    """Return the source tree's ``config`` folder if run from a source tree, else the installed."""
     source = Path(__file__).resolve().parents[2]
     if (source / "package.xml").is_file():
         return source / "config"

@@ -1,4 +1,4 @@
-"""What is wrong in a cell with fixed tappers; every finding is a sentence with the remedy."""
+"""Detection of errors in a cell with fixed tappers; every finding states a remedy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tapping_cell.planning.coverage import coverage
 
 
 def fixed_conflicts(cell: Cell) -> Iterator[str]:
-    """Errors: a goal in the working area would fail."""
+    """Yield the errors because of which a goal in the working area would fail."""
     fixed, path = cell.fixed_tappers, cell.path
     height, top = fixed.strike_height, cell.object.height
     if height >= top:

@@ -1,4 +1,4 @@
-"""The layout file: where the objects of a cell are to go, for the verb ``arrange``."""
+"""The layout file: goal poses of the objects of a cell, for the verb ``arrange``."""
 
 from __future__ import annotations
 
@@ -9,28 +9,43 @@ from tapping_cell.configuration.schema import quantity, section, text
 
 @dataclass(frozen=True, slots=True)
 class LayoutGoal:
-    """Where one object is to go."""
+    """Goal pose of one object."""
 
     object: str = text("name of the object: the key 'name' of its file")
     pose: tuple[float, float, float] = quantity(
-        "x and y in m and theta in rad, in table, of the object's centre of mass", "", -7.0, 7.0
+        "goal pose of the object's centre of mass in table: x and y in m, theta in rad",
+        "",
+        -7.0,
+        7.0,
     )
-    position_tolerance: float = quantity("0 for the cell's own", "m", 0.0, 1.0, default=0.0)
-    angle_tolerance: float = quantity("0 for the cell's own", "rad", 0.0, 3.2, default=0.0)
+    position_tolerance: float = quantity(
+        "position tolerance of the goal; 0 means the cell's own", "m", 0.0, 1.0, default=0.0
+    )
+    angle_tolerance: float = quantity(
+        "angle tolerance of the goal; 0 means the cell's own", "rad", 0.0, 3.2, default=0.0
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class LayoutFile:
-    """One arrangement."""
+    """Contents of a layout file: one arrangement of objects."""
 
-    goals: tuple[LayoutGoal, ...] = section("goals, each of another object")
-    in_order: bool = text("finish the objects in the order of the list", default=False)
+    goals: tuple[LayoutGoal, ...] = section("goals, each for a different object")
+    in_order: bool = text("whether to finish the objects in the order of the list", default=False)
     may_move: tuple[str, ...] = text(
         "names of objects without a goal that may be tapped out of the way", default=()
     )
     max_taps: int = quantity(
-        "taps of all objects together; 0 for the cell's own for each goal", "", 0, 10000, default=0
+        "maximum number of taps for all objects together; 0 means the cell's own limit per goal",
+        "",
+        0,
+        10000,
+        default=0,
     )
     time_limit: float = quantity(
-        "of all together; 0 for the planner's own for each goal", "s", 0.0, 86400.0, default=0.0
+        "time limit for all objects together; 0 means the planner's own limit per goal",
+        "s",
+        0.0,
+        86400.0,
+        default=0.0,
     )

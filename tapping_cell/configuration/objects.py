@@ -19,14 +19,14 @@ from tapping_cell.mechanics import Disk, Impact, Polygon, Ring, Sliding, Striker
 from tapping_cell.vision import Dot, ObjectMarker, ObjectOutline
 
 GRAVITY = 9.81
-"""Standard acceleration of gravity in m/s^2, to the digits that the friction is known."""
+"""Standard acceleration of gravity in m/s^2, rounded to the accuracy of the friction."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShapeSection:
-    """Outline of the object in its own frame, whose origin is the centre of mass."""
+    """Outline of the object in the object frame, whose origin is the centre of mass."""
 
-    kind: str = choice("outline of the object", "disk", "ring", "polygon")
+    kind: str = choice("type of the outline", "disk", "ring", "polygon")
     radius: float | None = quantity("outer radius of a disk or ring", "m", 0.002, 0.5, default=None)
     vertices: tuple[tuple[float, float], ...] | None = quantity(
         "corners of a convex polygon, counter-clockwise", "m", -0.5, 0.5, default=None
@@ -41,7 +41,7 @@ class ShapeSection:
             raise ValueError(f"a {self.kind} takes no key 'shape.{surplus}'")
 
     def reach(self) -> float:
-        """Largest distance of the outline from the object's origin, m."""
+        """Return the largest distance of the outline from the object's origin, m."""
         if self.vertices is not None:
             return max(math.hypot(x, y) for x, y in self.vertices)
         assert self.radius is not None
@@ -95,10 +95,10 @@ def seen_as(
     marker: MarkerSection | None,
     outline: OutlineSection | None,
 ) -> ObjectMarker | ObjectOutline:
-    """What the camera looks for.
+    """Return the feature that the camera detects: the marker or the outline.
 
     Raises:
-        ValueError: both or none of marker and outline are given, or they cannot be seen.
+        ValueError: both or neither of marker and outline are given, or it cannot be detected.
     """
     if (marker is None) == (outline is None):
         raise ValueError(
@@ -117,20 +117,34 @@ def seen_as(
 
 @dataclass(frozen=True, slots=True)
 class ScatterSection:
-    """Scatter of the result of a tap, as the planner assumes it: standard deviations."""
+    """Scatter of the result of a tap that the planner assumes: standard deviations."""
 
-    distance: float = quantity("of the distance, as a fraction of it", "", 0.0, 0.5, default=0.05)
-    rotation: float = quantity("of the rotation, as a fraction of it", "", 0.0, 1.0, default=0.15)
-    direction: float = quantity("of the direction", "rad", 0.0, 0.5, default=math.radians(1.0))
+    distance: float = quantity(
+        "standard deviation of the tap distance, as a fraction of that distance",
+        "",
+        0.0,
+        0.5,
+        default=0.05,
+    )
+    rotation: float = quantity(
+        "standard deviation of the rotation by a tap, as a fraction of that rotation",
+        "",
+        0.0,
+        1.0,
+        default=0.15,
+    )
+    direction: float = quantity(
+        "standard deviation of the direction of a tap", "rad", 0.0, 0.5, default=math.radians(1.0)
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectFile:
-    """What the planner and the camera know about one object."""
+    """Contents of an object file: the properties of one object."""
 
     name: str = text("display name of the object", longest=100)
     shape: ShapeSection = section("outline of the object")
-    mass: float = quantity("mass", "kg", 0.001, 100.0)
+    mass: float = quantity("mass of the object", "kg", 0.001, 100.0)
     height: float = quantity("height of the top above the table", "m", 0.0005, 0.5)
     friction: float = quantity("coefficient of friction with the table", "", 0.01, 2.0)
     torque_factor: float = quantity(
@@ -158,7 +172,7 @@ class ObjectFile:
     )
 
     def body(self) -> Disk | Ring | Polygon:
-        """The body of the mechanics."""
+        """Return the body of the mechanical model."""
         shape = self.shape
         if shape.vertices is not None:
             return Polygon(shape.vertices, mass=self.mass, height=self.height)
@@ -167,7 +181,7 @@ class ObjectFile:
         return kind(radius=shape.radius, mass=self.mass, height=self.height)
 
     def tap(self, striker: Striker) -> Tap:
-        """How this object answers a tap of that striker."""
+        """Return the model of a tap on this object by that striker."""
         body = self.body()
         return Tap(
             sliding=Sliding(
@@ -187,19 +201,19 @@ class ObjectFile:
         )
 
     def seen(self) -> ObjectMarker | ObjectOutline:
-        """What the camera looks for: a marker, or the outline.
+        """Return the feature that the camera detects: the marker or the outline.
 
         Raises:
-            ValueError: both or none are given, or they cannot be seen.
+            ValueError: both or neither are given, or it cannot be detected.
         """
         return seen_as(self.shape, self.height, self.marker, self.outline)
 
 
 def load_object(path: Path | str) -> ObjectFile:
-    """An object file; its body and looks are built once so that an impossible one is refused here.
+    """Load an object file, and check that its body and its appearance can be constructed.
 
     Raises:
-        ConfigurationError: names file, key, value and range.
+        ConfigurationError: the file is invalid; the message names file, key, value and range.
     """
     content = load(ObjectFile, path)
     try:

@@ -1,4 +1,4 @@
-"""Everything that is wrong with a document at once, where building it stops at the first thing."""
+"""Collection of all errors in a document, of which ``build`` reports only the first."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from tapping_cell.configuration.schema import ConfigurationError, build
 
 
 def problems_of(kind: type, document: Any, source: str, key: str = "") -> list[str]:
-    """Sentences about a document that should be a section of class ``kind``; none where it is.
+    """Return all errors in a document that should be a section of class ``kind``.
 
-    They are those of :func:`tapping_cell.configuration.schema.build`, each key looked at alone.
+    The messages are those of :func:`tapping_cell.configuration.schema.build` for each key alone.
     """
     if not isinstance(document, Mapping):
         return _said(kind, document, source, key)
@@ -42,7 +42,7 @@ def problems_of(kind: type, document: Any, source: str, key: str = "") -> list[s
 
 
 def _said(kind: type, document: Any, source: str, key: str) -> list[str]:
-    """What building says, if it refuses."""
+    """Return the message of the error that ``build`` raises, if any."""
     try:
         build(kind, document, source, key)
     except ConfigurationError as error:
@@ -51,7 +51,7 @@ def _said(kind: type, document: Any, source: str, key: str) -> list[str]:
 
 
 def _only(kind: type, name: str) -> type:
-    """The section with one key alone, without the conditions that join keys."""
+    """Create a section class with one key alone, without the checks across keys."""
     (entry,) = [field for field in dataclasses.fields(kind) if field.name == name]
     hint = typing.get_type_hints(kind)[name]
     fresh = dataclasses.field(default=entry.default, metadata=entry.metadata)
@@ -59,7 +59,7 @@ def _only(kind: type, name: str) -> type:
 
 
 def _sections_in(hint: Any, value: Any) -> list[tuple[type, Any, str]] | None:
-    """The sections that a key holds, with the index of each; None where it holds plain values."""
+    """Return class, value and index of each section in a key; None for a key of plain values."""
     if dataclasses.is_dataclass(hint):
         return [(typing.cast(type, hint), value, "")]
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)

@@ -16,34 +16,34 @@ from tapping_cell.configuration.schema import build, quantity, read_yaml, text
 class Provenance:
     """Inputs, residual and uncertainty of a calibration.
 
-    ``residual`` and ``uncertainty`` are the two numbers by which a later calibration is compared
-    with this one (see calibration/keep.py): what the fit leaves, and how well its result is known.
+    A later calibration is compared with this one by ``residual``, the error that the fit leaves,
+    and by ``uncertainty``, the standard deviation of its result (see calibration/keep.py).
     """
 
     by: str = text("verb that wrote the record, such as 'calibrate arm'")
     made: str = text("date and time, ISO 8601")
-    inputs: tuple[str, ...] = text("input files, with the first digits of their SHA-256")
+    inputs: tuple[str, ...] = text("names of the input files, with the start of their SHA-256")
     observations: int = quantity("number of observations used", "", 0, 1_000_000_000)
     left_out: int = quantity("number of observations rejected", "", 0, 1_000_000_000)
-    residual: float = quantity("root mean square of the residual", "", 0.0, 1e12)
+    residual: float = quantity("root mean square of the residuals", "", 0.0, 1e12)
     residual_of: str = text("quantity and unit of the residual")
     uncertainty: float = quantity("standard deviation of the result", "", 0.0, 1e12)
     uncertainty_of: str = text("quantity and unit of the uncertainty")
     deviations: Mapping[str, float] = quantity(
         "standard deviations of the values by name, in the units of the file", "", 0.0, 1e12
     )
-    notes: tuple[str, ...] = text("remarks", default=())
+    notes: tuple[str, ...] = text("remarks on the calibration", default=())
 
 
 def provenance_yaml(record: Provenance, indent: int = 0) -> str:
-    """The section as YAML text, key ``calibration`` included, every line indented."""
+    """Format the section as YAML text, with the key ``calibration``, every line indented."""
     content = {name: _plain(value) for name, value in asdict(record).items()}
     dumped = yaml.safe_dump({"calibration": content}, sort_keys=False, width=96 - indent)
     return "".join(" " * indent + line + "\n" for line in dumped.splitlines())
 
 
 def _plain(value: Any) -> Any:
-    """Numbers to six digits, tuples as lists: what YAML writes well."""
+    """Round numbers to six digits and convert tuples to lists, for writing as YAML."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     if isinstance(value, Mapping):
@@ -52,10 +52,10 @@ def _plain(value: Any) -> Any:
 
 
 def read_provenance(path: Path, keys: tuple[str, ...] = ("calibration",)) -> Provenance | None:
-    """The record at ``keys`` of a YAML file; None if the file holds none.
+    """Read the record at ``keys`` of a YAML file; None if the file has no record.
 
     Raises:
-        ConfigurationError: the file cannot be read, or the record is not one.
+        ConfigurationError: the file cannot be read, or the record is invalid.
     """
     found = read_yaml(path)
     for key in keys:

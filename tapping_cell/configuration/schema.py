@@ -1,9 +1,9 @@
-"""From a YAML file to frozen dataclasses, strictly.
+"""Strict parsing of a YAML file into frozen dataclasses.
 
 A section of a file is a frozen dataclass whose fields are declared with :func:`quantity` (a number
-with a unit and a range), :func:`choice`, :func:`text` or :func:`section`. :func:`load` refuses an
-unknown key, a missing one, a wrong type and a value out of range, and names file, key, value and
-range; nothing is guessed.
+with a unit and a range), :func:`choice`, :func:`text` or :func:`section`. :func:`load` rejects
+unknown keys, missing keys, wrong types and values out of range. The error names file, key, value
+and range.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ class ConfigurationError(ValueError):
 
 
 LONGEST_SHOWN = 60
-"""Characters of a wrong text that an error shows."""
+"""Maximum number of characters of a wrong text that an error message shows."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a field accepts: description, unit and the closed range [minimum, maximum]."""
+    """Accepted values of a field: description, unit and the closed range [minimum, maximum]."""
 
     description: str
     unit: str = ""
@@ -42,10 +42,10 @@ class Limits:
     choices: tuple[str, ...] = ()
     numeric: bool = True
     longest: int = 4096
-    """Characters of a text."""
+    """Maximum length of a text, in characters."""
 
     def range_text(self) -> str:
-        """The range in words, with the unit; empty where there is none, as for a free text."""
+        """Describe the range with its unit; empty if there is no range, as for a free text."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
         if not self.numeric:
@@ -67,29 +67,29 @@ def quantity(
     maximum: float = math.inf,
     default: Any = MISSING,
 ) -> Any:
-    """A number, or a sequence of numbers, each within [minimum, maximum]."""
+    """Declare a number, or a sequence of numbers, each within [minimum, maximum]."""
     limits = Limits(description, unit, minimum, maximum)
     return field(default=default, metadata={"limits": limits})
 
 
 def choice(description: str, *choices: str, default: Any = MISSING) -> Any:
-    """One word out of several."""
+    """Declare a text that must be one of ``choices``."""
     return field(default=default, metadata={"limits": Limits(description, choices=choices)})
 
 
 def text(description: str, default: Any = MISSING, longest: int = 4096) -> Any:
-    """A text of at most ``longest`` characters, or a truth value."""
+    """Declare a text of at most ``longest`` characters, or a Boolean."""
     limits = Limits(description, numeric=False, longest=longest)
     return field(default=default, metadata={"limits": limits})
 
 
 def section(description: str, default: Any = MISSING) -> Any:
-    """A nested section, or a sequence of them."""
+    """Declare a nested section, or a sequence of sections."""
     return field(default=default, metadata={"limits": Limits(description, numeric=False)})
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """YAML as people expect it: `1e-3` is a number, and a key written twice is an error."""
+    """YAML loader that reads `1e-3` as a number and rejects duplicate keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
@@ -115,14 +115,15 @@ _StrictLoader.add_implicit_resolver(
 
 
 LARGEST_FILE = 1_000_000
-"""Bytes of the largest file that is read: more is no configuration, and takes minutes to parse."""
+"""Maximum size of a file, in bytes, because a larger file would take minutes to parse."""
 
 
 def read_yaml(path: Path) -> Any:
-    """The document of a YAML file.
+    """Read the document of a YAML file.
 
     Raises:
-        ConfigurationError: the file is missing, unreadable or not YAML; with its line and column.
+        ConfigurationError: the file is missing, too large, unreadable or malformed YAML; the
+            message gives line and column.
     """
     try:
         size = path.stat().st_size
@@ -146,24 +147,24 @@ def read_yaml(path: Path) -> Any:
     except RecursionError as error:
         raise ConfigurationError(f"{path}: malformed YAML: nested too deeply") from error
     except (ValueError, OverflowError) as error:
-        # A date that is none, a number of thousands of digits.
+        # Raised by an invalid date or a number of thousands of digits.
         if isinstance(error, ConfigurationError):
             raise
         raise ConfigurationError(f"{path}: malformed YAML: {error}") from error
 
 
 def load(kind: type[Section], path: Path | str) -> Section:
-    """A section of class ``kind`` from a YAML file.
+    """Load a section of class ``kind`` from a YAML file.
 
     Raises:
-        ConfigurationError: names file, key, value and range.
+        ConfigurationError: the file is invalid; the message names file, key, value and range.
     """
     path = Path(path)
     return build(kind, read_yaml(path), source=str(path))
 
 
 def build(kind: type[Section], document: Any, source: str, key: str = "") -> Section:
-    """A section of class ``kind`` from a parsed document; ``source`` names it in messages."""
+    """Build a section of class ``kind`` from a document; messages call the document ``source``."""
     if not isinstance(document, Mapping):
         raise ConfigurationError(
             f"{source}: {key or 'the document'} must be a mapping of keys to values, "
@@ -216,7 +217,7 @@ def _kind_name(value: Any) -> str:
 
 
 def _value(hint: Any, value: Any, limits: Limits, source: str, key: str) -> Any:
-    """One value checked against its type and limits, converted to the declared type."""
+    """Check a value against its type and limits, and convert it to the declared type."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
         if value is None and type(None) in arguments:
@@ -270,7 +271,7 @@ def _tuple(
 
 
 def _mapping(kind: Any, value: Any, limits: Limits, source: str, key: str) -> dict[str, Any]:
-    """Entries with names of their own, all of one kind."""
+    """Check a mapping of names to values of type ``kind``."""
     if not isinstance(value, Mapping) or not all(isinstance(name, str) for name in value):
         raise _wrong(source, key, value, "a mapping of names to values", limits)
     return {

@@ -24,7 +24,7 @@ class ReferenceSection:
     """One reference marker, printed on the table."""
 
     id: int = quantity("number of the marker in its dictionary", "", 0, 1_000_000)
-    size: float = quantity("side of the black square", "m", 0.005, 1.0)
+    size: float = quantity("side of the marker's black square", "m", 0.005, 1.0)
     x: float = quantity("x of the marker's centre in the frame table", "m", -10.0, 10.0)
     y: float = quantity("y of the marker's centre in the frame table", "m", -10.0, 10.0)
     theta: float = quantity("angle of the marker in the frame table", "rad", -7.0, 7.0, default=0.0)
@@ -35,15 +35,17 @@ class TableFile:
     """The reference markers that define the frame ``table``."""
 
     dictionary: str = text("OpenCV name of the marker dictionary, such as APRILTAG_36h11")
-    markers: tuple[ReferenceSection, ...] = section("the reference markers")
-    calibration: Provenance | None = section("record of the calibration", default=None)
+    markers: tuple[ReferenceSection, ...] = section("reference markers on the table")
+    calibration: Provenance | None = section(
+        "record of the calibration of the marker poses", default=None
+    )
 
 
 def load_reference_map(path: Path | str) -> ReferenceMap:
-    """The reference markers of a table file.
+    """Load the reference markers of a table file.
 
     Raises:
-        ConfigurationError: names file, key, value and range.
+        ConfigurationError: the file is invalid; the message names file, key, value and range.
     """
     content = load(TableFile, path)
     markers = tuple(
@@ -59,14 +61,17 @@ def load_reference_map(path: Path | str) -> ReferenceMap:
 
 
 def _measured(content: TableFile) -> float:
-    """Root mean square of the stated deviations (m) of the markers' places, 0 if none is stated."""
+    """Return the root mean square, in m, of the recorded standard deviations of marker positions.
+
+    It is 0 if none are recorded.
+    """
     stated = content.calibration.deviations if content.calibration else {}
     places = [value for name, value in stated.items() if name[:1] in ("x", "y")]
     return math.sqrt(math.fsum(v * v for v in places) / len(places)) if places else 0.0
 
 
 def _refuse_unplaced(content: TableFile, path: Path | str) -> None:
-    """Refuse markers that cannot define a table: fewer than two, or one over another."""
+    """Raise ConfigurationError for fewer than two markers or for overlapping markers."""
     if len(content.markers) < 2:
         raise ConfigurationError(
             f"{path}: key 'markers' lists {len(content.markers)}; list two at least, better six or "
@@ -85,13 +90,14 @@ def _refuse_unplaced(content: TableFile, path: Path | str) -> None:
 
 
 def load_camera_model(path: Path | str) -> CameraModel:
-    """A camera from ROS' ``camera_info`` YAML (as camera_calibration writes it).
+    """Load a camera model from a ROS ``camera_info`` YAML file, as camera_calibration writes it.
 
-    Keys that the pose does not need (projection and rectification matrices, the camera's name) are
-    not read. What ``calibrate camera`` wrote of the standard deviations is.
+    The projection and rectification matrices and the camera's name are ignored because pose
+    estimation does not need them. The standard deviations that ``calibrate camera`` recorded are
+    read.
 
     Raises:
-        ConfigurationError: names file, key and what is wrong with it.
+        ConfigurationError: the file is invalid; the message names file, key and error.
     """
     document = read_yaml(Path(path))
     if not isinstance(document, dict):
@@ -125,7 +131,7 @@ def _pixels(document: dict[str, Any], key: str) -> int:
 
 
 def _numbers(document: dict[str, Any], key: str) -> list[float]:
-    """The list ``data`` of a matrix."""
+    """Return the list ``data`` of a matrix."""
     matrix = _entry(document, key)
     if not isinstance(matrix, dict):
         raise ValueError(f"key '{key}' must be a mapping with rows, cols and data")
@@ -139,8 +145,10 @@ def _numbers(document: dict[str, Any], key: str) -> list[float]:
 
 
 def _deviations(document: dict[str, Any]) -> tuple[float, ...]:
-    """Those of fx, fy, cx, cy, k1, k2, p1, p2, from the file's own record; a file of another
-    program has none."""
+    """Return the recorded standard deviations of fx, fy, cx, cy, k1, k2, p1 and p2.
+
+    The result is empty if the file has no such record, as in files of other programs.
+    """
     record = document.get("calibration")
     stated = record.get("deviations") if isinstance(record, dict) else None
     if not isinstance(stated, dict):

@@ -1,1 +1,1 @@
-"""Run folders, plots and tables for people: mm and degrees, with the unit written."""
+"""Run folders, plots and tables for users, in mm and degrees, with units stated."""

@@ -1,4 +1,4 @@
-"""What the cell did when, as arm and camera said it: the arm travels, the object slides."""
+"""Timeline of a cell's activities, derived from the recorded states of arm, camera and planner."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ TRAVELS, LOWERS, CHARGES, SLIDES, WITHDRAWS, LOOKS, THINKS, ASKS = (
     "a person is asked",
 )
 LOWERED_M = 0.003
-"""A tip that has come down by so much since the arm moved off is being lowered."""
+"""Descent of the tip during a move, in m, above which the arm is lowering the striker."""
 _ARM_MOVING, _ARM_IN_POSITION, _ARM_WITHDRAWING = 4, 5, 6
 _PLAN_CONFIRMING, _PLAN_LOOKING = 10, 2
 
 
 def activities(bag: Bag, began: float, ended: float) -> tuple[Phase, ...]:
-    """One after the other, from ``began`` to ``ended`` in s; empty without ``arm_state``."""
+    """Return the activities from ``began`` to ``ended`` in s; empty without ``arm_state``."""
     told: list[tuple[float, str, Any]] = []
     for topic in ("arm_state", "object_state", "plan_state"):
         told += [(_seconds(m.header.stamp), topic, m) for _, m in bag.of(topic)]

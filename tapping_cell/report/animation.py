@@ -1,4 +1,4 @@
-"""A run as a moving drawing: SVG and CSS alone, so that it plays wherever the page is shown."""
+"""Animation of a run that consists only of SVG and CSS, so that every browser can play it."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from tapping_cell.report.svg import GOAL, REST, START, STRIKE, Plan, stroke
 from tapping_cell.se2 import Array, Pose, transform_points
 
 TAP_S = 2.0
-"""How long each tap is shown."""
+"""Duration of each tap in the animation, s."""
 END_S = 2.0
-"""How long the end is shown before it begins anew."""
+"""Duration of the final state before the animation restarts, s."""
 APPROACH, SLIDE = 0.25, 0.55
-"""Shares of a tap's time until the striker has come, and until the object lies still."""
+"""Fractions of ``TAP_S`` at which the striker arrives, and at which the object has stopped."""
 ARROW_MM = 42.0
 
 
 def animation(run: Run, plan: Plan) -> str:
-    """The drawing, into a plan that shows the table; empty where no tap was seen to its end."""
+    """Draw the animation into a plan of the table; return "" if no tap has a measured result."""
     taps = [tap for tap in run.taps if math.isfinite(tap.measured.x)]
     if run.start is None or not taps:
         return ""
@@ -58,7 +58,7 @@ def animation(run: Run, plan: Plan) -> str:
 
 
 def _frame(at: float, pose: Pose, angle: float, easing: str = "") -> str:
-    """A key frame of the object; y points down on the screen."""
+    """Return a key frame of the object; y points down on the screen."""
     timing = f";animation-timing-function:{easing}" if easing else ""
     return f"{_percent(at)}{{transform:{_transform(pose, angle)}{timing}}}"
 
@@ -73,7 +73,7 @@ def _percent(share: float) -> str:
 
 
 def _add_object(plan: Plan, outline: Array, resting: Pose) -> None:
-    """The object about its own origin; where nothing moves it lies where it came to rest."""
+    """Add the object, drawn about its own origin; without animation it is at its resting pose."""
     with plan.group(f'id="moving" style="transform:{_transform(resting, resting.theta)}"'):
         middle = Pose(0.0, 0.0, 0.0)
         plan.polygon(1000 * transform_points(middle, outline), f'fill="{REST}" fill-opacity="0.35"')

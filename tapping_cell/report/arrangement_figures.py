@@ -1,4 +1,4 @@
-"""Pictures of arranged scenes: before, between and after, with goals and the objects' ways."""
+"""Figures of arranged scenes: before, between and after, with goals and the objects' paths."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _COLOURS = 10
 
 
 def write_scenes(folder: Path, trials: Sequence[ArrangementTrial]) -> list[Path]:
-    """Draw the first scenes, failed ones first, into ``folder``; returns the files."""
+    """Draw the first scenes, failed ones first, into ``folder``; return the files."""
     folder.mkdir(parents=True, exist_ok=True)
     order = sorted(range(len(trials)), key=lambda number: trials[number].end == "done")
     files = []
@@ -34,7 +34,7 @@ def write_scenes(folder: Path, trials: Sequence[ArrangementTrial]) -> list[Path]
 
 
 def draw_scene(trial: ArrangementTrial, file: Path) -> None:
-    """One scene in three pictures: at the start, half way, at the end."""
+    """Draw one scene in three panels: at the start, half-way and at the end."""
     figure = Figure(figsize=(13.0, 4.0), layout="constrained")
     FigureCanvasAgg(figure)
     last = len(trial.history) - 1

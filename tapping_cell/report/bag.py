@@ -1,12 +1,12 @@
-"""Bags: what went over a cell's topics, as a rosbag2 folder with one MCAP file.
+"""Bags: recordings of a cell's topics as a rosbag2 folder with one MCAP file.
 
-``ros2 bag info``, ``ros2 bag play`` and Foxglove open it as it is: messages as CDR bytes, every
-definition included, and the quality of service of each topic, so that a latched topic is played
-latched.
+``ros2 bag info``, ``ros2 bag play`` and Foxglove can open it: it contains messages as CDR bytes,
+all message definitions, and the quality of service of each topic, so that a transient local topic
+is played back as transient local.
 
-A bag is written in pieces (MCAP's chunks), each of which is whole in the file once :meth:`flush`
-returns. A writer that is killed leaves every piece that was flushed, without the index at the end:
-:func:`read_bag` reads such a file too, and :func:`recover` (or ``mcap recover``) makes it whole.
+A bag is written in MCAP chunks. Each chunk is complete in the file once :meth:`flush` returns. If
+the writer is killed, the file contains all flushed chunks but no index. :func:`read_bag` can read
+such a file, and :func:`recover` (or ``mcap recover``) repairs it.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ from tapping_cell.report.message_types import MessageTypes
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 1, 2, 3, 4, 5, 6, 15
-"""Kinds of records in an MCAP file: https://mcap.dev/spec."""
+"""Record types of an MCAP file: https://mcap.dev/spec."""
 _DAMAGED = (KeyError, struct.error, UnicodeDecodeError, ReaderError)
-"""What wrong bytes in a file lead to."""
+"""Exceptions that a damaged file can raise."""
 _FOREVER = QosTime(9223372036, 854775807)
-"""What rosbag2 writes for a deadline, lifespan or lease that never ends."""
+"""Value that rosbag2 writes for an infinite deadline, lifespan or lease."""
 
 
 class BagError(ValueError):
-    """A bag that cannot be read or written; the sentence says which, why, and what to do."""
+    """Raised for a bag that cannot be read or written; the message gives reason and remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class Quality:
 
 
 DEFAULT = Quality()
-"""Reliable, not latched: rclpy's default."""
+"""rclpy's default: reliable and volatile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """One message of a bag: its topic, when it was heard (ns since 1970) and its CDR bytes."""
+    """One message of a bag: its topic, time of reception (ns since 1970) and CDR bytes."""
 
     topic: Topic
     stamp: int
@@ -82,7 +82,7 @@ class Recorded:
 
 
 class BagWriter:
-    """A bag under way; use as a context manager, or end it with :meth:`close`."""
+    """Writer of a bag; use it as a context manager, or call :meth:`close` at the end."""
 
     def __init__(
         self,
@@ -90,10 +90,10 @@ class BagWriter:
         types: MessageTypes | None = None,
         notes: Mapping[str, str] | None = None,
     ) -> None:
-        """Begin ``folder``, which must not exist; ``notes`` stay readable in its metadata.
+        """Create the bag in ``folder``, which must not exist; ``notes`` are stored as metadata.
 
         Raises:
-            BagError: the folder exists or cannot be made.
+            BagError: the folder exists or cannot be created.
         """
         if folder.exists():
             raise BagError(f"{folder} exists already and is not overwritten; choose another folder")
@@ -118,7 +118,7 @@ class BagWriter:
 
     @property
     def size(self) -> int:
-        """Bytes in the file so far."""
+        """Current size of the file in bytes."""
         return self._storage.bio.tell() + self._storage.chunk.bio.tell()
 
     @property
@@ -129,11 +129,11 @@ class BagWriter:
         return storage
 
     def add_topic(self, name: str, kind: str, quality: Quality = DEFAULT) -> None:
-        """Make a topic known before its first message.
+        """Add a topic before its first message.
 
         Raises:
-            tapping_cell.report.message_types.UnknownMessageType: no definition of ``kind``.
-            BagError: the topic is known already.
+            tapping_cell.report.message_types.UnknownMessageType: ``kind`` has no definition.
+            BagError: the topic was already added.
         """
         if name in self._topics:
             raise BagError(f"the topic {name} is in {self.folder} already")
@@ -143,29 +143,29 @@ class BagWriter:
         )
 
     def write(self, name: str, stamp: int, data: bytes) -> None:
-        """Write one message as CDR bytes; ``stamp`` is when it was heard, in ns since 1970.
+        """Write one message as CDR bytes; ``stamp`` is its time of reception, in ns since 1970.
 
         Raises:
             BagError: the topic was not added.
-            OSError: the disk is full or away.
+            OSError: the disk is full or not available.
         """
         topic = self._topics.get(name)
         if topic is None:
             raise BagError(
                 f"the topic {name} was not added to {self.folder}; add_topic comes first"
             )
-        self._storage  # noqa: B018 - says so where the bag is closed
+        self._storage  # noqa: B018 - raises BagError if the bag is closed
         self._writer.write(topic, stamp, data)
         self._fresh += 1
 
     def flush(self) -> None:
-        """Hand all that was written to the operating system as a whole piece of the file.
+        """Pass all written messages to the operating system as a complete chunk of the file.
 
-        It outlives a crash of this process. Not synchronised with the disk: that takes too long
-        beside a moving arm, and a power cut may take the last seconds.
+        The chunk survives a crash of this process. It is not synchronised with the disk, because
+        that takes too long while the arm moves. So a power cut may lose the last seconds.
 
         Raises:
-            OSError: the disk is full or away.
+            OSError: the disk is full or not available.
         """
         if self._fresh:
             self._storage.close_chunk()
@@ -173,10 +173,10 @@ class BagWriter:
             self._fresh = 0
 
     def close(self) -> None:
-        """Write index and metadata; a bag that is closed twice stays as it is.
+        """Write index and metadata; closing a bag again has no effect.
 
         Raises:
-            OSError: the disk is full or away; the pieces flushed before stay readable.
+            OSError: the disk is full or not available; chunks flushed earlier remain readable.
         """
         if self._writer.storage is None:
             return
@@ -190,7 +190,7 @@ class BagWriter:
 
 @dataclass(frozen=True, slots=True)
 class Bag:
-    """A bag that was read. ``whole`` is False where its writer was killed before the end."""
+    """Contents of a bag. ``whole`` is False if its writer was killed before the end."""
 
     path: Path
     messages: tuple[Recorded, ...]
@@ -199,11 +199,11 @@ class Bag:
 
     @property
     def topics(self) -> tuple[Topic, ...]:
-        """The topics that have messages, by name."""
+        """Return the topics that have messages, sorted by name."""
         return tuple(sorted({m.topic for m in self.messages}, key=lambda topic: topic.name))
 
     def of(self, name: str) -> Iterator[tuple[int, Any]]:
-        """Stamps and decoded messages of a topic, whatever the namespace before its name.
+        """Yield stamps and decoded messages of a topic in any namespace.
 
         A decoded message has the fields of its definition as attributes.
         """
@@ -212,10 +212,10 @@ class Bag:
                 yield message.stamp, self.decode(message)
 
     def decode(self, message: Recorded) -> Any:
-        """The message with the fields of its definition as attributes.
+        """Decode a message; the result has the fields of its definition as attributes.
 
         Raises:
-            BagError: the bytes are not those of such a message.
+            BagError: the bytes do not match the definition.
         """
         try:
             return self._store.deserialize_cdr(message.data, message.topic.kind)
@@ -227,10 +227,10 @@ class Bag:
 
 
 def bag_file(path: Path) -> Path:
-    """The MCAP file of a bag's folder, or ``path`` itself where it is one.
+    """Return the MCAP file in a bag's folder, or ``path`` itself if it is a file.
 
     Raises:
-        BagError: there is none, or more than one.
+        BagError: there is no MCAP file, or more than one.
     """
     if path.is_file():
         return path
@@ -242,10 +242,10 @@ def bag_file(path: Path) -> Path:
 
 
 def read_bag(path: Path) -> Bag:
-    """A bag in order of time, from its folder or file, also where its writer was killed.
+    """Read a bag from its folder or file in order of time, even if its writer was killed.
 
     Raises:
-        BagError: no bag of ROS 2, or one that is damaged before its first message.
+        BagError: this is not a ROS 2 bag, or it is damaged before its first message.
     """
     file = bag_file(path)
     schemas: dict[int, tuple[str, str, str]] = {}
@@ -278,7 +278,7 @@ def read_bag(path: Path) -> Bag:
 
 
 def recover(path: Path, target: Path) -> Bag:
-    """Write all that can be read of a bag into the new folder ``target``, with index and metadata.
+    """Copy the readable part of a bag to the new folder ``target``, with index and metadata.
 
     Raises:
         BagError: nothing can be read, or the target exists.
@@ -316,9 +316,9 @@ def _synchronise(file: Path) -> None:
 
 
 def _records(stream: BinaryIO, file: Path) -> Iterator[tuple[int, memoryview]]:
-    """The records of an MCAP file up to its data's end, those in chunks too, and the footer.
+    """Yield the records of an MCAP file, including those in chunks, up to the end of its data.
 
-    A record that is cut off ends them: what comes before it is whole.
+    The footer follows. A truncated record ends the iteration; all records before it are complete.
     """
     if stream.read(8) != _MAGIC:
         raise BagError(f"{file} is no MCAP file")
@@ -335,7 +335,7 @@ def _records(stream: BinaryIO, file: Path) -> Iterator[tuple[int, memoryview]]:
         elif kind in (_SCHEMA, _CHANNEL, _MESSAGE):
             yield kind, body
         elif kind == _DATA_END:
-            # What follows repeats the above for those who seek; the footer stands before the end.
+            # The summary section repeats the data for random access; the footer is at the end.
             stream.seek(-37, os.SEEK_END)
             tail = stream.read()
             if tail[:1] == bytes([_FOOTER]) and tail.endswith(_MAGIC):
@@ -350,7 +350,7 @@ def _in_chunk(body: memoryview) -> Iterator[tuple[int, memoryview]]:
     packed = bytes(body[start + 8 : start + 8 + length])
     try:
         records = memoryview(decompress(packed, compression, size, checksum))
-    except Exception as error:  # each codec has classes of its own
+    except Exception as error:  # each codec has its own exception classes
         raise ReaderError(f"a piece cannot be unpacked: {error}") from error
     place = 0
     while place < len(records):
@@ -360,14 +360,14 @@ def _in_chunk(body: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def _text(body: memoryview, start: int) -> tuple[str, int]:
-    """A text with its length before it, and where it ends."""
+    """Return a text that is preceded by its length, and the index of its end."""
     (length,) = struct.unpack_from("<I", body, start)
     end = start + 4 + length
     return bytes(body[start + 4 : end]).decode(), end
 
 
 def _store_of(schemas: Mapping[int, tuple[str, str, str]], file: Path) -> Typestore:
-    """The types as the bag itself defines them: they may be older than the installed ones."""
+    """Return the types that the bag defines, which may be older than the installed ones."""
     store = get_typestore(Stores.EMPTY)
     for name, form, text in schemas.values():
         try:

@@ -1,4 +1,4 @@
-"""``cell.png``: a run seen from above, to scale, and how the residual shrank tap by tap."""
+"""``cell.png``: a plan view of a run, to scale, and the residual after each tap."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ START, REST, GOAL, STRIKE = "#555555", "#1f77b4", "#2ca02c", "#d62728"
 
 
 def draw_cell(run: Run, path: Path) -> None:
-    """Write the picture of a run (PNG)."""
+    """Write the figure of a run as PNG."""
     figure = Figure(figsize=(14.0, 5.4), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 3, width_ratios=(1.45, 1.1, 0.8))
@@ -43,7 +43,7 @@ def _headline(run: Run) -> str:
 
 
 def _moves(run: Run) -> str:
-    """What each tap did, in words; of a long run the last ones."""
+    """Describe the displacement of each tap, or of the last taps of a long run."""
     parts = [
         f"tap {tap.number}: {1000 * tap.before.distance_to(tap.measured):.1f} mm, "
         f"{math.degrees(tap.before.rotation_to(tap.measured)):+.1f} deg"
@@ -61,7 +61,7 @@ def _outline_at(run: Run, pose: Pose) -> Array:
 
 
 def _heading(run: Run, pose: Pose) -> Array:
-    """A line from the centre to the rim along the object's x axis: the turn of a disk shows."""
+    """Return a line from centre to rim along the object's x axis, which shows a disk's angle."""
     reach = max((math.hypot(x, y) for x, y in run.outline), default=0.0)
     return 1000 * transform_points(pose, [[0.0, 0.0], [reach, 0.0]])
 
@@ -87,7 +87,7 @@ def _draw_table(axes: Axes, run: Run) -> None:
         axes.plot(*_heading(run, run.goal).T, color=GOAL, lw=2.0, ls="--")
     for tap in run.taps:
         _draw_strike(axes, run, tap.before, tap.strike, tap.number)
-    # Legend handles that stand for the drawn outlines.
+    # Legend entries for the outlines.
     axes.plot([], [], color=START, label="start")
     axes.plot([], [], color=REST, label="at rest after a tap")
     axes.plot([], [], color=GOAL, ls="--", label="goal")
@@ -99,7 +99,7 @@ def _draw_table(axes: Axes, run: Run) -> None:
 
 
 def _draw_strike(axes: Axes, run: Run, before: Pose, strike: Pose, number: int) -> None:
-    """An arrow along the striker's travel, its head at the object."""
+    """Draw an arrow along the striker's travel, with its head at the object."""
     cos, sin = math.cos(strike.theta), math.sin(strike.theta)
     tip = 1000 * np.array([strike.x, strike.y])
     tail = tip - 45 * np.array([cos, sin])

@@ -1,4 +1,4 @@
-"""The page of a commissioning session: what was measured in each step."""
+"""The page of a commissioning session, with the measurements of each step."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PAGE = "commissioning.html"
 
 
 def write_page(folder: Path, titles: Sequence[tuple[str, str]], proofs: Mapping[str, Any]) -> Path:
-    """Write ``commissioning.html``; ``titles``: name and title of every step in order."""
+    """Write ``commissioning.html``; ``titles`` are name and title of every step, in order."""
     done = sum(name in proofs for name, _ in titles)
     whole = done == len(titles)
     seconds = sum(float(proof["seconds"]) for proof in proofs.values())

@@ -17,7 +17,7 @@ _DECLARATION = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """One error code: its name, when it is reported, what usually causes it and what to do."""
+    """One error code with its name, symptom, usual cause and remedy."""
 
     name: str
     symptom: str
@@ -27,7 +27,7 @@ class Code:
 
 @cache
 def codes() -> dict[int, Code]:
-    """Every error code by number."""
+    """Return all error codes by number."""
     text = definition_file("tapping_cell_msgs/msg/ErrorCode").read_text(encoding="utf-8")
     return {
         int(found["number"]): Code(
@@ -38,19 +38,19 @@ def codes() -> dict[int, Code]:
 
 
 def name(number: int) -> str:
-    """The name of a code; its number if it is not known, as in a bag of a later version."""
+    """Return the name of a code, or its number if unknown, as in a bag of a later version."""
     found = codes().get(number)
     return found.name if found else str(number)
 
 
 def hint(number: int) -> str:
-    """What to do about a code; empty if there is nothing to do or the code is not known."""
+    """Return the remedy for a code; empty if there is none or the code is unknown."""
     found = codes().get(number)
     return found.remedy if found else ""
 
 
 def number(name: str) -> int:
-    """The number of a declared code.
+    """Return the number of a declared code.
 
     Raises:
         KeyError: no code has this name.

@@ -1,4 +1,4 @@
-"""A drawing of a cell with fixed tappers: lines, strokes, what each reaches, and dead zones."""
+"""Drawing of a cell with fixed tappers: their lines, strokes, reach and dead zones."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from matplotlib.patches import Circle
 
 
 def draw_layout(cell: Cell, path: Path) -> None:
-    """Write the drawing of a cell's fixed tappers; the format follows from the file's name.
+    """Write the drawing of a cell's fixed tappers; the file suffix determines the format.
 
     Raises:
         ConfigurationError: the cell has an arm.

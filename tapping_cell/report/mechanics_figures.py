@@ -24,7 +24,7 @@ _GOAL_COLOUR = "tab:red"
 
 
 def write_figures(tap: Tap, folder: Path) -> list[Path]:
-    """Draw the cone of ``tap`` and slides of its body into ``folder``; returns the files."""
+    """Draw the cone of ``tap`` and slides of its body into ``folder``; return the files."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for name, draw in ((CONE, _cone), (VELOCITIES, _velocities)):
@@ -37,7 +37,7 @@ def write_figures(tap: Tap, folder: Path) -> list[Path]:
 
 
 def _cone(figure: Figure, tap: Tap) -> None:
-    """Left: what one tap reaches. Right: the Jacobian's norm over the half that was fitted."""
+    """Draw the reachable cone of one tap (left) and the norm of its Jacobian (right)."""
     reach, gain = figure.subplots(1, 2)
     slope = tap.cone_slope
     distance = np.array([0.0, _FARTHEST])
@@ -79,7 +79,7 @@ def _cone(figure: Figure, tap: Tap) -> None:
 
 
 def _velocities(figure: Figure, tap: Tap) -> None:
-    """Left: the paper's tap in time. Right: how the ratio of the velocities ends."""
+    """Draw the paper's tap over time (left) and the final ratio of the velocities (right)."""
     left, right = figure.subplots(1, 2)
     sliding = tap.sliding
     speed, spin = (float(value) for value in sliding.launch(0.010, math.radians(3.0)))
@@ -126,5 +126,5 @@ def _ratios(axes: Axes, sliding: Sliding) -> None:
 
 def _times(sliding: Sliding, speed: float, spin: float) -> NDArray[np.float64]:
     duration = float(sliding.rest(speed, spin).duration)
-    # Denser at the end, and just short of it, where the ratio is still one of two numbers.
+    # The times are denser near the end, but exclude it, because the ratio is then 0 / 0.
     return np.asarray(duration * (1 - np.linspace(1.0, 0.02, 300) ** 2))

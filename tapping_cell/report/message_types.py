@@ -1,4 +1,4 @@
-"""Definitions of ROS messages, so that a bag explains itself without the packages installed."""
+"""Definitions of ROS messages, which make a bag readable without the packages installed."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ _OWN_SOURCES = Path(__file__).resolve().parents[2] / "msg_defs"
 
 
 class UnknownMessageType(ValueError):
-    """No definition of a message type is known; the sentence says where it was looked for."""
+    """Raised for an unknown message type; the message lists the searched locations."""
 
 
 class MessageTypes:
-    """ROS 2 Jazzy's own messages, and those of any installed package once they are asked for."""
+    """Message types of ROS 2 Jazzy and, loaded on demand, of any installed package."""
 
     def __init__(self, store: Typestore | None = None) -> None:
-        """Begin with the types of ``store``; with those of ROS 2 Jazzy where None."""
+        """Start with the types of ``store``, or with those of ROS 2 Jazzy if None."""
         self._store = store or get_typestore(Stores.ROS2_JAZZY)
 
     def definition(self, kind: str) -> tuple[str, str]:
-        """Text (as MCAP wants it, with the definitions it needs below) and hash of a message type.
+        """Return definition and hash of a message type, such as ``geometry_msgs/msg/Pose``.
 
-        ``kind`` is written like ``geometry_msgs/msg/Pose``.
+        The definition has MCAP's format, which appends the definitions of all nested types.
 
         Raises:
-            UnknownMessageType: the type, or one that it holds, is not to be found.
+            UnknownMessageType: the type or a nested type is not found.
         """
         store = self._store_with(kind)
         text, _ = store.generate_msgdef(kind, ros_version=2)
         return text, store.hash_rihs01(kind)
 
     def _store_with(self, kind: str) -> Typestore:
-        """The types by name; ``kind`` and all that it holds are among them.
+        """Return a store of types that includes ``kind`` and its nested types.
 
         Raises:
-            UnknownMessageType: as :meth:`definition`.
+            UnknownMessageType: the type or a nested type is not found.
         """
         missing = [kind]
         while missing:
@@ -64,10 +64,10 @@ class MessageTypes:
 
 
 def definition_file(kind: str) -> Path:
-    """The file that defines a message type, written like ``geometry_msgs/msg/Pose``.
+    """Return the file that defines a message type, such as ``geometry_msgs/msg/Pose``.
 
     Raises:
-        UnknownMessageType: no installed package and not the source tree has it.
+        UnknownMessageType: neither an installed package nor the source tree defines it.
     """
     parts = kind.split("/")
     if len(parts) != 3 or not all(parts):
@@ -76,7 +76,7 @@ def definition_file(kind: str) -> Path:
     try:
         share = Path(get_package_share_directory(package))
     except (PackageNotFoundError, OSError, ValueError) as error:
-        # Without a build (no ament index at all, or not with us in it) there is the source tree.
+        # Without a build, the ament index lacks this package, so use the source tree.
         if package != _OWN_PACKAGE or not _OWN_SOURCES.is_dir():
             raise UnknownMessageType(
                 f"the definition of {kind} is not known: the package {package} is not installed"
@@ -89,7 +89,7 @@ def definition_file(kind: str) -> Path:
 
 
 def _names_in(fields: Fielddefs) -> list[str]:
-    """The message types that a type's fields hold, alone, in an array or in a sequence."""
+    """Return the message types of a type's fields, including elements of arrays and sequences."""
     found = []
     for _, (node, content) in fields:
         if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):

@@ -1,4 +1,4 @@
-"""The frame and style that the pages of runs share."""
+"""Common document structure and style of the pages of runs."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ svg,.key i{-webkit-print-color-adjust:exact;print-color-adjust:exact}
 
 
 def document(title: str, body: str) -> str:
-    """A whole page in one file; ``body`` is HTML."""
+    """Return a complete, self-contained page; ``body`` is HTML."""
     return (
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'

@@ -1,4 +1,4 @@
-"""All planning methods side by side: a table and plots, in mm and degrees."""
+"""Comparison of all planning methods: a table and plots, in mm and degrees."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ Goal = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A planning method with the settings that make it another one.
+    """A planning method with the settings of one of its variants.
 
-    ``error_line`` in percent; None takes the method's own.
+    ``error_line`` is in percent; None means the method's default.
     """
 
     label: str
@@ -37,7 +37,7 @@ class Method:
 
 
 def methods() -> tuple[Method, ...]:
-    """What is compared: every built-in method with its variants, and every registered one."""
+    """Return the compared methods: built-in methods with variants, and all registered methods."""
     built_in = (
         Method("exact, retreat", "exact", "retreat"),
         Method("exact, overshoot", "exact"),
@@ -52,7 +52,7 @@ def methods() -> tuple[Method, ...]:
 
 
 def method_settings(method: Method, settings: PlannerSettings) -> PlannerSettings:
-    """The common settings with a method's own."""
+    """Return the common settings, updated with those of a method."""
     line = method.error_line
     return replace(
         settings, variant=method.variant, error_line=None if line is None else line / 100.0
@@ -60,7 +60,7 @@ def method_settings(method: Method, settings: PlannerSettings) -> PlannerSetting
 
 
 def comparison_table(rows: dict[str, dict[str, Any]]) -> str:
-    """A Markdown table of figures, one method a row."""
+    """Return a Markdown table of figures with one row per method."""
     lines = [
         "| method | mean taps (95 % interval) | 99 % within | most | done within 5 | done "
         "| truly inside |",
@@ -81,7 +81,7 @@ def comparison_table(rows: dict[str, dict[str, Any]]) -> str:
 def write_comparison(
     folder: Path, rows: dict[str, dict[str, Any]], settings: PlannerSettings, goal: Goal
 ) -> None:
-    """Write ``comparison.md``, ``comparison.json`` and the plots into a folder, made if missing."""
+    """Write ``comparison.md``, ``comparison.json`` and the plots; create the folder if missing."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "comparison.md").write_text(comparison_table(rows) + "\n", encoding="utf-8")
     (folder / "comparison.json").write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
@@ -92,7 +92,7 @@ def write_comparison(
 
 
 def draw_histograms(rows: dict[str, dict[str, Any]], path: Path) -> None:
-    """How often each method took how many taps."""
+    """Draw the histogram of the number of taps for each method."""
     figure, axes = _figure(len(rows), columns=4, size=(12.0, 2.6))
     longest = max(figures["taps"]["max"] for figures in rows.values())
     last = min(longest, 12)
@@ -109,7 +109,7 @@ def draw_histograms(rows: dict[str, dict[str, Any]], path: Path) -> None:
 
 
 def draw_success(rows: dict[str, dict[str, Any]], path: Path) -> None:
-    """Share of the runs that are done after so many taps."""
+    """Draw the fraction of finished runs over the number of taps."""
     figure, (axis,) = _figure(1, columns=1, size=(7.5, 4.5))
     for label, figures in rows.items():
         share = 100.0 * _within(figures)
@@ -124,7 +124,7 @@ def draw_success(rows: dict[str, dict[str, Any]], path: Path) -> None:
 
 
 def draw_cones(settings: PlannerSettings, goal: Goal, path: Path) -> None:
-    """What one tap reaches, the subgoals of the first tap, and the cones of the multi-tap plan."""
+    """Draw the cone of one tap, the subgoals of the first tap, and the multi-tap plan's cones."""
     figure, (left, right) = _figure(2, columns=2, size=(11.0, 4.6))
     distance, turn = math.hypot(goal[0], goal[1]), goal[2]
     slope = math.degrees(settings.cone_slope) * 1e-3
@@ -174,7 +174,7 @@ def _draw_chain(axis: Axes, settings: PlannerSettings, distance: float, turn: fl
 
 
 def draw_fans(settings: PlannerSettings, goal: Goal, path: Path) -> None:
-    """Runs of every method in the plane of distance and rotation, like figures 5 and 6."""
+    """Draw runs of every method in the distance-rotation plane, like figures 5 and 6."""
     chosen = methods()
     figure, axes = _figure(len(chosen), columns=4, size=(13.0, 3.0))
     distance, turn = math.hypot(goal[0], goal[1]), goal[2]
@@ -205,7 +205,7 @@ def _planner(method: Method, settings: PlannerSettings) -> Planner:
 
 
 def _within(figures: dict[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Share of all runs done within 0, 1, 2, ... taps."""
+    """Return the fractions of all runs that finish within 0, 1, 2, ... taps."""
     counts = np.zeros(figures["taps"]["max"] + 1)
     for taps, count in figures["taps"]["histogram"].items():
         counts[int(taps)] = count

@@ -1,4 +1,4 @@
-"""Pages drawn to scale: as PDF, or a page as PNG."""
+"""Output of pages to scale: all pages as PDF, or one page as PNG."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ _POINT = _INCH / 72.0
 _LINE = 0.0002
 """Width of thin lines, m."""
 _CAPITAL = 0.73
-"""Height of a capital letter in font sizes, of matplotlib's own font."""
+"""Height of a capital letter in matplotlib's default font, as a fraction of the font size."""
 
 Loop = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class PrintedPage:
-    """A page of ``width`` x ``height`` in m: black ``shapes`` (lists of loops (N, 2), ink to their
-    left), thin ``lines`` (x0, y0, x1, y1), ``labels`` (x, y, height of a capital, text); from the
-    lower left corner, in m.
+    """A page of ``width`` x ``height``, with its origin in the lower left corner; all in m.
+
+    It has black ``shapes`` (lists of loops (N, 2), black on their left), thin ``lines`` (x0, y0,
+    x1, y1) and ``labels`` (x, y, height of a capital letter, text).
     """
 
     width: float
@@ -39,7 +40,7 @@ class PrintedPage:
 
 
 def write_pdf(path: Path, pages: Sequence[PrintedPage], title: str) -> None:
-    """All pages in one PDF, 1 m of them 1 m on paper.
+    """Write all pages to one PDF at full scale.
 
     Raises:
         OSError: the file cannot be written.
@@ -51,7 +52,7 @@ def write_pdf(path: Path, pages: Sequence[PrintedPage], title: str) -> None:
 
 
 def write_png(path: Path, page: PrintedPage, dpi: float) -> None:
-    """One page as PNG; sizes are rounded to whole dots.
+    """Write one page as PNG; sizes are rounded to whole pixels.
 
     Raises:
         OSError: the file cannot be written.

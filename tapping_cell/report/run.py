@@ -1,4 +1,4 @@
-"""One positioning run, as it is written down, drawn and told."""
+"""Data of one positioning run for its files, figures and page."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ Covariance = tuple[
 
 REACHED, NOT_TRULY_REACHED = "reached", "not truly reached"
 FAILED, CANCELED, REFUSED, UNFINISHED = "failed", "canceled", "refused", "unfinished"
-"""How a run ended. Unfinished: its end was not heard."""
+"""Outcomes of a run; ``unfinished`` means that the end of the run was not recorded."""
 
 
 @dataclass(frozen=True, slots=True)
 class Learnt:
-    """What was known of the object after a tap: expected values and standard deviations.
+    """Estimated properties of the object after a tap: expected values and standard deviations.
 
-    distance, rotation: measured over modelled distance, and rotation per distance; direction in
-    rad; offset_x, offset_y: rotation per distance (rad/m) of taps through the middle towards -y
-    and +x of the object. NaN where nobody said it.
+    ``distance`` and ``rotation`` are ratios of measured to modelled values (of the distance, and of
+    the rotation per distance). ``direction`` is in rad. ``offset_x`` and ``offset_y`` are rotations
+    per distance (rad/m) of taps through the middle towards -y and +x of the object. NaN if unknown.
     """
 
     distance: float = math.nan
@@ -42,8 +42,9 @@ class Learnt:
 class TapRow:
     """One tap of a run. Poses in ``table``; displacements in table axes; m, rad, m/s.
 
-    ``true_pose`` is None where nobody knows it (on hardware). ``commanded_at``, ``fired_at`` and
-    ``at_rest_at`` in s since the run began; they and ``measured_speed`` are NaN where not known.
+    ``true_pose`` is None if unknown (on hardware). ``commanded_at``, ``fired_at`` and
+    ``at_rest_at`` are in s since the start of the run; they and ``measured_speed`` are NaN if
+    unknown.
     """
 
     number: int
@@ -64,14 +65,14 @@ class TapRow:
     at_rest_at: float = math.nan
     learnt: Learnt = field(default_factory=Learnt)
     reason: str = ""
-    """Why it was not a tap straight to the goal; empty where it was, or nobody said it."""
+    """Reason why the tap was not straight to the goal; empty if it was, or if unknown."""
     predicted_covariance: Covariance | None = None
-    """Of ``predicted`` in x, y, theta (m, rad); None where not known."""
+    """Covariance of ``predicted`` in x, y, theta (m, rad); None if unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """What the planner or the cell did from ``began`` (s since the run began) on."""
+    """State of the planner or activity of the cell, starting at ``began`` (s since run start)."""
 
     began: float
     name: str
@@ -89,10 +90,10 @@ class Trouble:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run from start to end, as it is written down. Poses in ``table``; m, rad, s.
+    """Record of one run from start to end. Poses in ``table``; m, rad, s.
 
-    ``goal`` and ``start`` are None where they never were known; ``seed`` where nothing is
-    simulated. ``began`` is in s since 1970. ``files`` holds the text of each configuration file.
+    ``goal`` and ``start`` are None if unknown; ``seed`` is None on hardware. ``began`` is in s
+    since 1970. ``files`` contains the text of each configuration file.
     """
 
     name: str
@@ -115,19 +116,19 @@ class Run:
     began: float = math.nan
     phases: tuple[Phase, ...] = ()
     activities: tuple[Phase, ...] = ()
-    """What the devices did; empty where they were not recorded."""
+    """Activities of the devices; empty if the devices were not recorded."""
     troubles: tuple[Trouble, ...] = ()
     files: dict[str, str] = field(default_factory=dict)
 
     @property
     def reached(self) -> bool:
-        """True where the object is measured to be, and as far as is known truly is, at the goal."""
+        """True if the object is at the goal by measurement and, if known, by ground truth."""
         return self.outcome == REACHED
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A camera's picture with what the cell saw drawn in: s since the run began, JPEG bytes."""
+    """A camera image with the detections drawn in: time in s since run start, and JPEG bytes."""
 
     at: float
     jpeg: bytes

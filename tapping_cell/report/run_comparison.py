@@ -1,4 +1,4 @@
-"""Several runs side by side: a table, figures of each planner, and a page with plots."""
+"""Comparison of several runs: a table, figures of each planner, and a page with plots."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COLOURS = ("#1f6fb4", "#c8372d", "#218a4c", "#d98a00", "#7a5bb0", "#4aa3a2", "#8
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One run in a comparison. mm, deg, s; NaN where not known."""
+    """One run in a comparison. mm, deg, s; NaN if unknown."""
 
     name: str
     outcome: str
@@ -35,7 +35,7 @@ class Row:
 
 
 def row_of(run: Run) -> Row:
-    """The figures of one run."""
+    """Compute the figures of one run."""
     start, measured, true = (
         _to_go(pose, run.goal) for pose in (run.start, run.final_measured, run.final_true)
     )
@@ -63,7 +63,7 @@ def _to_go(pose: Pose | None, goal: Pose | None) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """The runs of one planner with one object; means over those that reached their goal."""
+    """Runs of one planner with one object; means are over runs that reached their goal."""
 
     planner: str
     object_name: str
@@ -77,7 +77,7 @@ class Group:
 
 
 def groups_of(rows: Sequence[Row]) -> tuple[Group, ...]:
-    """The runs by planner and object, in order of their names."""
+    """Group the runs by planner and object, sorted by their names."""
     found = []
     for key in sorted({(row.planner, row.object_name) for row in rows}):
         own = [row for row in rows if (row.planner, row.object_name) == key]
@@ -102,7 +102,7 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def comparison_page(runs: Sequence[Run], links: Sequence[str]) -> str:
-    """A page that compares runs; ``links`` lead to the page of each."""
+    """Return a page that compares runs; ``links`` are the addresses of their pages."""
     rows = [row_of(run) for run in runs]
     reached = sum(row.outcome == "reached" for row in rows)
     body = (
@@ -156,14 +156,14 @@ def _groups(groups: Sequence[Group]) -> str:
 
 
 def _charts(runs: Sequence[Run]) -> str:
-    """How each run approached its goal, coloured by planner."""
+    """Plot the residual of each run after each tap, coloured by planner."""
     planners = sorted({run.planner for run in runs})
     colours = {name: COLOURS[index % len(COLOURS)] for index, name in enumerate(planners)}
     distances, rotations = [], []
     for run in runs:
         goal = run.goal
         if goal is None or run.start is None or not run.taps:
-            continue  # nothing was moved: a refused goal far away would only hide the others
+            continue  # nothing was moved; a distant refused goal would only compress the scale
         poses = [run.start, *(tap.measured for tap in run.taps)]
         colour = colours[run.planner]
         distances.append((run.name, [1000 * pose.distance_to(goal) for pose in poses], colour))

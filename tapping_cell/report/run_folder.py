@@ -1,7 +1,7 @@
 """The folder of a run: ``summary.json``, ``taps.csv``, ``cell.png`` and ``report.html`` of a bag.
 
-All of them are made from the bag beside them and can be made again; without the bag, picture and
-page can still be made from summary and taps.
+All files are generated from the bag in the same folder and can be regenerated. Without the bag,
+figure and page can still be generated from summary and taps.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ _LEARNT_UNITS = {
 
 
 class RunError(ValueError):
-    """A run folder that cannot be read; the sentence says which file, and what to do."""
+    """Raised for an unreadable run folder; the message gives the file and a remedy."""
 
 
 def residual(goal: Pose | None, pose: Pose | None) -> dict[str, float] | None:
-    """What remains to the goal, in mm and degrees; None where one of them is not known."""
+    """Return the residual to the goal in mm and degrees; None if goal or pose is unknown."""
     if pose is None or goal is None:
         return None
     return {
@@ -62,7 +62,7 @@ def residual(goal: Pose | None, pose: Pose | None) -> dict[str, float] | None:
 
 
 def for_people(pose: Pose | None) -> dict[str, float] | None:
-    """A pose in mm and degrees."""
+    """Convert a pose to mm and degrees."""
     if pose is None:
         return None
     return {
@@ -81,11 +81,11 @@ _COVARIANCE = (
     ("predicted_covariance_y_theta_mm_deg", 1, 2, 1e3 * _DEGREES),
     ("predicted_variance_theta_deg2", 2, 2, _DEGREES**2),
 )
-"""Columns of the covariance of the predicted pose: name, row, column, and their unit."""
+"""Columns for the covariance of the predicted pose: name, row, column, and factor from SI."""
 
 
 def summary(run: Run) -> dict[str, Any]:
-    """The content of ``summary.json``."""
+    """Return the content of ``summary.json``."""
     return {
         "name": run.name,
         "outcome": run.outcome,
@@ -119,7 +119,7 @@ def summary(run: Run) -> dict[str, Any]:
 
 
 def tap_columns(tap: TapRow) -> dict[str, object]:
-    """A row of ``taps.csv``; every column that has a unit names it."""
+    """Return a row of ``taps.csv``; column names include the units."""
     row: dict[str, object] = {
         "tap": tap.number,
         "tap_id": tap.tap_id,
@@ -152,7 +152,7 @@ def tap_columns(tap: TapRow) -> dict[str, object]:
 
 
 def _covariance(row: dict[str, str]) -> Covariance | None:
-    """Of the predicted pose; None where the table does not tell."""
+    """Return the covariance of the predicted pose; None if the table does not contain it."""
     matrix = np.zeros((3, 3))
     for column, first, second, unit in _COVARIANCE:
         matrix[first, second] = matrix[second, first] = float(row.get(column, "nan")) / unit
@@ -163,7 +163,7 @@ def _covariance(row: dict[str, str]) -> Covariance | None:
 
 
 def _learnt_columns() -> dict[str, tuple[str, float]]:
-    """The column of ``taps.csv`` and its unit for each field of ``Learnt``."""
+    """Return the column of ``taps.csv`` and its factor from SI for each field of ``Learnt``."""
     columns = {}
     for field in fields(Learnt):
         suffix, unit = _LEARNT_UNITS.get(field.name.split("_")[0], ("", 1.0))
@@ -172,15 +172,15 @@ def _learnt_columns() -> dict[str, tuple[str, float]]:
 
 
 def write_folder(folder: Path, pictures: bool = True) -> Run:
-    """Write all that can be told of the bag in a run folder; what stood there is made again.
+    """Write all files of a run folder from its bag, replacing existing files.
 
     Raises:
-        tapping_cell.report.bag.BagError: the folder holds no bag, or one without a goal.
+        tapping_cell.report.bag.BagError: the folder contains no bag, or the bag has no goal.
         OSError: the folder cannot be written.
     """
     story = read_story(folder / BAG, folder.name)
     if story.run.outcome == UNFINISHED:
-        # Somebody else may have seen why it has no end.
+        # An earlier write_failure may have recorded the reason for the missing end.
         with contextlib.suppress(RunError):
             told = read_run(folder)
             ended = replace(
@@ -197,9 +197,9 @@ def write_folder(folder: Path, pictures: bool = True) -> Run:
 def write_failure(
     folder: Path, code: int, sentence: str, seed: int | None, wall_time: float
 ) -> None:
-    """Write down why a run ended, where the cell itself could not say it; ``wall_time`` in s.
+    """Record the reason for the end of a run that the cell did not record; ``wall_time`` in s.
 
-    A run that was recorded to its end stays as it is.
+    A run that was recorded to its end is not changed.
 
     Raises:
         OSError: the folder cannot be written.
@@ -233,7 +233,7 @@ def write_failure(
 
 
 def write_story(folder: Path, story: Story, pictures: bool = True) -> None:
-    """Write summary and taps of a run and, unless ``pictures`` is False, picture and page.
+    """Write summary and taps of a run and, if ``pictures`` is True, also figure and page.
 
     Raises:
         OSError: the folder cannot be written.
@@ -248,7 +248,7 @@ def write_story(folder: Path, story: Story, pictures: bool = True) -> None:
         writer.writerows(tap_columns(tap) for tap in run.taps)
     os.replace(rows, folder / TAPS)
     if pictures:
-        # Drawing takes a second to load: not where only the tables are wanted.
+        # Import here because loading the plotting modules takes a second.
         from tapping_cell.report.cell_view import draw_cell
         from tapping_cell.report.run_page import page
 
@@ -257,14 +257,14 @@ def write_story(folder: Path, story: Story, pictures: bool = True) -> None:
 
 
 def _replace(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
+    """Write a file atomically."""
     fresh = path.with_name(f".{path.name}")
     fresh.write_text(text, encoding="utf-8")
     os.replace(fresh, path)
 
 
 def read_run(folder: Path) -> Run:
-    """A run from its summary and taps, as a run folder keeps them when its bag is gone.
+    """Read a run from its summary and taps, for a run folder without a bag.
 
     Raises:
         RunError: a file is missing or damaged.

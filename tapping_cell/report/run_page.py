@@ -1,4 +1,4 @@
-"""``report.html``: the story of one run in one file, for a screen, a phone and paper."""
+"""``report.html``: the report of one run in one file, for screens, phones and printing."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ _PHASE_COLOURS = {
 
 
 def page(story: Story) -> str:
-    """The page of a run; nothing is loaded from elsewhere."""
+    """Return the page of a run, which loads no other files."""
     run = story.run
     parts = [
         _head(run),
@@ -91,7 +91,7 @@ def page(story: Story) -> str:
 
 
 def headline(run: Run) -> str:
-    """How it ended, in a few words."""
+    """Summarise the outcome of a run in a few words."""
     taps = "1 tap" if len(run.taps) == 1 else f"{len(run.taps)} taps"
     if run.reached:
         return f"Goal reached in {taps}" if run.taps else "Goal reached without a tap"
@@ -180,12 +180,12 @@ def _film(run: Run) -> str:
 
 
 def _table_plan(run: Run) -> Plan:
-    """The table, with room for everything that the run touched."""
+    """Create a plan of the table that contains all poses of the run."""
     half = 500 * np.asarray(run.table_size)
     places = [pose for pose in (run.start, run.goal, *(t.measured for t in run.taps)) if pose]
     low, high = -half - 12, half + 12
     if run.goal is not None and half.any():
-        # A goal that was refused may lie beyond the table.
+        # A rejected goal may be outside the table.
         rim = 1000 * float(np.max(np.hypot(*_outline(run).T), initial=0.02)) + 12
         middle = 1000 * np.array([run.goal.x, run.goal.y])
         near = np.clip(middle, 4 * low, 4 * high)
@@ -199,7 +199,7 @@ def _table_plan(run: Run) -> Plan:
 
 
 def overview(run: Run) -> str:
-    """The table from above: start, where the object came to rest, goal, strikes."""
+    """Draw a plan of the table with start, resting poses, goal and strikes."""
     plan, outline = _table_plan(run), _outline(run)
     if run.start is not None:
         plan.outline(outline, run.start, START)
@@ -252,7 +252,7 @@ def _charts(run: Run) -> str:
 
 
 def _timeline(run: Run) -> str:
-    """What the cell did when, as a band; what the planner did, where no device was heard."""
+    """Draw the activities of the cell over time, or the planner's states if none were recorded."""
     steps = run.activities or run.phases
     colours = _ACTIVITY_COLOURS if run.activities else _PHASE_COLOURS
     if len(steps) < 2 or run.wall_time <= 0:
@@ -324,7 +324,7 @@ def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> str:
 
 
 def _close_up(run: Run, tap: TapRow) -> str:
-    """One tap to scale: where the object was, was expected, and was found."""
+    """Draw one tap to scale, with the object's initial, predicted and measured poses."""
     outline = _outline(run)
     reach = 1000 * float(np.max(np.hypot(*outline.T), initial=0.02))
     poses = (tap.before, tap.predicted, tap.measured)
@@ -401,7 +401,7 @@ def _to_go(pose: Pose, goal: Pose) -> str:
 
 
 def _picture(picture: Picture, words: str) -> str:
-    """A photograph inside the page, at most ``PICTURE_WIDTH`` pixels wide."""
+    """Embed a photograph in the page, downscaled to at most ``PICTURE_WIDTH`` pixels."""
     data = picture.jpeg
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     if image is None:

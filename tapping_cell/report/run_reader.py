@@ -1,4 +1,4 @@
-"""A run out of its bag: everything that a run folder says is made from what was recorded."""
+"""Extraction of a run from its bag, for all files of a run folder."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ from tapping_cell.report.words import OUTCOMES, PHASES, word
 from tapping_cell.se2 import Pose
 
 NOTES = "run_notes"
-"""Topic (``std_msgs/String``, JSON) of what a run knows that no other topic says."""
+"""Topic (``std_msgs/String``, JSON) with information on a run that no other topic contains."""
 PICTURES = "camera/image_annotated/compressed"
 _SPEAKERS = ("plan_state", "arm_state", "tapper_state", "object_state")
 _TRUTH_WITHIN_S = 0.2
-"""Greatest distance in time of the truth that belongs to a measured pose."""
+"""Maximum time difference between a measured pose and its ground truth, s."""
 _SAME_TIME_S = 1e-6
 _FINAL_WORDS = ("reached", "failed", "canceled")
 
 
 @dataclass(frozen=True, slots=True)
 class Story:
-    """A run and the pictures that were taken meanwhile, in order of time."""
+    """A run and its camera images, in order of time."""
 
     run: Run
     pictures: tuple[Picture, ...]
 
 
 def inside(goal: Pose, pose: Pose | None, tolerance: tuple[float, float]) -> bool:
-    """True where the pose is known and within (m, rad) of the goal."""
+    """Return whether the pose is known and within the tolerance (m, rad) of the goal."""
     return (
         pose is not None
         and pose.distance_to(goal) <= tolerance[0]
@@ -59,16 +59,16 @@ def inside(goal: Pose, pose: Pose | None, tolerance: tuple[float, float]) -> boo
 
 
 def read_story(path: Path, name: str = "") -> Story:
-    """The run in a bag, which is a folder or an ``.mcap`` file.
+    """Read the run in a bag, which is a folder or an ``.mcap`` file.
 
     Raises:
-        tapping_cell.report.bag.BagError: no bag, or one without a goal.
+        tapping_cell.report.bag.BagError: there is no bag, or it has no goal.
     """
     return story_of(read_bag(path), name or path.stem)
 
 
 def story_of(bag: Bag, name: str) -> Story:
-    """The run in a bag. A bag that was cut off gives the run as far as it was recorded.
+    """Extract the run from a bag; a truncated bag gives the recorded part of the run.
 
     Raises:
         tapping_cell.report.bag.BagError: the bag has no goal.
@@ -101,7 +101,7 @@ def story_of(bag: Bag, name: str) -> Story:
     after = [(at, m) for at, m in seen if at <= ended + _TRUTH_WITHIN_S]
     final = after[-1] if after else None
     taps = _taps(records, bag, truths, began)
-    # A goal bears the stamp of the look that it was meant from, or when it was sent, or nothing.
+    # The goal's stamp is that of the observation it refers to, the time of sending, or zero.
     start = _pose_at(seen, _seconds(last.goal.header.stamp) or began)
     goal = _pose(last.goal.pose) if _is_pose(last.goal.pose) else None
     tolerance = (_finite(last.position_tolerance), _finite(last.angle_tolerance))
@@ -143,7 +143,7 @@ def story_of(bag: Bag, name: str) -> Story:
 
 
 def _notes(bag: Bag) -> dict[str, Any]:
-    """What the recorder wrote down itself; nothing in a bag that somebody else recorded."""
+    """Return the recorder's own notes; empty for a bag of another recorder."""
     found: dict[str, Any] = {}
     for _, message in bag.of(NOTES):
         try:
@@ -154,7 +154,7 @@ def _notes(bag: Bag) -> dict[str, Any]:
 
 
 def _own_report(reports: list[Any], notes: dict[str, Any]) -> Any:
-    """The report of this run's goal; a latched topic tells of the goal before, too."""
+    """Select the report of this run's goal; the latched topic may repeat an earlier report."""
     began = float(notes.get("began", -math.inf)) - _SAME_TIME_S
     since = [report for report in reports if _seconds(report.header.stamp) >= began]
     if notes.get("refused") is not None:
@@ -167,7 +167,7 @@ def _same_goal(one: Any, other: Any) -> bool:
 
 
 def _records(plans: list[Any]) -> list[Any]:
-    """The finished taps, as far as they were heard one by one."""
+    """Collect the finished taps from the individual states of the planner."""
     by_id = {plan.last_tap.tap_id: plan.last_tap for plan in plans if plan.last_tap.tap_id}
     return sorted(by_id.values(), key=lambda record: int(record.number))
 
@@ -209,7 +209,7 @@ def _taps(
 
 
 def _covariance(record: Any) -> Covariance | None:
-    """Of the predicted pose; records of earlier versions do not tell."""
+    """Return the covariance of the predicted pose; None for records of earlier versions."""
     values = [float(value) for value in getattr(record, "predicted_covariance", ())]
     if len(values) != 9 or not any(values) or not all(map(math.isfinite, values)):
         return None
@@ -217,7 +217,7 @@ def _covariance(record: Any) -> Covariance | None:
 
 
 def _learnt(record: Any) -> Learnt:
-    """What was known after a tap; records of earlier versions do not tell."""
+    """Return the estimates after a tap; all NaN for records of earlier versions."""
     told = getattr(record, "learnt", None)
     if told is None:
         return Learnt()
@@ -225,14 +225,14 @@ def _learnt(record: Any) -> Learnt:
 
 
 def _pose_at(seen: list[tuple[float, Any]], asked: float) -> Pose | None:
-    """Where the object was last seen at rest by a time, or else first after it."""
+    """Return the last resting pose before a time, or else the first resting pose after it."""
     before = [message for at, message in seen if at <= asked + _SAME_TIME_S]
     message = before[-1] if before else (seen[0][1] if seen else None)
     return None if message is None else _pose(message.pose.pose)
 
 
 def _truth_at(truths: list[tuple[float, Pose]], at: float) -> Pose | None:
-    """The true pose at a time, where somebody knows it."""
+    """Return the ground truth pose nearest to a time; None if unknown."""
     if not truths:
         return None
     place = bisect.bisect_left(truths, at, key=lambda entry: entry[0])
@@ -248,7 +248,7 @@ def _outcome(
     final_true: Pose | None,
     tolerance: tuple[float, float],
 ) -> str:
-    """How the run ended, as the planner's last word and the truth, where it is known, say."""
+    """Determine the outcome from the planner's last state and the ground truth, if known."""
     if refused:
         return REFUSED
     said = word(PHASES, int(last.state))
@@ -272,7 +272,7 @@ def _phases(plans: list[Any], began: float) -> tuple[Phase, ...]:
 
 
 def _troubles(bag: Bag, began: float, ended: float) -> tuple[Trouble, ...]:
-    """Warnings and errors while the goal was active; one that persists counts once."""
+    """Return warnings and errors while the goal was active; a persistent one counts once."""
     found = []
     for speaker in _SPEAKERS:
         before = 0
@@ -289,7 +289,7 @@ def _seconds(stamp: Any) -> float:
 
 
 def _finite(value: float) -> float:
-    """A tolerance; 0 where somebody asked for one that is no number, and was refused."""
+    """Return a tolerance, or 0 for a rejected request with a tolerance that is not finite."""
     return float(value) if math.isfinite(value) else 0.0
 
 
@@ -299,7 +299,7 @@ def _is_pose(pose: Any) -> bool:
 
 
 def _pose(pose: Any) -> Pose:
-    """The planar part of a ROS pose."""
+    """Return the planar part of a ROS pose."""
     q = pose.orientation
     theta = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
     return Pose(float(pose.position.x), float(pose.position.y), theta)

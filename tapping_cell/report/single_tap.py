@@ -1,7 +1,7 @@
-"""What the report of single-tap experiments is made of: plain numbers in mm, degrees and percent.
+"""Data of the report on single-tap experiments, in mm, degrees and percent.
 
-Velocities are in mm/s and degrees/s. Arrays have one entry a trial unless they say otherwise; NaN
-where something is not known.
+Velocities are in mm/s and degrees/s. Arrays have one entry per trial unless stated otherwise.
+Unknown values are NaN.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A row of the table of values; low and high are NaN where it was not fitted."""
+    """A row of the table of values; ``low`` and ``high`` are NaN if the value was not fitted."""
 
     name: str
     old: float
@@ -38,11 +38,12 @@ class Motions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProfileView:
-    """One trial in time (ms from the impact): poses as seen, and curves as predicted.
+    """One trial over time (ms from the impact): measured poses and predicted curves.
 
-    ``seen_*`` (n,) are samples of the track, ``rate_time`` the middles between them, but for
-    the step across the impact, with the velocities that their differences give; ``curve_*`` (k,)
-    the prediction from the displacement, ``plain_*`` the same with a torque factor of 1.
+    ``seen_time``, ``seen_distance`` and ``seen_rotation`` (n,) are samples of the track.
+    ``seen_speed`` and ``seen_spin`` are finite differences at the midpoints ``rate_time``, without
+    the step that contains the impact. ``curve_*`` (k,) are predicted from the displacement, and
+    ``plain_*`` are the same with a torque factor of 1.
     """
 
     title: str
@@ -64,7 +65,7 @@ class ProfileView:
 
 @dataclass(frozen=True, slots=True)
 class RunError:
-    """Errors of a run's means in percent: (translation, rotation) of four predictions."""
+    """Errors of a run's means in percent, as (translation, rotation) for four predictions."""
 
     label: str
     trials: int
@@ -76,11 +77,12 @@ class RunError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SingleTapReport:
-    """Everything that the page and the figures show.
+    """All data of the page and the figures.
 
-    ``labels`` names each trial's run. ``by_sliding`` holds displacements calculated from measured
-    velocities and velocities calculated from measured displacements; ``by_tapping`` both calculated
-    from the striker. ``own_friction`` is each trial's own friction over that of all.
+    ``labels`` are the runs of the trials. ``by_sliding`` contains displacements calculated from
+    measured velocities, and velocities calculated from measured displacements. ``by_tapping``
+    contains both, calculated from the striker. ``own_friction`` is each trial's friction over the
+    shared one.
     """
 
     title: str

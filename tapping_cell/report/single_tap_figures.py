@@ -23,14 +23,14 @@ VALUES = "single_tap_values.png"
 _SEEN = "#1c2733"
 _PREDICTED = "#c8372d"
 _PLAIN = "#8a97a5"
-# Matplotlib before 3.7, as in Ubuntu 24.04, cannot make room for a legend outside the axes.
+# Matplotlib before 3.7, as in Ubuntu 24.04, cannot place a legend outside the axes.
 _BELOW = "outside lower center" if matplotlib.__version_info__ >= (3, 7) else "lower center"
 _GRID: dict[str, Any] = {"alpha": 0.25, "linewidth": 0.6}
 _MARKS = "osD^vP*X<>"
 
 
 def write_figures(report: SingleTapReport, folder: Path) -> list[Path]:
-    """Draw everything into an existing folder; returns the files in the order of the page."""
+    """Draw all figures into an existing folder; return the files in the order of the page."""
     drawings = [
         (RUNS, (11.0, 4.6), _runs),
         (PROFILES, (11.0, 3.4 * max(len(report.profiles), 1)), _profiles),
@@ -51,7 +51,7 @@ def write_figures(report: SingleTapReport, folder: Path) -> list[Path]:
 
 
 def _styles(report: SingleTapReport) -> dict[str, tuple[str, str]]:
-    """Colour and mark of each run."""
+    """Return colour and marker symbol of each run."""
     labels = dict.fromkeys(report.labels)
     return {
         label: (f"C{index % 10}", _MARKS[index % len(_MARKS)]) for index, label in enumerate(labels)
@@ -59,7 +59,7 @@ def _styles(report: SingleTapReport) -> dict[str, tuple[str, str]]:
 
 
 def _runs(figure: Figure, report: SingleTapReport) -> None:
-    """Figure 3: left the displacements, right the initial velocities, of every trial."""
+    """Draw figure 3: displacements (left) and initial velocities (right) of every trial."""
     left, right = figure.subplots(1, 2)
     seen, tapped, slid = report.measured, report.by_tapping, report.by_sliding
     names = np.array(report.labels)
@@ -74,7 +74,7 @@ def _runs(figure: Figure, report: SingleTapReport) -> None:
             axes.plot(x[run], y[run], mark, color=colour, ms=6, alpha=0.75, label=f"run {label}")
             axes.plot(slide_x[run], slide_y[run], "+", color=_SEEN, ms=9, mew=1.0)
             if np.isfinite(tap_x[run]).any():
-                # To either side apart: the mean of both would be a tap that nobody made.
+                # Average each side separately, because the mean of both is not a real tap.
                 for side in (y[run] > 0, y[run] <= 0):
                     if np.isfinite(tap_x[run][side]).any():
                         middle = np.nanmean(tap_x[run][side]), np.nanmean(tap_y[run][side])
@@ -96,7 +96,7 @@ def _runs(figure: Figure, report: SingleTapReport) -> None:
 
 
 def _profiles(figure: Figure, report: SingleTapReport) -> None:
-    """Figure 4: velocity profiles of trials, measured and predicted, and the poses behind them."""
+    """Draw figure 4: measured and predicted velocity profiles of trials, with their poses."""
     grid = figure.subplots(len(report.profiles), 3, squeeze=False)
     for row, view in zip(grid, report.profiles, strict=True):
         _profile(row[0], row[1], row[2], view)
@@ -136,7 +136,7 @@ def _profile(speed: Axes, spin: Axes, pose: Axes, view: ProfileView) -> None:
 
 
 def _residuals(figure: Figure, report: SingleTapReport) -> None:
-    """Each trial: measured over calculated initial velocities, and its own friction."""
+    """Draw measured over calculated initial velocities, and the friction, of each trial."""
     left, middle, right = figure.subplots(1, 3)
     seen, slid, names = report.measured, report.by_sliding, np.array(report.labels)
     index = np.arange(1, len(names) + 1)
@@ -163,7 +163,7 @@ def _percent(seen: Array, calculated: Array) -> Array:
 
 
 def _errors(figure: Figure, report: SingleTapReport) -> None:
-    """The prediction error of each run in percent, of the four predictions."""
+    """Draw the errors of the four predictions of each run, in percent."""
     kinds = (
         ("sliding", "displacement\nfrom measured velocity"),
         ("inverse", "velocity\nfrom measured displacement"),
@@ -193,7 +193,7 @@ def _errors(figure: Figure, report: SingleTapReport) -> None:
 
 
 def _values(figure: Figure, report: SingleTapReport) -> None:
-    """Fitted values with their intervals, over the old ones."""
+    """Draw the fitted values and their intervals, relative to the previous values."""
     rows = [p for p in report.parameters if np.isfinite(p.low) and np.isfinite(p.old) and p.old]
     axes = figure.subplots()
     place = np.arange(len(rows))[::-1]

@@ -1,4 +1,4 @@
-"""The report of single-tap experiments as one self-contained HTML file."""
+"""Output of the report on single-tap experiments as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _CAPTIONS = {
 
 
 def write_page(report: SingleTapReport, folder: Path) -> Path:
-    """Write the figures and ``report.html`` into a folder, made if missing; returns the page."""
+    """Write figures and ``report.html``, creating the folder if missing; return the page's path."""
     folder.mkdir(parents=True, exist_ok=True)
     drawn = figures.write_figures(report, folder)
     body = [

@@ -1,4 +1,4 @@
-"""Drawings in a page: a plan of the table in mm with y upwards, and small charts."""
+"""SVG drawings for a page: a plan of the table in mm with y upwards, and small charts."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ INK, MUTED, START, REST, GOAL, STRIKE, GUESS = (
 
 
 _ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
-"""Standard deviations of a plane normal distribution that hold 95 % of it."""
+"""Radius of the 95 % region of a bivariate normal distribution, in standard deviations."""
 
 
 @dataclass
 class Plan:
-    """A view of the table from above: ``low`` and ``high`` are its corners in mm."""
+    """A plan view of the table with opposite corners ``low`` and ``high`` in mm."""
 
     low: tuple[float, float]
     high: tuple[float, float]
@@ -40,31 +40,31 @@ class Plan:
         self.width = self.high[0] - self.low[0]
         self.height = self.high[1] - self.low[1]
         self.unit = max(self.width, self.height) / 100
-        """A hundredth of the drawing, in mm: what lines and letters are sized in."""
+        """A hundredth of the drawing's size, in mm: the unit of line widths and font sizes."""
 
     def rectangle(self, low: ArrayLike, high: ArrayLike, style: str) -> None:
-        """A rectangle between two corners in mm."""
+        """Draw a rectangle between two corners in mm."""
         (x0, y0), (x1, y1) = np.asarray(low), np.asarray(high)
         self.polygon([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], style)
 
     def polygon(self, points: ArrayLike, style: str, closed: bool = True) -> None:
-        """A polygon or, where not closed, a line through points in mm."""
+        """Draw a polygon or, if not closed, a polyline through points in mm."""
         places = " ".join(f"{x:.2f},{-y:.2f}" for x, y in np.asarray(points).reshape(-1, 2))
         self._parts.append(f'<poly{"gon" if closed else "line"} points="{places}" {style}/>')
 
     def circle(self, x: float, y: float, radius: float, style: str) -> None:
-        """A circle; all in mm."""
+        """Draw a circle; all values in mm."""
         self._parts.append(f'<circle cx="{x:.2f}" cy="{-y:.2f}" r="{radius:.3f}" {style}/>')
 
     def text(self, x: float, y: float, words: str, colour: str, size: float = 3.2) -> None:
-        """Words centred at a place in mm; ``size`` in hundredths of the drawing."""
+        """Draw text centred at a point in mm; ``size`` in hundredths of the drawing."""
         self._parts.append(
             f'<text x="{x:.2f}" y="{-y:.2f}" font-size="{size * self.unit:.2f}" fill="{colour}" '
             f'text-anchor="middle" dominant-baseline="central">{escape(words)}</text>'
         )
 
     def arrow(self, tail: ArrayLike, head: ArrayLike, colour: str, width: float = 0.7) -> None:
-        """An arrow between places in mm; ``width`` in hundredths of the drawing."""
+        """Draw an arrow between points in mm; ``width`` in hundredths of the drawing."""
         start, end = np.asarray(tail, dtype=float), np.asarray(head, dtype=float)
         length = float(np.hypot(*(end - start)))
         if length < 1e-6:
@@ -79,7 +79,7 @@ class Plan:
     def outline(
         self, outline: Array, pose: Pose, colour: str, dashed: bool = False, fill: float = 0.0
     ) -> None:
-        """The object at a pose, with a line from its centre to the rim along its x axis."""
+        """Draw the object at a pose, with a line from its centre to the rim along its x axis."""
         if not len(outline):
             self.circle(1000 * pose.x, 1000 * pose.y, self.unit, f'fill="{colour}"')
             return
@@ -92,7 +92,7 @@ class Plan:
         self.polygon(1000 * transform_points(pose, [[0.0, 0.0], [reach, 0.0]]), style, closed=False)
 
     def ellipse(self, covariance: ArrayLike, pose: Pose, colour: str) -> None:
-        """The ellipse about a pose's place that holds 95 % for a covariance (2, 2) in m^2."""
+        """Draw the 95 % ellipse of a covariance (2, 2) in m^2 about a pose's position."""
         values, axes = np.linalg.eigh(np.asarray(covariance, dtype=float))
         radii = 1000 * _ELLIPSE_95 * np.sqrt(np.maximum(values, 0.0))
         around = np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)
@@ -102,7 +102,7 @@ class Plan:
         self.polygon(points, stroke(colour, 0.35 * self.unit))
 
     def axes(self) -> None:
-        """Marks of x and y of the table in mm, along the lower and the left edge."""
+        """Draw tick marks of the table's x and y in mm, along the lower and the left edge."""
         step = _round_length(max(self.width, self.height) / 5)
         mark, low = 1.4 * self.unit, np.asarray(self.low, dtype=float)
         line = stroke(MUTED, 0.25 * self.unit)
@@ -121,20 +121,20 @@ class Plan:
 
     @contextmanager
     def group(self, attributes: str) -> Iterator[None]:
-        """What is drawn meanwhile belongs to one group."""
+        """Put everything that is drawn in this context into one group."""
         self._parts.append(f"<g {attributes}>")
         yield
         self._parts.append("</g>")
 
     def scale_bar(self) -> None:
-        """A bar of a round length in the lower left corner."""
+        """Draw a scale bar of a round length in the lower left corner."""
         length = _round_length(self.width / 4)
         x, y = self.low[0] + 9 * self.unit, self.low[1] + 6 * self.unit
         self.polygon([(x, y), (x + length, y)], stroke(INK, 0.6 * self.unit), closed=False)
         self.text(x + length / 2, y + 2.6 * self.unit, f"{length:g} mm", INK, 2.8)
 
     def drawing(self, title: str) -> str:
-        """The SVG element."""
+        """Return the SVG element."""
         box = f"{self.low[0]:.2f} {-self.high[1]:.2f} {self.width:.2f} {self.height:.2f}"
         return (
             f'<svg class="plan" viewBox="{box}" role="img" aria-label="{escape(title)}">'
@@ -143,7 +143,7 @@ class Plan:
 
 
 def stroke(colour: str, width: float, dashed: bool = False) -> str:
-    """Attributes of a line; ``width`` in the drawing's own unit."""
+    """Return the attributes of a line; ``width`` in the unit of the drawing."""
     dash = f' stroke-dasharray="{3 * width:.2f} {2 * width:.2f}"' if dashed else ""
     return (
         f'fill="none" stroke="{colour}" stroke-width="{width:.3f}" stroke-linejoin="round"'
@@ -152,7 +152,7 @@ def stroke(colour: str, width: float, dashed: bool = False) -> str:
 
 
 def window(points: ArrayLike, margin: float, least: float) -> tuple[Array, Array]:
-    """Corners of a square around points, with a margin, of a least size; all in mm."""
+    """Return the corners of a square of a minimum size around points, with a margin; in mm."""
     places = np.asarray(points, dtype=float).reshape(-1, 2)
     if not len(places):
         places = np.zeros((1, 2))
@@ -168,7 +168,10 @@ def chart(
     label: str,
     x_label: str = "taps",
 ) -> str:
-    """Lines over the number of taps. ``values``: name, values from tap 0 on and colour of each."""
+    """Draw lines over the number of taps.
+
+    ``values`` are name, values starting at tap 0, and colour of each line.
+    """
     wide, high, left, bottom, top = 420.0, 200.0, 46.0, 34.0, 14.0
     most = max([limit * 1.5, *(v for _, line, _ in values for v in line if math.isfinite(v))])
     ticks = _ticks(most)
@@ -231,6 +234,6 @@ def _ticks(most: float) -> list[float]:
 
 
 def _round_length(length: float) -> float:
-    """1, 2 or 5 times a power of ten, at most ``length``."""
+    """Return the largest 1, 2 or 5 times a power of ten that is at most ``length``."""
     power = 10.0 ** math.floor(math.log10(max(length, 1e-9)))
     return next(factor * power for factor in (5.0, 2.0, 1.0) if factor * power <= length * 1.0001)

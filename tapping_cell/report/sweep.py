@@ -1,4 +1,4 @@
-"""The figures of a sweep: a table of all points and a plot of taps and truth."""
+"""Results of a sweep: a table of all points and a plot of taps and true success rate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COLUMNS = (
 
 
 def sweep_numbers(figures: Mapping[str, Any]) -> dict[str, float]:
-    """``COLUMNS`` of one point."""
+    """Return the values of ``COLUMNS`` for one point."""
     taps = figures["taps"]
     low, high = taps["mean_interval"]
     numbers = (
@@ -39,7 +39,7 @@ def sweep_numbers(figures: Mapping[str, Any]) -> dict[str, float]:
 
 
 def sweep_table(rows: Sequence[Row]) -> str:
-    """A Markdown table, one point a row."""
+    """Return a Markdown table with one row per point."""
     names = list(rows[0][0])
     lines = [
         "| " + " | ".join([*names, "mean taps", "90 % within", "done", "truly inside"]) + " |",
@@ -57,7 +57,7 @@ def sweep_table(rows: Sequence[Row]) -> str:
 
 
 def write_sweep(folder: Path, rows: Sequence[Row]) -> None:
-    """Write ``sweep.csv``, ``sweep.md`` and ``sweep.png``; the first parameter is the abscissa."""
+    """Write ``sweep.csv``, ``sweep.md`` and ``sweep.png``; the x axis is the first parameter."""
     names = list(rows[0][0])
     with (folder / "sweep.csv").open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream)

@@ -1,4 +1,4 @@
-"""One tap in a sentence or two: what it was to do, what was expected and measured, and why it."""
+"""Description of one tap in a few sentences: expected and measured results, and its purpose."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from tapping_cell.se2 import Pose, wrap_angle
 WITHIN_95 = 7.81
 """95 % quantile of the chi-squared distribution with three degrees of freedom."""
 BESIDE = math.radians(25.0)
-"""A tap that points farther from the goal than this is not meant to go straight there."""
+"""Maximum angle between a tap and the direction to the goal at which the tap is aimed at it."""
 FARTHER = 1.15
-"""A tap that is longer than this share of the way passes the goal on purpose."""
+"""Fraction of the distance to the goal above which a tap overshoots the goal on purpose."""
 SHORTER = 0.85
-"""A tap that is shorter than this share of the way stops before the goal on purpose."""
+"""Fraction of the distance to the goal below which a tap stops before the goal on purpose."""
 
 
 def tap_sentence(tap: TapRow, goal: Pose | None) -> str:
-    """For people; in mm and degrees."""
+    """Describe a tap for the user, in mm and degrees."""
     parts = [_moved(tap)]
     if goal is not None:
         parts.append(_purpose(tap, goal))
@@ -42,7 +42,7 @@ def _moved(tap: TapRow) -> str:
 
 
 def _agreement(tap: TapRow) -> str:
-    """How well the measurement fits what was expected, where that is known."""
+    """Describe the agreement of measurement and prediction; empty without a covariance."""
     if tap.predicted_covariance is None:
         return ""
     covariance = np.array(tap.predicted_covariance)
@@ -55,7 +55,7 @@ def _agreement(tap: TapRow) -> str:
 
 
 def _purpose(tap: TapRow, goal: Pose) -> str:
-    """Why it was not simply a tap to the goal; empty where it was one."""
+    """Describe how the tap relates to the goal; empty for other directions of travel."""
     if tap.reason:
         return f"Not the tap straight to the goal, because {tap.reason}."
     to_goal = np.array([goal.x - tap.before.x, goal.y - tap.before.y])

@@ -1,4 +1,4 @@
-"""What a run's numbers depend on, by version."""
+"""Versions of the software on which a run's results depend."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _PACKAGES = ("numpy", "scipy", "opencv-python-headless", "rclpy")
 
 
 def versions() -> dict[str, str]:
-    """Versions of the cell and of what its numbers depend on."""
+    """Return the versions of the cell and of the packages on which its results depend."""
     found = {"tapping_cell": __version__, "python": platform.python_version()}
     for package in _PACKAGES:
         try:

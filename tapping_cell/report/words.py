@@ -1,4 +1,4 @@
-"""Words for the numbers in the cell's messages."""
+"""Names of the numeric states in the cell's messages."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ PHASES = (
     "canceled",
     "waiting for confirmation",
 )
-"""States of ``tapping_cell_msgs/PlanState``, by number."""
+"""Names of the states of ``tapping_cell_msgs/PlanState``, by number."""
 
 OUTCOMES = ("none", "fired", "not fired", "unknown")
-"""Outcomes of ``tapping_cell_msgs/TapperState``, by number."""
+"""Names of the outcomes of ``tapping_cell_msgs/TapperState``, by number."""
 
 
 def word(words: tuple[str, ...], number: int) -> str:
-    """The word of a number; ``unknown`` where there is none, as in messages of another version."""
+    """Return the name of a number; ``unknown`` if none, as in messages of another version."""
     return words[number] if 0 <= number < len(words) else "unknown"
