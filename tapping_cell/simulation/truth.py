@@ -15,13 +15,15 @@ from tapping_cell.configuration.schema import choice, quantity, section, text
 class SupportTruth:
     """True support of the object on the table."""
 
-    friction_factor: float = quantity("true over configured friction", "", 0.1, 10.0, default=1.0)
+    friction_factor: float = quantity(
+        "ratio of the true to the configured friction", "", 0.1, 10.0, default=1.0
+    )
     torque_factor_factor: float = quantity(
-        "true over configured torque factor", "", 0.05, 20.0, default=1.0
+        "ratio of the true to the configured torque factor", "", 0.05, 20.0, default=1.0
     )
     pressure: str = choice(
-        "where the weight rests: evenly on the whole underside, on the rim, on three points, or on "
-        "a grid of pads",
+        "distribution of the load: even over the whole underside, on the rim, on three points, or "
+        "on a grid of pads",
         "even",
         "rim",
         "three_points",
@@ -29,25 +31,29 @@ class SupportTruth:
         default="even",
     )
     edge_weight: float = quantity(
-        "extra pressure at the rim relative to the middle", "", 0.0, 20.0, default=0.0
+        "additional pressure at the rim, relative to the centre", "", 0.0, 20.0, default=0.0
     )
     feet_radius: float = quantity(
-        "distance of three points from the middle, over that of the outline",
+        "distance of the three points from the centre, as a fraction of the outline's distance",
         "",
         0.05,
         1.0,
         default=0.8,
     )
     feet_turn: float = quantity(
-        "direction of the first of three points in the object", "rad", -7.0, 7.0, default=0.0
+        "direction of the first of the three points in the object's frame",
+        "rad",
+        -7.0,
+        7.0,
+        default=0.0,
     )
-    pads: int = quantity("pads along the longer side of the object", "", 3, 40, default=9)
+    pads: int = quantity("number of pads along the longer side of the object", "", 3, 40, default=9)
     pad_scatter: float = quantity(
         "standard deviation of the logarithm of a pad's load", "", 0.0, 3.0, default=0.5
     )
-    pad_seed: int = quantity("seed of the pads' loads", "", 0, 2**31 - 1, default=1)
+    pad_seed: int = quantity("random seed of the pads' loads", "", 0, 2**31 - 1, default=1)
     lean: tuple[float, float] = quantity(
-        "friction of the underside larger towards +x and +y of the object",
+        "relative increase of the underside's friction towards +x and +y of the object",
         "",
         -1.0,
         1.0,
@@ -57,10 +63,14 @@ class SupportTruth:
         "x and y of the centre of mass in the object's frame", "m", -0.2, 0.2, default=(0.0, 0.0)
     )
     inertia_factor: float = quantity(
-        "true moment of inertia over that of a uniform object", "", 0.1, 3.0, default=1.0
+        "ratio of the true moment of inertia to that of a uniform object", "", 0.1, 3.0, default=1.0
     )
     slope: tuple[float, float] = quantity(
-        "tilt of the table, downhill along +x and +y", "rad", -0.05, 0.05, default=(0.0, 0.0)
+        "tilt of the table; positive values are downhill along +x and +y",
+        "rad",
+        -0.05,
+        0.05,
+        default=(0.0, 0.0),
     )
 
 
@@ -70,7 +80,7 @@ class PatchTruth:
 
     middle: tuple[float, float] = quantity("x and y in table", "m", -3.0, 3.0)
     radius: float = quantity("radius", "m", 0.001, 3.0)
-    factor: float = quantity("friction over that of the table", "", 0.05, 20.0)
+    factor: float = quantity("ratio of the patch's friction to that of the table", "", 0.05, 20.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,24 +88,26 @@ class SurfaceTruth:
     """Dependence of the table's friction on direction, speed and place."""
 
     anisotropy: float = quantity(
-        "friction across the grain over that along it", "", 0.2, 5.0, default=1.0
+        "ratio of the friction across the grain to that along it", "", 0.2, 5.0, default=1.0
     )
-    grain: float = quantity("direction of the grain in table", "rad", -7.0, 7.0, default=0.0)
+    grain: float = quantity(
+        "direction of the grain in the frame table", "rad", -7.0, 7.0, default=0.0
+    )
     slow_rise: float = quantity(
-        "friction of a creeping point over that of a fast one, less 1", "", -0.9, 5.0, default=0.0
+        "relative increase of the friction at very low speed", "", -0.9, 5.0, default=0.0
     )
     slow_speed: float = quantity(
-        "speed at which the slow rise has fallen to a third (1 / e)",
+        "speed at which slow_rise has decayed to 1/e",
         "m/s",
         0.001,
         5.0,
         default=0.02,
     )
     viscous: float = quantity(
-        "relative rise of the friction with the speed", "s/m", 0.0, 20.0, default=0.0
+        "relative increase of the friction per speed", "s/m", 0.0, 20.0, default=0.0
     )
     patches: tuple[PatchTruth, ...] = section(
-        "patches with another friction; where they overlap the factors multiply", default=()
+        "patches with different friction; the factors of overlapping patches multiply", default=()
     )
 
 
@@ -103,38 +115,43 @@ class SurfaceTruth:
 class ImpactTruth:
     """True impact between striker and object."""
 
-    restitution_factor: float = quantity("true over configured", "", 0.1, 3.0, default=1.0)
-    contact_friction_factor: float = quantity("true over configured", "", 0.1, 10.0, default=1.0)
+    restitution_factor: float = quantity(
+        "ratio of the true to the configured restitution", "", 0.1, 3.0, default=1.0
+    )
+    contact_friction_factor: float = quantity(
+        "ratio of the true to the configured contact friction", "", 0.1, 10.0, default=1.0
+    )
     striker_speed_factor: float = quantity(
-        "true over commanded striker speed", "", 0.1, 3.0, default=1.0
+        "ratio of the true to the commanded striker speed", "", 0.1, 3.0, default=1.0
     )
     gate_noise: float = quantity(
-        "standard deviation of the tapper's own measurement of the speed, relative",
+        "relative standard deviation of the tapper's speed measurement",
         "",
         0.0,
         0.2,
         default=0.0,
     )
     contact_time: float = quantity(
-        "duration of a central impact, if it were elastic", "s", 0.00002, 0.005, default=0.0002
+        "duration of a central elastic impact", "s", 0.00002, 0.005, default=0.0002
     )
     tangential_stiffness: float = quantity(
-        "stiffness of the contact along the tangent over that along the normal; 0 for rigid",
+        "ratio of the contact's tangential to normal stiffness; 0 for rigid",
         "",
         0.0,
         2.0,
         default=0.0,
     )
     oblique_loss: float = quantity(
-        "share of the restitution that a grazing impact loses (by the sine squared of its angle)",
+        "fraction of the restitution that a grazing impact loses, proportional to the squared "
+        "sine of its angle",
         "",
         0.0,
         1.0,
         default=0.0,
     )
     follow_through: float = quantity(
-        "time after the first touch for which the striker goes on, to the end of its stroke at "
-        "most, before it is drawn back",
+        "time for which the striker moves on after the first contact, at most to the end of its "
+        "stroke, before it retracts",
         "s",
         0.0,
         2.0,
@@ -146,9 +163,13 @@ class ImpactTruth:
 class ScatterTruth:
     """Standard deviations of the random errors of each tap."""
 
-    speed: float = quantity("of the launch speed, relative", "", 0.0, 0.5, default=0.0)
-    spin: float = quantity("of the launch spin, relative", "", 0.0, 1.0, default=0.0)
-    direction: float = quantity("of the direction", "rad", 0.0, 0.5, default=0.0)
+    speed: float = quantity(
+        "relative standard deviation of the launch speed", "", 0.0, 0.5, default=0.0
+    )
+    spin: float = quantity(
+        "relative standard deviation of the launch spin", "", 0.0, 1.0, default=0.0
+    )
+    direction: float = quantity("standard deviation of the direction", "rad", 0.0, 0.5, default=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,23 +177,27 @@ class ArmTruth:
     """True pose and motion errors of the arm."""
 
     base_offset: tuple[float, float, float] = quantity(
-        "true minus configured base pose: m, m, rad", "", -0.05, 0.05, default=(0.0, 0.0, 0.0)
+        "true minus configured pose of the arm's base: m, m, rad",
+        "",
+        -0.05,
+        0.05,
+        default=(0.0, 0.0, 0.0),
     )
     joint_offset: tuple[float, float, float, float] = quantity(
-        "true minus reported joints: rad, rad, m, rad", "", -0.05, 0.05, default=(0.0,) * 4
+        "true minus reported joint positions: rad, rad, m, rad", "", -0.05, 0.05, default=(0.0,) * 4
     )
     backlash: tuple[float, float, float, float] = quantity(
-        "full play of the drives: rad, rad, m, rad", "", 0.0, 0.05, default=(0.0,) * 4
+        "backlash of the drives: rad, rad, m, rad", "", 0.0, 0.05, default=(0.0,) * 4
     )
     repeatability: tuple[float, float, float, float] = quantity(
-        "standard deviation of where a target ends: rad, rad, m, rad",
+        "repeatability: standard deviation of the joint positions at a target: rad, rad, m, rad",
         "",
         0.0,
         0.05,
         default=(0.0,) * 4,
     )
     holds: tuple[float, float, float] | None = quantity(
-        "pose of the object on the striker, where the arm holds it to be calibrated: m, m, rad",
+        "pose of the object on the striker while the arm holds it for calibration: m, m, rad",
         "",
         -7.0,
         7.0,
@@ -185,10 +210,14 @@ class MountsTruth:
     """True lines of travel of fixed tappers, drawn at random around those of the cell file."""
 
     offset: float = quantity(
-        "standard deviation of a line beside its place", "m", 0.0, 0.01, default=0.0002
+        "standard deviation of the lateral offset of a tapper's line",
+        "m",
+        0.0,
+        0.01,
+        default=0.0002,
     )
     angle: float = quantity(
-        "standard deviation of a line's direction", "rad", 0.0, 0.1, default=0.002
+        "standard deviation of the direction of a tapper's line", "rad", 0.0, 0.1, default=0.002
     )
 
 
@@ -197,23 +226,33 @@ class CameraTruth:
     """True parameters of the camera, compared with its calibration file."""
 
     position: tuple[float, float, float] = quantity(
-        "of the lens in table", "m", -3.0, 3.0, default=(0.02, -0.015, 0.7)
+        "position of the lens in the frame table", "m", -3.0, 3.0, default=(0.02, -0.015, 0.7)
     )
     aim: tuple[float, float] = quantity(
-        "where the optical axis meets the table", "m", -3.0, 3.0, default=(0.0, 0.0)
+        "intersection of the optical axis with the table", "m", -3.0, 3.0, default=(0.0, 0.0)
     )
-    turn: float = quantity("of the image about its axis", "rad", -7.0, 7.0, default=0.01)
-    focal_factor: float = quantity("true over calibrated", "", 0.9, 1.1, default=1.0)
+    turn: float = quantity(
+        "rotation of the image about the optical axis", "rad", -7.0, 7.0, default=0.01
+    )
+    focal_factor: float = quantity(
+        "ratio of the true to the calibrated focal length", "", 0.9, 1.1, default=1.0
+    )
     distortion_offset: float = quantity(
-        "added to the first radial coefficient", "", -0.2, 0.2, default=0.0
+        "offset of the first radial distortion coefficient", "", -0.2, 0.2, default=0.0
     )
-    noise: float = quantity("standard deviation of a pixel", "grey levels", 0.0, 20.0, default=2.0)
+    noise: float = quantity(
+        "standard deviation of the pixel noise", "grey levels", 0.0, 20.0, default=2.0
+    )
     light_falloff: float = quantity(
-        "light lost from the brightest to the darkest side", "", 0.0, 0.9, default=0.3
+        "fraction of the light lost from the brightest to the darkest side",
+        "",
+        0.0,
+        0.9,
+        default=0.3,
     )
-    exposure: float = quantity("time of exposure", "s", 0.0001, 0.03, default=0.006)
-    shows_arm: bool = text("the picture shows the arm over the table", default=False)
-    latency: float = quantity("from exposure to publication", "s", 0.0, 0.5, default=0.015)
+    exposure: float = quantity("exposure time", "s", 0.0001, 0.03, default=0.006)
+    shows_arm: bool = text("whether the image shows the arm above the table", default=False)
+    latency: float = quantity("delay from exposure to publication", "s", 0.0, 0.5, default=0.015)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +260,7 @@ class TruthFile:
     """Parameters of the simulated world."""
 
     object_start: tuple[float, float, float] = quantity(
-        "x and y in m and theta in rad of the object when the world begins", "", -7.0, 7.0
+        "initial pose of the object: x and y in m, theta in rad", "", -7.0, 7.0
     )
     support: SupportTruth = section("support of the object", default=SupportTruth())
     surface: SurfaceTruth = section("friction of the table", default=SurfaceTruth())
@@ -231,8 +270,8 @@ class TruthFile:
     mounts: MountsTruth = section("mounts of fixed tappers", default=MountsTruth())
     camera: CameraTruth = section("camera", default=CameraTruth())
     further_starts: tuple[tuple[float, float, float], ...] = quantity(
-        "the same of the cell's further objects, in their order; those without one begin at random "
-        "free places",
+        "initial poses of the cell's additional objects, in their order; objects without one "
+        "start at random free places",
         "",
         -7.0,
         7.0,
