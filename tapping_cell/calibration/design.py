@@ -71,7 +71,7 @@ class Design:
         "incidences of the runs", "rad", -math.pi / 2, math.pi / 2, default=INCIDENCES
     )
     trials: int = quantity("trials of each run", "", 1, 1000, default=TRIALS)
-    seed: int = quantity("of a simulated world", "", 0, 2**31 - 1, default=1)
+    seed: int = quantity("random seed of the simulated world", "", 0, 2**31 - 1, default=1)
 
     def __post_init__(self) -> None:
         for name in ("speeds", "incidences"):

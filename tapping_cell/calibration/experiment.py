@@ -24,7 +24,7 @@ class StrikerSection:
     mass: float = quantity("mass of the striker", "kg", 0.001, 10.0)
     tip_radius: float = quantity("radius of the ball at the tip", "m", 0.0, 0.1)
     constraint: Literal["linear_bearings", "free"] = choice(
-        "how the striker is held", "linear_bearings", "free"
+        "guidance of the striker", "linear_bearings", "free"
     )
 
     def striker(self) -> Striker:
@@ -44,10 +44,10 @@ class ExperimentFile:
         "the striker; without it, the impact is not fitted", default=None
     )
     object: ObjectFile | None = section(
-        "the object as the planner knew it; without it fit needs --object", default=None
+        "object file that the planner used; without it, fit needs --object", default=None
     )
     camera_rate_hz: float | None = quantity(
-        "poses per second for rows that give none; default: from the times of the tracks",
+        "frame rate for rows that state none; default: from the times of the tracks",
         "Hz",
         1.0,
         1e5,
@@ -71,7 +71,7 @@ class ExperimentFile:
         "standard deviation of the angle of a track sample", "rad", 0.0, 1.0, default=0.002
     )
     striker_speed_std: float = quantity(
-        "standard deviation of a measured striker speed, relative", "", 0.0, 0.5, default=0.01
+        "relative standard deviation of a measured striker speed", "", 0.0, 0.5, default=0.01
     )
 
 

@@ -192,7 +192,7 @@ def _scatter(name: str, value: float, count: int, old: float, unit: str) -> Esti
 
 
 def _smallest(content: ObjectFile, predicted: Array) -> Estimate:
-    """Return the smallest predicted tap among the taps used, as the new ``smallest_tap``."""
+    """Return the smallest tap that had its effect, or the file's if no tap used was as small."""
     seen = float(np.hypot(predicted[:, 0], predicted[:, 1]).min())
-    value = min(max(seen, 1e-4), 0.1)
+    value = min(max(seen, 1e-4), content.smallest_tap)
     return Estimate("smallest_tap", value, 0.0, value, 0.0, content.smallest_tap, "m")

@@ -21,16 +21,19 @@ from tapping_cell.nodes import security
 COMMON = {
     "namespace": ("", "namespace of every node, one for each cell"),
     "cell_file": ("", "cell file; if empty, the package's default"),
-    "object_file": ("", "object file; empty for the cell file's"),
-    "planner": ("", "planning method; empty for the cell file's"),
-    "params_file": ("", "file of ROS parameters for every node; its values win over the others"),
+    "object_file": ("", "object file; if empty, the one named in the cell file"),
+    "planner": ("", "planning method; if empty, the one named in the cell file"),
+    "params_file": ("", "file of ROS parameters for every node; overrides the other arguments"),
     "runs": ("runs", "folder in which every goal gets a run folder"),
-    "use_sim_time": ("false", "take the time from /clock, as when a bag is played"),
+    "use_sim_time": ("false", "use the time of /clock, for example while a bag is played"),
     "page": ("false", "serve the operator's web page"),
-    "page_address": ("localhost", "where: 0.0.0.0 for the whole network, with a token"),
+    "page_address": (
+        "localhost",
+        "address of the page; 0.0.0.0 for the whole network, with a token",
+    ),
     "page_port": ("8010", "port of the page"),
     "page_stop_port": ("9010", "port of the page's STOP"),
-    "description": ("true", "describe the arm for RViz (robot_state_publisher, where installed)"),
+    "description": ("true", "start robot_state_publisher with the arm's URDF, if it is installed"),
 }
 """Arguments of every launch file: default and description."""
 

@@ -31,12 +31,12 @@ class ExitStatus(IntEnum):
 
 
 MEANINGS = {
-    ExitStatus.DONE: "done: what was asked for is true",
-    ExitStatus.FAILED: "not done: it was tried and the error says why it failed, or what was "
-    "asked for is not the case",
+    ExitStatus.DONE: "success",
+    ExitStatus.FAILED: "failure: the command was tried and the error states why it failed, or the "
+    "condition that it checks is false",
     ExitStatus.REFUSED: "refused: arguments or files are wrong, and nothing was started",
-    ExitStatus.INTERRUPTED: "interrupted by Ctrl-C or a termination signal, in order",
-    ExitStatus.READER_HAS_GONE: "the reader of the output has gone, as `head` does",
+    ExitStatus.INTERRUPTED: "interrupted by Ctrl-C or a termination signal, after an orderly shutdown",
+    ExitStatus.READER_HAS_GONE: "the reader of the output has closed it, as `head` does",
 }
 """Description of each exit code."""
 

@@ -5,7 +5,7 @@ The images simulate a camera with the given calibration and the sheets of `calib
 including lens distortion, point spread, uneven light and noise.
 
     python -m tapping_cell calibrate photographs --output pictures
-    python -m tapping_cell calibrate camera pictures --squares 10x7 --square-size 25 \
+    python -m tapping_cell calibrate camera pictures --squares 10x7 --square-size 25 \\
         --marker-size 18.75
 """
 

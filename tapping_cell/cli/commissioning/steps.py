@@ -234,7 +234,7 @@ def _homed(session: Session, **options: Any) -> Iterator[tuple[Graph, ArmPoseCli
         with CellClient() as client:
             _home(session, client, graph)
         with ArmPoseClient() as arm:
-            wait(lambda: not arm.missing(), READY_S, "; ".join(arm.missing()) or "the arm", graph)
+            wait(lambda: not arm.missing(), READY_S, "an arm that is ready to move", graph)
             yield graph, arm
 
 
