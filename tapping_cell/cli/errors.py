@@ -35,7 +35,7 @@ MEANINGS = {
     ExitStatus.FAILED: "failure: the command was tried and the error states why it failed, or the "
     "condition that it checks is false",
     ExitStatus.REFUSED: "refused: arguments or files are wrong, and nothing was started",
-    ExitStatus.INTERRUPTED: "interrupted by Ctrl-C or a termination signal, after an orderly shutdown",
+    ExitStatus.INTERRUPTED: "orderly end after Ctrl-C or a termination signal",
     ExitStatus.READER_HAS_GONE: "the reader of the output has closed it, as `head` does",
 }
 """Description of each exit code."""
