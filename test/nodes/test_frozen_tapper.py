@@ -59,7 +59,10 @@ def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
             b.wait(
                 lambda: states and states[-1].state == TapperState.SAFE, "the tapper is safe", 40.0
             )
-            for tap_id in range(100, 100 + FREEZES):
+            # On a busy machine a tap may be given up before the arm is asked: it was not frozen.
+            for tap_id in range(100, 100 + 2 * FREEZES):
+                if len(promised) == FREEZES:
+                    break
                 tap = TapCommand(request=TapCommand.TAP, tap_id=tap_id, striker_speed=SPEED_M_S)
                 tap.header.frame_id = "table"
                 now = node.get_clock().now()
