@@ -19,7 +19,7 @@ from tapping_cell.planning import (
     make_planner,
 )
 from tapping_cell.planning.evaluation import Evaluation
-from tapping_cell.planning.quickest import near_taps, quickest_first
+from tapping_cell.planning.near_taps import best_first, near_taps
 
 CAMERA = CameraNoise(5e-5, math.radians(0.05))
 
@@ -99,7 +99,7 @@ def test_the_quickest_tap_comes_first(cell):
     taps = near_taps(pose, left, own, session.gains, planner, planner.settings)
     best = 1.0 + taps.follow.min()
     assert best == pytest.approx(float(planner.taps_to_go(math.hypot(0.02, 0.01), 0.3)), abs=0.02)
-    quick = quickest_first(pose, left, taps, session.gains, space, times, times.parked)
+    quick = best_first(pose, left, taps, session.gains, space, times, times.parked)
     _, strikes = space.strike_poses(pose, quick[:1])
     row = np.argmin(np.linalg.norm(taps.commanded - quick[0], axis=1))
     ways = np.array([times.to_strikes(times.parked, strikes)[0], times.mean_way])
