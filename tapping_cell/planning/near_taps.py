@@ -1,7 +1,7 @@
-"""Which tap of all directions is best: by the taps that follow, or by time with the arm's way.
+"""Which tap of all directions brings the object to its goal in the least time.
 
 Many taps are nearly as good as the method's own: where two are needed, the first may go almost
-anywhere. In taps the best one has the least E[taps that follow]; in time the least ::
+anywhere. Chosen is the one with the least expected time ::
 
     t(tap) + E[taps that follow] t_mean + P (t(next) - t_way),
 
@@ -80,11 +80,10 @@ def best_first(
     taps: NearTaps,
     gains: Gains,
     space: StrikeSpace,
-    times: TapTimes | None,
-    tip: Array | None,
+    times: TapTimes,
+    tip: Array,
 ) -> Array:
-    """The taps in the order of the time that is expected, or of the taps where no times are given,
-    (m, 3). A tap after which the arm has no room for the direct one costs one more.
+    """The taps in the order of the time that is expected, (m, 3). A tap after which the arm has no room for the direct one costs one more.
 
     ``space``: which taps can be struck; ``times``: of the arm's way; ``tip``: where the arm's tip
     stands, x, y, height, yaw in `table`. The others as for ``near_taps``.
@@ -96,13 +95,12 @@ def best_first(
     # One direct tap more where about one follows; where two do, the first may go anywhere.
     direct = np.clip(np.minimum(follow, 2.0 - follow), 0.0, 1.0)
     cost = follow + np.where(room, 0.0, direct)
-    if times is not None and tip is not None:
-        possible, strikes = space.strike_poses(pose, commanded)
-        next_way = times.between(strikes, following) - times.mean_way
-        cost = times.to_strikes(tip, strikes) + cost * times.mean_tap + direct * next_way
-        cost = np.where(possible, cost, np.inf)
-    order = np.argsort(cost, kind="stable")
-    chosen: Array = commanded[order[np.isfinite(cost[order])]]
+    possible, strikes = space.strike_poses(pose, commanded)
+    next_way = times.between(strikes, following) - times.mean_way
+    seconds = times.to_strikes(tip, strikes) + cost * times.mean_tap + direct * next_way
+    seconds = np.where(possible, seconds, np.inf)
+    order = np.argsort(seconds, kind="stable")
+    chosen: Array = commanded[order[np.isfinite(seconds[order])]]
     return chosen
 
 

@@ -404,7 +404,7 @@ class PositioningSession(GoalSession):
             share * tap.distance, share * tap.rotation, heading, pose[2], slope
         )
         detour = self._obstacle(pose, first, missed)
-        best = self._best_near(pose, left, tap, missed, detour)
+        best = self._best_near(pose, left, tap, missed)
         if best is not None:
             return self._made(pose, left, *best, detour)
         if not detour:
@@ -440,14 +440,13 @@ class PositioningSession(GoalSession):
         return self._no_strike(pose, detour, allowed, struck, trusted)
 
     def _best_near(
-        self, pose: Array, left: Array, own: Taps, missed: tuple[float, ...], detour: str
+        self, pose: Array, left: Array, own: Taps, missed: tuple[float, ...]
     ) -> tuple[Array, StrikePlan] | None:
-        """The best tap of all directions, (3,), by the values of the method: in time where that
-        is the objective, in taps where the method's ``own`` cannot be made; or None."""
-        times = None if self.arm is None else self._times
-        if times is None and not detour:
+        """The tap of all directions, (3,), from which the goal is reached in the least time, or
+        None where that is not known; ``own``: the method's."""
+        if self._times is None or self.arm is None or self._blocked(pose):
             return None
-        if not isinstance(self.planner, TapValues) or self._blocked(pose):
+        if not isinstance(self.planner, TapValues):
             return None
         if isinstance(self._space.tap.body, Polygon):
             return None  # its edges decide which taps there are, of which the values know nothing
@@ -458,8 +457,8 @@ class PositioningSession(GoalSession):
         fits = np.hypot(taps.commanded[:, 0], taps.commanded[:, 1]) <= longest
         fits &= _elsewhere(taps.commanded, missed) & self._ends_well(pose, taps.commanded)
         safe = NearTaps(taps.commanded[fits], taps.follow[fits])
-        tip = None if self.arm is None else np.asarray(self.arm, dtype=float)
-        best = best_first(pose, left, safe, self.gains, self._space, times, tip)
+        tip = np.asarray(self.arm, dtype=float)
+        best = best_first(pose, left, safe, self.gains, self._space, self._times, tip)
         for start in range(0, len(best), NEAR_CHUNK):
             some = best[start : start + NEAR_CHUNK]
             found = self._space.first_strike(Pose(*pose.tolist()), some)
