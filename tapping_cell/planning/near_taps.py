@@ -83,7 +83,8 @@ def best_first(
     times: TapTimes,
     tip: Array,
 ) -> Array:
-    """The taps in the order of the time that is expected, (m, 3). A tap after which the arm has no room for the direct one costs one more.
+    """The taps in the order of the time that is expected, (m, 3). A tap after which the arm has no
+    room for the direct one costs one more.
 
     ``space``: which taps can be struck; ``times``: of the arm's way; ``tip``: where the arm's tip
     stands, x, y, height, yaw in `table`. The others as for ``near_taps``.
