@@ -13,6 +13,7 @@ from typing import Any
 
 from tapping_cell.planning import CameraNoise, PlannerSettings
 from tapping_cell.planning.evaluation import Evaluation, evaluate, summarise
+from tapping_cell.planning.policy_cache import keep_policy
 from tapping_cell.planning.precision_limit import smallest_tap_share
 from tapping_cell.planning.value_iteration import solutions
 
@@ -33,9 +34,8 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
                 camera=CameraNoise(1e-5, math.radians(0.01)),
             )
             began = time.process_time()
-            solved = []
-            for _ in solutions(settings):
-                solved.append(time.process_time() - began)
+            solved = [(time.process_time() - began, plan) for plan in solutions(settings)]
+            keep_policy(settings, solved[-1][1])  # else the trials would solve it again
             found = summarise(evaluate(Evaluation("optimal", settings, trials=count), 1))
             rows.append(
                 {
@@ -45,8 +45,8 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
                     "truly_inside": found["truly_inside_rate"],
                     "done": found["success_rate"],
                     "smallest_taps_inside": smallest_tap_share(settings),
-                    "first_answer_s": solved[0],
-                    "solved_s": solved[-1],
+                    "first_answer_s": solved[0][0],
+                    "solved_s": solved[-1][0],
                 }
             )
     return {"trials": count, "rows": rows}

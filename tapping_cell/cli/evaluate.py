@@ -41,6 +41,7 @@ from tapping_cell.cli.evaluate_fixed import add_fixed_arguments, run_fixed
 if TYPE_CHECKING:
     from tapping_cell.cli.sweep import Point
     from tapping_cell.configuration.cell import Cell
+    from tapping_cell.logic.arm_times import ArmTimes
     from tapping_cell.planning.evaluation import Evaluation, PhysicsWorld, Results
     from tapping_cell.planning.evaluation.worlds import World
     from tapping_cell.planning.settings import PlannerSettings
@@ -172,6 +173,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DEG",
         help="the arm rounds the striker's angle to multiples of this (physics)",
     )
+    parser.add_argument(
+        "--objective",
+        choices=("taps", "time"),
+        help="reach goals with the fewest taps or in the least time of taps and arm (--table; "
+        "default: the cell file's)",
+    )
     numbers("--table", action="store_true", help="on the cell's table, within the arm's reach")
     numbers("--cell", type=Path, metavar="FILE", help="cell file (physics and --table)")
     numbers("--object", type=Path, metavar="FILE", help="object file (physics and --table)")
@@ -284,7 +291,8 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
 
     settings = _settings(arguments)
     world: World | None = None
-    space = None
+    space = clock = None
+    objective = arguments.objective
     if arguments.model != "abstract" or arguments.table:
         from tapping_cell.configuration.assembly import make_tap
         from tapping_cell.configuration.cell import load_cell
@@ -303,6 +311,8 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
         elif arguments.model == "world":
             world = _simulated(arguments, cell)
         if arguments.table:
+            objective = objective or cell.file.goal.objective
+            clock = functools.partial(_arm_times, arguments.cell, arguments.object, arguments.truth)
             space = functools.partial(_cell_space, arguments.cell, arguments.object)
     if arguments.model == "abstract" and (arguments.round_position or arguments.round_angle):
         raise PlanningError("rounding moves the striker: give --model physics or world with it")
@@ -331,6 +341,8 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
         seed=arguments.seed,
         most_taps=arguments.most_taps,
         space=space,
+        objective=objective or "taps",
+        clock=clock,
     )
 
 
@@ -387,6 +399,18 @@ def _cell_space(cell: Path | None, content: Path | None) -> StrikeSpace:
     from tapping_cell.configuration.cell import load_cell
 
     return make_strike_space(load_cell(cell, content))
+
+
+def _arm_times(cell: Path | None, content: Path | None, truth: Path | None) -> ArmTimes:
+    from tapping_cell.configuration.cell import load_cell
+    from tapping_cell.configuration.files import shared_folder
+    from tapping_cell.configuration.schema import load
+    from tapping_cell.logic.arm_times import ArmTimes
+    from tapping_cell.simulation.truth import TruthFile
+
+    path = truth or shared_folder() / "truth" / "default.yaml"
+    lens = load(TruthFile, Path(path).expanduser()).camera.position
+    return ArmTimes(load_cell(cell, content), lens)
 
 
 def _physics(arguments: argparse.Namespace, cell: Any, scatter: Any) -> PhysicsWorld:
@@ -490,6 +514,7 @@ def _text(planner: str, figures: dict[str, Any]) -> str:
         f"(95 % interval {taps['mean_interval'][0]:.3f} to {taps['mean_interval'][1]:.3f})",
         f"                    half within {taps['p50']}, 90 % {taps['p90']}, 99 % {taps['p99']}, "
         f"most {taps['max']}",
+        *_seconds_text(figures),
         f"  done              {100 * figures['success_rate']:.2f} %",
         f"  truly inside      {100 * figures['truly_inside_rate']:.2f} % of those",
         f"  stopping box      {box['distance_mm']:.3f} mm, {box['rotation_deg']:.3f} degrees",
@@ -512,6 +537,17 @@ def _text(planner: str, figures: dict[str, Any]) -> str:
         if figures[key]:
             lines.append(f"  {label:<17} {figures[key]}")
     return "\n".join(lines)
+
+
+def _seconds_text(figures: dict[str, Any]) -> list[str]:
+    seconds = figures.get("seconds")
+    if seconds is None:
+        return []
+    low, high = seconds["mean_interval"]
+    return [
+        f"  seconds           mean {seconds['mean']:.2f} (95 % interval {low:.2f} to {high:.2f}), "
+        f"90 % within {seconds['p90']:.1f}"
+    ]
 
 
 def _sweep(arguments: argparse.Namespace) -> int:

@@ -608,6 +608,13 @@ class GoalSection:
     )
     planner: str = text("name of the planning method")
     max_taps: int = quantity("maximum number of taps for a goal", "", 1, 1000)
+    objective: str = choice(
+        "what a goal is reached with the fewest of: taps, or seconds of the taps and the arm's way "
+        "(with fixed tappers, whose taps all take as long, the same)",
+        "taps",
+        "time",
+        default="taps",
+    )
 
 
 @dataclass(frozen=True, slots=True)

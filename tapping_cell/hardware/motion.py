@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.scara import Joints, ReachCode, ScaraGeometry, TipPose
+from tapping_cell.hardware.scara import Branch, Joints, ReachCode, ScaraGeometry, TipPose
 
 Array = NDArray[np.float64]
 
@@ -88,6 +88,29 @@ def strike_path(
         Waypoint(above, fast, "travel"),
         lower,
     )
+
+
+def strike_durations(
+    geometry: ScaraGeometry, current: ArrayLike, tips: ArrayLike, settings: MotionSettings
+) -> Array:
+    """``path_duration`` of many ``strike_path``: joints (..., 4) to tip poses (..., 4), which
+    broadcast; infinite where the arm cannot reach."""
+    start, tip = np.broadcast_arrays(
+        np.asarray(current, dtype=float), np.asarray(tips, dtype=float)
+    )
+    negative = start[..., 1] + geometry.joint_offset[1] < 0
+    sides = [geometry.inverse_many(tip, side, start).joints for side in Branch]
+    own, other = (np.where(negative[..., None], *pair) for pair in (sides[::-1], sides))
+    goal = np.where(np.isfinite(own), own, other)
+    clear = _clear_quill(geometry, settings)
+    raised, above, slow = start.copy(), goal.copy(), goal.copy()
+    raised[..., 2] = np.maximum(start[..., 2], clear)
+    above[..., 2] = np.maximum(goal[..., 2], clear)
+    slow[..., 2] = np.minimum(goal[..., 2] + settings.near_height, above[..., 2])
+    near, fast = settings.near_speed, settings.travel_speed
+    moves = ((start, raised, near), (raised, above, fast), (above, slow, fast), (slow, goal, near))
+    total = sum(move_durations(geometry, *move) for move in moves)
+    return np.asarray(np.where(np.isfinite(goal[..., 0]), total, np.inf))
 
 
 def withdraw_path(

@@ -100,14 +100,14 @@ def _wrap(angle: Array) -> Array:
     return np.asarray((angle + math.pi) % (2 * math.pi) - math.pi)
 
 
-def _into_range(angle: Array, low: float, high: float, near: float) -> tuple[Array, Array]:
+def _into_range(angle: Array, low: float, high: float, near: Array) -> tuple[Array, Array]:
     """The turn of ``angle`` inside [low, high] nearest to ``near``, and how far out it is if none
     is."""
     turns = _wrap(angle)[..., None] + 2 * math.pi * np.arange(-2, 3)
     excess = np.maximum(np.maximum(low - turns, turns - high), 0.0)
     excess = np.where(excess <= LIMIT_SLACK, 0.0, excess)
     # Excess decides first, the distance to `near` only between turns inside.
-    order = np.where(excess > 0, 1e3 + excess, np.abs(turns - near) * 1e-3)
+    order = np.where(excess > 0, 1e3 + excess, np.abs(turns - near[..., None]) * 1e-3)
     best = np.argmin(order, axis=-1)[..., None]
     return (
         np.take_along_axis(turns, best, axis=-1)[..., 0],
@@ -229,7 +229,7 @@ class ScaraGeometry:
     ) -> ManySolutions:
         """Joints for tip poses (..., 4) = x, y, z, yaw in ``arm_base`` with the elbow on one side.
 
-        ``near``: joints (4,) whose turns of shoulder and tool are preferred; zero when None.
+        ``near``: joints (..., 4) whose turns of shoulder and tool are preferred; zero when None.
         """
         p = np.asarray(poses, dtype=float)
         close = np.zeros(4) if near is None else np.asarray(near, dtype=float)
@@ -249,8 +249,10 @@ class ScaraGeometry:
         bend = np.abs(elbow)
         tool = heading - shoulder - elbow - self.joint_offset[3]
         shoulder, elbow = shoulder - self.joint_offset[0], elbow - self.joint_offset[1]
-        shoulder, shoulder_excess = _into_range(shoulder, self.lower[0], self.upper[0], close[0])
-        tool, tool_excess = _into_range(tool, self.lower[3], self.upper[3], close[3])
+        shoulder, shoulder_excess = _into_range(
+            shoulder, self.lower[0], self.upper[0], close[..., 0]
+        )
+        tool, tool_excess = _into_range(tool, self.lower[3], self.upper[3], close[..., 3])
         quill = safe[..., 2] - self.tip_height - self.joint_offset[2]
         margin = self.singularity_margin
         excesses = (

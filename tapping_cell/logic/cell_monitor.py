@@ -70,6 +70,15 @@ class CellMonitor:
         return not any(state.fixed_mounts for state in self._boards.values())
 
     @property
+    def tip(self) -> tuple[float, float, float, float] | None:
+        """Where the arm says that its tip stands, x, y, height and yaw in ``table``; None where it
+        does not know."""
+        if self.arm is None or not self.arm.homed:
+            return None
+        place = from_message(self.arm.tip_pose)
+        return place.x, place.y, self.arm.tip_pose.position.z, place.theta
+
+    @property
     def tapper(self) -> TapperState | None:
         """What there is to say of the tappers: the last word of the board that has something to
         say; a fault before a tap under way before rest."""

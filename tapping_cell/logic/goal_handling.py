@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.logic import tap_commands
+from tapping_cell.logic.arm_times import ArmTimes
 from tapping_cell.logic.arrangement import ArrangementTask, Wanted
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Token
@@ -75,6 +76,7 @@ class GoalHandling:
         other_objects: OtherObjects,
         now: Now,
         *,
+        objective: str = "",
         adapt: bool,
         probe: bool,
         keep_for: str,
@@ -83,16 +85,20 @@ class GoalHandling:
         frames: Frames | None = None,
         solve_in_background: bool = True,
     ) -> None:
-        """``other_objects``: to be avoided; ``adapt``: learn from taps; ``probe``: begin with
-        a few of the smallest taps for an object that is not known; ``keep_for``: the cell for which
-        what was learnt is remembered between runs, empty for none; ``time_limit``: of a goal that
-        states none, s; ``maps``: made before for the same cell;
-        ``frames``: knows the frames of goals, None for ``table`` alone."""
+        """``other_objects``: to be avoided; ``objective``: what goals are reached with the fewest
+        of, empty for the cell file's; ``adapt``: learn from taps; ``probe``: begin with a few of
+        the smallest taps for an object that is not known; ``keep_for``: the cell for which what was
+        learnt is remembered between runs, empty for none; ``time_limit``: of a goal that states
+        none, s; ``maps``: made before for the same cell; ``frames``:
+        knows the frames of goals, None for ``table`` alone."""
         self.cell = cell
         self._frames = frames or TableOnly()
         self.other_objects = other_objects
         self._adapt = adapt
         self._probe = probe
+        objective = objective or cell.file.goal.objective
+        arm = objective == "time" and cell.file.arm is not None
+        self._times = ArmTimes(cell) if arm else None
         self._keep_for = keep_for
         self._time_limit = time_limit
         self._in_background = solve_in_background
@@ -174,6 +180,7 @@ class GoalHandling:
             self.map.space,
             self.map.free,
             self._gains,
+            times=self._times,
             adapt=self._adapt,
             probe=self._probe or probe,
             most_taps=most_taps,

@@ -563,6 +563,7 @@ class PlannerLogic:
             warning = task.session.edge_warning(from_message(seen.pose.pose))
             if warning:
                 self._log(LogLevel.WARNING, warning)
+        task.arm = self._monitor.tip
         frames = 0 if self._late(now) else needed
         computation = task.computation(frames)
         if computation is None:

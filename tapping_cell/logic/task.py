@@ -160,6 +160,8 @@ class Task:
     without_effect: int = 0
     free_space: object | None = None
     """The map that the session was last told to work in."""
+    arm: tuple[float, float, float, float] | None = None
+    """Where the arm's tip stands before a decision: x, y, height and yaw in ``table``."""
 
     def description(self) -> str:
         """The goal for people."""
@@ -186,6 +188,7 @@ class Task:
         """What to do with the object at rest as it is seen; a look is ``frames`` long, a long one
         ``LONG_LOOK`` times that; 0 where there is no time left for a long one."""
         assert isinstance(self.session, GoalSession)
+        self.session.arm = self.arm
         pose = from_message(seen.pose.pose)
         return self.session.decide(
             pose,

@@ -48,3 +48,19 @@ class Planner(Protocol):
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
         """About how many taps the method needs from there; ranks taps that replace the best one."""
         ...
+
+
+@runtime_checkable
+class TapValues(Protocol):
+    """A planning method that also knows what taps beside the line to the goal are worth."""
+
+    def taps_after(
+        self, distance: float, rotation: float, aside: Array, sizes: Array, turns: Array
+    ) -> Array | None:
+        """Expected taps that follow a tap, (directions, sizes, turns); infinite outside the cone;
+        None while the method cannot tell.
+
+        distance, rotation: what remains before it, m and rad. aside: directions of the tap from
+        that of the goal, rad. sizes: m, above 0. turns: rad.
+        """
+        ...

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tapping_cell.planning.exact import ExactPlanner
+from tapping_cell.planning.expected_taps import expected_taps
 from tapping_cell.planning.interface import Array, Planner, Taps
 from tapping_cell.planning.lookup import Indices, bracket
 from tapping_cell.planning.policy_cache import keep_policy, load_policy
@@ -61,6 +62,12 @@ class OptimalPolicy:
         inside = (np.asarray(distance) <= box.distance) & (np.abs(rotation) <= box.rotation)
         taps = _blend(self._solution.value, i, u, j, v) + beyond
         return np.asarray(np.where(inside, 0.0, taps))
+
+    def taps_after(
+        self, distance: float, rotation: float, aside: Array, sizes: Array, turns: Array
+    ) -> Array:
+        """See ``interface.TapValues``."""
+        return expected_taps(self._solution, self.settings, distance, rotation, aside, sizes, turns)
 
     def _cell(
         self, distance: ArrayLike, rotation: ArrayLike
@@ -136,6 +143,15 @@ class OptimalPlanner:
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
         """Expected taps, or the fallback's count while the plan is being solved."""
         return (self._policy or self._fallback).taps_to_go(distance, rotation)
+
+    def taps_after(
+        self, distance: float, rotation: float, aside: Array, sizes: Array, turns: Array
+    ) -> Array | None:
+        """See ``interface.TapValues``; None while the fallback answers."""
+        policy = self._policy
+        if policy is None:
+            return None
+        return policy.taps_after(distance, rotation, aside, sizes, turns)
 
     def _solve(self) -> None:
         try:

@@ -13,7 +13,8 @@ from tapping_cell.planning.alternatives import alternative_taps
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.gains import Gains, Spread
 from tapping_cell.planning.goal import check_goal, edge_warning, others_text, place_text
-from tapping_cell.planning.interface import Array, Planner
+from tapping_cell.planning.interface import Array, Planner, Taps, TapValues
+from tapping_cell.planning.quickest import NearTaps, near_taps, quickest_first
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.settings import CameraNoise, PlannerSettings
 from tapping_cell.planning.stopping import (
@@ -23,6 +24,7 @@ from tapping_cell.planning.stopping import (
     stopping_box,
 )
 from tapping_cell.planning.strike import BoolArray, StrikePlan, StrikeSpace
+from tapping_cell.planning.tap_times import TapTimes
 from tapping_cell.se2 import Pose, wrap_angle
 
 MOST_TAPS = 100
@@ -47,6 +49,9 @@ PROBE_HEADINGS = np.arange(24) * (2.0 * math.pi / 24)
 UNKNOWN = 1.6
 """Longest slide over the predicted one from which an object wants to be probed first: an object as
 its file says has 1.2 after one tap."""
+
+QUICK_CHUNK = 12
+"""Taps whose room is looked at together, from the quickest on."""
 
 BLOCKED = 1.05
 """Path over straight distance beyond which the way is not straight (the grid is true to 3 %)."""
@@ -109,6 +114,8 @@ class GoalSession(ABC):
     goal: Array
     gains: Gains
     taps: int
+    arm: ArrayLike | None = None
+    """Where the arm's tip stands, x, y, height (m) and yaw (rad) in `table`; None: not known."""
     _goal_refusal: Refusal | None
 
     @property
@@ -258,6 +265,9 @@ class PositioningSession(GoalSession):
         free: its map of workable places; made here when not given (about 0.1 s: keep it between
             goals).
         gains: what is known of the object from earlier runs.
+        times: of the arm's ways, to choose the taps that reach the goal in the least time; None for
+            the fewest taps. It takes a method that knows values (``interface.TapValues``) and that
+            ``arm`` is told before a decision.
         adapt: whether ``observe`` learns.
         probe: begin with a few of the smallest taps that measure friction and rotation, for an
             object that is not known.
@@ -272,6 +282,7 @@ class PositioningSession(GoalSession):
         free: FreeSpace | None = None,
         gains: Gains | None = None,
         *,
+        times: TapTimes | None = None,
         adapt: bool = True,
         probe: bool = False,
         most_taps: int = MOST_TAPS,
@@ -282,6 +293,7 @@ class PositioningSession(GoalSession):
         self.taps = 0
         self._missed: tuple[float, ...] = ()  # headings of taps since the object last moved
         self._skipped: tuple[float, ...] = ()  # headings that a person did not want
+        self._times = times
         self._adapt = adapt
         self._probes_left = MOST_PROBES if probe else 0
         self._most_taps = most_taps
@@ -391,6 +403,9 @@ class PositioningSession(GoalSession):
             share * tap.distance, share * tap.rotation, heading, pose[2], slope
         )
         detour = self._obstacle(pose, first, missed)
+        quick = self._quickest(pose, left, tap, missed)
+        if quick is not None:
+            return self._made(pose, left, *quick, detour)
         if not detour:
             found = self._space.first_strike(Pose(*pose.tolist()), first[None, :])
             if found is not None:
@@ -404,7 +419,14 @@ class PositioningSession(GoalSession):
             detour += "; another tap was skipped"
         allowed = struck = trusted = False
         for candidates in alternative_taps(
-            pose, self.goal, first, self.gains, self.planner, self._paths, self._space.tap
+            pose,
+            self.goal,
+            first,
+            self.gains,
+            self.planner,
+            self._paths,
+            self._space.tap,
+            self._space.strikeable,
         ):
             short = np.hypot(candidates[:, 0], candidates[:, 1]) * self.gains.value[0]
             fits = short <= self._longest_tap() * (1.0 + 1e-9)
@@ -422,6 +444,29 @@ class PositioningSession(GoalSession):
         if missed:
             return self._strike(pose, left, missed=())
         return self._no_strike(pose, detour, allowed, struck, trusted)
+
+    def _quickest(
+        self, pose: Array, left: Array, own: Taps, missed: tuple[float, ...]
+    ) -> tuple[Array, StrikePlan] | None:
+        """The tap, (3,), from which the goal is reached in the least time, or None where that is
+        not known; ``own``: the method's."""
+        if self._times is None or self.arm is None or not isinstance(self.planner, TapValues):
+            return None
+        taps = near_taps(pose, left, own, self.gains, self.planner, self.settings)
+        if taps is None or self._blocked(pose):
+            return None
+        longest = self._longest_tap() * (1.0 + 1e-9) / float(self.gains.value[0])
+        fits = np.hypot(taps.commanded[:, 0], taps.commanded[:, 1]) <= longest
+        fits &= _elsewhere(taps.commanded, missed) & self._ends_well(pose, taps.commanded)
+        safe = NearTaps(taps.commanded[fits], taps.follow[fits])
+        tip = np.asarray(self.arm, dtype=float)
+        quick = quickest_first(pose, left, safe, self.gains, self._space, self._times, tip)
+        for start in range(0, len(quick), QUICK_CHUNK):
+            some = quick[start : start + QUICK_CHUNK]
+            found = self._space.first_strike(Pose(*pose.tolist()), some)
+            if found is not None:
+                return some[found[0]], found[1]
+        return None
 
     def _no_strike(
         self, pose: Array, first: str, allowed: bool, struck: bool, trusted: bool
@@ -519,12 +564,16 @@ class PositioningSession(GoalSession):
             return "a tap in this direction was skipped"
         if not bool(_elsewhere(commanded, missed)):
             return "the last tap in this direction did not move the object"
-        straight = math.hypot(self.goal[0] - pose[0], self.goal[1] - pose[1])
-        if float(self._paths.length(pose[:2])) > BLOCKED * straight + 1e-9:
+        if self._blocked(pose):
             return "the straight line to the goal is blocked"
         if bool(self._ends_well(pose, commanded[None, :])[0]):
             return ""
         return "the tap along the line might leave the table, enter a keep-out or end out of reach"
+
+    def _blocked(self, pose: Array) -> bool:
+        """Whether something stands between the object and the goal."""
+        straight = math.hypot(self.goal[0] - pose[0], self.goal[1] - pose[1])
+        return float(self._paths.length(pose[:2])) > BLOCKED * straight + 1e-9
 
 
 def _elsewhere(commanded: Array, missed: tuple[float, ...]) -> BoolArray:

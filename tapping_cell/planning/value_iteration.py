@@ -150,7 +150,7 @@ class _Problem:
         aside = np.sqrt((scatter.direction * self.taps) ** 2 + look_r)
         self.p_r = _radial_weights(self.r, self.r[:, None] - self.taps, along, aside)
         spread = np.sqrt((rotation_share * self.turns) ** 2 + look_t + floor_t**2)
-        self.p_t = _folded_weights(self.theta, self.theta[:, None] - self.turns, spread)
+        self.p_t = folded_weights(self.theta, self.theta[:, None] - self.turns, spread)
 
     def solved(self, value: Values) -> Solution:
         """Policy iteration from a first guess of the values."""
@@ -245,7 +245,7 @@ def _weights(grid: Array, cumulative: Array, box: int, at_box: Array) -> tuple[A
     return whole.astype(np.float32), inside.astype(np.float32)
 
 
-def _folded_weights(grid: Array, mean: Array, deviation: Array) -> tuple[Array, Array]:
+def folded_weights(grid: Array, mean: Array, deviation: Array) -> tuple[Array, Array]:
     """Weights for |N(mean, deviation)|: I(z) = H(z) + H(-z) - 2 H(0), H the integral of Phi."""
     box = FINE_STEPS
 

@@ -71,7 +71,10 @@ def evaluate_fixed(
     taps, end, inside, distance, rotation, over = (
         np.array(column) for column in zip(*rows, strict=True)
     )
-    return Results(taps.astype(np.int64), end.astype(np.int64), inside, distance, rotation, over)
+    unknown = np.full(taps.size, math.nan)
+    return Results(
+        taps.astype(np.int64), end.astype(np.int64), inside, distance, rotation, over, unknown
+    )
 
 
 def _run_one(

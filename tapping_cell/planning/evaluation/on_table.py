@@ -7,13 +7,20 @@ import math
 import numpy as np
 
 from tapping_cell.planning.errors import PlanningError
-from tapping_cell.planning.evaluation.task import End, Evaluation, Results, draw_gains, draw_tasks
+from tapping_cell.planning.evaluation.task import (
+    End,
+    Evaluation,
+    Results,
+    TapClock,
+    draw_gains,
+    draw_tasks,
+)
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.planning.session import Decision, Done, LookAgain, PositioningSession, Strike
 from tapping_cell.planning.stopping import LONG_LOOK
 from tapping_cell.planning.strike import StrikeSpace
-from tapping_cell.se2 import wrap_angle
+from tapping_cell.se2 import Pose, wrap_angle
 
 MOST_DRAWS = 1000
 
@@ -28,20 +35,24 @@ def run_table_trials(
     if evaluation.space is None:
         raise PlanningError("trials on a table need a function that makes its StrikeSpace")
     space = evaluation.space()
+    clock = None if evaluation.clock is None else evaluation.clock()
     free = FreeSpace(space)
     tasks = draw_tasks(evaluation, count, rng)
     true_gains = draw_gains(evaluation, count, rng)
     rows = []
-    for index in range(count):
-        start = _draw_start(space, free, rng)
+    # A stream for each trial: what one method draws does not change another's next task.
+    for index, own in enumerate(rng.spawn(count)):
+        start = _draw_start(space, free, own)
         goal = start + tasks[index]
         goal[2] = wrap_angle(goal[2])
         gain = true_gains[index : index + 1]
-        rows.append(_run_one(evaluation, planner, space, free, start, goal, gain, rng))
-    taps, end, inside, distance, rotation, over = (
+        rows.append(_run_one(evaluation, planner, space, free, clock, start, goal, gain, own))
+    taps, end, inside, distance, rotation, over, seconds = (
         np.array(column) for column in zip(*rows, strict=True)
     )
-    return Results(taps.astype(np.int64), end.astype(np.int64), inside, distance, rotation, over)
+    return Results(
+        taps.astype(np.int64), end.astype(np.int64), inside, distance, rotation, over, seconds
+    )
 
 
 def _draw_start(space: StrikeSpace, free: FreeSpace, rng: np.random.Generator) -> Array:
@@ -61,23 +72,28 @@ def _run_one(
     planner: Planner,
     space: StrikeSpace,
     free: FreeSpace,
+    clock: TapClock | None,
     start: Array,
     goal: Array,
     gain: Array,
     rng: np.random.Generator,
-) -> tuple[int, int, bool, float, float, bool]:
+) -> tuple[int, int, bool, float, float, bool, float]:
     session = PositioningSession(
         goal,
         planner,
         space,
         free,
+        times=clock if evaluation.objective == "time" else None,
         adapt=evaluation.adapt,
         probe=evaluation.probe,
         most_taps=evaluation.most_taps,
     )
     camera, settings = evaluation.settings.camera, evaluation.settings
     look = np.array([camera.position, camera.position, camera.angle])
-    pose, over = start.copy(), False
+    pose, over, seconds = start.copy(), False, math.nan
+    if clock is not None:
+        tip, seconds = clock.parked, 0.0
+        session.arm = tip
     seen = pose + look * rng.standard_normal(3)
     decision, seen = _decide(session, pose, seen, evaluation, rng)
     while isinstance(decision, Strike):
@@ -87,6 +103,10 @@ def _run_one(
         pose = pose + moved
         pose[2] = wrap_angle(pose[2])
         over = over or float(space.workspace.edge_distance(pose[:2])) < space.object_radius
+        if clock is not None:
+            spent, tip = clock.tap(tip, Pose(*seen.tolist()), decision)
+            session.arm = tip
+            seconds += spent
         before, seen = seen, pose + look * rng.standard_normal(3)
         session.observe(decision, before, seen)
         decision, seen = _decide(session, pose, seen, evaluation, rng)
@@ -99,7 +119,7 @@ def _run_one(
     left = goal - pose
     distance, rotation = math.hypot(left[0], left[1]), float(wrap_angle(left[2]))
     within = distance <= settings.tolerance_position and abs(rotation) <= settings.tolerance_angle
-    return session.taps, int(end), within, distance, rotation, over
+    return session.taps, int(end), within, distance, rotation, over, seconds
 
 
 def _decide(

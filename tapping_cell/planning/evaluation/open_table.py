@@ -103,7 +103,8 @@ def run_open_trials(
     within = (distance <= settings.tolerance_position) & (
         np.abs(rotation) <= settings.tolerance_angle
     )
-    return Results(taps, end, within, distance, rotation, np.zeros(count, dtype=bool))
+    never, unknown = np.zeros(count, dtype=bool), np.full(count, math.nan)
+    return Results(taps, end, within, distance, rotation, never, unknown)
 
 
 def look_longer(

@@ -37,6 +37,15 @@ def summarise(results: Results, planned_taps: int | None = None) -> dict[str, An
         "residual_mm": _spread(1e3 * results.distance[done]),
         "residual_deg": _spread(np.degrees(np.abs(results.rotation[done]))),
     }
+    seconds = results.seconds[began]
+    if np.all(np.isfinite(seconds)) and seconds.size:
+        error = NORMAL_95 * float(np.std(seconds)) / math.sqrt(seconds.size)
+        mean = float(np.mean(seconds))
+        summary["seconds"] = {
+            "mean": mean,
+            "mean_interval": [mean - error, mean + error],
+            "p90": float(np.percentile(seconds, 90)),
+        }
     if planned_taps is not None:
         summary["planned_taps"] = planned_taps
         summary["within_planned_rate"] = _share(done & (results.taps <= planned_taps), began)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.evaluation.worlds import AbstractWorld, World
 from tapping_cell.planning.interface import Array
+from tapping_cell.planning.session import Strike
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.strike import StrikeSpace
+from tapping_cell.planning.tap_times import OBJECTIVES, TapTimes
+from tapping_cell.se2 import Pose
 
 
 class End(IntEnum):
@@ -40,6 +43,8 @@ class Evaluation:
     off_centre: standard deviation, rad/m, of both numbers that an object off its middle turns by
         per distance.
     probe: on a table, begin with a probe of the object.
+    objective: "taps" or "time"; on a table whose ``clock`` tells times only.
+    clock: makes what tells how long taps take, as ``space`` is made; None: times are not counted.
     space: makes the table, arm and striker of trials on a table, starts and goals all over it; can
         be pickled, so that every process makes its own. None for an open table.
     """
@@ -58,9 +63,20 @@ class Evaluation:
     most_taps: int = 100
     probe: bool = False
     space: Callable[[], StrikeSpace] | None = None
+    objective: str = "taps"
+    clock: Callable[[], TapClock] | None = None
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no evaluation (PlanningError)."""
+        if self.objective not in OBJECTIVES:
+            raise PlanningError(
+                f"the objective is {self.objective!r}, allowed are {', '.join(OBJECTIVES)}"
+            )
+        if self.objective == "time" and (self.clock is None or self.space is None):
+            raise PlanningError(
+                "the objective time needs an arm's ways: evaluate on the table of a cell with an "
+                "arm (--table)"
+            )
         if not 1 <= self.trials <= 10**8:
             raise PlanningError(f"{self.trials} trials: needs 1 to 100000000")
         if not np.all(np.isfinite(self.goal)):
@@ -93,12 +109,29 @@ class Evaluation:
         return world.answer(poses, seen, commanded, gains, rng)
 
 
+class TapClock(TapTimes, Protocol):
+    """What counts the seconds of trials on a table."""
+
+    @property
+    def parked(self) -> Array:
+        """Where the arm's tip stands at first: x, y, height, yaw (4,)."""
+        ...
+
+    def tap(self, tip: Array, before: Pose, strike: Strike) -> tuple[float, Array]:
+        """Seconds of a tap of an arm whose tip stands at (4,), and where it stands afterwards.
+
+        ``before``: the object when the tap was planned.
+        """
+        ...
+
+
 class Results(NamedTuple):
     """Trials, one entry each.
 
     taps: fired. end: an ``End``. inside: whether the true pose is within the full tolerance.
     distance, rotation: what truly remains, m and rad.
     over_edge: whether any of the object's bounding circle ever came to rest over the table's edge.
+    seconds: of the taps; NaN where no times are known.
     """
 
     taps: NDArray[np.int64]
@@ -107,6 +140,7 @@ class Results(NamedTuple):
     distance: Array
     rotation: Array
     over_edge: NDArray[np.bool_]
+    seconds: Array
 
 
 def draw_tasks(evaluation: Evaluation, count: int, rng: np.random.Generator) -> Array:

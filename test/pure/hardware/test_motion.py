@@ -15,6 +15,7 @@ from tapping_cell.hardware.motion import (
     check_limits,
     move_duration,
     path_duration,
+    strike_durations,
     strike_path,
     withdraw_path,
 )
@@ -139,6 +140,21 @@ def test_path_duration_adds_the_moves() -> None:
                 total += move_duration(GEOMETRY, here, place, speed)
                 here = place
     assert len(path) == 4 and path_duration(GEOMETRY, SETTINGS.park, path) == pytest.approx(total)
+
+
+@given(joint_values, st.floats(0.2, 0.7), st.floats(-0.4, 0.4), st.floats(-3.1, 3.1))
+def test_many_ways_to_strikes_take_as_long_as_each_path(
+    start: Joints, x: float, y: float, yaw: float
+) -> None:
+    tips = np.array([[x, y, 0.01, yaw], [x, -y, 0.01, -yaw], [2.0, 0.0, 0.01, 0.0]])
+    many = strike_durations(GEOMETRY, start, tips, SETTINGS)
+    assert math.isinf(many[2])
+    for tip, seconds in zip(tips[:2], many, strict=False):
+        if GEOMETRY.inverse(tip, near=start).success:
+            path = strike_path(GEOMETRY, start, TipPose(*tip.tolist()), SETTINGS)
+            assert seconds == pytest.approx(path_duration(GEOMETRY, start, path), abs=1e-9)
+        else:
+            assert math.isinf(seconds)
 
 
 @pytest.mark.parametrize(

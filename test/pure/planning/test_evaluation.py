@@ -68,7 +68,8 @@ def test_the_result_depends_on_the_seed_and_not_on_the_processes(monkeypatch):
     one = evaluate(task, processes=1)
     monkeypatch.setattr(parallel, "WORTH_PROCESSES", 0.0)
     two = evaluate(task, processes=2)
-    assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
+    for first, second in zip(one, two, strict=True):
+        np.testing.assert_array_equal(first, second)
     other = evaluate(Evaluation("exact", PlannerSettings(), trials=12_500, seed=4), processes=1)
     assert not np.array_equal(one.taps, other.taps)
 
@@ -81,8 +82,12 @@ def test_summary_counts_what_it_says():
         distance=np.full(5, 0.0005),
         rotation=np.full(5, -0.01),
         over_edge=np.array([False, True, False, False, False]),
+        seconds=np.array([4.0, 6.0, 200.0, 0.0, 10.0]),
     )
     found = summarise(results)
+    assert found["seconds"]["mean"] == pytest.approx(220 / 4)
+    unknown = results._replace(seconds=np.full(5, np.nan))
+    assert "seconds" not in summarise(unknown)
     assert found["success_rate"] == 0.5 and found["truly_inside_rate"] == 0.5
     assert (found["endless"], found["refused_before"], found["refused_later"]) == (1, 1, 1)
     assert found["taps"]["histogram"] == {"2": 1, "3": 1, "4": 1, "100": 1}

@@ -1,0 +1,100 @@
+"""How many taps are expected after one that need not lie on the line to the goal.
+
+The plan itself knows taps on that line only. A tap by s in a direction that differs by phi from it
+leaves, in the frame of the tap, ::
+
+    (r cos phi - s (1 + a), -r sin phi + s c),    a, c scatter of distance and direction,
+
+whose length is distributed over the grid of the plan's distances by nodes of equal probability;
+the rotation is independent of it, as in ``value_iteration``.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.special import ndtri
+
+from tapping_cell.planning.interface import Array
+from tapping_cell.planning.lookup import bracket
+from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.value_iteration import (
+    FINE_STEPS,
+    LEAST_DEVIATION,
+    LEAST_SCATTER,
+    Solution,
+    folded_weights,
+)
+
+ALONG_NODES, ASIDE_NODES = 24, 12
+"""Nodes over the errors of distance and direction."""
+
+
+def expected_taps(
+    solution: Solution,
+    settings: PlannerSettings,
+    distance: float,
+    rotation: float,
+    aside: Array,
+    sizes: Array,
+    turns: Array,
+) -> Array:
+    """Expected taps that follow a tap, (directions, sizes, turns); infinite outside the cone.
+
+    Args:
+        solution: the plan that is followed after the tap.
+        settings: for which it was solved.
+        distance, rotation: what remains before the tap, m and rad.
+        aside: directions of the tap from that of the goal, rad.
+        sizes: of the tap, m, above 0.
+        turns: its rotations, rad.
+    """
+    box, camera, scatter = settings.stopping, settings.camera, settings.scatter
+    share = max(scatter.distance, LEAST_SCATTER.distance)
+    rough = max(scatter.rotation, LEAST_SCATTER.rotation)
+    look = 2.0 * camera.position**2
+    floor = LEAST_DEVIATION * box.distance
+    along = np.sqrt((share * sizes) ** 2 + look + floor**2)
+    across = np.sqrt((scatter.direction * sizes) ** 2 + look)
+    ahead = distance * np.cos(aside)[:, None] - sizes
+    beside = np.broadcast_to(-distance * np.sin(aside)[:, None], ahead.shape)
+    lengths = np.hypot(
+        (ahead[..., None] + along[:, None] * _nodes(ALONG_NODES))[..., :, None],
+        (beside[..., None] + across[:, None] * _nodes(ASIDE_NODES))[..., None, :],
+    ).reshape(ahead.size, -1)
+    whole, inside = _radial_weights(solution.distances, lengths, box.distance)
+
+    sense = -1.0 if rotation < 0.0 else 1.0
+    deviation = np.sqrt(
+        (rough * turns) ** 2 + 2.0 * camera.angle**2 + (LEAST_DEVIATION * box.rotation) ** 2
+    )
+    after, after_in = folded_weights(solution.rotations, abs(rotation) - sense * turns, deviation)
+    value, near = solution.value, slice(0, FINE_STEPS + 1)
+    taps = whole @ value @ after.T - inside @ value[near, near] @ after_in.T
+    taps = taps.reshape(aside.size, sizes.size, turns.size)
+    most = settings.cone_slope * sizes * (1.0 + 1e-9)
+    return np.where(np.abs(turns) > most[:, None], np.inf, taps)
+
+
+def _nodes(count: int) -> Array:
+    """Means of N(0, 1) over intervals of equal probability, (count,)."""
+    edges = ndtri(np.arange(1, count) / count)
+    density = np.exp(-0.5 * edges**2) / math.sqrt(2.0 * math.pi)
+    return np.asarray(-count * np.diff(density, prepend=0.0, append=0.0))
+
+
+def _radial_weights(grid: Array, lengths: Array, box: float) -> tuple[Array, Array]:
+    """Mean weights of linear interpolation of lengths (n, nodes) on a grid, (n, grid); and the part
+    of those inside the box, (n, grid up to the box)."""
+    rows, nodes = lengths.shape
+    index, share = bracket(grid, lengths)
+    at = np.arange(rows)[:, None] * grid.size + index
+
+    def spread(counted: Array) -> Array:
+        low = np.bincount(at.ravel(), (counted * (1.0 - share)).ravel(), rows * grid.size)
+        high = np.bincount(at.ravel() + 1, (counted * share).ravel(), rows * grid.size)
+        return (low + high).reshape(rows, grid.size) / nodes
+
+    inside = spread(np.asarray(lengths <= box, dtype=float))
+    return spread(np.ones_like(share)), inside[:, : FINE_STEPS + 1]

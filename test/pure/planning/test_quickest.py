@@ -1,0 +1,125 @@
+"""The objective time: what taps beside the line are worth, and that the arm's way decides."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tapping_cell.configuration.assembly import make_planner_settings, make_strike_space
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.logic.arm_times import ArmTimes
+from tapping_cell.planning import (
+    CameraNoise,
+    FreeSpace,
+    PlannerSettings,
+    PlanningError,
+    PositioningSession,
+    make_planner,
+)
+from tapping_cell.planning.evaluation import Evaluation
+from tapping_cell.planning.quickest import near_taps, quickest_first
+
+CAMERA = CameraNoise(5e-5, math.radians(0.05))
+
+
+@pytest.fixture(scope="module")
+def method():
+    return make_planner("optimal", PlannerSettings(camera=CAMERA))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.0, 0.2), st.floats(-1.5, 1.5))
+def test_the_methods_own_tap_is_worth_what_the_plan_says(method, distance, rotation):
+    box = method.settings.stopping
+    if distance <= box.distance and abs(rotation) <= box.rotation:
+        return
+    tap = method.choose(distance, rotation)
+    aside = np.array([0.0 if tap.distance > 0 else math.pi])
+    after = method.taps_after(
+        distance, rotation, aside, np.abs([tap.distance]), np.array([tap.rotation])
+    )
+    assert 1.0 + after.item() == pytest.approx(
+        float(method.taps_to_go(distance, rotation)), rel=0.02, abs=0.04
+    )
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.4, 1.5, 3.0])
+def test_what_follows_a_tap_beside_the_line_is_what_many_taps_find(method, aside):
+    rng = np.random.default_rng(3)
+    distance, rotation, size, turn, count = 0.020, 0.25, 0.012, 0.06, 200_000
+    scatter = method.settings.scatter
+    far = size * (1.0 + scatter.distance * rng.standard_normal(count))
+    heading = aside + scatter.direction * rng.standard_normal(count)
+    look = 2**0.5 * CAMERA.position * rng.standard_normal((2, count))
+    left = np.hypot(distance - far * np.cos(heading) + look[0], far * np.sin(heading) + look[1])
+    turned = rotation - turn * (1.0 + scatter.rotation * rng.standard_normal(count))
+    turned += 2**0.5 * CAMERA.angle * rng.standard_normal(count)
+    found = method.taps_after(
+        distance, rotation, np.array([aside]), np.array([size]), np.array([turn])
+    )
+    assert found.item() == pytest.approx(method.taps_to_go(left, turned).mean(), abs=0.02)
+
+
+def test_taps_outside_the_cone_do_not_count(method):
+    steep = 2.0 * method.settings.cone_slope * 0.01
+    after = method.taps_after(0.01, 0.1, np.zeros(1), np.array([0.01]), np.array([0.01, steep]))
+    assert np.isfinite(after[0, 0, 0]) and np.isinf(after[0, 0, 1])
+
+
+@pytest.fixture(scope="module")
+def cell():
+    made = load_cell()
+    space = make_strike_space(made)
+    planner = make_planner("optimal", make_planner_settings(made, (0.001, math.radians(1.0))))
+    return made, space, FreeSpace(space), planner, ArmTimes(made)
+
+
+def test_a_quick_tap_is_quick_by_the_arms_own_way(cell):
+    _, space, free, planner, times = cell
+    pose, goal = np.zeros(3), np.array([0.01, 0.0, 0.3])
+    chosen = []
+    for yaw in (0.0, 2.0, -2.0):
+        session = PositioningSession(goal, planner, space, free, times=times)
+        session.arm = (-0.05 * math.cos(yaw), -0.05 * math.sin(yaw), 0.06, yaw)
+        strike = session.decide(pose)
+        plain = PositioningSession(goal, planner, space, free).decide(pose)
+        ways = times.to_strikes(session.arm, [strike.plan.strike_pose, plain.plan.strike_pose])
+        assert ways[0] <= ways[1] + 1e-9
+        chosen.append(math.atan2(strike.commanded.y, strike.commanded.x))
+    assert np.ptp(chosen) > 1.0, "the same tap wherever the arm stands"
+
+
+def test_the_quickest_tap_comes_first(cell):
+    _, space, _, planner, times = cell
+    session = PositioningSession((0.0, 0.0, 0.0), planner, space, times=times)
+    pose, left = np.zeros(3), np.array([0.02, 0.01, 0.3])
+    own = planner.choose(math.hypot(0.02, 0.01), 0.3)
+    taps = near_taps(pose, left, own, session.gains, planner, planner.settings)
+    best = 1.0 + taps.follow.min()
+    assert best == pytest.approx(float(planner.taps_to_go(math.hypot(0.02, 0.01), 0.3)), abs=0.02)
+    quick = quickest_first(pose, left, taps, session.gains, space, times, times.parked)
+    _, strikes = space.strike_poses(pose, quick[:1])
+    row = np.argmin(np.linalg.norm(taps.commanded - quick[0], axis=1))
+    ways = np.array([times.to_strikes(times.parked, strikes)[0], times.mean_way])
+    # What it costs in taps is paid for by the ways, this one and the next.
+    assert (taps.follow[row] - taps.follow.min()) * times.mean_tap <= ways.sum()
+
+
+def test_without_values_or_a_place_of_the_arm_taps_are_counted(cell):
+    _, space, free, planner, times = cell
+    goal, pose = (0.05, 0.02, 0.3), (0.0, 0.0, 0.0)
+    plain = PositioningSession(goal, planner, space, free).decide(pose)
+    assert PositioningSession(goal, planner, space, free, times=times).decide(pose) == plain
+    exact = make_planner("exact", planner.settings)
+    session = PositioningSession(goal, exact, space, free, times=times)
+    session.arm = times.parked
+    assert session.decide(pose) == PositioningSession(goal, exact, space, free).decide(pose)
+
+
+def test_time_without_an_arm_is_refused():
+    with pytest.raises(PlanningError, match="--table"):
+        Evaluation("exact", PlannerSettings(), objective="time")
+    with pytest.raises(PlanningError, match="taps, time"):
+        Evaluation("exact", PlannerSettings(), objective="speed")
