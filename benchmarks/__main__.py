@@ -26,6 +26,7 @@ SECTIONS = ("calibrate", "drivers", "emergency_stop", "mechanics", "vision")
 
 # Long: only when named.
 LONG_SECTIONS = (
+    "arrangements",
     "calibration",
     "cycle",
     "demos",
@@ -72,7 +73,8 @@ def make_parser() -> argparse.ArgumentParser:
         "--experiments",
         type=int,
         metavar="N",
-        help="experiments of calibration and lack-of-fit, demos a truth, goals of cycle, losses of "
+        help="scenes of arrangements, experiments of calibration and lack-of-fit, demos a truth, "
+        "goals of cycle, losses of "
         "disarm, trials of precision, scenes of outline, scenes or frames of vision*, seconds of "
         "node and idle",
     )

@@ -4,7 +4,7 @@ from launch import LaunchDescription
 from tapping_cell.cli.cell_launch import LaunchedNode, cell_launch
 
 ARGUMENTS = {
-    "truth_file": ("", "truth file of the world; empty for the package's own"),
+    "truth_file": ("", "simulation parameter file; if empty, the package's default"),
     "seed": ("1", "of the world's noise and scatter"),
     "arm_port": ("", "where the arm's port appears; empty for the cell file's"),
     "tapper_port": ("", "where the tapper's port appears; empty for the cell file's"),

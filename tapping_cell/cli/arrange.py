@@ -104,12 +104,18 @@ def wait_for(
     time.sleep(session.MUTUAL_DISCOVERY_S)
 
 
-def follow(client: ArrangeClient, check: Callable[[], None], console: Console) -> ArrangementEnded:
+def follow(
+    client: ArrangeClient,
+    check: Callable[[], None],
+    console: Console,
+    on_tap: Callable[[], None] = lambda: None,
+) -> ArrangementEnded:
     """Show an arrangement's progress until it ends; ``check`` may raise to give up."""
     with console.status("arrangement sent") as status:
         for event in client.events():
             check()
             if isinstance(event, ObjectTapped):
+                on_tap()
                 one = next(each for each in event.objects if each.name == event.name)
                 console.print(f"tap {event.number}: {end_text(one)}", highlight=False)
                 reached = sum(each.state == "reached" for each in event.objects)

@@ -20,7 +20,7 @@ from tapping_cell.nodes import security
 
 COMMON = {
     "namespace": ("", "namespace of every node, one for each cell"),
-    "cell_file": ("", "cell file; empty for the package's own"),
+    "cell_file": ("", "cell file; if empty, the package's default"),
     "object_file": ("", "object file; empty for the cell file's"),
     "planner": ("", "planning method; empty for the cell file's"),
     "params_file": ("", "file of ROS parameters for every node; its values win over the others"),

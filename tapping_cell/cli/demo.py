@@ -6,6 +6,12 @@ taps.csv, cell.png, a bag of every topic), beside the nodes' logs.
 The exit status is 0 only where the object is measured to be, and truly is, within the tolerance.
 
     python -m tapping_cell demo --move 10 0 10 --seed 1
+
+With --objects, several objects lie on the table, and each is brought to a place of its own; starts
+and places are drawn with the seed. The run folder then holds the scene's files, arrangement.json
+and arrangement.png.
+
+    python -m tapping_cell demo --objects 3
 """
 
 from __future__ import annotations
@@ -24,6 +30,8 @@ from rich.console import Console
 from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.cli import argument_types, session
+from tapping_cell.cli.demo_arrangement import arrange
+from tapping_cell.cli.demo_scene import MOST_OBJECTS, write_scene
 from tapping_cell.cli.errors import tell_error, tell_refusal
 from tapping_cell.cli.graph import (
     RECORDER,
@@ -72,6 +80,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("X", "Y", "THETA"),
         help="goal in the table frame, in mm, mm and degrees",
     )
+    task.add_argument(
+        "--objects",
+        type=int,
+        choices=range(1, MOST_OBJECTS + 1),
+        metavar="N",
+        help=f"bring N objects (1 to {MOST_OBJECTS}), each to a drawn place",
+    )
     parser.add_argument(
         "--seed", type=argument_types.seed, default=1, help="of the world's noise and scatter"
     )
@@ -88,11 +103,23 @@ def run(arguments: argparse.Namespace) -> int:
     console = session.console_of(arguments)
     session.end_on_signals()
     began = time.monotonic()
+    scene = None
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)
         require_planner(arguments.planner or cell.file.goal.planner)
         domain = own_domain()
         folder = _run_folder(arguments.out)
+        if arguments.objects is not None:
+            scene = write_scene(
+                folder / "scene",
+                arguments.objects,
+                arguments.seed,
+                arguments.cell,
+                arguments.object,
+                arguments.truth,
+            )
+            arguments.cell, arguments.object, arguments.truth = scene.cell, None, scene.truth
+            cell = load_cell(scene.cell)
     except (ConfigurationError, UnknownPlannerError, GraphError, OSError) as error:
         return tell_refusal(error)
     # The client below runs in this process and must meet the nodes.
@@ -102,14 +129,19 @@ def run(arguments: argparse.Namespace) -> int:
     console.print(f"run folder {folder}; watch it with ROS_DOMAIN_ID={domain.number}")
     parameters = node_parameters(arguments, cell)
     parameters[RECORDER] |= {"folder": folder.parent, "name": folder.name}
-    nodes = (*nodes_of(cell, hardware=False), RECORDER)
+    nodes = nodes_of(cell, hardware=False)
+    if scene is None:
+        # A run folder is that of one object.
+        nodes = (*nodes, RECORDER)
     try:
         with (
             tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports,
             Graph(nodes, with_own_ports(parameters, Path(ports)), folder / "logs") as graph,
-            GoalClient("demo") as client,
         ):
-            record = read_run(_position(arguments, graph, client, console))
+            if scene is not None:
+                return arrange(scene.layout, cell, graph, folder, console, arguments.json)
+            with GoalClient("demo") as client:
+                record = read_run(_position(arguments, graph, client, console))
     except (GraphError, session.NotReadyInTime, session.NotRecorded, RunError) as error:
         tell_error(str(error))
         not_ready = isinstance(error, session.NotReadyInTime)

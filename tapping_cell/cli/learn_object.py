@@ -38,8 +38,8 @@ tap's own scatter, which is then what limits the next goals."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
+    from tapping_cell.cli.measuring_graph import add_graph_arguments
     from tapping_cell.cli.output_arguments import add_output_arguments
-    from tapping_cell.cli.up import add_truth_arguments
 
     parser.add_argument("runs", nargs="*", type=Path, metavar="RUNS", help="run folders")
     parser.add_argument(
@@ -51,20 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=MOST_GOALS,
         help=f"most goals to send ({MOST_GOALS})",
     )
-    how = parser.add_mutually_exclusive_group()
-    how.add_argument("--hardware", action="store_true", help="start the nodes of the real cell")
-    how.add_argument("--attach", action="store_true", help="join a cell that is running")
-    parser.add_argument(
-        "--namespace",
-        type=argument_types.namespace,
-        default="",
-        help="with --attach: namespace of the nodes",
-    )
-    parser.add_argument(
-        "--camera", default="/dev/video0", help="with --hardware: device, video file or folder"
-    )
-    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
-    add_truth_arguments(parser)
+    add_graph_arguments(parser)
     parser.add_argument(
         "--seed", type=argument_types.seed, default=1, help="simulated: of noise and scatter (1)"
     )
@@ -73,7 +60,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser, required=False)
-    parser.set_defaults(planner=None)
 
 
 def run(arguments: argparse.Namespace) -> int:

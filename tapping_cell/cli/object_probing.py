@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
-import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
 
 from tapping_cell.cli import session
-from tapping_cell.cli.graph import RECORDER, Graph, nodes_of, own_domain, with_own_ports
+from tapping_cell.cli.graph import RECORDER, nodes_of
+from tapping_cell.cli.measuring_graph import measuring_graph
 from tapping_cell.cli.up import node_parameters
 from tapping_cell.configuration.cell import (
-    Cell,
     load_cell,
     refuse_own_drivers,
     refuse_simulated_ports,
@@ -55,8 +52,13 @@ def probe(
         refuse_simulated_ports(cell)
     elif not arguments.attach:
         refuse_own_drivers(cell)
+    runs: Path = arguments.runs_folder.resolve()
+    parameters = node_parameters(arguments, cell)
+    parameters[RECORDER]["folder"] = runs
+    nodes = (*nodes_of(cell, hardware=arguments.hardware), RECORDER)
+    logs = runs / "learn-object_logs"
     with (
-        _graph(arguments, cell, console) as check,
+        measuring_graph(arguments, nodes, parameters, logs, console.print) as check,
         GoalClient("learn_object", arguments.namespace) as client,
     ):
         session.wait_until_ready(client, READY_PATIENCE_S, check, console)
@@ -99,27 +101,3 @@ def goal_of(middle: Pose, here: Pose, number: int) -> Pose:
         middle.y + REACH * math.sin(heading),
         float(wrap_angle(here.theta + turn)),
     )
-
-
-@contextmanager
-def _graph(
-    arguments: argparse.Namespace, cell: Cell, console: Console
-) -> Iterator[Callable[[], None]]:
-    """The graph, started here or joined; gives what raises once a node of it died."""
-    if arguments.attach:
-        yield lambda: None
-        return
-    domain = own_domain()
-    # The client of this process must meet the nodes, and nobody else.
-    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    runs: Path = arguments.runs_folder.resolve()
-    console.print(f"runs in {runs}; watch with ROS_DOMAIN_ID={domain.number}")
-    parameters = node_parameters(arguments, cell)
-    parameters[RECORDER]["folder"] = runs
-    nodes = (*nodes_of(cell, hardware=arguments.hardware), RECORDER)
-    with tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports:
-        if not arguments.hardware:
-            parameters = with_own_ports(parameters, Path(ports))
-        with Graph(nodes, parameters, runs / "learn-object_logs") as graph:
-            yield graph.check

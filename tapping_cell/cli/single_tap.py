@@ -15,8 +15,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
-import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from datetime import datetime, timezone
@@ -50,16 +48,14 @@ from tapping_cell.cli.errors import tell_error
 from tapping_cell.cli.graph import (
     HARDWARE,
     SIMULATED,
-    Graph,
     GraphError,
-    own_domain,
-    with_own_ports,
 )
+from tapping_cell.cli.measuring_graph import add_graph_arguments, measuring_graph
 from tapping_cell.cli.tap_maker import READY_PATIENCE_S, SeriesStopped
 from tapping_cell.cli.tap_room import TapRoom
 from tapping_cell.cli.tap_series import TapSeries
 from tapping_cell.cli.tap_summary import tell, trial_text
-from tapping_cell.cli.up import add_truth_arguments, node_parameters
+from tapping_cell.cli.up import node_parameters
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import (
     Cell,
@@ -115,23 +111,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where the folder of the records is made (default: runs)",
     )
     place.add_argument("--resume", type=Path, metavar="FOLDER", help="go on with an experiment")
-    how = parser.add_mutually_exclusive_group()
-    how.add_argument(
-        "--hardware", action="store_true", help="start the nodes of the real camera, arm and tapper"
-    )
-    how.add_argument("--attach", action="store_true", help="join a graph that is running")
-    parser.add_argument(
-        "--namespace",
-        type=argument_types.namespace,
-        default="",
-        help="with --attach: namespace of the nodes",
-    )
-    parser.add_argument(
-        "--camera", default="/dev/video0", help="with --hardware: device, video file or folder"
-    )
-    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
+    add_graph_arguments(parser)
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
-    add_truth_arguments(parser)
     parser.add_argument(
         "--seed", type=argument_types.seed, help="simulated: of noise and scatter (default: 1)"
     )
@@ -153,7 +134,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the camera's time of exposure in ms, if known (default: simulated, the world's own)",
     )
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
-    parser.set_defaults(planner=None)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -301,25 +281,14 @@ def _graph(
     arguments: argparse.Namespace, cell: Cell, logs: Path, seed: int, console: Console
 ) -> Iterator[Callable[[], None]]:
     """The graph, started here or joined; gives what raises once a node of it died."""
-    if arguments.attach:
-        yield lambda: None
-        return
-    domain = own_domain()
-    # As in the verb demo: the client of this process must meet the nodes, and nobody else.
-    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    console.print(f"records in {logs.parent}; watch with ROS_DOMAIN_ID={domain.number}")
     parameters = node_parameters(argparse.Namespace(**{**vars(arguments), "seed": seed}), cell)
     parameters["sim_world"] |= {
         "frame_rate": arguments.camera_rate,
         "slow_motion": arguments.slow_motion,
     }
-    with tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports:
-        if not arguments.hardware:
-            parameters = with_own_ports(parameters, Path(ports))
-        nodes = HARDWARE if arguments.hardware else SIMULATED
-        with Graph(nodes, parameters, logs) as graph:
-            yield graph.check
+    nodes = HARDWARE if arguments.hardware else SIMULATED
+    with measuring_graph(arguments, nodes, parameters, logs, console.print) as check:
+        yield check
 
 
 def _header(

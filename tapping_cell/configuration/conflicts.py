@@ -19,6 +19,8 @@ from tapping_cell.planning import FreeSpace, PlanningError, make_planner, planne
 
 LEAST_WORKABLE = 0.5
 """Share of the usable area below which a cell's reach is worth a word."""
+LONGEST_FLIGHT_S = 2.0
+"""The arm stands still while a striker is on its way, and everybody waits for it."""
 NOISE_ROOM = 3.0
 """Standard deviations of a look that should fit into the tolerance."""
 
@@ -98,6 +100,13 @@ def _heights(cell: Cell) -> Iterator[str]:
             f"{path}: key 'tapper.stroke' is {1e3 * tapper.stroke:.1f} mm, not more than "
             f"'tapper.standoff' ({1e3 * tapper.standoff:.1f} mm): the striker never reaches the "
             "object"
+        )
+    slowest = min(tapper.speeds)
+    if tapper.stroke > LONGEST_FLIGHT_S * slowest:
+        yield (
+            f"{path}: a striker of the slowest of 'tapper.speeds' ({1e3 * slowest:.1f} mm/s) is"
+            f" {tapper.stroke / slowest:.1f} s on its way through 'tapper.stroke', and the arm"
+            f" stands still for {LONGEST_FLIGHT_S:g} s at most: leave out the slowest speeds"
         )
 
 

@@ -17,7 +17,7 @@ from tapping_cell.hardware.arm_settings import HomingStrategy
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.motion import MotionSettings, Waypoint, check_limits
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
-from tapping_cell.logic import arm_jobs, enabling, tap_commands
+from tapping_cell.logic import arm_jobs, enabling, permit, tap_commands
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
@@ -52,8 +52,6 @@ from tapping_cell.se2 import Pose
 
 READ_PERIOD_S = 0.05
 """Between read-backs while the arm stands: a strike pose is confirmed twenty times a second."""
-LONGEST_HOLD_S = 0.25
-"""Longest promise to stand still; a node that was restarted keeps that of its predecessor."""
 FRESH_READING_S = 0.25
 """Greatest age of the read-back with which a promise is given."""
 SHORT_REST_S = 0.05
@@ -205,6 +203,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._to_park = False
         self._promised_to = (0, 0)
         self._promise_end = -math.inf
+        self._longest_hold = 0.0
         self._outcome_told = 0
         self._charged_until = self._leaving_since = -math.inf
         self._enabling = EnablingDevice()
@@ -406,10 +405,10 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _unsteady(self, request: HoldStill.Request, now: Now) -> Trouble | None:
         """Why the arm does not promise to stand still."""
-        if not 0 < request.duration <= LONGEST_HOLD_S:
+        if not 0 < request.duration <= self._longest_hold:
             return (
                 ErrorCode.COMMAND_INVALID,
-                f"the arm stands still for up to {LONGEST_HOLD_S:g} s, asked were"
+                f"the arm stands still for up to {self._longest_hold:g} s, asked were"
                 f" {request.duration:g} s",
             )
         if not self._active or self.state is not S.IN_POSITION or request.tap_id != self._tap_id:
@@ -552,8 +551,9 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _configured_with(self, event: Configured, now: Now) -> None:
         self._cell = event.cell
         self._geometry = event.cell.arm.geometry()
+        self._longest_hold = permit.longest_hold(event.cell)
         # A predecessor of this node may have promised to stand still.
-        self._promise_end = max(self._promise_end, now.steady + LONGEST_HOLD_S)
+        self._promise_end = max(self._promise_end, now.steady + self._longest_hold)
 
     def _closed(self) -> None:
         self._tap_id = 0

@@ -12,26 +12,26 @@ from tapping_cell.configuration.schema import choice, quantity, text
 class PlannerSettings:
     """Limits and choices of the planner's machine."""
 
-    planner: str = text("planning method; empty for the cell file's", default="")
+    planner: str = text("planning method; if empty, the one named in the cell file", default="")
     objective: str = choice(
-        "what goals are reached with the fewest of; empty for the cell file's",
+        "quantity to minimise: taps or time; if empty, the one in the cell file",
         "",
         "taps",
         "time",
         default="",
     )
     adapt: bool = text("learn from every tap how the object responds", default=True)
-    keep_gains: bool = text("remember what was learnt of an object between runs", default=False)
+    keep_gains: bool = text("keep the gains learnt for an object between runs", default=False)
     probe: bool = text(
-        "begin with up to three of the smallest taps where the object's friction is not known",
+        "begin a goal with up to three of the smallest taps if the object's friction is not known",
         default=False,
     )
-    ask: bool = text("ask a person to confirm every tap before it is made", default=False)
+    ask: bool = text("wait for an operator to confirm every tap", default=False)
     confirm_deadline: float = quantity(
-        "longest wait for a person's confirmation of a tap", "s", 1.0, 3600.0, default=120.0
+        "maximum wait for an operator to confirm a tap", "s", 1.0, 3600.0, default=120.0
     )
     others_memory: float = quantity(
-        "time after which another object that is no longer seen counts as taken away",
+        "time after which an obstacle that is no longer seen is assumed to have been removed",
         "s",
         0.2,
         3600.0,
@@ -41,47 +41,51 @@ class PlannerSettings:
         "minimum number of stationary frames to fuse", "", 1, 1000, default=5
     )
     goal_time_limit: float = quantity(
-        "time after which a goal that states no limit is given up", "s", 1.0, 86400.0, default=600.0
+        "time after which a goal without a time limit of its own is aborted",
+        "s",
+        1.0,
+        86400.0,
+        default=600.0,
     )
     ready_deadline: float = quantity(
-        "longest wait for arm, tapper and camera", "s", 1.0, 3600.0, default=30.0
+        "maximum wait for arm, tapper and camera to become ready", "s", 1.0, 3600.0, default=30.0
     )
     look_deadline: float = quantity(
-        "longest wait for an observation of the object at rest", "s", 0.5, 600.0, default=10.0
+        "maximum wait for a measurement of the object at rest", "s", 0.5, 600.0, default=10.0
     )
     place_deadline: float = quantity(
-        "longest time to bring the striker to its strike pose", "s", 1.0, 600.0, default=20.0
+        "maximum time to move the striker to its strike pose", "s", 1.0, 600.0, default=20.0
     )
-    fire_deadline: float = quantity("longest time to charge and fire", "s", 0.5, 60.0, default=8.0)
+    fire_deadline: float = quantity("maximum time to charge and fire", "s", 0.5, 60.0, default=8.0)
     withdraw_deadline: float = quantity(
-        "longest time to withdraw the arm", "s", 1.0, 600.0, default=20.0
+        "maximum time to withdraw the arm", "s", 1.0, 600.0, default=20.0
     )
     silence_limit: float = quantity(
         "message timeout of arm, tapper and camera", "s", 0.1, 60.0, default=1.0
     )
     moved_limit: float = quantity(
-        "distance by which the object may differ from where the tap was planned",
+        "maximum distance of the object from the pose for which the tap was planned",
         "m",
         0.0001,
         0.1,
         default=0.002,
     )
     turned_limit: float = quantity(
-        "rotation by which the object may differ from where the tap was planned",
+        "maximum rotation of the object from the pose for which the tap was planned",
         "rad",
         0.001,
         3.2,
         default=math.radians(3.0),
     )
     resume_within: float = quantity(
-        "a planner that crashed resumes its goal when it is back so soon; 0 never does",
+        "a planner that crashed resumes its goal if it restarts within this time; 0: never",
         "s",
         0.0,
         600.0,
         default=15.0,
     )
     attempts: int = quantity(
-        "consecutive taps that may end without a release or without an effect",
+        "maximum number of consecutive taps that did not fire or had no effect",
         "",
         1,
         100,

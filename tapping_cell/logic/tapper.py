@@ -19,7 +19,7 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.tapper import FireOutcome
 from tapping_cell.hardware.tapper_protocol import Reply
 from tapping_cell.hardware.tapper_protocol import State as BoardState
-from tapping_cell.logic import enabling, tap_commands, tapper_jobs
+from tapping_cell.logic import enabling, permit, tap_commands, tapper_jobs
 from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
 from tapping_cell.logic.effects import Call, JobEnded, LogLevel, Message, Publish, Token
@@ -35,17 +35,8 @@ from tapping_cell.messages import ErrorCode, HoldStill, TapCommand, TapperState
 from tapping_cell.se2 import Pose
 
 READ_PERIOD_S = 0.1
-HOLD_S = 0.25
-"""For how long the arm is asked to stand still."""
 HOLD_TIMEOUT_S = 0.2
 """After this the arm is asked anew."""
-FLIGHT_S = 0.08
-"""From the end of the release's pulse until the striker is back; the arm stands still for it."""
-SHOT_S = 0.18
-"""What must be left of the promise to begin a shot: a question to the board, the window, the
-pulse and the flight."""
-RELEASED_S = 0.05
-"""From the report of a release to the end of the arm's promise: longer than the release's pulse."""
 HOLD_ATTEMPTS = 5
 PROVE_PERIOD_S = 0.5
 """Between two attempts to prove that the strikers are at their mounts."""
@@ -192,6 +183,8 @@ class Tap:
     """Where the object lay when the tap was planned."""
     strike: Pose
     """Where the arm brings the tip, or where it stands."""
+    flight: float
+    """From the release until the striker is at the end of its stroke, s; the arm stands still."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,6 +207,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     def __init__(self, options: TapperOptions) -> None:
         super().__init__(StateMachine(TABLE, S.DISCONNECTED), 1.0 / options.state_rate)
         self._curves: Mapping[str, EnergyCurve] = {}
+        self._strokes: Mapping[str, float] = {}
         self._all_names: tuple[str, ...] = ()
         self._board = Board("", {})
         self._board_index = options.board
@@ -260,7 +254,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         doubt = self.doubt_charging(now)
         if doubt is not None:
             return doubt
-        permit, tap = self._permit, self._tap
+        promise, tap = self._permit, self._tap
         assert tap is not None
         doubt = self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now)
         if doubt is not None:
@@ -269,13 +263,13 @@ class TapperLogic(DeviceLogic[State, Event]):
             # Nobody can move a mount: what is left is that this very tap is being fired.
             fires = self.state is S.FIRING
             return None if fires else (ErrorCode.NONE, "the tap is over")
-        if permit is None or permit.tap_id != tap.tap_id:
+        if promise is None or promise.tap_id != tap.tap_id:
             return ErrorCode.TAPPER_ARM_NOT_IN_POSITION, "the arm has not promised to hold still"
-        end = max(release_by, now.steady) + FLIGHT_S
-        if self.state is not S.FIRING or end > permit.until:
+        end = max(release_by, now.steady) + tap.flight
+        if self.state is not S.FIRING or end > promise.until:
             return (
                 ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
-                f"the shot could end {end - permit.until:.3f} s after the arm's promise to hold"
+                f"the shot could end {end - promise.until:.3f} s after the arm's promise to hold"
                 " still",
             )
         return None
@@ -337,6 +331,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             to_nanoseconds(command.expiry),
             from_message(command.object_pose),
             from_message(command.strike_pose),
+            permit.flight(self._strokes[tapper], command.striker_speed),
         )
         self._given_up = self._permit = None
         self._key = 0
@@ -473,7 +468,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         assert self._tap is not None
         self._attempts += 1
         self._asked_at = now.steady
-        request = HoldStill.Request(tap_id=self._tap.tap_id, duration=HOLD_S, key=self._key)
+        duration = permit.hold(self._tap.flight)
+        request = HoldStill.Request(tap_id=self._tap.tap_id, duration=duration, key=self._key)
         token = ("hold", self._tap.tap_id, self._attempts)
         self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))
 
@@ -492,8 +488,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         if token != ("hold", tap.tap_id, self._attempts):
             return
         # Counted from before the question: the arm handled it later, so that its own end is later.
-        until = self._asked_at + HOLD_S
-        late = response is None or now.steady > until - SHOT_S
+        until = self._asked_at + permit.hold(tap.flight)
+        late = response is None or now.steady > until - permit.RELEASE_S - tap.flight
         if response is not None and not response.granted:
             self._discharge((response.error_code, response.error_msg))
         elif not late:
@@ -569,10 +565,12 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     def _fired(self, end: FireEnd, now: Now) -> None:
         """A shot ended: tell its outcome, then the state in which the board is."""
-        self._tap = None
+        struck, self._tap = self._tap, None
         self._told.outcome = OUTCOMES[end.outcome]
-        if end.outcome is not FireOutcome.UNKNOWN:
-            self._let_arm_go(RELEASED_S if end.outcome is FireOutcome.FIRED else 0.0)
+        if end.outcome is FireOutcome.NOT_FIRED:
+            self._let_arm_go(0.0)
+        elif end.outcome is FireOutcome.FIRED and struck is not None:
+            self._let_arm_go(permit.RELEASED_S + struck.flight)
         refused = end.outcome is FireOutcome.NOT_FIRED
         refusal = self._given_up or end.refusal
         if refused and refusal is not None:
@@ -708,6 +706,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         cell = event.cell
         self._board = cell.boards[self._board_index]
         self._curves = {name: part.curve() for name, part in cell.tapper_sections.items()}
+        self._strokes = {name: part.stroke for name, part in cell.tapper_sections.items()}
         self._all_names = cell.tapper_names
         self._fixed = cell.file.fixed_tappers is not None
         if self._fixed:

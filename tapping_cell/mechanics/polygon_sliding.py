@@ -37,6 +37,7 @@ _FAR = 50.0
 _FAR_POINTS = 4
 _TINY = 1e-300
 _INVERSE_STEPS = 40
+_SIMPLE_STEPS = 400
 _INVERSE_TOLERANCE = 5e-11
 # A small rotation is found to the tolerance of itself, down to this share of the distance.
 _SMALLEST_SHARE = 1e-3
@@ -264,8 +265,10 @@ def invert(
 ) -> Array:
     """Solve forward(z, rows) = target[rows], (n, k), near the identity: Broyden's method.
 
-    ``scale`` (n, k) brings the columns to one size; rows that are done are left out. Raises
-    :class:`MechanicsError` if some row does not converge.
+    ``scale`` (n, k) brings the columns to one size; rows that are done are left out. Broyden's
+    method may go round and round where ``forward`` has a bend, as a table has; such rows are solved
+    by simple iteration, which is slow and sure. Raises :class:`MechanicsError` if some row does not
+    converge.
     """
     goal = target / scale
     z = goal.copy()
@@ -290,9 +293,15 @@ def invert(
         bottom = np.where(np.abs(bottom) > _TINY, bottom, np.inf)
         inverse += (step - image)[:, :, None] * across[:, None, :] / bottom[:, None, None]
         residual = fresh
+    z[rows] = goal[rows]
+    for _ in range(_SIMPLE_STEPS):
+        residual = forward(z[rows] * scale[rows], rows) / scale[rows] - goal[rows]
+        if np.abs(residual).max() <= _INVERSE_TOLERANCE:
+            return z * scale
+        z[rows] -= residual
     raise MechanicsError(
         f"the launch of the polygon was not found: the displacement is off by "
-        f"{float(np.abs(residual).max()):.3g} of itself after {_INVERSE_STEPS} steps, "
+        f"{float(np.abs(residual).max()):.3g} of itself after {_SIMPLE_STEPS} steps, "
         f"{_INVERSE_TOLERANCE:g} is allowed."
     )
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tapping_cell.mechanics import Polygon, Tap
 from tapping_cell.planning.free_space import PathLengths
@@ -20,6 +21,9 @@ SHARES_OF_LARGEST = np.array([1.0, 0.6, 0.35, 0.2, 0.1, 0.05])
 TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
 
+Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
+"""Which displacements (n, 3) can be struck, each from a pose (n, 3) of its own."""
+
 
 def alternative_taps(
     pose: Array,
@@ -29,12 +33,14 @@ def alternative_taps(
     planner: Planner,
     paths: PathLengths,
     tap: Tap,
+    strikeable: Strikeable,
 ) -> Iterator[Array]:
     """Displacements to command, in chunks of shape (n, 3), best first.
 
     All directions, several distances (shares of the method's own choice ``first`` and of the
     largest tap) and rotations (shares of the cone). They are ranked by how many taps the method
-    would need from where they lead, with the distance measured along the path around obstacles.
+    would need from where they lead, with the distance measured along the path around obstacles; one
+    more where the goal is near and the tap that would end there cannot be struck.
     """
     number = gains.value
     made = candidate_taps(pose, goal, first, number, planner, paths.length, tap)
@@ -43,7 +49,7 @@ def alternative_taps(
     waiting, waiting_cost = order[:0], made.cost[:0]
     for start in range(0, order.size, CHUNK):
         part = order[start : start + CHUNK]
-        cost = made.cost[part] + indirect(made.after[part], goal, number, planner, tap)
+        cost = made.cost[part] + indirect(made.after[part], goal, number, planner, strikeable)
         waiting = np.concatenate([waiting, part])
         waiting_cost = np.concatenate([waiting_cost, cost])
         # Those that no candidate further on can come before.
@@ -122,14 +128,19 @@ def _through_edges(tap: Tap, body: Polygon, orientation: Array) -> Array:
     return np.asarray(orientation[..., None] + (inward[:, None] + aside).ravel())
 
 
-def indirect(after: Array, goal: Array, number: Array, planner: Planner, tap: Tap) -> Array:
-    """One more tap where no contact of a polygon gives the rest in one: poses (..., 3) after a tap.
+def indirect(
+    after: Array,
+    goal: Array,
+    number: Array,
+    planner: Planner,
+    strikeable: Strikeable,
+) -> Array:
+    """One more tap where the rest cannot be struck in one: poses (..., 3) after a tap.
 
-    The edges of a polygon pass on impulses within the contact's friction of their normals only,
-    which a planning method does not know. ``number``: ``Gains.value``.
+    ``strikeable`` tells what a planning method does not know: the
+    edges of a polygon pass on impulses within the contact's friction of their normals only, and
+    beside another object there may be no room for arm and tool. ``number``: ``Gains.value``.
     """
-    if not isinstance(tap.body, Polygon):
-        return np.zeros(after.shape[:-1])
     left = goal - after
     distance = np.hypot(left[..., 0], left[..., 1])
     turn = wrap_angle(left[..., 2]) / number[..., 1]
@@ -140,5 +151,5 @@ def indirect(after: Array, goal: Array, number: Array, planner: Planner, tap: Ta
         number, np.where(near, distance, 1.0), turn, heading, after[..., 2], settings.cone_slope
     )
     direct = np.zeros(near.shape, dtype=bool)
-    direct[near] = tap.reachable(commanded[near], after[near])
+    direct[near] = strikeable(after[near], commanded[near])
     return np.where(near & ~direct, 1.0, 0.0)

@@ -420,7 +420,14 @@ class PositioningSession(GoalSession):
             detour += "; another tap was skipped"
         allowed = struck = trusted = False
         for candidates in alternative_taps(
-            pose, self.goal, first, self.gains, self.planner, self._paths, self._space.tap
+            pose,
+            self.goal,
+            first,
+            self.gains,
+            self.planner,
+            self._paths,
+            self._space.tap,
+            self._space.strikeable,
         ):
             short = np.hypot(candidates[:, 0], candidates[:, 1]) * self.gains.value[0]
             fits = short <= self._longest_tap() * (1.0 + 1e-9)

@@ -210,7 +210,8 @@ class StrikeSpace:
     def tool_clears_object(self, object_pose: ArrayLike, tip_poses: ArrayLike) -> BoolArray:
         """Whether the resting tool at (..., 3) touches no point of the object's outline."""
         tips = np.asarray(tip_poses, dtype=float)
-        outline = transform_points(object_pose, self.outline)
+        pose = np.asarray(object_pose, dtype=float)
+        outline = transform_points(pose[..., None, :], self.outline)
         offset = outline - tips[..., None, :2]
         cos, sin = np.cos(tips[..., 2, None]), np.sin(tips[..., 2, None])
         ahead = cos * offset[..., 0] + sin * offset[..., 1]
@@ -265,6 +266,18 @@ class StrikeSpace:
         return int(known[index]), self.plan_at(
             float(np.asarray(plan.contact_angle)[index]), contact[index], float(speed[index])
         )
+
+    def strikeable(self, object_poses: Array, displacements: Array) -> BoolArray:
+        """Which displacements (n, 3) of the object can be struck, each from its own pose (n, 3)."""
+        found = np.asarray(self.tap.reachable(displacements, object_poses))
+        if not np.any(found):
+            return found
+        held = object_poses[found]
+        plan = self.tap.plan(displacements[found], held)
+        speed = np.asarray(plan.striker_speed, dtype=float)
+        usable = (speed >= self.settings.slowest) & (speed <= self.settings.fastest)
+        found[found] = usable & self.tool_fits(held, plan.strike_pose)
+        return found
 
     def tool_fits(self, object_pose: ArrayLike, contact_poses: ArrayLike) -> BoolArray:
         """Whether arm and tool have room to strike with the tip at (..., 3) at the contact."""

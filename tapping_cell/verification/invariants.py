@@ -29,10 +29,8 @@ CHARGED_LIMIT_S = 12.0
 """Longest time that a striker may stay charged, whatever happened to the computers."""
 CHECK_S = 0.045
 """A release follows the last check before FIRE by so much at most: the board's deadline for it."""
-STRIKE_S = 0.1
-"""The arm's promise lasts for so long after a release: its pulse (20 ms) and the flight (80 ms)."""
-FLIGHT_S = 0.045
-"""The arm stands still for so long after a release: the pulse and the striker's flight."""
+PULSE_S = 0.02
+"""Of a release; the arm's promise lasts for it and for the striker's flight."""
 ORPHAN_S = 1.5
 """A release may follow the end of its planner by so much: heartbeats must have stopped by then."""
 STOP_MOTION_S = 1.5
@@ -88,6 +86,8 @@ class Witness:
     """The tapper's own limit of the object's being unseen."""
     _variants: dict[int, list[TapCommand]] = field(default_factory=dict)
     """Every TAP that was published, by its id."""
+    _struck_until: float = -math.inf
+    """When the striker that was released last is through its stroke."""
     _asked_to_move: bool = True
     _released: int = 0
     _charged_since: float | None = None
@@ -135,6 +135,7 @@ class Witness:
             return
         self._check_place(release, command)
         self._check_energy(release, command)
+        self._struck_until = release.time + self.physical.flight(command.striker_speed)
         self._check_permit(release)
         self._check_time(release, command)
         gone = release.time - self.planner_gone_since
@@ -181,7 +182,7 @@ class Witness:
 
     def _check_permit(self, release: Release) -> None:
         end = self.promises.get(release.shot, -math.inf)
-        if release.time + STRIKE_S > end:
+        if self._struck_until + PULSE_S > end:
             self.violate(
                 "outside the permit",
                 f"shot {release.shot} was released {end - release.time:.3f} s before the end of"
@@ -281,10 +282,11 @@ class Witness:
             self._moving_since = now
             if not self._asked_to_move:
                 self.violate("moved unasked", "the arm began to move, and nobody had asked for it")
-            last = self.physical.releases[-1].time if self.physical.releases else -math.inf
-            if now < last + FLIGHT_S:
+            if now < self._struck_until:
                 self.violate(
-                    "moved in flight", f"the arm began to move {now - last:.3f} s after a release"
+                    "moved in flight",
+                    f"the arm began to move {self._struck_until - now:.3f} s before the striker"
+                    " can be through its stroke",
                 )
             if not self.word_given:
                 self.violate(

@@ -36,7 +36,7 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "fires after the arm's promise has ended",
         "tapping_cell.logic.tapper",
-        "if self.state is not S.FIRING or end > permit.until:",
+        "if self.state is not S.FIRING or end > promise.until:",
         "if self.state is not S.FIRING:",
         "S1",
         kinds=("freeze at a write", "freeze at a shot"),
@@ -57,8 +57,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "counts the promise from its answer",
         "tapping_cell.logic.tapper",
-        "until = self._asked_at + HOLD_S",
-        "until = now.steady + HOLD_S",
+        "until = self._asked_at + permit.hold(tap.flight)",
+        "until = now.steady + permit.hold(tap.flight)",
         "S1",
         kinds=("slow answer", "freeze at a write"),
     ),
@@ -214,8 +214,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "moves in the flight of the striker",
         "tapping_cell.logic.tapper",
-        "self._let_arm_go(RELEASED_S if end.outcome is FireOutcome.FIRED else 0.0)",
-        "self._let_arm_go(0.0)",
+        "self._let_arm_go(permit.RELEASED_S + struck.flight)",
+        "self._let_arm_go(permit.RELEASED_S)",
         kinds=("foreign withdrawal", "cancel", "heard by one"),
     ),
     Mutant(

@@ -89,6 +89,10 @@ class PhysicalCell:
         """What the tapper's curve asks for a striker speed in m/s, J."""
         return self._curve.energy_for(speed)
 
+    def flight(self, speed: float) -> float:
+        """How long a striker of this speed (m/s) is on its way through its stroke, s."""
+        return self.cell.file.tapper.stroke / speed
+
     def press_clear_button(self) -> None:
         """A person presses the button at the tapper's board."""
         self.tapper_board.press_clear_button(self._scheduler.now)

@@ -89,21 +89,24 @@ MOST_LATE = 15
 class Parameters:
     """Parameters of camera_pose."""
 
-    autostart: bool = text("configure and activate without being asked", default=True)
-    cell_file: str = text("path of the cell file; empty for the package's own", default="")
-    object_file: str = text("path of the object file; empty for the cell file's", default="")
+    autostart: bool = text("configure and activate automatically at start-up", default=True)
+    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
+    object_file: str = text(
+        "path of the object file; if empty, the one named in the cell file", default=""
+    )
     other_object_files: str = text(
-        "paths of the files of further objects on the table, separated by commas", default=""
+        "paths of the object files of additional objects on the table, separated by commas",
+        default="",
     )
     silence_limit: float = quantity(
-        "time without a picture after which the camera counts as silent",
+        "time without an image after which the camera is reported as silent",
         "s",
         0.1,
         60.0,
         default=0.4,
     )
     annotated_rate: float = quantity(
-        "greatest rate of camera/image_annotated, sent only while somebody listens",
+        "maximum rate of camera/image_annotated, which is published only while it has subscribers",
         "Hz",
         0.1,
         60.0,

@@ -40,21 +40,24 @@ REOPEN_PERIOD_S = 1.0
 class Parameters:
     """Parameters of overhead_camera."""
 
-    autostart: bool = text("configure and activate without being asked", default=True)
-    cell_file: str = text("path of the cell file; empty for the package's own", default="")
+    autostart: bool = text("configure and activate automatically at start-up", default=True)
+    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
     camera_info_file: str = text(
-        "path of the calibration; empty for the one that the cell file names", default=""
+        "path of the camera calibration; if empty, the file named in the cell file", default=""
     )
     source: str = text(
-        "a device such as /dev/video0, a video file or a folder of pictures", default="/dev/video0"
+        "image source: a device such as /dev/video0, a video file or a folder of images",
+        default="/dev/video0",
     )
-    frame_rate: float = quantity("pictures a second", "Hz", 0.1, 240.0, default=30.0)
+    frame_rate: float = quantity("frames per second", "Hz", 0.1, 240.0, default=30.0)
     exposure: float = quantity(
-        "time of exposure; 0 leaves it to the device", "s", 0.0, 1.0, default=0.0
+        "exposure time; 0 leaves it to the device", "s", 0.0, 1.0, default=0.0
     )
-    loop: bool = text("begin a file or folder again at its end", default=False)
+    loop: bool = text(
+        "repeat a video file or folder from its beginning when it ends", default=False
+    )
     compressed_quality: int = quantity(
-        "quality of the JPEG pictures on camera/image_raw/compressed", "", 50, 100, default=95
+        "JPEG quality of camera/image_raw/compressed", "", 50, 100, default=95
     )
 
 

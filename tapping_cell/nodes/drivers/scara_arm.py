@@ -33,26 +33,31 @@ from tapping_cell.se2 import Pose
 class Parameters:
     """Parameters of scara_arm."""
 
-    autostart: bool = text("configure and activate without being asked", default=True)
-    cell_file: str = text("path of the cell file; empty for the package's own", default="")
-    object_file: str = text("path of the object file; empty for the cell file's", default="")
-    port: str = text("path of the arm's serial port; empty for the cell file's", default="")
+    autostart: bool = text("configure and activate automatically at start-up", default=True)
+    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
+    object_file: str = text(
+        "path of the object file; if empty, the one named in the cell file", default=""
+    )
+    port: str = text(
+        "path of the arm's serial port; if empty, the one in the cell file", default=""
+    )
     home_on_activate: bool = text(
-        "home when activated, where homing needs no person: only for a cell that nobody can reach",
+        "home automatically when activated, if homing needs no operator; only for a cell that "
+        "nobody can reach into",
         default=False,
     )
     state_rate: float = quantity("rate of arm_state", "Hz", 1.0, 200.0, default=20.0)
     set_up: bool = text(
-        "set-up mode: move at a quarter of the speed and only while an enabling device is held, "
-        "for commissioning and the first taps",
+        "set-up mode for commissioning and the first taps: move at a quarter of the speed and "
+        "only while an enabling device is held",
         default=False,
     )
     look_early: bool = text(
-        "after a tap, withdraw only until the camera sees the object; false: to the park pose",
+        "after a tap, withdraw only until the camera sees the object; if false, to the park pose",
         default=True,
     )
     link_frames: bool = text(
-        "send the arm's links on /tf; false where robot_state_publisher does", default=True
+        "publish the arm's links on /tf; set to false if robot_state_publisher does", default=True
     )
 
 

@@ -29,12 +29,14 @@ from tapping_cell.nodes.drivers.output_link import KeptShot, RosOutputLink
 class Parameters:
     """Parameters of tapper_trigger."""
 
-    autostart: bool = text("configure and activate without being asked", default=True)
-    cell_file: str = text("path of the cell file; empty for the package's own", default="")
-    port: str = text("path of the tapper's serial port; empty for the cell file's", default="")
+    autostart: bool = text("configure and activate automatically at start-up", default=True)
+    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
+    port: str = text(
+        "path of the tapper's serial port; if empty, the one in the cell file", default=""
+    )
     board: int = quantity(
-        "which of the cell's boards this node drives: 0 for the first port in the cell file, 1 for "
-        "the next",
+        "index of the tapper board that this node drives: 0 for the first port in the cell file, "
+        "1 for the second",
         "",
         0,
         15,
@@ -42,37 +44,43 @@ class Parameters:
     )
     state_rate: float = quantity("rate of tapper_state", "Hz", 1.0, 200.0, default=20.0)
     set_up: bool = text(
-        "set-up mode: charge and fire only while an enabling device is held, and only the board's "
-        "small set-up energy unless that is the switch at the board",
+        "set-up mode: charge and fire only while an enabling device is held, and only with the "
+        "board's reduced set-up energy unless the enabling device is the switch on the board",
         default=False,
     )
     arm_freshness: float = quantity(
-        "greatest age of the arm's read-back at the moment of firing", "s", 0.02, 2.0, default=0.3
+        "maximum age of the arm's measured position when the striker fires",
+        "s",
+        0.02,
+        2.0,
+        default=0.3,
     )
     silence_limit: float = quantity(
-        "longest silence of planner and camera with which a tap is charged and fired",
+        "maximum age of the last message of planner and camera for charging and firing",
         "s",
         0.1,
         5.0,
         default=0.45,
     )
     unseen_limit: float = quantity(
-        "longest time for which the object may not be seen before a tap is fired; raise it where "
-        "the arm covers the object on its way",
+        "maximum time for which the object may be out of view before a tap is fired; increase it "
+        "if the arm occludes the object on its way",
         "s",
         0.1,
         10.0,
         default=0.45,
     )
     moved_limit: float = quantity(
-        "distance by which the object may lie from where the tap was planned when it is fired",
+        "maximum distance, at the time of firing, of the object from the pose for which the tap "
+        "was planned",
         "m",
         0.0001,
         0.1,
         default=0.002,
     )
     turned_limit: float = quantity(
-        "rotation by which the object may differ from how the tap was planned when it is fired",
+        "maximum rotation, at the time of firing, of the object from the pose for which the tap "
+        "was planned",
         "rad",
         0.001,
         math.pi,

@@ -117,27 +117,33 @@ STOP_NOT_RELEASED = (
 class Parameters:
     """Parameters of operator_page."""
 
-    autostart: bool = text("configure and activate without being asked", default=True)
-    cell_file: str = text("path of the cell file; empty for the package's own", default="")
-    object_file: str = text("path of the object file; empty for the cell file's", default="")
+    autostart: bool = text("configure and activate automatically at start-up", default=True)
+    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
+    object_file: str = text(
+        "path of the object file; if empty, the one named in the cell file", default=""
+    )
     address: str = text(
-        "where the page is served; 0.0.0.0 for the whole network, with a token",
+        "address on which the page is served; 0.0.0.0 for the whole network, with a token",
         default="localhost",
     )
-    port: int = quantity("port of the page; 0 takes any that is free", "", 0, 65535, default=8010)
+    port: int = quantity("TCP port of the page; 0 for any free port", "", 0, 65535, default=8010)
     stop_port: int = quantity(
-        "port of the page's STOP; 0 takes any that is free", "", 0, 65535, default=9010
+        "TCP port of the page's STOP; 0 for any free port", "", 0, 65535, default=9010
     )
     token: str = text(
-        "what a browser must know; empty makes one where the network can reach the page",
+        "token that a browser must present; if empty, one is generated when the page is reachable "
+        "from the network",
         default="",
     )
     host_names: str = text(
-        "more names under which browsers may open the page, with commas", default=""
+        "additional host names under which browsers may open the page, separated by commas",
+        default="",
     )
-    runs: str = text("folder of the recorded runs: run_recorder's parameter folder", default="runs")
-    picture_rate: float = quantity("greatest rate of pictures", "Hz", 0.1, 60.0, default=10.0)
-    picture_quality: int = quantity("quality of the JPEG pictures", "", 10, 100, default=80)
+    runs: str = text(
+        "folder of the recorded runs; the same as run_recorder's parameter folder", default="runs"
+    )
+    picture_rate: float = quantity("maximum rate of images", "Hz", 0.1, 60.0, default=10.0)
+    picture_quality: int = quantity("JPEG quality of the images", "", 10, 100, default=80)
 
 
 class OperatorPage(CellNode[Parameters]):

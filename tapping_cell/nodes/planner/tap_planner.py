@@ -40,12 +40,14 @@ from tapping_cell.planning import PlanningError
 class Parameters(PlannerSettings):
     """Parameters of tap_planner."""
 
-    autostart: bool = text("configure and activate without being asked", default=True)
-    cell_file: str = text("path of the cell file; empty for the package's own", default="")
-    object_file: str = text("path of the object file; empty for the cell file's", default="")
+    autostart: bool = text("configure and activate automatically at start-up", default=True)
+    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
+    object_file: str = text(
+        "path of the object file; if empty, the one named in the cell file", default=""
+    )
     other_object_files: str = text(
-        "paths of the files of other objects on the table, separated by commas: avoided; the same "
-        "as camera_pose's",
+        "paths of the object files of obstacles on the table, separated by commas; give "
+        "camera_pose the same value",
         default="",
     )
 

@@ -51,31 +51,43 @@ from tapping_cell.simulation.truth import TruthFile
 class Parameters:
     """Parameters of sim_world."""
 
-    autostart: bool = text("configure and activate without being asked", default=True)
-    cell_file: str = text("path of the cell file; empty for the package's own", default="")
-    object_file: str = text("path of the object file; empty for the cell file's", default="")
+    autostart: bool = text("configure and activate automatically at start-up", default=True)
+    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
+    object_file: str = text(
+        "path of the object file; if empty, the one named in the cell file", default=""
+    )
     other_object_files: str = text(
-        "paths of the files of further objects on the table, besides those of the cell file, "
-        "separated by commas",
+        "paths of the object files of additional objects on the table, besides those of the cell "
+        "file, separated by commas",
         default="",
     )
-    truth_file: str = text("path of the truth file; empty for the package's own", default="")
-    seed: int = quantity("of all that is random", "", 0, 2**31 - 1, default=1)
-    arm_port: str = text("where the arm's port appears; empty for the cell file's", default="")
-    tapper_port: str = text(
-        "where the tapper's port appears; empty for the cell file's", default=""
+    truth_file: str = text(
+        "path of the simulation parameter file; if empty, the package's default", default=""
     )
-    frame_rate: float = quantity("rate of the camera", "Hz", 1.0, 120.0, default=30.0)
+    seed: int = quantity("random seed", "", 0, 2**31 - 1, default=1)
+    arm_port: str = text(
+        "path at which the emulated arm's serial port is created; if empty, the one in the cell "
+        "file",
+        default="",
+    )
+    tapper_port: str = text(
+        "path at which the emulated tapper's serial port is created; if empty, the one in the "
+        "cell file",
+        default="",
+    )
+    frame_rate: float = quantity(
+        "frame rate of the simulated camera", "Hz", 1.0, 120.0, default=30.0
+    )
     slow_motion: float = quantity(
-        "times slower than real that a slide is played, for a machine too slow for the camera's "
-        "rate; stamps are true",
+        "factor by which slides are played in slow motion, for a machine too slow for the frame "
+        "rate; time stamps are those of real time",
         "",
         1.0,
         100.0,
         default=1.0,
     )
     compressed_quality: int = quantity(
-        "quality of the JPEG pictures on camera/image_raw/compressed", "", 50, 100, default=95
+        "JPEG quality of camera/image_raw/compressed", "", 50, 100, default=95
     )
 
 

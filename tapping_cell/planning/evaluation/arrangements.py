@@ -104,7 +104,8 @@ class ArrangementTrial:
     end: "done", "refused before" the first tap, "refused later". inside: every true pose within its
     tolerance. taps: in all; lone_taps: the same objects, each alone on the table. contacts: between
     objects; tool_contacts: strikes whose tool would have touched another object. made_way: moves
-    of objects out of the way. slowest, planning: longest decision and the sum, s. history: true
+    of objects out of the way. slowest, planning: longest decision and the sum, s of processor.
+    history: true
     poses before the first tap and after every one; goals, outlines (n, 2) in the objects' frames
     and the table's length and width: for pictures.
     """
@@ -149,11 +150,11 @@ def draw_scene(
     """
     for _ in range(100):
         chosen = [kinds[int(index)] for index in rng.integers(len(kinds), size=task.count)]
-        starts = _draw_places(chosen, task.gap, rng)
+        starts = draw_places(chosen, task.gap, rng)
         if starts is None:
             continue
         if task.goals == "random":
-            goals = _draw_places(chosen, task.gap, rng)
+            goals = draw_places(chosen, task.gap, rng)
         elif task.goals == "swap":
             goals = [
                 Pose(*starts[index ^ 1][:2], rng.uniform(-math.pi, math.pi))
@@ -206,9 +207,9 @@ def arrange(
     looks = dict.fromkeys(true, 1)
     last_move = None
     while True:
-        began = time.perf_counter()
+        began = time.thread_time()
         decision = session.decide(seen, look_again=max(looks.values()) < LONG_LOOK)
-        spent = time.perf_counter() - began
+        spent = time.thread_time() - began
         trial.decisions += 1
         trial.slowest, trial.planning = max(trial.slowest, spent), trial.planning + spent
         if isinstance(decision, LookLonger):
@@ -335,9 +336,7 @@ def _draw_gains(task: ArrangementTask, rng: np.random.Generator) -> Array:
     return np.concatenate([gains, np.zeros((task.count, 2))], axis=1)
 
 
-def _draw_places(
-    kinds: Sequence[Kind], least: float, rng: np.random.Generator
-) -> list[Pose] | None:
+def draw_places(kinds: Sequence[Kind], least: float, rng: np.random.Generator) -> list[Pose] | None:
     """A workable place for each, at least so far apart; None where the draws do not suffice."""
     placed: list[tuple[Pose, float]] = []
     for kind in kinds:

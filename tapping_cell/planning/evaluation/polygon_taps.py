@@ -104,9 +104,13 @@ class _Ranking:
         row, column = np.nonzero(np.isfinite(total))
         after = made.after[rows[row], some[row, column]]
         total[row, column] += indirect(
-            after, self._goal[rows[row]], self._number[rows[row]], self._planner, self._tap
+            after, self._goal[rows[row]], self._number[rows[row]], self._planner, self._given
         )
         return total
+
+    def _given(self, poses: Array, commanded: Array) -> NDArray[np.bool_]:
+        """Which displacements some contact gives."""
+        return np.asarray(self._tap.reachable(commanded, poses))
 
 
 def _passed_on(tap: Tap, pose: Array, commanded: Array) -> NDArray[np.bool_]:

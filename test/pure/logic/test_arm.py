@@ -53,8 +53,7 @@ def test_a_fault_in_mid_move_after_a_withdrawal_can_be_cleared() -> None:
     joints = Joints(*CELL.file.arm.park)
     pair.begin()
     arm = pair.arm
-    arm.on_message("tap_command", pair.command(TapCommand.WITHDRAW, now), now)
-    made = arm.on_tick(at(START + 1.0))
+    made = arm.on_message("tap_command", pair.command(TapCommand.WITHDRAW, now), now)
     (withdraw,) = [e.job for e in made if isinstance(e, RunJob) and e.job.name == "withdraw"]
     fault = HardwareFault(FaultReason.TIMEOUT, "a move was not finished in time")
     arm.on_job(JobEnded(withdraw.number, fault=fault), at(START + 2.0))
@@ -79,8 +78,8 @@ def test_a_stop_overtakes_whatever_is_under_way() -> None:
     """The end of a job that a stop overtook changes nothing."""
     pair = in_position()
     arm = pair.arm
-    arm.on_message("tap_command", pair.command(TapCommand.WITHDRAW, at(START)), at(START))
-    (number,) = jobs(arm.on_tick(at(START + 1.0)))[:1]
+    command = pair.command(TapCommand.WITHDRAW, at(START))
+    (number,) = jobs(arm.on_message("tap_command", command, at(START)))
     arm.on_message("emergency_stop", Bool(data=True), at(START + 1.1))
     assert arm.state is arms.State.STOPPED
     here = Reading(True, Joints(*CELL.file.arm.park), False, START)

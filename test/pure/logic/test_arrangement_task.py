@@ -35,6 +35,7 @@ from tapping_cell.messages import (
     TapCommand,
     TapperState,
 )
+from tapping_cell.planning.arrangement import ArrangementSession
 from tapping_cell.se2 import Pose
 
 PLACES = (Pose(-0.12, 0.03, 0.0), Pose(0.04, 0.05, 0.2), Pose(0.10, -0.12, 0.0))
@@ -303,6 +304,18 @@ def test_a_cancelled_arrangement_ends_its_tap(cell: Table) -> None:
     result = cell.end()
     assert result.error_code == ErrorCode.GOAL_CANCELED
     assert cell.states[-1].state == PlanState.CANCELED and cell.arm_state == ArmState.IDLE
+
+
+def test_a_computation_that_fails_ends_the_arrangement_with_a_number(
+    cell: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: Any, **__: Any) -> None:
+        raise ArithmeticError("no number")
+
+    monkeypatch.setattr(ArrangementSession, "decide", broken)
+    cell.send({cell.names[0]: Pose(0.0, -0.1, 0.0)})
+    assert cell.end().error_code == ErrorCode.INTERNAL
+    assert not cell.taps
 
 
 def test_an_emergency_stop_and_the_time_limit_end_an_arrangement() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from tapping_cell.mechanics import Disk, InvalidParameterError, Polygon, Sliding
+from tapping_cell.mechanics import Disk, InvalidParameterError, Polygon, Sliding, polygon_sliding
 
 G = 9.81
 SQUARE = Polygon([(0, 0), (0.08, 0), (0.08, 0.08), (0, 0.08)], 0.2, 0.01)
@@ -201,3 +201,12 @@ def test_rows_that_stand_still_and_shapes():
     assert isinstance(slide.rest(0.1, 0.1).distance, float)
     with pytest.raises(InvalidParameterError, match="finite"):
         slide.rest(math.nan, 1.0)
+
+
+def test_the_inverse_is_found_where_its_quick_method_gives_up(monkeypatch):
+    random = np.random.default_rng(3)
+    wanted = random.uniform([-0.1, -0.1, -1.0], [0.1, 0.1, 1.0], (20, 3))
+    slide = Sliding(SQUARE, 0.2, 3.64, G).tabulated()
+    quick = slide.twist_for(wanted)
+    monkeypatch.setattr(polygon_sliding, "_INVERSE_STEPS", 2)
+    assert slide.twist_for(wanted) == pytest.approx(quick, rel=1e-7, abs=1e-9)

@@ -66,8 +66,16 @@ def test_the_choice_is_that_of_a_session():
     rows = np.flatnonzero(~TAP.reachable(first, pose))
     for row in rows:
         one = gains.of(np.array(row))
+        paths = StraightPaths(goal[row])
         for taps in alternative_taps(
-            pose[row], goal[row], first[row], one, PLANNER, StraightPaths(goal[row]), rough
+            pose[row],
+            goal[row],
+            first[row],
+            one,
+            PLANNER,
+            paths,
+            rough,
+            lambda poses, taps: rough.reachable(taps, poses),
         ):
             reached = np.flatnonzero(rough.reachable(taps, pose[row]))
             if reached.size:

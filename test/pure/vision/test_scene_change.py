@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import CAMERA, MARKER, REFERENCES, renderer
+from scenes import CAMERA, DISK, MARKER, POSE, REFERENCES, renderer
 
 from tapping_cell.se2 import transform_points
-from tapping_cell.simulation.rendered_camera import Occluder, SceneRenderer
-from tapping_cell.vision import Observation, PoseTracker
+from tapping_cell.simulation.rendered_camera import Occluder, SceneObject, SceneRenderer
+from tapping_cell.vision import Observation, PoseTracker, TrackerSettings, marker_ids
 from tapping_cell.vision.scene_change import SceneChange
 
 HOME = np.array([0.1, 0.05, 0.4])
@@ -112,3 +113,39 @@ def test_an_edge_that_moves_by_a_fifth_of_a_pixel_is_a_change_and_noise_is_none(
     assert sum(same) >= 19
     assert not change.unchanged(frame(60.2))
     assert not change.unchanged(frame(59.8))
+
+
+def test_looks_at_another_object_that_lies_still_cost_no_more() -> None:
+    other = replace(MARKER, id=MARKER.id + 1)
+    two = SceneRenderer(
+        CAMERA, POSE, REFERENCES, DISK, MARKER, others=[SceneObject(np.asarray(DISK), other)]
+    )
+    known = TrackerSettings(other_ids=marker_ids([MARKER, other]))
+    tracker = CountingTracker(CAMERA, REFERENCES, MARKER, known, [other])
+    poses = np.array([HOME, HOME - [0.15, 0.05, 0.4]])
+
+    def look(number: int) -> dict[int, Observation]:
+        stamp = 1.0 + number * FRAME
+        return tracker.update_several(two.render(poses), stamp, [0])[1]
+
+    for number in range(60):
+        look(number)
+    before = tracker.measured
+    for number in range(60, 120):
+        seen = look(number)[0]
+        assert seen.visible and seen.at_rest and seen.stamp == 1.0 + number * FRAME
+    assert 8 <= tracker.measured - before <= 14
+    # The other one alone moves: it is measured at once.
+    poses[1] += [0.001, 0.0, 0.0]
+    before = tracker.measured
+    assert look(120)[0].pose == pytest.approx(tuple(poses[1]), abs=5e-4)
+    assert tracker.measured == before + 1
+
+
+def test_frames_that_come_late_are_no_search(
+    scene: SceneRenderer, settled: CountingTracker
+) -> None:
+    begun = settled._last_thorough
+    for number in range(1, 9):
+        assert settled.update(scene.render(HOME), 60 * FRAME + 0.5 * number).visible
+    assert settled._last_thorough == begun

@@ -1,0 +1,145 @@
+"""The demo with several objects: each is brought to a drawn place, and the truth is told."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from tapping_cell.cli.arrange import follow, result_of, wait_for
+from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.graph import Graph
+from tapping_cell.configuration.cell import Cell, load_further_objects
+from tapping_cell.configuration.layout_file import LayoutFile
+from tapping_cell.nodes.clients.arrange_client import (
+    ArrangeClient,
+    ArrangementEnded,
+    residuals,
+)
+from tapping_cell.planning.evaluation.arrangements import ArrangementTrial
+from tapping_cell.report.arrangement_figures import draw_scene
+from tapping_cell.se2 import Pose
+
+READY_PATIENCE_S = 90.0
+TRUTH_S = 0.5
+"""After the end, so that the last true poses are heard."""
+PICTURE, SUMMARY = "arrangement.png", "arrangement.json"
+
+
+def arrange(
+    layout: LayoutFile, cell: Cell, graph: Graph, folder: Path, console: Console, as_json: bool
+) -> int:
+    """Arrange the objects, keep picture and summary in the folder; 0 where all truly are inside
+    their tolerances, else 1.
+
+    Raises:
+        NotReadyInTime, GraphError: the cell did not get ready, or a node ended.
+    """
+    names = frozenset(goal.object for goal in layout.goals)
+    with ArrangeClient("demo") as client:
+        wait_for(client, names, READY_PATIENCE_S, graph.check, console)
+        history = [dict(client.true_poses)]
+        began = time.monotonic()
+        client.send(layout)
+        try:
+            ended = follow(
+                client,
+                graph.check,
+                console,
+                on_tap=lambda: history.append(dict(client.true_poses)),
+            )
+        except KeyboardInterrupt:
+            with contextlib.suppress(RuntimeError):
+                client.cancel()
+            raise
+        took = time.monotonic() - began
+        time.sleep(TRUTH_S)
+        history[max(1, ended.taps) :] = [dict(client.true_poses)]
+        true, contacts = residuals(client.true_poses, layout), list(client.contacts)
+    inside = _inside(true, layout, cell)
+    summary = _summary(ended, true, contacts, inside, took)
+    (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    _draw(history, layout, cell, ended, folder / PICTURE)
+    if as_json:
+        print(json.dumps(summary, indent=2, allow_nan=False))
+    for name, (distance, turn) in true.items():
+        console.print(
+            f"'{name}' truly {1000 * distance:.3f} mm and {math.degrees(turn):.3f} deg from its "
+            "goal",
+            highlight=False,
+        )
+    for first, second in contacts:
+        console.print(f"'{first}' met '{second}'", highlight=False)
+    if ended.error_code or not inside:
+        reason = ended.error_msg or "not every object is truly within its tolerance"
+        tell_error(f"arrangement not reached: {reason}", ended.error_code)
+        return 1
+    console.print(
+        f"[green]arrangement reached[/green] in {ended.taps} taps, {took:.0f} s, "
+        f"{len(contacts)} contacts; see {folder / PICTURE}"
+    )
+    return 0
+
+
+def _inside(true: dict[str, tuple[float, float]], layout: LayoutFile, cell: Cell) -> bool:
+    """Whether every object truly is where it was to go."""
+    distance, angle = cell.tolerance
+    return all(
+        true[goal.object][0] <= (goal.position_tolerance or distance)
+        and true[goal.object][1] <= (goal.angle_tolerance or angle)
+        for goal in layout.goals
+    )
+
+
+def _summary(
+    ended: ArrangementEnded,
+    true: dict[str, tuple[float, float]],
+    contacts: list[tuple[str, str]],
+    inside: bool,
+    took: float,
+) -> dict[str, Any]:
+    truth = {
+        name: {"residual_mm": 1000 * distance, "residual_deg": math.degrees(turn)}
+        for name, (distance, turn) in true.items()
+        if math.isfinite(distance)
+    }
+    return {
+        **result_of(ended),
+        "truly_inside": inside,
+        "true": truth,
+        "contacts": contacts,
+        "seconds": round(took, 1),
+    }
+
+
+def _draw(
+    history: list[dict[str, Pose]],
+    layout: LayoutFile,
+    cell: Cell,
+    ended: ArrangementEnded,
+    file: Path,
+) -> None:
+    """Before, between and after, with the ways of the objects."""
+    goals = {goal.object: Pose(*goal.pose) for goal in layout.goals}
+    outlines = {
+        own.name: np.asarray(replace(cell, object=own).outline())
+        for own in (cell.object, *load_further_objects(cell))
+    }
+    table = cell.file.table
+    draw_scene(
+        ArrangementTrial(
+            end="done" if not ended.error_code else "refused later",
+            history=history,
+            goals=goals,
+            outlines=outlines,
+            table=(table.length, table.width),
+        ),
+        file,
+    )

@@ -1,0 +1,65 @@
+"""The graph of a verb that measures: its own, simulated or on hardware, or one that is running."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from tapping_cell.cli import argument_types
+from tapping_cell.cli.graph import Graph, own_domain, with_own_ports
+from tapping_cell.cli.up import add_truth_arguments
+
+
+def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
+    """Which graph, of which cell."""
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument(
+        "--hardware", action="store_true", help="start the nodes of the real camera, arm and tapper"
+    )
+    how.add_argument("--attach", action="store_true", help="join a graph that is running")
+    parser.add_argument(
+        "--namespace",
+        type=argument_types.namespace,
+        default="",
+        help="with --attach: namespace of the nodes",
+    )
+    parser.add_argument(
+        "--camera", default="/dev/video0", help="with --hardware: device, video file or folder"
+    )
+    parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
+    add_truth_arguments(parser)
+    parser.set_defaults(planner=None)
+
+
+@contextmanager
+def measuring_graph(
+    arguments: argparse.Namespace,
+    nodes: Sequence[str],
+    parameters: dict[str, dict[str, object]],
+    logs: Path,
+    tell: Callable[[str], None],
+) -> Iterator[Callable[[], None]]:
+    """The graph, started here or joined; gives what raises once a node of it died.
+
+    ``tell`` is told in which ROS domain it can be watched.
+
+    Raises:
+        GraphError: it cannot be started.
+    """
+    if arguments.attach:
+        yield lambda: None
+        return
+    domain = own_domain()
+    # The client of this process must meet the nodes, and nobody else.
+    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    tell(f"records in {logs.parent}; watch with ROS_DOMAIN_ID={domain.number}")
+    with tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports:
+        if not arguments.hardware:
+            parameters = with_own_ports(parameters, Path(ports))
+        with Graph(nodes, parameters, logs) as graph:
+            yield graph.check
