@@ -8,7 +8,7 @@ BEFORE_FLIGHT_S = 0.17
 """Of the arm's promise, what is left to ask the arm and the board, for the window and the pulse."""
 RELEASE_S = 0.1
 """Of that, what must be left when the answer is heard: a question to the board, window, pulse."""
-RELEASED_S = 0.05
+RELEASED_S = 0.035
 """From the report of a release on, the pulse is over by then at the latest."""
 SLOWNESS = 1.1
 """A striker may be slower than its curve says by so much: friction and the curve's error."""

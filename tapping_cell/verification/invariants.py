@@ -31,6 +31,8 @@ CHECK_S = 0.045
 """A release follows the last check before FIRE by so much at most: the board's deadline for it."""
 PULSE_S = 0.02
 """Of a release; the arm's promise lasts for it and for the striker's flight."""
+SILENCE_S = 1.5
+"""Longest silence of a planner with which the tapper fires, whether it speaks of the tap or not."""
 ORPHAN_S = 1.5
 """A release may follow the end of its planner by so much: heartbeats must have stopped by then."""
 STOP_MOTION_S = 1.5
@@ -82,10 +84,15 @@ class Witness:
     unseen, of the camera's silence, and what is on its way."""
     seen_by_tapper: deque[tuple[float, Pose]] = field(default_factory=lambda: deque(maxlen=100))
     """When the tapper's process heard where the object lies, and where that is."""
+    taken_by_tapper: dict[int, list[TapCommand]] = field(default_factory=dict)
+    """The TAPs that the tapper's process has heard, by id: of two with one id it may strike only
+    for one of its own."""
+    planners: set[int] = field(default_factory=set)
+    """The taps that the planner has commanded."""
+    planner_heard: float = -math.inf
+    """When the tapper's process heard the planner last."""
     unseen_by_tapper: float = 0.0
     """The tapper's own limit of the object's being unseen."""
-    _variants: dict[int, list[TapCommand]] = field(default_factory=dict)
-    """Every TAP that was published, by its id."""
     _struck_until: float = -math.inf
     """When the striker that was released last is through its stroke."""
     _asked_to_move: bool = True
@@ -103,7 +110,8 @@ class Witness:
         if isinstance(message, TapCommand):
             if message.request == TapCommand.TAP:
                 self.commands[message.tap_id] = message
-                self._variants.setdefault(message.tap_id, []).append(message)
+                if node == "tap_planner":
+                    self.planners.add(message.tap_id)
         elif isinstance(message, TapperState) and node == "tapper_trigger":
             self._on_tapper_state(message)
         elif isinstance(message, ArmState) and node == "scara_arm":
@@ -131,7 +139,9 @@ class Witness:
             self.violate("arm moving", f"shot {shot} was released while the arm moved")
         command = self._command_of(release)
         if command is None:
-            self.violate("no such tap", f"shot {shot} was released, but never commanded")
+            self.violate(
+                "no such tap", f"shot {shot} was released, the tapper heard of no such tap"
+            )
             return
         self._check_place(release, command)
         self._check_energy(release, command)
@@ -141,6 +151,13 @@ class Witness:
         gone = release.time - self.planner_gone_since
         if gone > ORPHAN_S:
             self.violate("no planner", f"shot {shot} was released {gone:.2f} s after its planner")
+        silent = release.time - self.planner_heard
+        if shot in self.planners and silent > SILENCE_S + WINDOW_S:
+            self.violate(
+                "planner silent",
+                f"shot {shot} was released {silent:.2f} s after the tapper had last heard the"
+                " planner that commanded it",
+            )
         self._check_scene(release, command)
 
     def _command_of(self, release: Release) -> TapCommand | None:
@@ -152,7 +169,7 @@ class Witness:
             turn = abs(pose.rotation_to(release.tip))
             return pose.distance_to(release.tip) / STRIKE_POSITION_M + turn / STRIKE_ANGLE_RAD
 
-        variants = self._variants.get(release.shot)
+        variants = self.taken_by_tapper.get(release.shot)
         return min(variants, key=distance) if variants else None
 
     def _check_energy(self, release: Release, command: TapCommand) -> None:
