@@ -90,16 +90,7 @@ def wait_for(
     Raises:
         NotReadyInTime: names what is missing after ``patience`` seconds.
     """
-    deadline = time.monotonic() + patience
-    with console.status("waiting for the cell") as status:
-        while missing := client.missing(names):
-            check()
-            if time.monotonic() > deadline:
-                raise session.NotReadyInTime(
-                    f"the cell was not ready after {patience:.0f} s: " + "; ".join(missing)
-                )
-            status.update("waiting for the cell: " + missing[0])
-            time.sleep(0.05)
+    session.wait_for(lambda: client.missing(names), patience, check, console)
     # The planner must have found this client as well, or its answer goes nowhere.
     time.sleep(session.MUTUAL_DISCOVERY_S)
 

@@ -119,20 +119,30 @@ def wait_for_planner(client: GoalClient, patience: float, console: Console) -> N
 def wait_until_ready(
     client: GoalClient, patience: float, check: Callable[[], None], console: Console
 ) -> None:
-    """Wait until the cell can take a goal.
+    """Wait until the cell can take a goal, as ``wait_for`` does."""
+    wait_for(client.missing, patience, check, console)
+
+
+def wait_for(
+    missing: Callable[[], list[str]],
+    patience: float,
+    check: Callable[[], None],
+    console: Console,
+) -> None:
+    """Wait until nothing is missing of what the cell needs.
 
     Raises:
         NotReadyInTime: names what is missing after ``patience`` seconds.
     """
     deadline = time.monotonic() + patience
     with console.status("waiting for the cell") as status:
-        while missing := client.missing():
+        while reasons := missing():
             check()
             if time.monotonic() > deadline:
                 raise NotReadyInTime(
-                    f"the cell was not ready after {patience:.0f} s: " + "; ".join(missing)
+                    f"the cell was not ready after {patience:.0f} s: " + "; ".join(reasons)
                 )
-            status.update("waiting for the cell: " + missing[0])
+            status.update("waiting for the cell: " + reasons[0])
             time.sleep(0.05)
 
 

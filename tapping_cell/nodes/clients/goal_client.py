@@ -7,19 +7,14 @@ from __future__ import annotations
 
 import math
 import queue
-import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from geometry_msgs.msg import PoseStamped
-from rclpy.action import ActionClient
-from rclpy.action.client import ClientGoalHandle
 from std_msgs.msg import String
 from tapping_cell_msgs.action import PositionObject
 from tapping_cell_msgs.msg import (
     ArmState,
-    ErrorCode,
     ObjectState,
     PlannedTap,
     PlanState,
@@ -31,7 +26,7 @@ from tapping_cell_msgs.srv import ConfirmTap
 from tapping_cell import messages
 from tapping_cell.logic.goal_watch import GoalWatch
 from tapping_cell.nodes.cell_node import LATCHED
-from tapping_cell.nodes.clients.client_node import ClientNode
+from tapping_cell.nodes.clients.action_follower import ActionFollower
 from tapping_cell.nodes.conversions import from_message, to_message
 from tapping_cell.nodes.message_conversion import from_ros
 from tapping_cell.report.words import PHASES
@@ -83,11 +78,13 @@ class PlannerLost:
 Event = PhaseChanged | TapDone | TapProposed | PlannerLost | Finished
 
 
-class GoalClient(ClientNode):
+class GoalClient(ActionFollower[Event]):
     """Hears what a goal needs, sends it and follows it; use as a context manager."""
 
+    last_event = Finished
+
     def __init__(self, name: str = "goal_client", namespace: str = "") -> None:
-        super().__init__(name, namespace)
+        super().__init__(name, namespace, PositionObject, "position_object")
         self.object_state: ObjectState | None = None
         self.arm_state: ArmState | None = None
         self.tapper_state: TapperState | None = None
@@ -97,17 +94,12 @@ class GoalClient(ClientNode):
         self.planner_active = False
         """Whether the planner has said what it does, which it does once it is active."""
         self._true_pose_heard = 0.0
-        self._events: queue.Queue[Event] = queue.Queue()
         self._taps_heard = 0
         self._phase = ""
         self._proposed = 0
         self._watch: GoalWatch | None = None
         self._plan: tuple[PlanState, float] | None = None
         self._confirm = self.node.create_client(ConfirmTap, "confirm_tap")
-        self._handle: ClientGoalHandle | None = None
-        self._sent = 0
-        """Goals sent so far; the latest one's number."""
-        self._action = ActionClient(self.node, PositionObject, "position_object")
         subscribe = self.node.create_subscription
         subscribe(ObjectState, "object_state", self._on_object_state, 10)
         subscribe(ArmState, "arm_state", self._on_arm_state, LATCHED)
@@ -115,10 +107,6 @@ class GoalClient(ClientNode):
         subscribe(PlanState, "plan_state", self._on_plan_state, LATCHED)
         subscribe(String, "last_run", self._on_last_run, LATCHED)
         subscribe(PoseStamped, "ground_truth", self._on_ground_truth, 10)
-
-    def accepts_goals(self) -> bool:
-        """Whether the planner's action is there."""
-        return bool(self._action.server_is_ready())
 
     def missing(self) -> list[str]:
         """What still keeps the cell from taking a goal, in words; empty when it is ready."""
@@ -172,51 +160,9 @@ class GoalClient(ClientNode):
         message.goal_pose.pose = to_message(goal)
         message.position_tolerance, message.angle_tolerance = tolerance
         message.probe, message.ask = probe, ask
-        self._taps_heard, self._phase, self._handle, self._proposed = 0, "", None, 0
+        self._taps_heard, self._phase, self._proposed = 0, "", 0
         self._watch = GoalWatch(goal, self._planners(), time.monotonic())
-        # Sent from the executor's thread: from another one the response can overtake rclpy's own
-        # note of the request, and is then dropped.
-        self._executor.create_task(self._send, message)
-
-    def _send(self, message: PositionObject.Goal) -> None:
-        self._sent += 1
-        number = self._sent
-        future = self._action.send_goal_async(message, feedback_callback=self._on_feedback)
-        future.add_done_callback(lambda done: self._on_response(done, number))
-
-    @property
-    def answered(self) -> bool:
-        """Whether the planner has answered the goal sent last."""
-        return self._handle is not None
-
-    def cancel(self, patience: float = 5.0) -> bool:
-        """Cancel the goal and wait until the cell has taken that in; False where there is none."""
-        handle = self._handle
-        if handle is None:
-            return False
-        done = threading.Event()
-
-        def ask() -> None:
-            handle.cancel_goal_async().add_done_callback(lambda _: done.set())
-
-        self._executor.create_task(ask)
-        return done.wait(patience)
-
-    def events(self, poll: float = 0.2) -> Iterator[Event | None]:
-        """Events as they come, and None in between so that the caller can look at other things."""
-        while True:
-            event: Event
-            try:
-                event = self._events.get(timeout=poll)
-            except queue.Empty:
-                found = self._look_after_planner()
-                if found is None:
-                    yield None
-                    continue
-                event = found
-            yield event
-            if isinstance(event, Finished):
-                return
+        self._send_goal(message)
 
     def confirm(self, tap_id: int, confirm: bool, patience: float = 5.0) -> ConfirmTap.Response:
         """Answer for a tap that waits for confirmation: make it, or skip it.
@@ -243,7 +189,7 @@ class GoalClient(ClientNode):
         found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name("plan_state"))
         return frozenset(bytes(publisher.endpoint_gid) for publisher in found)
 
-    def _look_after_planner(self) -> PlannerLost | Finished | None:
+    def _event_of_silence(self) -> PlannerLost | Finished | None:
         """That the planner is gone, told once; or the end of a goal that nobody will answer."""
         watch, heard = self._watch, self._plan
         if watch is None:
@@ -296,13 +242,8 @@ class GoalClient(ClientNode):
         self.true_pose = from_message(message.pose)
         self._true_pose_heard = time.monotonic()
 
-    def _on_response(self, future: object, number: int) -> None:
-        handle = future.result()  # type: ignore[attr-defined]
-        self._handle = handle
-        handle.get_result_async().add_done_callback(lambda done: self._on_result(done, number))
-
-    def _on_feedback(self, message: object) -> None:
-        self._follow(message.feedback.plan_state)  # type: ignore[attr-defined]
+    def _on_feedback(self, feedback: PositionObject.Feedback) -> None:
+        self._follow(feedback.plan_state)
 
     def _follow(self, state: PlanState) -> None:
         self._hear(state.last_tap, state.taps, state.residual_distance, state.residual_rotation)
@@ -320,10 +261,7 @@ class GoalClient(ClientNode):
             self._taps_heard = record.number
             self._events.put(TapDone(record, distance, rotation, self.true_pose))
 
-    def _on_result(self, future: object, number: int) -> None:
-        result: PositionObject.Result = future.result().result  # type: ignore[attr-defined]
-        if number < self._sent and result.error_code == ErrorCode.GOAL_REPLACED:
-            return  # a goal that was sent again, unanswered, took its own place
+    def _on_result(self, result: PositionObject.Result) -> None:
         if result.records:
             self._hear(
                 result.records[-1],
