@@ -91,16 +91,7 @@ def wait_for(
     Raises:
         NotReadyInTime: names the missing conditions after ``patience`` seconds.
     """
-    deadline = time.monotonic() + patience
-    with console.status("waiting for the cell") as status:
-        while missing := client.missing(names):
-            check()
-            if time.monotonic() > deadline:
-                raise session.NotReadyInTime(
-                    f"the cell was not ready after {patience:.0f} s: " + "; ".join(missing)
-                )
-            status.update("waiting for the cell: " + missing[0])
-            time.sleep(0.05)
+    session.wait_for(lambda: client.missing(names), patience, check, console)
     # The planner must also have discovered this client, or its response is lost.
     time.sleep(session.MUTUAL_DISCOVERY_S)
 

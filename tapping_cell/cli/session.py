@@ -120,20 +120,30 @@ def wait_for_planner(client: GoalClient, patience: float, console: Console) -> N
 def wait_until_ready(
     client: GoalClient, patience: float, check: Callable[[], None], console: Console
 ) -> None:
-    """Wait until the cell accepts a goal.
+    """Wait until the cell accepts a goal. Raises as :func:`wait_for`."""
+    wait_for(client.missing, patience, check, console)
+
+
+def wait_for(
+    missing: Callable[[], list[str]],
+    patience: float,
+    check: Callable[[], None],
+    console: Console,
+) -> None:
+    """Wait until ``missing`` returns no conditions.
 
     Raises:
         NotReadyInTime: names the missing conditions after ``patience`` seconds.
     """
     deadline = time.monotonic() + patience
     with console.status("waiting for the cell") as status:
-        while missing := client.missing():
+        while reasons := missing():
             check()
             if time.monotonic() > deadline:
                 raise NotReadyInTime(
-                    f"the cell was not ready after {patience:.0f} s: " + "; ".join(missing)
+                    f"the cell was not ready after {patience:.0f} s: " + "; ".join(reasons)
                 )
-            status.update("waiting for the cell: " + missing[0])
+            status.update("waiting for the cell: " + reasons[0])
             time.sleep(0.05)
 
 

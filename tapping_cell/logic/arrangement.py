@@ -335,6 +335,30 @@ class ArrangementTask(Task):
         return told
 
 
+@dataclass(slots=True, eq=False, kw_only=True)
+class AmongOthersTask(ArrangementTask):
+    """A goal of one object that is not the cell's own: an arrangement of one, which the others
+    stay out of."""
+
+    resumable: ClassVar[bool] = True
+
+    def description(self) -> str:
+        """The goal for people."""
+        return f"'{self.object_id}': {Task.description(self)}"
+
+    def feedback(
+        self, state: PlanState
+    ) -> PositionObject.Feedback | SingleTap.Feedback | ArrangeObjects.Feedback:
+        """The action's feedback."""
+        return Task.feedback(self, state)
+
+    def result(
+        self, code: int, sentence: str, last: PlanState, seen: ObjectState | None
+    ) -> PositionObject.Result | SingleTap.Result | ArrangeObjects.Result:
+        """The action's result."""
+        return Task.result(self, code, sentence, last, seen)
+
+
 def _stamped(pose: Pose) -> PoseStamped:
     message = PoseStamped(pose=to_message(pose))
     message.header.frame_id = "table"

@@ -9,7 +9,7 @@ from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.logic import tap_commands
 from tapping_cell.logic.arm_times import ArmTimes
-from tapping_cell.logic.arrangement import ArrangementTask, Wanted
+from tapping_cell.logic.arrangement import AmongOthersTask, ArrangementTask, Wanted
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Token
 from tapping_cell.logic.frames import TABLE, Frames, TableOnly
@@ -18,7 +18,14 @@ from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.task import SingleTapTask, Task
-from tapping_cell.messages import ArrangeObjects, ErrorCode, Header, PoseStamped, SingleTap
+from tapping_cell.messages import (
+    ArrangeObjects,
+    ErrorCode,
+    Header,
+    ObjectGoal,
+    PoseStamped,
+    SingleTap,
+)
 from tapping_cell.planning import (
     FreeSpace,
     Gains,
@@ -259,11 +266,7 @@ class GoalHandling:
         """A task for a request, or why there is none."""
         name = self.cell.object.name
         if request.object_id not in ("", name):
-            return Refused(
-                ErrorCode.GOAL_UNKNOWN_OBJECT,
-                f"the goal is for the object '{request.object_id}', but this cell positions "
-                f"'{name}'; name that one, or none",
-            )
+            return self._accept_among_others(request, now)
         goal = read_goal(request.message, 1e-9 * now.ros, self._frames)
         if isinstance(goal, Refused):
             return goal
@@ -312,6 +315,35 @@ class GoalHandling:
             ask=request.ask,
         )
 
+    def _accept_among_others(self, request: Request, now: Now) -> Task | Refused:
+        """A task for a goal of another object than the cell's own."""
+        if request.object_id not in self._cells:
+            known = ", ".join(f"'{name}'" for name in self._cells)
+            return Refused(
+                ErrorCode.GOAL_UNKNOWN_OBJECT,
+                f"the cell has no object '{request.object_id}'; name one of {known}, or none for"
+                " the first",
+            )
+        if request.probe:
+            return Refused(
+                ErrorCode.COMMAND_INVALID,
+                f"'{request.object_id}' cannot be probed, only '{self.cell.object.name}'; send the "
+                "goal without a probe",
+            )
+        asked = ArrangeObjects.Goal(
+            goals=[
+                ObjectGoal(
+                    object_id=request.object_id,
+                    goal_pose=request.message,
+                    position_tolerance=request.position_tolerance,
+                    angle_tolerance=request.angle_tolerance,
+                )
+            ],
+            max_taps=request.max_taps,
+            time_limit=request.time_limit,
+        )
+        return self.accept_arrangement(asked, request.token, now, AmongOthersTask, ask=request.ask)
+
     def accept_tap(
         self, asked: SingleTap.Goal, token: Token, pose: Pose | None, now: Now
     ) -> SingleTapTask | Refused:
@@ -352,7 +384,13 @@ class GoalHandling:
         )
 
     def accept_arrangement(
-        self, asked: ArrangeObjects.Goal, token: Token, now: Now
+        self,
+        asked: ArrangeObjects.Goal,
+        token: Token | None,
+        now: Now,
+        kind: type[ArrangementTask] = ArrangementTask,
+        *,
+        ask: bool = False,
     ) -> ArrangementTask | Refused:
         """A task for an arrangement, or why there is none. Whether its layout can be reached shows
         when every object is seen."""
@@ -395,7 +433,7 @@ class GoalHandling:
         session = PositioningSession(
             one.goal, body.planner, body.free.space, body.free, self._known[first]
         )
-        return ArrangementTask(
+        return kind(
             object_id=first,
             message=one.message,
             goal=one.goal,
@@ -409,6 +447,7 @@ class GoalHandling:
             known=dict(self._known),
             adapt=self._adapt,
             in_order=asked.in_order,
+            ask=ask,
         )
 
     def _wanted(self, asked: ArrangeObjects.Goal, now: Now) -> dict[str, Wanted] | Refused:

@@ -452,6 +452,7 @@ class PlannerLogic:
                 "max_taps": task.max_taps,
                 "time_left": task.expires - now.steady,
                 "ask": self._asks(task),
+                "object_id": task.object_id,
             }
             self._effects.append(KeepGoal(content))
 
@@ -480,11 +481,12 @@ class PlannerLogic:
             position, angle = (float(value) for value in kept["tolerance"])
             limit = max(float(kept["time_left"]) - event.kept_goal_age, 1.0)
             taps, ask = int(kept["max_taps"]), bool(kept["ask"])
+            name = str(kept["object_id"])
         except (KeyError, TypeError, ValueError, OverflowError):
             self._log(LogLevel.WARNING, "the goal kept over the crash cannot be read")
             return
         message.header.frame_id = "table"
-        self._resumed = Request(message, position, angle, taps, limit, ask=ask)
+        self._resumed = Request(message, position, angle, taps, limit, ask=ask, object_id=name)
 
     # The cycle
 

@@ -6,13 +6,9 @@ It is not an executable of its own. The verbs `arrange` and `demo --objects` use
 from __future__ import annotations
 
 import math
-import queue
-import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from rclpy.action import ActionClient
-from rclpy.action.client import ClientGoalHandle
 from tapping_cell_msgs.action import ArrangeObjects
 from tapping_cell_msgs.msg import (
     ArmState,
@@ -26,7 +22,7 @@ from tapping_cell_msgs.msg import (
 
 from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.nodes.cell_node import LATCHED
-from tapping_cell.nodes.clients.client_node import ClientNode
+from tapping_cell.nodes.clients.action_follower import ActionFollower
 from tapping_cell.nodes.conversions import from_message, to_message
 from tapping_cell.se2 import Pose
 
@@ -73,11 +69,13 @@ class ArrangementEnded:
 Event = ObjectTapped | ArrangementEnded
 
 
-class ArrangeClient(ClientNode):
+class ArrangeClient(ActionFollower[Event]):
     """Receive the topics for an arrangement, send it and monitor it. Use as a context manager."""
 
+    last_event = ArrangementEnded
+
     def __init__(self, name: str = "arrange_client", namespace: str = "") -> None:
-        super().__init__(name, namespace)
+        super().__init__(name, namespace, ArrangeObjects, "arrange_objects")
         self.poses: dict[str, Pose] = {}
         """Measured poses of the objects at rest, by name."""
         self.true_poses: dict[str, Pose] = {}
@@ -88,9 +86,6 @@ class ArrangeClient(ClientNode):
         self._arm: ArmState | None = None
         self._tapper: TapperState | None = None
         self._taps = 0
-        self._events: queue.Queue[Event] = queue.Queue()
-        self._handle: ClientGoalHandle | None = None
-        self._action = ActionClient(self.node, ArrangeObjects, "arrange_objects")
         subscribe = self.node.create_subscription
         subscribe(ObjectStates, "object_states", self._on_states, LATCHED)
         subscribe(ArmState, "arm_state", self._on_arm, LATCHED)
@@ -98,10 +93,6 @@ class ArrangeClient(ClientNode):
         subscribe(PlanState, "plan_state", self._on_plan, LATCHED)
         subscribe(ObjectStates, "true_states", self._on_truth, 10)
         subscribe(ObjectContact, "true_contacts", self._on_contact, 10)
-
-    def accepts_goals(self) -> bool:
-        """Return whether the planner's action server is available."""
-        return bool(self._action.server_is_ready())
 
     def missing(self, names: frozenset[str] = frozenset()) -> list[str]:
         """Return the conditions that still prevent the cell from arranging these objects, as
@@ -115,11 +106,6 @@ class ArrangeClient(ClientNode):
             reasons.append("the tapper is not safe")
         reasons += [f"'{name}' is not seen at rest" for name in sorted(names - self.poses.keys())]
         return reasons
-
-    @property
-    def answered(self) -> bool:
-        """Return whether the planner has responded to the last arrangement."""
-        return self._handle is not None
 
     def send(self, layout: LayoutFile) -> None:
         """Send an arrangement."""
@@ -138,54 +124,17 @@ class ArrangeClient(ClientNode):
             one.goal_pose.header.frame_id = "table"
             one.goal_pose.pose = to_message(Pose(*goal.pose))
             message.goals.append(one)
-        self._taps, self._handle = 0, None
-        # Sent from the executor's thread, for the same reason as in ``GoalClient``.
-        self._executor.create_task(self._send, message)
+        self._taps = 0
+        self._send_goal(message)
 
-    def cancel(self, patience: float = 5.0) -> bool:
-        """Cancel the arrangement. Return False if there is none."""
-        handle = self._handle
-        if handle is None:
-            return False
-        done = threading.Event()
-
-        def ask() -> None:
-            handle.cancel_goal_async().add_done_callback(lambda _: done.set())
-
-        self._executor.create_task(ask)
-        return done.wait(patience)
-
-    def events(self, poll: float = 0.2) -> Iterator[Event | None]:
-        """Yield events as they arrive, and None in between."""
-        while True:
-            try:
-                event = self._events.get(timeout=poll)
-            except queue.Empty:
-                yield None
-                continue
-            yield event
-            if isinstance(event, ArrangementEnded):
-                return
-
-    def _send(self, message: ArrangeObjects.Goal) -> None:
-        future = self._action.send_goal_async(message, feedback_callback=self._on_feedback)
-        future.add_done_callback(self._on_response)
-
-    def _on_response(self, future: object) -> None:
-        handle = future.result()  # type: ignore[attr-defined]
-        self._handle = handle
-        handle.get_result_async().add_done_callback(self._on_result)
-
-    def _on_feedback(self, message: object) -> None:
-        content = message.feedback  # type: ignore[attr-defined]
-        plan = content.plan_state
+    def _on_feedback(self, feedback: ArrangeObjects.Feedback) -> None:
+        plan = feedback.plan_state
         if plan.taps > self._taps:
             self._taps = plan.taps
-            objects = _ends(content.objects)
+            objects = _ends(feedback.objects)
             self._events.put(ObjectTapped(plan.taps, plan.last_tap.object_id, objects))
 
-    def _on_result(self, future: object) -> None:
-        result = future.result().result  # type: ignore[attr-defined]
+    def _on_result(self, result: ArrangeObjects.Result) -> None:
         self._events.put(
             ArrangementEnded(
                 result.error_code, result.error_msg, result.taps, _ends(result.objects)

@@ -8,19 +8,14 @@ from __future__ import annotations
 
 import math
 import queue
-import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from geometry_msgs.msg import PoseStamped
-from rclpy.action import ActionClient
-from rclpy.action.client import ClientGoalHandle
 from std_msgs.msg import String
 from tapping_cell_msgs.action import PositionObject
 from tapping_cell_msgs.msg import (
     ArmState,
-    ErrorCode,
     ObjectState,
     PlannedTap,
     PlanState,
@@ -32,7 +27,7 @@ from tapping_cell_msgs.srv import ConfirmTap
 from tapping_cell import messages
 from tapping_cell.logic.goal_watch import GoalWatch
 from tapping_cell.nodes.cell_node import LATCHED
-from tapping_cell.nodes.clients.client_node import ClientNode
+from tapping_cell.nodes.clients.action_follower import ActionFollower
 from tapping_cell.nodes.conversions import from_message, to_message
 from tapping_cell.nodes.message_conversion import from_ros
 from tapping_cell.report.words import PHASES
@@ -86,11 +81,13 @@ class PlannerLost:
 Event = PhaseChanged | TapDone | TapProposed | PlannerLost | Finished
 
 
-class GoalClient(ClientNode):
+class GoalClient(ActionFollower[Event]):
     """Receive the topics for a goal, send it and monitor it. Use as a context manager."""
 
+    last_event = Finished
+
     def __init__(self, name: str = "goal_client", namespace: str = "") -> None:
-        super().__init__(name, namespace)
+        super().__init__(name, namespace, PositionObject, "position_object")
         self.object_state: ObjectState | None = None
         self.arm_state: ArmState | None = None
         self.tapper_state: TapperState | None = None
@@ -100,17 +97,12 @@ class GoalClient(ClientNode):
         self.planner_active = False
         """Whether the planner has published its state, which it does once it is active."""
         self._true_pose_heard = 0.0
-        self._events: queue.Queue[Event] = queue.Queue()
         self._taps_heard = 0
         self._phase = ""
         self._proposed = 0
         self._watch: GoalWatch | None = None
         self._plan: tuple[PlanState, float] | None = None
         self._confirm = self.node.create_client(ConfirmTap, "confirm_tap")
-        self._handle: ClientGoalHandle | None = None
-        self._sent = 0
-        """Number of goals sent so far, which is also the number of the latest goal."""
-        self._action = ActionClient(self.node, PositionObject, "position_object")
         subscribe = self.node.create_subscription
         subscribe(ObjectState, "object_state", self._on_object_state, 10)
         subscribe(ArmState, "arm_state", self._on_arm_state, LATCHED)
@@ -118,10 +110,6 @@ class GoalClient(ClientNode):
         subscribe(PlanState, "plan_state", self._on_plan_state, LATCHED)
         subscribe(String, "last_run", self._on_last_run, LATCHED)
         subscribe(PoseStamped, "ground_truth", self._on_ground_truth, 10)
-
-    def accepts_goals(self) -> bool:
-        """Return whether the planner's action server is available."""
-        return bool(self._action.server_is_ready())
 
     def missing(self) -> list[str]:
         """Return the conditions that still prevent the cell from accepting a goal, as text; empty
@@ -177,53 +165,9 @@ class GoalClient(ClientNode):
         message.goal_pose.pose = to_message(goal)
         message.position_tolerance, message.angle_tolerance = tolerance
         message.probe, message.ask = probe, ask
-        self._taps_heard, self._phase, self._handle, self._proposed = 0, "", None, 0
+        self._taps_heard, self._phase, self._proposed = 0, "", 0
         self._watch = GoalWatch(goal, self._planners(), time.monotonic())
-        # Sent from the executor's thread, because from another thread the response can arrive
-        # before rclpy has registered the request, and is then dropped.
-        self._executor.create_task(self._send, message)
-
-    def _send(self, message: PositionObject.Goal) -> None:
-        self._sent += 1
-        number = self._sent
-        future = self._action.send_goal_async(message, feedback_callback=self._on_feedback)
-        future.add_done_callback(lambda done: self._on_response(done, number))
-
-    @property
-    def answered(self) -> bool:
-        """Return whether the planner has responded to the last goal."""
-        return self._handle is not None
-
-    def cancel(self, patience: float = 5.0) -> bool:
-        """Cancel the goal and wait until the cell has confirmed this. Return False if there is no
-        goal."""
-        handle = self._handle
-        if handle is None:
-            return False
-        done = threading.Event()
-
-        def ask() -> None:
-            handle.cancel_goal_async().add_done_callback(lambda _: done.set())
-
-        self._executor.create_task(ask)
-        return done.wait(patience)
-
-    def events(self, poll: float = 0.2) -> Iterator[Event | None]:
-        """Yield events as they arrive, and None in between, so that the caller can do other
-        work."""
-        while True:
-            event: Event
-            try:
-                event = self._events.get(timeout=poll)
-            except queue.Empty:
-                found = self._look_after_planner()
-                if found is None:
-                    yield None
-                    continue
-                event = found
-            yield event
-            if isinstance(event, Finished):
-                return
+        self._send_goal(message)
 
     def confirm(self, tap_id: int, confirm: bool, patience: float = 5.0) -> ConfirmTap.Response:
         """Confirm a tap that waits for confirmation, or skip it.
@@ -250,9 +194,8 @@ class GoalClient(ClientNode):
         found = self.node.get_publishers_info_by_topic(self.node.resolve_topic_name("plan_state"))
         return frozenset(bytes(publisher.endpoint_gid) for publisher in found)
 
-    def _look_after_planner(self) -> PlannerLost | Finished | None:
-        """Report once that the planner is gone, or return the end of a goal that will get no
-        response."""
+    def _event_of_silence(self) -> PlannerLost | Finished | None:
+        """That the planner is gone, told once; or the end of a goal that nobody will answer."""
         watch, heard = self._watch, self._plan
         if watch is None:
             return None
@@ -305,13 +248,8 @@ class GoalClient(ClientNode):
         self.true_pose = from_message(message.pose)
         self._true_pose_heard = time.monotonic()
 
-    def _on_response(self, future: object, number: int) -> None:
-        handle = future.result()  # type: ignore[attr-defined]
-        self._handle = handle
-        handle.get_result_async().add_done_callback(lambda done: self._on_result(done, number))
-
-    def _on_feedback(self, message: object) -> None:
-        self._follow(message.feedback.plan_state)  # type: ignore[attr-defined]
+    def _on_feedback(self, feedback: PositionObject.Feedback) -> None:
+        self._follow(feedback.plan_state)
 
     def _follow(self, state: PlanState) -> None:
         self._hear(state.last_tap, state.taps, state.residual_distance, state.residual_rotation)
@@ -329,10 +267,7 @@ class GoalClient(ClientNode):
             self._taps_heard = record.number
             self._events.put(TapDone(record, distance, rotation, self.true_pose))
 
-    def _on_result(self, future: object, number: int) -> None:
-        result: PositionObject.Result = future.result().result  # type: ignore[attr-defined]
-        if number < self._sent and result.error_code == ErrorCode.GOAL_REPLACED:
-            return  # this goal was sent again before a response, and replaced itself
+    def _on_result(self, result: PositionObject.Result) -> None:
         if result.records:
             self._hear(
                 result.records[-1],

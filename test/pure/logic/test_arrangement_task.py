@@ -32,6 +32,7 @@ from tapping_cell.messages import (
     ObjectStates,
     PlanState,
     PoseStamped,
+    PositionObject,
     TapCommand,
     TapperState,
 )
@@ -192,6 +193,33 @@ def test_every_object_is_brought_to_its_goal_and_told_of(cell: Table) -> None:
     # plan_state tells of the object that is being tapped.
     placing = {state.object_id for state in cell.states if state.state == PlanState.PLACING}
     assert placing == set(goals)
+
+
+def test_a_goal_may_be_for_any_object_of_the_cell(cell: Table) -> None:
+    name, goal = cell.names[2], Pose(0.0, -0.13, 0.0)
+    before = dict(cell.poses)
+    results: list[PositionObject.Result] = []
+    asked = PositionObject.Goal(object_id=name, goal_pose=goal_of(name, goal).goal_pose)
+    cell.process.request("position_object", asked, 2, results.append)
+    cell.wait(lambda: results, "the end of the goal", 60.0)
+    assert results[0].error_code == ErrorCode.NONE
+    assert from_message(results[0].final_pose.pose.pose).distance_to(goal) < 0.001
+    assert {tap.object_id for tap in cell.taps} == {name}
+    assert all(cell.poses[other] == before[other] for other in cell.names[:2])
+
+
+def test_a_goal_of_another_object_is_resumed_for_that_object(cell: Table) -> None:
+    name = cell.names[1]
+    goal = goal_of(name, Pose(-0.05, -0.12, 0.0)).goal_pose
+    cell.process.request(
+        "position_object", PositionObject.Goal(object_id=name, goal_pose=goal), 2, lambda _: None
+    )
+    cell.wait(lambda: cell.taps, "the first tap")
+    assert cell.process.disk.goal is not None and cell.process.disk.goal["object_id"] == name
+    cell.process.kill()
+    cell.process.start()
+    cell.wait(lambda: cell.last.state == PlanState.REACHED, "the end of the resumed goal", 60.0)
+    assert {tap.object_id for tap in cell.taps} == {name}
 
 
 def test_two_objects_change_places(cell: Table) -> None:

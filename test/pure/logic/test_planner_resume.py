@@ -21,6 +21,7 @@ GOAL = {
     "tolerance": [0.001, 0.02],
     "max_taps": 20,
     "time_left": 60.0,
+    "object_id": "",
     "ask": True,
 }
 NOW = Now(100.0, 1_800_000_000_000_000_000)

@@ -1,0 +1,102 @@
+"""Common base of the clients of the planner's actions: send a goal, monitor it, cancel it."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from abc import abstractmethod
+from collections.abc import Iterator
+from typing import Any, ClassVar, Generic, TypeVar
+
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
+from tapping_cell_msgs.msg import ErrorCode
+
+from tapping_cell.nodes.clients.client_node import ClientNode
+
+Event = TypeVar("Event")
+
+
+class ActionFollower(ClientNode, Generic[Event]):
+    """Client of one action that turns feedback and result into events."""
+
+    last_event: ClassVar[type]
+    """The event that ends a goal."""
+
+    def __init__(self, name: str, namespace: str, kind: type, action: str) -> None:
+        super().__init__(name, namespace)
+        self._events: queue.Queue[Event] = queue.Queue()
+        self._handle: ClientGoalHandle | None = None
+        self._sent = 0
+        """Number of goals sent so far, which is also the number of the latest goal."""
+        self._action = ActionClient(self.node, kind, action)
+
+    def accepts_goals(self) -> bool:
+        """Return whether the planner's action server is available."""
+        return bool(self._action.server_is_ready())
+
+    @property
+    def answered(self) -> bool:
+        """Return whether the planner has responded to the last goal."""
+        return self._handle is not None
+
+    def cancel(self, patience: float = 5.0) -> bool:
+        """Cancel the goal and wait for the confirmation. Return False if there is no goal."""
+        handle = self._handle
+        if handle is None:
+            return False
+        done = threading.Event()
+
+        def ask() -> None:
+            handle.cancel_goal_async().add_done_callback(lambda _: done.set())
+
+        self._executor.create_task(ask)
+        return done.wait(patience)
+
+    def events(self, poll: float = 0.2) -> Iterator[Event | None]:
+        """Yield events as they arrive, and None in between, so that the caller can do other work."""
+        while True:
+            try:
+                event: Event | None = self._events.get(timeout=poll)
+            except queue.Empty:
+                event = self._event_of_silence()
+            yield event
+            if isinstance(event, self.last_event):
+                return
+
+    def _send_goal(self, message: Any) -> None:
+        self._handle = None
+        # Sent from the executor's thread, because from another thread the response can arrive
+        # before rclpy has registered the request, and is then dropped.
+        self._executor.create_task(self._send, message)
+
+    def _send(self, message: Any) -> None:
+        self._sent += 1
+        number = self._sent
+        future = self._action.send_goal_async(
+            message, feedback_callback=lambda heard: self._on_feedback(heard.feedback)
+        )
+        future.add_done_callback(lambda done: self._on_response(done.result(), number))
+
+    def _on_response(self, handle: Any, number: int) -> None:
+        self._handle = handle
+
+        def end(done: Any) -> None:
+            result = done.result().result
+            if number == self._sent or result.error_code != ErrorCode.GOAL_REPLACED:
+                self._on_result(result)
+            # Otherwise the goal was sent twice because the response was late, and replaced itself.
+
+        handle.get_result_async().add_done_callback(end)
+
+    def _event_of_silence(self) -> Event | None:
+        """Return the event that a lack of messages means, if any."""
+        return None
+
+    @abstractmethod
+    def _on_feedback(self, feedback: Any) -> None:
+        """Turn feedback of the action into events."""
+
+    @abstractmethod
+    def _on_result(self, result: Any) -> None:
+        """Turn the result of the action into events."""
