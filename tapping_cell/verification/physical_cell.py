@@ -24,7 +24,7 @@ from tapping_cell.verification.serial_line import SerialLine
 
 @dataclass(frozen=True, slots=True)
 class Release:
-    """Ground truth of a release of the striker. ``height`` of the tip in m."""
+    """Ground truth of a release of the striker. ``energy`` in J, ``height`` of the tip in m."""
 
     shot: int
     energy: float
