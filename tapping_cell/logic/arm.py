@@ -59,7 +59,7 @@ SHORT_REST_S = 0.05
 """Remaining time of a promise from which on the arm prepares to move."""
 DISCHARGED_S = 0.7
 """Time after the last report of a charged striker by which the board has discharged automatically:
-0.5 s without a request, plus the return of the striker."""
+0.5 s without a request, plus the return of the drive."""
 LONGEST_WAIT_S = 3.0
 """Maximum time that the arm waits, after a tap is over, for the striker to be discharged."""
 CHARGED = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)

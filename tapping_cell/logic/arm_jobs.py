@@ -126,7 +126,7 @@ def follow(
 
 
 def _wait(context: JobContext, until: float) -> None:
-    """Stand still until a time of the steady clock."""
+    """Wait without motion until a time of the steady clock."""
     left = until - context.now().steady
     if left > 0:
         context.sleep(left)

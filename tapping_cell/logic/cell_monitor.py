@@ -79,8 +79,8 @@ class CellMonitor:
 
     @property
     def tapper(self) -> TapperState | None:
-        """State of the most relevant board: first one with a fault, then one with a charged
-        striker, otherwise the board that published last."""
+        """State of the most relevant board: a board with a fault, otherwise a board with a tap
+        under way, otherwise the board that published last."""
         states = self._boards
         for wanted in (FAULTED, ENGAGED):
             for state in states.values():
@@ -144,7 +144,7 @@ class CellMonitor:
         )
 
     def observed_at(self, now: Now) -> float:
-        """Return when the last image was taken, s on the own steady clock."""
+        """Return the time of the last image on the own steady clock, s."""
         if self.object is None:
             return -math.inf
         return self.camera_clock.to_steady(self.object.header.stamp, now)

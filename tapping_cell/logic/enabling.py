@@ -30,7 +30,7 @@ STOPPED: Trouble = (
 
 
 class EnablingDevice:
-    """State of the key and the switch, of which only one must be held."""
+    """State of the key and the switch. It is sufficient to hold one of the two."""
 
     def __init__(self) -> None:
         self._key_at = self._switch_at = -math.inf

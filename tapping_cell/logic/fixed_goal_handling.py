@@ -70,7 +70,7 @@ class FixedGoalHandling(GoalHandling):
         return self._space.area.outline()
 
     def learn(self, task: Task) -> None:
-        """Keep what the taps of a goal revealed about object and mounts."""
+        """Keep the gains and the estimates of the mounts that were learnt from a goal's taps."""
         super().learn(task)
         if isinstance(task.session, FixedTapperSession):
             self._mounts = task.session.mounts

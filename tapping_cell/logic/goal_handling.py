@@ -147,7 +147,7 @@ class GoalHandling:
     # Methods that other kinds of cells override
 
     def _prepare(self, cell: Cell) -> None:
-        """Create what is kept for the lifetime of the cell."""
+        """Create the maps and planners that are kept for the lifetime of the cell."""
         self._maps = self._given_maps or TableMaps(cell)
         self._planners: dict[str, Planner] = {}
 
@@ -195,8 +195,10 @@ class GoalHandling:
     # Methods of all cells
 
     def update_free_space(self, task: Task, since: float, now: Now) -> tuple[int, str] | None:
-        """Make a task use the free space among the other objects. Return an error if the camera has
-        not reported on one of them since the steady time ``since``."""
+        """Make a task use the free space among the other objects.
+
+        Return an error if the camera has not observed one of them since the steady time ``since``.
+        """
         if isinstance(task, ArrangementTask):
             return None  # an arrangement observes every object itself
         names = self.other_objects.unobserved(since)

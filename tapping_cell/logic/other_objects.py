@@ -41,7 +41,7 @@ class OtherObjects:
 
     @property
     def files(self) -> tuple[ObjectFile, ...]:
-        """The files of these objects."""
+        """Object files of these objects."""
         return self._files
 
     def on_object(self, message: ObjectState, clock: PeerClock, now: Now) -> None:

@@ -149,7 +149,7 @@ TABLE = table(
         ((S.PLANNING,), Event.LOOK_WANTED, (S.LOOKING,)),
         ((S.PLANNING,), Event.TAP_PROPOSED, (S.CONFIRMING,)),
         ((S.CONFIRMING,), Event.TAP_DROPPED, (S.LOOKING,)),
-        # With a fixed tapper there is no placing: the planner goes to FIRING directly.
+        # With a fixed tapper no arm moves, so the planner enters FIRING directly.
         ((S.PLANNING, S.CONFIRMING), Event.TAP_COMMANDED, (S.PLACING, S.FIRING)),
         ((S.PLACING,), Event.IN_POSITION, (S.FIRING,)),
         (TAPPING, Event.OUTCOME_TOLD, (S.SETTLING,)),
@@ -793,7 +793,7 @@ class PlannerLogic:
         """Wait until the arm has withdrawn and the camera has a free view."""
         shot = self._shot
         if shot is not None:
-            # The tapper may report late the outcome of a tap whose outcome was not known.
+            # The tapper may report an outcome after the planner has assumed it to be unknown.
             shot.outcome = self._monitor.outcome(shot.tap_id) or shot.outcome
         if self._monitor.withdrawn(now) and now.steady >= self._parking_until:
             self._look_after = now.steady

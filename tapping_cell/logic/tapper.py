@@ -131,7 +131,7 @@ OF_THE_TAP = (
     FaultReason.NOT_ENABLED,
     FaultReason.PROTOCOL,
 )
-"""Faults that end the tap only: the next one is accepted once the board has discharged."""
+"""Faults that end only the present tap. The next tap is accepted once the board has discharged."""
 STOPPED_BOARD = (FaultReason.STOPPED, FaultReason.NEEDS_PERSON)
 OUTCOMES = {
     FireOutcome.FIRED: TapperState.FIRED,
@@ -182,7 +182,7 @@ class Tap:
     planned: Pose
     """Pose of the object for which the tap was planned."""
     strike: Pose
-    """Pose of the tip for the strike, to which an arm moves it; fixed tappers have it always."""
+    """Pose of the tip for the strike. An arm moves it there; a fixed tapper is always there."""
     flight: float
     """Time from the release to the end of the stroke, s; the arm stands still meanwhile."""
 
@@ -477,7 +477,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))
 
     def _let_arm_go(self, after: float) -> None:
-        """Shorten the arm's promise to ``after`` s after the shot; without this call it expires."""
+        """End the arm's promise in ``after`` s. If this request is lost, the promise ends later."""
         if self._key:
             request = HoldStill.Request(tap_id=self._told.tap_id, duration=after, key=self._key)
             token = ("let go", self._told.tap_id)

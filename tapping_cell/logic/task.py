@@ -180,8 +180,11 @@ class Task:
         return not isinstance(self.session, GoalSession) or self.session.ready
 
     def computation(self, frames: int) -> Callable[[], Any] | None:
-        """Return the slow part of a decision on what ``observed`` stored, to be run as a job; its
-        result goes to ``conclude``. Return None if ``decide`` is fast. ``frames``: see there."""
+        """Return the slow part of a decision as a function, to be run as a job after ``observed``.
+
+        ``conclude`` receives its result. Return None if ``decide`` is fast enough without a job.
+        ``frames``: see ``decide``.
+        """
         return None
 
     def conclude(self, computed: Any) -> Decision:

@@ -42,7 +42,7 @@ STOPS = frozenset({"emergency stop", "stop service"})
 DELAYS = FREEZES | ENDS | LINKS | LINES | {"deactivate", "second node"}
 """Kinds of faults that delay or suppress messages."""
 COVERED = "the arm covers the object"
-"""A condition that is not a fault, but explains an error code like one."""
+"""Condition that is not a fault but can also explain an error code."""
 CAMERA = frozenset({"camera", "object moved"})
 
 EXPLAINED_BY: dict[int, frozenset[str]] = {

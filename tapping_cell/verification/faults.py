@@ -596,7 +596,7 @@ ONE_SIDED = (
     *("foreign withdrawal", "foreign outcome") * 3,
     *("foreign command", "cancel", "emergency stop", "replay"),
 )
-"""Kinds of faults that one node may receive well before the others, by their weights."""
+"""Kinds of faults whose messages one node may receive well before the others."""
 AT_A_SHOT = (
     *("freeze at a shot", "freeze at a write", "freeze after the last check") * 2,
     "freeze at a shot",

@@ -274,7 +274,7 @@ class Process:
             lambda: self._handle(lambda now: self.logic.on_request(service, request, token, now))
         )
 
-    # What arrives
+    # Received messages
 
     def _deliver(self, topic: str, message: Any) -> None:
         if not self.alive:

@@ -19,7 +19,7 @@ WINDOW_S = 0.1
 board's longest firing window."""
 STRIKE_POSITION_M = 0.0025
 STRIKE_ANGLE_RAD = 0.01
-"""Maximum deviation of the true tip from the commanded one at a release, with errors of the arm."""
+"""Maximum deviation of the tip from its commanded pose at a release, with errors of the arm."""
 ENERGY_SHARE = 0.03
 """Maximum relative deviation of the energy of a release from the requested one."""
 STRIKE_HEIGHT_M = 0.0005
