@@ -33,6 +33,7 @@ LONG_SECTIONS = (
     "disarm",
     "idle",
     "lack-of-fit",
+    "lost-nodes",
     "node",
     "outline",
     "page-stop",
@@ -74,9 +75,8 @@ def make_parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help="scenes of arrangements, experiments of calibration and lack-of-fit, demos a truth, "
-        "goals of cycle, losses of "
-        "disarm, trials of precision, scenes of outline, scenes or frames of vision*, seconds of "
-        "node and idle",
+        "goals of cycle, losses of disarm, freezes of a node of lost-nodes, trials of precision, "
+        "scenes of outline, scenes or frames of vision*, seconds of node and idle",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(

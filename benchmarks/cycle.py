@@ -135,7 +135,8 @@ class Stopwatch:
 
     def _arm_state(self, tap: Tap, message: Any, stamp: float) -> None:
         height = message.tip_pose.position.z
-        if message.state == ArmState.MOVING and stamp >= tap.commanded:
+        arrives = math.isnan(tap.in_position) and stamp >= tap.commanded
+        if message.state == ArmState.MOVING and arrives:
             if height > self._height - 1e-3:
                 tap.above = stamp
             else:

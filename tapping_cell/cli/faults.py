@@ -47,6 +47,7 @@ from tapping_cell.cli.fault_trials import (
 from tapping_cell.cli.graph import SIMULATED, own_domain
 from tapping_cell.simulation.fault_layer import FaultKind
 from tapping_cell.verification.campaign import GOALS_A_RUN
+from tapping_cell.verification.faults import ALL, Mix
 
 CHUNK = 100
 """Taps of one cell from its start: the unit that a process works on; results do not depend on how
@@ -85,6 +86,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="",
         help="with --goals and --replay: only faults of these kinds, separated by commas, such as"
         " 'freeze, kill'",
+    )
+    parser.add_argument(
+        "--mean-faults",
+        type=float,
+        metavar="N",
+        default=ALL.mean,
+        help="with --goals and --replay: faults of a goal on average, at least 1"
+        " (default: %(default)g)",
     )
     parser.add_argument(
         "--mutant", action="append", help="with --mutants: only this one, may be repeated"
@@ -130,13 +139,14 @@ def run(arguments: argparse.Namespace) -> int:
     if taps < 1 or goals < 1 or arguments.jobs < 1 or arguments.seed < 0:
         tell_error("--taps, --goals and --jobs must be at least 1, --seed at least 0")
         return 2
+    if not 1.0 <= arguments.mean_faults <= 50.0:
+        tell_error("--mean-faults must be from 1 to 50")
+        return 2
     if arguments.soak is not None and not 0 < arguments.soak <= 1000:
         tell_error("--soak must be above 0 and at most 1000 hours")
         return 2
     if arguments.replay is not None:
-        return goal_faults.replay(
-            arguments.replay, arguments.goals or GOALS_A_RUN, _kinds(arguments.only)
-        )
+        return goal_faults.replay(arguments.replay, arguments.goals or GOALS_A_RUN, _mix(arguments))
     if arguments.mutants:
         return goal_faults.run_mutants(
             arguments.goals or 1000,
@@ -151,7 +161,7 @@ def run(arguments: argparse.Namespace) -> int:
             arguments.seed,
             arguments.jobs,
             arguments.json,
-            _kinds(arguments.only),
+            _mix(arguments),
         )
     dialects = [Dialect(arguments.dialect)] if arguments.dialect else list(Dialect)
     if arguments.crashes:
@@ -199,9 +209,10 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if total.clean else 1
 
 
-def _kinds(only: str) -> tuple[str, ...]:
-    """Kinds of faults out of a list with commas."""
-    return tuple(kind.strip() for kind in only.split(",") if kind.strip())
+def _mix(arguments: argparse.Namespace) -> Mix:
+    """The faults that were asked for."""
+    kinds = tuple(kind.strip() for kind in arguments.only.split(",") if kind.strip())
+    return Mix(kinds, arguments.mean_faults)
 
 
 def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:

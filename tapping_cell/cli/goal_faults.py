@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from tapping_cell.cli.errors import tell_error
 from tapping_cell.report import error_codes
 from tapping_cell.verification.campaign import Summary, run_campaign
-from tapping_cell.verification.faults import KINDS
+from tapping_cell.verification.faults import ALL, KINDS, Mix
 from tapping_cell.verification.mutants import MUTANTS, Mutant
 from tapping_cell.verification.trial import run_trial
 
@@ -24,9 +24,9 @@ GOALS_IN_A_STEP = 100
 """Goals between two looks at whether a mutant was caught."""
 
 
-def run_goals(goals: int, seed: int, jobs: int, as_json: bool, only: Sequence[str] = ()) -> int:
-    """Run a campaign; exit status 0 only if nothing was violated. ``only``: of these faults."""
-    unknown = sorted(set(only) - set(KINDS))
+def run_goals(goals: int, seed: int, jobs: int, as_json: bool, mix: Mix = ALL) -> int:
+    """Run a campaign; exit status 0 only if nothing was violated."""
+    unknown = sorted(set(mix.only) - set(KINDS))
     if unknown:
         tell_error(f"no such faults: {', '.join(unknown)}; choose from: {', '.join(KINDS)}")
         return 2
@@ -45,19 +45,19 @@ def run_goals(goals: int, seed: int, jobs: int, as_json: bool, only: Sequence[st
             seed,
             jobs,
             lambda s: progress.update(bar, completed=s.goals, violations=len(s.violations)),
-            only=only,
+            mix=mix,
         )
     wall = time.monotonic() - began
     if as_json:
         print(json.dumps(_as_json(summary, seed, wall), indent=2))
     else:
-        _print(summary, wall, only)
+        _print(summary, wall, mix)
     return 1 if summary.violations else 0
 
 
-def replay(seed: int, goals: int, only: Sequence[str] = ()) -> int:
+def replay(seed: int, goals: int, mix: Mix = ALL) -> int:
     """Repeat one run and print its whole trace."""
-    report = run_trial(seed, goals, True, only)
+    report = run_trial(seed, goals, True, mix)
     print("\n".join(report.trace))
     for violation in report.violations:
         print(f"VIOLATION at {violation.time:.3f} s: {violation.name}: {violation.sentence}")
@@ -72,14 +72,15 @@ def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json:
         return 2
     chosen = [mutant for mutant in MUTANTS if not names or mutant.name in names]
     if not as_json:
-        print(f"{'taken out':<{NAME_WIDTH}} {'finding':<8} {'goals':>6}  caught by")
+        print(f"{'taken out':<{NAME_WIDTH}} {'finding':<8} {'goals':>6}  {'caught by':<24} faults")
     results: list[dict[str, object]] = []
     for mutant in chosen:
         caught = _hunt(mutant, goals, seed, jobs)
         results.append(caught)
         if not as_json:
             found = caught["caught by"] or "SURVIVED"
-            words = f"{mutant.finding or '-':<8} {caught['goals']:>6}  {found}"
+            kinds = ", ".join(mutant.kinds) or "all"
+            words = f"{mutant.finding or '-':<8} {caught['goals']:>6}  {found:<24} {kinds}"
             print(f"{mutant.name:<{NAME_WIDTH}} {words}", flush=True)
     survived = [result for result in results if not result["caught by"]]
     if as_json:
@@ -138,6 +139,8 @@ def _as_json(summary: Summary, seed: int, wall: float) -> dict[str, object]:
         "cell_hours": round(summary.cell_seconds / 3600, 3),
         "wall_time": round(wall, 1),
         "by_fault": dict(summary.by_fault.most_common()),
+        "by_node": dict(sorted(summary.by_node.items())),
+        "releases": summary.releases,
         "by_outcome": {_name(code): count for code, count in summary.by_code.most_common()},
         "violations": [
             {
@@ -151,7 +154,7 @@ def _as_json(summary: Summary, seed: int, wall: float) -> dict[str, object]:
     }
 
 
-def _print(summary: Summary, wall: float, only: Sequence[str]) -> None:
+def _print(summary: Summary, wall: float, mix: Mix) -> None:
     speed = summary.cell_seconds / max(wall, 1e-9)
     print(
         f"{summary.goals} goals, {summary.taps} taps and {summary.program_taps} of programs without"
@@ -161,13 +164,17 @@ def _print(summary: Summary, wall: float, only: Sequence[str]) -> None:
     print("faults:")
     for kind, count in summary.by_fault.most_common():
         print(f"  {kind:<28} {count}")
+    print("nodes struck:")
+    for node, count in sorted(summary.by_node.items()):
+        print(f"  {node:<28} {count}")
+    print(f"releases: {summary.releases}")
     print("outcomes:")
     for code, count in summary.by_code.most_common():
         print(f"  {_name(code):<28} {count}")
     print(f"{len(summary.violations)} violations")
     for seed, violation in summary.violations:
         print(f"  seed {seed}, {violation.time:.3f} s: {violation.name}: {violation.sentence}")
-        trace = run_trial(seed, 10, True, only).trace
+        trace = run_trial(seed, 10, True, mix).trace
         print("\n".join(f"    {line}" for line in trace[-TRACE_LINES:]))
 
 

@@ -27,7 +27,7 @@ from tapping_cell.planning.value_iteration import (
     folded_weights,
 )
 
-ALONG_NODES, ASIDE_NODES = 24, 12
+ALONG_NODES, ASIDE_NODES = 48, 12
 """Nodes over the errors of distance and direction."""
 
 

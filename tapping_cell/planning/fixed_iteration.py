@@ -15,6 +15,7 @@ that are promising by the coarse one.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,7 +44,7 @@ OUTER = 0.020
 POINTS = 8
 """Equally likely points of a tap's scatter while solving."""
 
-IMPROVEMENTS = (8, 4)
+IMPROVEMENTS = (6, 4)
 """At most, on the coarse grid and on the fine one."""
 
 SWEEPS = 20
@@ -63,39 +64,42 @@ PER_HALF_STEP = 6
 """Entries of an axis's table of indices for the smallest half step of its grid."""
 
 
+class Abandoned(Exception):
+    """Solving was given up because somebody waits for something more urgent."""
+
+
 def solve_coarse(space: FixedStrikeSpace, settings: PlannerSettings, goal: ArrayLike) -> Solution:
     """Solve for a goal on the coarse grid: good enough far from it, in a fraction of the time."""
-    place = np.asarray(goal, dtype=float)
-    return _solve_on(space, settings, place, COARSE, IMPROVEMENTS[0], None)
+    problem = _Problem(space, settings, np.asarray(goal, dtype=float), COARSE)
+    return _solve_on(problem, IMPROVEMENTS[0], None)
 
 
 def solve_finer(
-    space: FixedStrikeSpace, settings: PlannerSettings, start: Solution, step: float = FINE
-) -> Solution:
-    """Solve on a finer grid what was solved on a coarse one."""
-    place = np.asarray(start.goal, dtype=float)
-    return _solve_on(space, settings, place, step, IMPROVEMENTS[1], start)
-
-
-def _solve_on(
     space: FixedStrikeSpace,
     settings: PlannerSettings,
-    goal: Array,
-    step: float,
-    improvements: int,
-    start: Solution | None,
+    start: Solution,
+    step: float = FINE,
+    interrupted: Callable[[], bool] = lambda: False,
 ) -> Solution:
-    problem = _Problem(space, settings, goal, step)
+    """Solve on a finer grid what was solved on a coarse one.
+
+    Raises:
+        Abandoned: ``interrupted``, which is asked some hundred times a second, said so.
+    """
+    place = np.asarray(start.goal, dtype=float)
+    problem = _Problem(space, settings, place, step, interrupted)
+    problem.keep_promising(problem.start(start))
+    return _solve_on(problem, IMPROVEMENTS[1], start)
+
+
+def _solve_on(problem: _Problem, improvements: int, start: Solution | None) -> Solution:
     value = problem.start(start)
-    if start is not None:
-        problem.keep_promising(value)
     for _ in range(improvements):
         before = value
         value = problem.evaluate(value, *problem.improve(value))
         if float(np.mean(np.abs(value - before)[problem.rows])) < SETTLED:
             break
-    place = (float(goal[0]), float(goal[1]), float(goal[2]))
-    return Solution(place, problem.grid, value.reshape(problem.grid.shape))
+    return Solution(problem.goal, problem.grid, value.reshape(problem.grid.shape))
 
 
 class _Axis:
@@ -127,8 +131,15 @@ class _Problem:
     """
 
     def __init__(
-        self, space: FixedStrikeSpace, settings: PlannerSettings, goal: Array, step: float
+        self,
+        space: FixedStrikeSpace,
+        settings: PlannerSettings,
+        goal: Array,
+        step: float,
+        interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
+        self.goal = (float(goal[0]), float(goal[1]), float(goal[2]))
+        self._interrupted = interrupted
         box = settings.stopping
         self.box = box.distance, box.rotation
         fine = FINE_DISTANCE * box.distance, FINE_DISTANCE * box.rotation
@@ -232,9 +243,12 @@ class _Problem:
             table = _halved(table, axis)
         return np.append(table.reshape(-1), np.array([LOST, 0.0, np.inf], dtype=np.float32))
 
-    def _chunks(self, taps: int) -> list[slice]:
+    def _chunks(self, taps: int) -> Iterator[slice]:
         size = max(1, CHUNK // taps)
-        return [slice(first, first + size) for first in range(0, self.rows.size, size)]
+        for first in range(0, self.rows.size, size):
+            if self._interrupted():
+                raise Abandoned
+            yield slice(first, first + size)
 
     def keep_promising(self, value: Array) -> None:
         """Compare from now on those taps only that lead to low W without scatter."""

@@ -10,6 +10,9 @@ import multiprocessing
 import os
 import signal
 from collections import OrderedDict
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from threading import Thread
 from typing import Any
@@ -17,7 +20,12 @@ from typing import Any
 import numpy as np
 
 from tapping_cell.planning.errors import PlanningError
-from tapping_cell.planning.fixed_iteration import FINE, solve_coarse, solve_finer
+from tapping_cell.planning.fixed_iteration import (
+    FINE,
+    Abandoned,
+    solve_coarse,
+    solve_finer,
+)
 from tapping_cell.planning.fixed_policy import Solution
 from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
 from tapping_cell.planning.interface import Array
@@ -25,12 +33,15 @@ from tapping_cell.planning.settings import PlannerSettings
 
 KEPT_SOLUTIONS = 16
 
+FINER = (0.33, FINE)
+"""Steps of the grids that follow the coarse one in the background."""
+
 NICENESS = 5
 """Of the solving process: the cell's nodes come first."""
 
 
 class SolvedGoal:
-    """A goal that is solved, or being solved: coarse first, then fine."""
+    """A goal that is solved, or being solved: coarse first, then finer and finer."""
 
     def __init__(self) -> None:
         self._solution: Solution | None = None
@@ -54,15 +65,43 @@ class SolvedGoal:
             self._solution = result
 
 
+@dataclass(eq=False, slots=True)
+class Job:
+    """A goal to be solved in the background. finer: steps of the grids after the coarse one;
+    done: its solutions so far."""
+
+    key: str
+    space: FixedStrikeSpace
+    settings: PlannerSettings
+    place: Array
+    finer: tuple[float, ...]
+    done: list[Solution] = field(default_factory=list)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether there is no better solution to come."""
+        return len(self.done) == 1 + len(self.finer)
+
+    def next_solution(self, interrupted: Callable[[], bool]) -> Solution:
+        """A better solution than before; raises ``Abandoned`` as ``solve_finer`` does."""
+        if not self.done:
+            made = solve_coarse(self.space, self.settings, self.place)
+        else:
+            step = self.finer[len(self.done) - 1]
+            made = solve_finer(self.space, self.settings, self.done[-1], step, interrupted)
+        self.done.append(made)
+        return made
+
+
 class GoalSolver:
     """Solves goals and keeps the last ones solved, for one object and cell.
 
-    ``background``: in a process of its own; who asks gets the best solution so far. ``step``: of
-    the fine grid where it is solved here.
+    ``background``: in a process of its own; who asks gets the best solution so far. ``finer``:
+    steps of the grids after the coarse one.
     """
 
-    def __init__(self, *, background: bool = False, step: float = FINE) -> None:
-        self._step = step
+    def __init__(self, *, background: bool = False, finer: tuple[float, ...] = FINER) -> None:
+        self._finer = finer
         self._kept: OrderedDict[str, SolvedGoal] = OrderedDict()
         self._worker = _Worker(self._take) if background else None
 
@@ -74,10 +113,12 @@ class GoalSolver:
         if key not in self._kept:
             made = self._kept[key] = SolvedGoal()
             if self._worker is not None:
-                self._worker.ask(key, space, settings, place)
+                self._worker.ask(Job(key, space, settings, place, self._finer))
             else:
-                coarse = solve_coarse(space, settings, place)
-                made.take(solve_finer(space, settings, coarse, self._step))
+                solution = solve_coarse(space, settings, place)
+                for step in self._finer:
+                    solution = solve_finer(space, settings, solution, step)
+                made.take(solution)
             while len(self._kept) > KEPT_SOLUTIONS:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)
@@ -102,15 +143,13 @@ class _Worker:
         far.close()
         Thread(target=self._hear, name="goal solver", daemon=True).start()
 
-    def ask(
-        self, key: str, space: FixedStrikeSpace, settings: PlannerSettings, place: Array
-    ) -> None:
-        """Have a goal solved after those that were asked for before."""
-        self._asked.append(key)
+    def ask(self, job: Job) -> None:
+        """Have a goal solved, before those that were asked for earlier."""
+        self._asked.append(job.key)
         try:
-            self._line.send((key, space, settings, place))
+            self._line.send(job)
         except OSError:
-            self._take(key, _gone())
+            self._take(job.key, _gone())
 
     def _hear(self) -> None:
         while True:
@@ -128,19 +167,24 @@ def _gone() -> PlanningError:
 
 
 def _work(line: Connection) -> None:
-    """Solve what is asked for, until nobody asks any more."""
+    """Solve what is asked for, until nobody asks any more: what was asked for last first, and every
+    goal coarsely before any of them finely."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICENESS)
-    while True:
-        try:
-            key, space, settings, place = line.recv()
-        except EOFError:
-            return
-        try:
-            coarse = solve_coarse(space, settings, place)
-            line.send((key, coarse))
-            line.send((key, solve_finer(space, settings, coarse)))
-        except OSError:
-            return
-        except Exception as error:  # told to whoever asked: this process has no caller
-            line.send((key, error))
+    jobs: list[Job] = []
+    with suppress(EOFError, OSError):
+        while True:
+            while not jobs or line.poll():
+                jobs.append(line.recv())
+            job = max(jobs, key=lambda job: (-len(job.done), jobs.index(job)))
+            try:
+                result = job.next_solution(line.poll)
+            except Abandoned:
+                continue
+            except Exception as error:  # told to whoever asked: this process has no caller
+                jobs.remove(job)
+                line.send((job.key, error))
+                continue
+            line.send((job.key, result))
+            if job.is_done:
+                jobs.remove(job)

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tapping_cell.mechanics import Polygon
 from tapping_cell.planning.alternatives import alternative_taps
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.gains import Gains, Spread
 from tapping_cell.planning.goal import check_goal, edge_warning, others_text, place_text
 from tapping_cell.planning.interface import Array, Planner, Taps, TapValues
-from tapping_cell.planning.quickest import NearTaps, near_taps, quickest_first
+from tapping_cell.planning.near_taps import NearTaps, best_first, near_taps
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.settings import CameraNoise, PlannerSettings
 from tapping_cell.planning.stopping import (
@@ -50,8 +51,8 @@ UNKNOWN = 1.6
 """Longest slide over the predicted one from which an object wants to be probed first: an object as
 its file says has 1.2 after one tap."""
 
-QUICK_CHUNK = 12
-"""Taps whose room is looked at together, from the quickest on."""
+NEAR_CHUNK = 12
+"""Taps whose room is looked at together, from the best on."""
 
 BLOCKED = 1.05
 """Path over straight distance beyond which the way is not straight (the grid is true to 3 %)."""
@@ -403,9 +404,9 @@ class PositioningSession(GoalSession):
             share * tap.distance, share * tap.rotation, heading, pose[2], slope
         )
         detour = self._obstacle(pose, first, missed)
-        quick = self._quickest(pose, left, tap, missed)
-        if quick is not None:
-            return self._made(pose, left, *quick, detour)
+        best = self._best_near(pose, left, tap, missed)
+        if best is not None:
+            return self._made(pose, left, *best, detour)
         if not detour:
             found = self._space.first_strike(Pose(*pose.tolist()), first[None, :])
             if found is not None:
@@ -445,24 +446,28 @@ class PositioningSession(GoalSession):
             return self._strike(pose, left, missed=())
         return self._no_strike(pose, detour, allowed, struck, trusted)
 
-    def _quickest(
+    def _best_near(
         self, pose: Array, left: Array, own: Taps, missed: tuple[float, ...]
     ) -> tuple[Array, StrikePlan] | None:
-        """The tap, (3,), from which the goal is reached in the least time, or None where that is
-        not known; ``own``: the method's."""
-        if self._times is None or self.arm is None or not isinstance(self.planner, TapValues):
+        """The tap of all directions, (3,), from which the goal is reached in the least time, or
+        None where that is not known; ``own``: the method's."""
+        if self._times is None or self.arm is None or self._blocked(pose):
             return None
+        if not isinstance(self.planner, TapValues):
+            return None
+        if isinstance(self._space.tap.body, Polygon):
+            return None  # its edges decide which taps there are, of which the values know nothing
         taps = near_taps(pose, left, own, self.gains, self.planner, self.settings)
-        if taps is None or self._blocked(pose):
+        if taps is None:
             return None
         longest = self._longest_tap() * (1.0 + 1e-9) / float(self.gains.value[0])
         fits = np.hypot(taps.commanded[:, 0], taps.commanded[:, 1]) <= longest
         fits &= _elsewhere(taps.commanded, missed) & self._ends_well(pose, taps.commanded)
         safe = NearTaps(taps.commanded[fits], taps.follow[fits])
         tip = np.asarray(self.arm, dtype=float)
-        quick = quickest_first(pose, left, safe, self.gains, self._space, self._times, tip)
-        for start in range(0, len(quick), QUICK_CHUNK):
-            some = quick[start : start + QUICK_CHUNK]
+        best = best_first(pose, left, safe, self.gains, self._space, self._times, tip)
+        for start in range(0, len(best), NEAR_CHUNK):
+            some = best[start : start + NEAR_CHUNK]
             found = self._space.first_strike(Pose(*pose.tolist()), some)
             if found is not None:
                 return some[found[0]], found[1]

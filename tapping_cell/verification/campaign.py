@@ -6,11 +6,12 @@ import gc
 import multiprocessing
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from multiprocessing.sharedctypes import Synchronized
 
+from tapping_cell.verification.faults import ALL, Mix
 from tapping_cell.verification.invariants import Violation
 from tapping_cell.verification.trial import Report, run_trial
 
@@ -30,6 +31,9 @@ class Summary:
     cell_seconds: float = 0.0
     by_fault: Counter[str] = field(default_factory=Counter)
     by_code: Counter[int] = field(default_factory=Counter)
+    by_node: Counter[str] = field(default_factory=Counter)
+    """Counts of the faults that were injected into each node."""
+    releases: int = 0
     violations: list[tuple[int, Violation]] = field(default_factory=list)
     """Violations, each with the seed that reproduces it."""
 
@@ -40,6 +44,8 @@ class Summary:
         self.program_taps += report.program_taps
         self.cell_seconds += report.cell_seconds
         self.by_fault.update(report.faults)
+        self.by_node.update(report.by_node)
+        self.releases += report.releases
         self.by_code.update(outcome.code for outcome in report.outcomes)
         self.violations += [(report.seed, violation) for violation in report.violations]
 
@@ -71,17 +77,15 @@ def _settle(taken: Synchronized[int]) -> None:
     settle_on(core)
 
 
-def reports_of(
-    runs: list[tuple[int, int]], jobs: int, only: Sequence[str] = ()
-) -> Iterator[Report]:
-    """Execute runs on ``jobs`` processes; ``only``: kinds of faults, empty for all."""
+def reports_of(runs: list[tuple[int, int]], jobs: int, mix: Mix = ALL) -> Iterator[Report]:
+    """Execute runs on ``jobs`` processes and yield their reports."""
     if jobs == 1 or len(runs) == 1:
         for seed, goals in runs:
-            yield run_trial(seed, goals, only=only)
+            yield run_trial(seed, goals, mix=mix)
         return
     taken = multiprocessing.Value("i", 0)
     with ProcessPoolExecutor(min(jobs, len(runs)), initializer=_settle, initargs=(taken,)) as pool:
-        for future in as_completed([pool.submit(run_trial, *run, False, only) for run in runs]):
+        for future in as_completed([pool.submit(run_trial, *run, False, mix) for run in runs]):
             yield future.result()
 
 
@@ -91,11 +95,11 @@ def run_campaign(
     jobs: int = os.cpu_count() or 1,
     progress: Callable[[Summary], None] = lambda summary: None,
     stop_at_violation: bool = False,
-    only: Sequence[str] = (),
+    mix: Mix = ALL,
 ) -> Summary:
-    """Run a campaign. ``progress`` is called after every run; ``only``: kinds of faults."""
+    """Run a campaign; ``progress`` is called after every run."""
     summary = Summary()
-    for report in reports_of(seeds_of(seed, goals), jobs, only):
+    for report in reports_of(seeds_of(seed, goals), jobs, mix):
         summary.add(report)
         progress(summary)
         if stop_at_violation and summary.violations:

@@ -48,7 +48,7 @@ CAMERA = frozenset({"camera", "object moved"})
 EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.GOAL_REPLACED: frozenset({"second client", "second node"}),
     ErrorCode.GOAL_CANCELED: frozenset({"cancel"}),
-    ErrorCode.NOT_ACTIVE: frozenset({"deactivate", "restart"}),
+    ErrorCode.NOT_ACTIVE: frozenset({"deactivate", "restart", "kill"}),
     ErrorCode.EMERGENCY_STOP: frozenset({"emergency stop"}),
     ErrorCode.ARM_STOPPED: STOPS | LINES,
     ErrorCode.TAPPER_STOPPED: STOPS | LINES,

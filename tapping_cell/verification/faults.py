@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -21,6 +21,7 @@ from tapping_cell.messages import (
     TapCommand,
     TapperState,
 )
+from tapping_cell.messages import Pose as Pose3
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault, random_fault
 
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
 SPAN_S = 16.0
 """Time after a goal is sent over which its faults are spread."""
-MEAN_FAULTS = 2.0
-"""Mean number of faults per goal."""
 SHARE_AT_A_MOMENT = 0.25
 """Fraction of the goals whose faults all strike just after a node publishes one state, because the
 guards must handle coinciding faults."""
@@ -40,6 +39,18 @@ CLOSE_S = 0.3
 """Maximum time from a moment to its faults."""
 CLOSEST_S = 2e-4
 """Minimum time from a step of a shot to its faults; the times are log-uniform up to ``CLOSE_S``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mix:
+    """Distribution of the faults. ``only``: kinds of faults, empty for all; ``mean``: mean number
+    of faults per goal."""
+
+    only: tuple[str, ...] = ()
+    mean: float = 2.0
+
+
+ALL = Mix()
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,14 +105,15 @@ class Fault:
 def draw_faults(
     rng: np.random.Generator,
     trial: Trial,
-    only: Sequence[str] = (),
+    mix: Mix = ALL,
     at_the_shot: bool = False,
 ) -> list[Fault]:
     """Draw the faults of one goal, in the order of their times.
 
-    ``only``: kinds of faults, empty for all; ``at_the_shot``: only faults around the shot.
+    ``at_the_shot``: only faults around the shot.
     """
-    number = 1 + int(rng.poisson(MEAN_FAULTS - 1)) if at_the_shot else int(rng.poisson(MEAN_FAULTS))
+    only, mean = mix.only, mix.mean
+    number = 1 + int(rng.poisson(mean - 1)) if at_the_shot else int(rng.poisson(mean))
     place = 0.0 if at_the_shot else rng.random()
     moment, kinds, closest = None, KINDS, 0.0
     if place < SHARE_AT_THE_SHOT:
@@ -396,7 +408,12 @@ def _foreign_state(rng: np.random.Generator, trial: Trial) -> Made:
         last = max(t.witness.commands, default=0)
         node = "scara_arm" if of_arm else "tap_planner"
         message: ArmState | PlanState = (
-            ArmState(state=ArmState.IN_POSITION, tap_id=last)
+            ArmState(
+                state=ArmState.IN_POSITION,
+                tap_id=last,
+                homed=True,
+                tip_pose=t.witness.commands[last].strike_pose if last else Pose3(),
+            )
             if of_arm
             else PlanState(state=PlanState.FIRING)
         )

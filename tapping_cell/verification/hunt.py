@@ -26,11 +26,12 @@ def main() -> int:
         run_campaign,
         settle_on,
     )
+    from tapping_cell.verification.faults import Mix
 
     settle_on(arguments.core)
 
     summary = run_campaign(
-        arguments.goals, arguments.seed, 1, stop_at_violation=True, only=mutant.kinds
+        arguments.goals, arguments.seed, 1, stop_at_violation=True, mix=Mix(mutant.kinds)
     )
     caught = summary.violations[0][1].name if summary.violations else ""
     print(json.dumps({"goals": summary.goals, "caught by": caught}))

@@ -32,6 +32,9 @@ CHECK_S = 0.045
 """Maximum time from the last check before FIRE to the release, from the board's deadline."""
 PULSE_S = 0.02
 """Duration of the release pulse; the arm's promise covers it and the striker's flight."""
+SILENCE_S = 1.5
+"""Maximum silence of the planner before a release of one of its taps, whether or not its messages
+have shown that it waits for this tap."""
 ORPHAN_S = 1.5
 """Maximum time from the end of the planner to a release; by then its heartbeat has timed out."""
 STOP_MOTION_S = 1.5
@@ -83,10 +86,15 @@ class Witness:
     message timeout of the camera, and the delay of messages under way."""
     seen_by_tapper: deque[tuple[float, Pose]] = field(default_factory=lambda: deque(maxlen=100))
     """Poses of the object that the tapper's process received, each with the time of receipt."""
+    taken_by_tapper: dict[int, list[TapCommand]] = field(default_factory=dict)
+    """TAP commands that the tapper's process received, by id. If two commands have the same id, the
+    tapper may execute only one that it received."""
+    planners: set[int] = field(default_factory=set)
+    """Ids of the taps that the planner has commanded."""
+    planner_heard: float = -math.inf
+    """Time at which the tapper's process last received a message of the planner."""
     unseen_by_tapper: float = 0.0
     """Maximum time for which the tapper itself accepts an unseen object."""
-    _variants: dict[int, list[TapCommand]] = field(default_factory=dict)
-    """All published TAP commands by tap id."""
     _struck_until: float = -math.inf
     """Time at which the last released striker reaches the end of its stroke."""
     _asked_to_move: bool = True
@@ -104,7 +112,8 @@ class Witness:
         if isinstance(message, TapCommand):
             if message.request == TapCommand.TAP:
                 self.commands[message.tap_id] = message
-                self._variants.setdefault(message.tap_id, []).append(message)
+                if node == "tap_planner":
+                    self.planners.add(message.tap_id)
         elif isinstance(message, TapperState) and node == "tapper_trigger":
             self._on_tapper_state(message)
         elif isinstance(message, ArmState) and node == "scara_arm":
@@ -132,7 +141,9 @@ class Witness:
             self.violate("arm moving", f"shot {shot} was released while the arm moved")
         command = self._command_of(release)
         if command is None:
-            self.violate("no such tap", f"shot {shot} was released, but never commanded")
+            self.violate(
+                "no such tap", f"shot {shot} was released, the tapper heard of no such tap"
+            )
             return
         self._check_place(release, command)
         self._check_energy(release, command)
@@ -142,6 +153,13 @@ class Witness:
         gone = release.time - self.planner_gone_since
         if gone > ORPHAN_S:
             self.violate("no planner", f"shot {shot} was released {gone:.2f} s after its planner")
+        silent = release.time - self.planner_heard
+        if shot in self.planners and silent > SILENCE_S + WINDOW_S:
+            self.violate(
+                "planner silent",
+                f"shot {shot} was released {silent:.2f} s after the tapper had last heard the"
+                " planner that commanded it",
+            )
         self._check_scene(release, command)
 
     def _command_of(self, release: Release) -> TapCommand | None:
@@ -153,7 +171,7 @@ class Witness:
             turn = abs(pose.rotation_to(release.tip))
             return pose.distance_to(release.tip) / STRIKE_POSITION_M + turn / STRIKE_ANGLE_RAD
 
-        variants = self._variants.get(release.shot)
+        variants = self.taken_by_tapper.get(release.shot)
         return min(variants, key=distance) if variants else None
 
     def _check_energy(self, release: Release, command: TapCommand) -> None:

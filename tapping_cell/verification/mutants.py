@@ -69,7 +69,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "if response is not None and not response.granted:",
         "if False:",
         "S1",
-        kinds=("foreign withdrawal", "heard by one"),
+        kinds=("foreign withdrawal", "heard by one", "slow answer"),
     ),
     Mutant(
         "tells an unknown outcome as not fired",
@@ -140,13 +140,6 @@ MUTANTS: tuple[Mutant, ...] = (
         "        return True",
         "S1",
         kinds=("freeze at a write", "freeze at a shot"),
-    ),
-    Mutant(
-        "keeps the striker charged when the tap is given up",
-        "tapping_cell.logic.tapper",
-        "        elif self.state is S.CHARGED:\n            self._discharge(why)\n",
-        "        elif self.state is S.CHARGED:\n            pass\n",
-        kinds=("cancel", "foreign withdrawal"),
     ),
     Mutant(
         "does not stop the wire",
@@ -255,7 +248,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.tapper_peers",
         "        if not _above(arm, strike):\n",
         "        if False:\n",
-        kinds=("second node",),
+        kinds=("duplicates",),
     ),
     Mutant(
         "does not know what its board has used",

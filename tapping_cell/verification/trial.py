@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any
@@ -33,6 +33,7 @@ from tapping_cell.logic.tapper_peers import PeerLimits
 from tapping_cell.messages import (
     ArmState,
     Bool,
+    ErrorCode,
     ObjectState,
     PlanState,
     PoseStamped,
@@ -46,11 +47,13 @@ from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.camera import Camera
 from tapping_cell.verification.causes import COVERED, LASTING_S, explains
 from tapping_cell.verification.faults import (
+    ALL,
     ARM_ASKED,
     ARM_PROMISED,
     CHECKED,
     RELEASED,
     Fault,
+    Mix,
     Moment,
     draw_faults,
     told,
@@ -159,6 +162,9 @@ class Report:
     outcomes: list[GoalOutcome] = field(default_factory=list)
     violations: list[Violation] = field(default_factory=list)
     faults: Counter[str] = field(default_factory=Counter)
+    by_node: Counter[str] = field(default_factory=Counter)
+    """Counts of the faults that were injected into a node, such as "freeze scara_arm"."""
+    releases: int = 0
     program_taps: int = 0
     cell_seconds: float = 0.0
     trace: list[str] = field(default_factory=list)
@@ -173,10 +179,10 @@ class Trial:
         trace: bool = False,
         *,
         faults: bool = True,
-        only: Sequence[str] = (),
+        mix: Mix = ALL,
     ) -> None:
-        """``faults``: whether to inject faults; ``only``: kinds of faults, empty for all."""
-        self._only = only
+        """``faults``: whether to inject faults; ``mix``: which faults are drawn."""
+        self._mix = mix
         self.seed = seed
         self._faulty = faults
         self.rng = np.random.default_rng([seed, 0])
@@ -243,6 +249,8 @@ class Trial:
         self._taken: set[int] = set()
         """Ids of the taps whose command the tapper's process has handled."""
         self._struck: list[tuple[float, str]] = []
+        self._blamed = 0
+        """Id of the last tap that was reported with TAPPER_FAULT."""
         self._struck_before = False
         """Whether the previous goal or tap had faults, which may last into the next one."""
         self._moments: Counter[str] = Counter()
@@ -334,8 +342,10 @@ class Trial:
             for defect in process.defects:
                 self.witness.violate("defect", defect)
             process.kill()
+            self.report.by_node[f"freeze {process.name}"] += process.freezes
         for process in self._seconds:
             process.kill()
+        self.report.releases = len(self.physical.releases)
         self.report.violations = self.witness.violations
         self.report.cell_seconds = self.scheduler.now
         return self.report
@@ -368,7 +378,7 @@ class Trial:
         return goal
 
     def _work_on_a_goal(self, number: int) -> None:
-        faults = draw_faults(self._fault_rng, self, self._only) if self._faulty else []
+        faults = draw_faults(self._fault_rng, self, self._mix) if self._faulty else []
         self.report.faults.update(fault.kind for fault in faults)
         goal = self.next_goal(number)
         planner = self.processes["tap_planner"]
@@ -428,7 +438,7 @@ class Trial:
         command = self._program_tap()
         if command is None:
             return
-        faults = draw_faults(self._fault_rng, self, self._only, at_the_shot=True)
+        faults = draw_faults(self._fault_rng, self, self._mix, at_the_shot=True)
         if not self._faulty:
             faults = []
         self.report.faults.update(fault.kind for fault in faults)
@@ -529,12 +539,14 @@ class Trial:
         """Freeze a process."""
         if node == "camera_pose":
             self.camera.frozen_until = self.scheduler.now + duration
+            self.report.by_node["freeze camera_pose"] += 1
         else:
             self.processes[node].freeze(duration)
 
     def kill(self, node: str, away: float) -> None:
         """Kill a process; it restarts after ``away`` s."""
         if node == "camera_pose":
+            self.report.by_node["kill camera_pose"] += 1
             self.camera.alive = False
             self.network.leave("camera_pose")
             self.scheduler.after(away, self.camera.restart)
@@ -543,6 +555,7 @@ class Trial:
         if not process.alive:
             return
         process.kill()
+        self.report.by_node[f"kill {node}"] += 1
         self._lost_process(node)
         self.scheduler.after(away, lambda: self._start_again(node))
 
@@ -552,6 +565,7 @@ class Trial:
         if not process.alive:
             return
         process.shut_down()
+        self.report.by_node[f"restart {node}"] += 1
         self._lost_process(node)
         self.scheduler.after(away, lambda: self._start_again(node))
 
@@ -674,6 +688,7 @@ class Trial:
         """Call a node's service ``stop``."""
         process = self.processes[node]
         if process.alive and self.scheduler.now >= process.frozen_until:
+            self.report.by_node[f"stop {node}"] += 1
             self.witness.stopped_at.setdefault(node, self.scheduler.now)
             if node == "scara_arm":
                 self.witness.word_given = False
@@ -741,10 +756,26 @@ class Trial:
                 self._last_words[node, topic] = words
                 self._note(words)
         self.witness.on_publish(node, topic, message)
+        if topic == "tapper_state" and node == "tapper_trigger":
+            self._check_blame(message)
         states = ("arm_state", "tapper_state", "plan_state")
         if topic in states and self._states.get(topic) != message.state:
             self._states[topic] = message.state
             self._reached(told(topic, message.state))
+
+    def _check_blame(self, message: TapperState) -> None:
+        """Check that an injected fault explains a tap that ended with TAPPER_FAULT unfired."""
+        blamed = message.error_code == ErrorCode.TAPPER_FAULT
+        if not blamed or message.outcome != TapperState.NOT_FIRED or message.tap_id == self._blamed:
+            return
+        self._blamed = message.tap_id
+        struck = {kind for at, kind in self._struck if at > self.scheduler.now - LASTING_S}
+        if not explains(message.error_code, struck):
+            self.witness.violate(
+                "untrue cause",
+                f"tap {message.tap_id} was not fired for '{message.error_msg}', which none of"
+                f" {', '.join(sorted(struck)) or 'no fault'} explains",
+            )
 
     def _reached(self, name: str) -> None:
         """Inject the faults that wait for this moment."""
@@ -772,6 +803,8 @@ class Trial:
         now = self.scheduler.now
         if process == "scara_arm" and self._may_move_arm(topic, message):
             self.witness.ask_to_move()
+        if process == "tapper_trigger" and topic == "plan_state":
+            self.witness.planner_heard = now
         if process == "tapper_trigger" and topic == "object_state" and message.visible:
             self.witness.seen_by_tapper.append((now, from_message(message.pose.pose)))
         if topic == "emergency_stop" and message.data:
@@ -786,6 +819,7 @@ class Trial:
             and message.request == TapCommand.TAP
         ):
             self._taken.add(message.tap_id)
+            self.witness.taken_by_tapper.setdefault(message.tap_id, []).append(message)
         withdrawn = topic == "tap_command" and message.request == TapCommand.WITHDRAW
         if withdrawn and process == "tapper_trigger" and message.tap_id in self._taken:
             self.witness.ended_taps.setdefault(message.tap_id, now)
@@ -840,6 +874,6 @@ def _short(message: Any) -> str:
     return repr(message)[:200]
 
 
-def run_trial(seed: int, goals: int, trace: bool = False, only: Sequence[str] = ()) -> Report:
-    """Execute one run; ``only``: kinds of faults, empty for all."""
-    return Trial(seed, trace, only=only).run(goals)
+def run_trial(seed: int, goals: int, trace: bool = False, mix: Mix = ALL) -> Report:
+    """Execute one run with faults of this mix."""
+    return Trial(seed, trace, mix=mix).run(goals)

@@ -1,7 +1,11 @@
-"""S1: a tapper's process that is frozen in a tap fires nothing after the arm's promise."""
+"""S1: a tapper's process that is frozen in a tap fires nothing after the arm's promise.
+
+``TAPPING_CELL_FREEZES=100:7`` freezes 100 times, at moments drawn from the seed 7.
+"""
 
 from __future__ import annotations
 
+import os
 import random
 import signal
 import subprocess
@@ -14,17 +18,20 @@ from rclpy.duration import Duration
 from tapping_cell_msgs.msg import ArmState, TapCommand, TapperState
 from tapping_cell_msgs.srv import HoldStill
 
+from tapping_cell.configuration.cell import load_cell
 from tapping_cell.nodes import MODULES
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 
-FREEZES = 12
+FREEZES, SEED = map(int, os.environ.get("TAPPING_CELL_FREEZES", "12:5").split(":"))
+SPEED_M_S = 0.3
+STROKE_M = load_cell().file.tapper.stroke
 SERVED = (TapperState.FIRED, TapperState.NOT_FIRED, TapperState.UNKNOWN)
 
 
 def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
-    draw = random.Random(5)
+    draw = random.Random(SEED)
     device = TapperEmulator(now=time.monotonic())
     fired: dict[int, float] = {}
     device.on_fire = lambda shot, energy, now: fired.__setitem__(shot, now)
@@ -52,8 +59,11 @@ def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
             b.wait(
                 lambda: states and states[-1].state == TapperState.SAFE, "the tapper is safe", 40.0
             )
-            for tap_id in range(100, 100 + FREEZES):
-                tap = TapCommand(request=TapCommand.TAP, tap_id=tap_id, striker_speed=0.3)
+            # On a busy machine a tap may be given up before the arm is asked: it was not frozen.
+            for tap_id in range(100, 100 + 2 * FREEZES):
+                if len(promised) == FREEZES:
+                    break
+                tap = TapCommand(request=TapCommand.TAP, tap_id=tap_id, striker_speed=SPEED_M_S)
                 tap.header.frame_id = "table"
                 now = node.get_clock().now()
                 tap.expiry = (now + Duration(seconds=20)).to_msg()
@@ -83,4 +93,7 @@ def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
             process.terminate()
             process.wait(10.0)
     assert len(promised) == FREEZES
-    assert {shot for shot in fired if fired[shot] > promised[shot]} == set()
+    flight = STROKE_M / SPEED_M_S
+    late = {shot for shot in fired if fired[shot] + flight > promised[shot]}
+    print(f"{FREEZES} freezes (seed {SEED}): {len(fired)} fired, {len(late)} too late")
+    assert late == set()

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
+from tapping_cell.planning.fixed_iteration import Abandoned, solve_coarse, solve_finer
 from tapping_cell.planning.fixed_solver import GoalSolver
 
 CELL = load_cell(shared_folder() / "positioning_cell" / "cell.yaml")
@@ -25,8 +28,33 @@ def test_the_background_gives_a_coarse_solution_and_then_the_same_fine_one() -> 
     solver = GoalSolver(background=True)
     asked = solver.goal(space, settings, goal)
     assert solver.goal(space, settings, goal) is asked
-    until = time.monotonic() + 60.0
-    while asked.solution is None or asked.solution.grid != here.grid:
-        assert time.monotonic() < until
-        time.sleep(0.01)
+    wait_until(lambda: asked.solution is not None and asked.solution.grid == here.grid)
+    assert asked.solution is not None
     np.testing.assert_allclose(asked.solution.value, here.value)
+
+
+def test_a_goal_that_is_asked_for_later_is_answered_before_another_is_refined() -> None:
+    space = assembly.make_fixed_space(CELL)
+    settings = assembly.make_planner_settings(CELL, (0.02, math.radians(20.0)))
+    solver = GoalSolver(background=True, finer=(0.3, 0.1))
+    first = solver.goal(space, settings, np.zeros(3))
+    wait_until(lambda: first.solution is not None)
+    second = solver.goal(space, settings, np.array([0.03, 0.01, 0.0]))
+    wait_until(lambda: second.solution is not None)
+    assert first.solution is not None
+    assert first.solution.grid.step > 0.1
+
+
+def test_a_fine_solution_that_is_interrupted_is_abandoned() -> None:
+    space = assembly.make_fixed_space(CELL)
+    settings = assembly.make_planner_settings(CELL, (0.02, math.radians(20.0)))
+    coarse = solve_coarse(space, settings, np.zeros(3))
+    with pytest.raises(Abandoned):
+        solve_finer(space, settings, coarse, 0.33, lambda: True)
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    until = time.monotonic() + 60.0
+    while not holds():
+        assert time.monotonic() < until
+        time.sleep(0.001)

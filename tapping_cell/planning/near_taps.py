@@ -1,13 +1,12 @@
-"""Which tap brings the object to its goal in the least time: taps that follow, and the arm's way.
+"""Which tap of all directions brings the object to its goal in the least time.
 
 Many taps are nearly as good as the method's own: where two are needed, the first may go almost
-anywhere. Among them the one is chosen with the least expected time ::
+anywhere. Chosen is the one with the least expected time ::
 
-    t(tap) + t(next) + (E[taps that follow] - P) t_mean,
+    t(tap) + E[taps that follow] t_mean + P (t(next) - t_way),
 
 where t(tap) is the arm's way to this strike, t(next) the way from there to the strike towards the
-goal that follows with probability P = min(1, E[taps that follow]), less the mean way, and t_mean
-the mean time of a tap.
+goal, which follows with probability P, t_way the mean way and t_mean the mean time of a tap.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from tapping_cell.planning.interface import Array, Taps, TapValues
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.strike import StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
-from tapping_cell.se2 import wrap_angle
 
 DIRECTIONS: Array = np.arange(24, dtype=np.float64) * (2.0 * math.pi / 24)
 SIZE_RATIO = 1.35
@@ -76,7 +74,7 @@ def near_taps(
     return NearTaps(commanded, expected)
 
 
-def quickest_first(
+def best_first(
     pose: Array,
     left: Array,
     taps: NearTaps,
@@ -85,18 +83,23 @@ def quickest_first(
     times: TapTimes,
     tip: Array,
 ) -> Array:
-    """The taps that a contact of the object gives, in the order of their expected time, (m, 3).
+    """The taps in the order of the time that is expected, (m, 3). A tap after which the arm has no
+    room for the direct one costs one more.
 
     ``space``: which taps can be struck; ``times``: of the arm's way; ``tip``: where the arm's tip
     stands, x, y, height, yaw in `table`. The others as for ``near_taps``.
     """
-    possible, strikes = space.strike_poses(pose, taps.commanded)
-    commanded, follow, strikes = taps.commanded[possible], taps.follow[possible], strikes[possible]
+    commanded, follow = taps.commanded, taps.follow
     after = gains.predict(commanded, pose[2])
-    onwards = np.arctan2(left[1] - after[:, 1], left[0] - after[:, 0])
-    seconds = times.to_strikes(tip, strikes) + follow * times.mean_tap
-    next_way = times.between(strikes, _behind(pose + after, onwards, strikes, pose))
-    seconds += np.minimum(follow, 1.0) * (next_way - times.mean_way)
+    following = _strikes_to_goal(pose + after, left - after, space)
+    room = np.any(space.elbows(following), axis=-1) & space.tool_has_room(following)
+    # One direct tap more where about one follows; where two do, the first may go anywhere.
+    direct = np.clip(np.minimum(follow, 2.0 - follow), 0.0, 1.0)
+    cost = follow + np.where(room, 0.0, direct)
+    possible, strikes = space.strike_poses(pose, commanded)
+    next_way = times.between(strikes, following) - times.mean_way
+    seconds = times.to_strikes(tip, strikes) + cost * times.mean_tap + direct * next_way
+    seconds = np.where(possible, seconds, np.inf)
     order = np.argsort(seconds, kind="stable")
     chosen: Array = commanded[order[np.isfinite(seconds[order])]]
     return chosen
@@ -109,15 +112,10 @@ def _sizes(settings: PlannerSettings, distance: float, own: float) -> Array:
     return np.asarray(np.unique(np.clip([*grid, distance, own], least, most)), dtype=float)
 
 
-def _behind(after: Array, heading: Array, strikes: Array, pose: Array) -> Array:
-    """Strike poses (n, 3) in these headings, as far from the middle of objects at (n, 3) as the
-    strikes before were."""
-    far = np.hypot(strikes[:, 0] - pose[0], strikes[:, 1] - pose[1])
-    return np.stack(
-        [
-            after[:, 0] - far * np.cos(heading),
-            after[:, 1] - far * np.sin(heading),
-            wrap_angle(heading),
-        ],
-        axis=-1,
-    )
+def _strikes_to_goal(pose: Array, left: Array, space: StrikeSpace) -> Array:
+    """About where the tip rests to tap objects at (n, 3) on towards the goal, of which (n, 3) is
+    left; (n, 3)."""
+    far = space.object_radius + space.tip_radius + space.settings.standoff
+    heading = np.arctan2(left[:, 1], left[:, 0])
+    place = pose[:, :2] - far * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    return np.concatenate([place, heading[:, None]], axis=1)
