@@ -1,6 +1,6 @@
-"""Everything that decides about motion and firing, as code without ROS, clock and threads.
+"""State machines that decide on motion and firing, as code without ROS, clocks and threads.
 
-A machine (``ArmLogic``, ``TapperLogic``, ``PlannerLogic``) takes events and a time and returns
-effects for its host to carry out; the contract stands in ``host.py``. Two hosts run the machines:
-the nodes, and the simulator in virtual time.
+A machine (``ArmLogic``, ``TapperLogic``, ``PlannerLogic``) receives events with a time and returns
+effects for its host to execute; ``host.py`` defines the interface. Two kinds of host run the
+machines: the nodes, and the simulator in virtual time.
 """

@@ -1,7 +1,8 @@
-"""The arm's machine: homed before it moves, in position by read-back, still while a shot may go.
+"""State machine of the arm: homes before it moves and stands still while a shot may be fired.
 
-Before the tapper fires it asks ``hold_still``. By granting it the arm promises not to begin any
-motion for a while; docs/safety.md shows why nothing is then fired while the arm moves.
+The arm reports that it is in position only after it has read back its joints. Before the tapper
+fires, it calls ``hold_still``. By granting this request the arm promises not to begin any motion
+for a while. docs/safety.md shows why no shot is then fired while the arm moves.
 """
 
 from __future__ import annotations
@@ -51,16 +52,16 @@ from tapping_cell.messages import Pose as PoseMessage
 from tapping_cell.se2 import Pose
 
 READ_PERIOD_S = 0.05
-"""Between read-backs while the arm stands: a strike pose is confirmed twenty times a second."""
+"""Period of the read-back while the arm stands: a strike pose is confirmed 20 times a second."""
 FRESH_READING_S = 0.25
-"""Greatest age of the read-back with which a promise is given."""
+"""Maximum age of the read-back for which a promise is given."""
 SHORT_REST_S = 0.05
-"""With so little left of its promise the arm prepares to move."""
+"""Remaining time of a promise from which on the arm prepares to move."""
 DISCHARGED_S = 0.7
-"""So long after it was last told charged, the board has discharged by itself: 0.5 s without a
-request, and the way back."""
+"""Time after the last report of a charged striker by which the board has discharged automatically:
+0.5 s without a request, plus the return of the drive."""
 LONGEST_WAIT_S = 3.0
-"""Longest wait of a tap that is over for the striker to be discharged."""
+"""Maximum time that the arm waits, after a tap is over, for the striker to be discharged."""
 CHARGED = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 SET_UP_SPEED = 0.25
 """Fraction of the ordinary speed in set-up mode."""
@@ -76,7 +77,7 @@ class State(Enum):
     PLACING = "Placing"
     IN_POSITION = "InPosition"
     LEAVING = "Leaving"
-    """The tap is over; waits until its job has ended and the promise to stand still is over."""
+    """The tap is over; the arm waits until its job and its promise to stand still have ended."""
     WITHDRAWING = "Withdrawing"
     FOLLOWING = "Following"
     INACTIVE = "Inactive"
@@ -151,18 +152,18 @@ WIRE = {
     S.STOPPED: ArmState.STOPPED,
     S.CLEARING: ArmState.FAULT,
 }
-"""What each state is called in ``arm_state``."""
+"""Value of ``arm_state`` for each state."""
 HEALTHY = frozenset(
     {S.HOMING, S.IDLE, S.PLACING, S.IN_POSITION, S.LEAVING, S.WITHDRAWING, S.FOLLOWING}
 )
 AT_WORK = HEALTHY - {S.IDLE}
-"""States in which the arm moves, or stands at an object and may move on."""
+"""States in which the arm moves, or stands at the strike pose and may move again."""
 UNHOMED = (FaultReason.NOT_HOMED, FaultReason.HOMING_FAILED)
 
 
 @dataclass(frozen=True, slots=True)
 class ArmOptions:
-    """The node's parameters that the machine needs."""
+    """Parameters of the node that the machine needs."""
 
     home_on_activate: bool = False
     state_rate: float = 20.0
@@ -170,11 +171,11 @@ class ArmOptions:
     set_up: bool = False
     """Set-up mode: the arm moves slowly, and only while an enabling device is held."""
     look_early: bool = True
-    """Whether it withdraws only until the camera sees the object; else to the park pose."""
+    """Whether the arm withdraws only until the camera sees the object, not to the park pose."""
 
 
 class ArmLogic(DeviceLogic[State, Event]):
-    """See the module's docstring. Nothing but its jobs moves the arm."""
+    """See the module's docstring. Only the jobs of this machine move the arm."""
 
     stop_trouble = (
         ErrorCode.ARM_STOPPED,
@@ -269,7 +270,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         )
 
     def _scene_of(self, command: TapCommand) -> Scene | None:
-        """What must be seen after a tap; None where that is not known."""
+        """Return what the camera must see after a tap, or None if it is not known."""
         if self._camera is None or not self._options.look_early:
             return None
         poses = (command.object_pose, command.predicted_pose, command.strike_pose)
@@ -280,7 +281,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return Scene(self._camera, before, predicted, strike)
 
     def _withdraw_again(self, now: Now) -> None:
-        """The pose to which the arm has withdrawn does not do: park it."""
+        """Park the arm, because it hides the object at the pose to which it has withdrawn."""
         if self.state in (S.LEAVING, S.WITHDRAWING):
             self._to_park = True
             return
@@ -299,7 +300,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._run("withdraw", partial(arm_jobs.withdraw, plan=plan, not_before=self._promise_end))
 
     def _refusal(self, command: TapCommand, now: Now) -> Trouble | None:
-        """Why a tap command is not taken; None when it is."""
+        """Return why a tap command is refused, or None if it is accepted."""
         if not self._active:
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
         if self.state is not S.IDLE:
@@ -311,7 +312,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return tap_commands.refusal(command, now, self._last_tap_id)
 
     def _refuse(self, code: int, sentence: str) -> None:
-        """Tell why a command is not taken; an idle arm keeps telling it until the next command."""
+        """Report why a command is refused; an idle arm reports it until the next command."""
         if self.state is S.IDLE:
             self._say(code, sentence)
         else:
@@ -372,11 +373,11 @@ class ArmLogic(DeviceLogic[State, Event]):
     # Set-up mode
 
     def _enabled(self, now: Now) -> bool:
-        """Whether the arm may begin to move, as far as set-up mode goes."""
+        """Return whether set-up mode allows the arm to begin to move."""
         return not self._options.set_up or self._enabling.held(now)
 
     def _watch_enabling(self, now: Now) -> None:
-        """Stop an arm at work whose enabling device is no longer held."""
+        """Stop the arm if it is at work and no enabling device is held."""
         if self._enabled(now) or self.state not in AT_WORK:
             return
         self._effects.append(StopWire())
@@ -399,12 +400,12 @@ class ArmLogic(DeviceLogic[State, Event]):
             code, sentence = trouble
             return HoldStill.Response(error_code=code, error_msg=sentence)
         self._promised_to = asker
-        # From the time of handling on, which is later than that of asking.
+        # The promise counts from the handling of the request, which is later than its call.
         self._promise_end = max(self._promise_end, end)
         return HoldStill.Response(granted=True, duration=request.duration)
 
     def _unsteady(self, request: HoldStill.Request, now: Now) -> Trouble | None:
-        """Why the arm does not promise to stand still."""
+        """Return why the arm does not promise to stand still, or None if it does."""
         if not 0 < request.duration <= self._longest_hold:
             return (
                 ErrorCode.COMMAND_INVALID,
@@ -441,7 +442,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._leave_when_free(now)
 
     def _give_up(self, now: Now) -> None:
-        """The tap is over for the arm."""
+        """End the tap and leave the strike pose as soon as the promise allows it."""
         self._machine.move(Event.GIVEN_UP, S.LEAVING)
         self._leaving_since = now.steady
         self._abandon()
@@ -450,10 +451,10 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _leave_when_free(self, now: Now) -> None:
         if self.state is not S.LEAVING or self._job is not None:
             return
-        # A charged striker is not carried off; what is told only lengthens the standing still.
+        # The arm does not move a charged striker. The tapper's reports can only lengthen the wait.
         if now.steady < min(self._charged_until, self._leaving_since + LONGEST_WAIT_S):
             return
-        # The job waits the short rest of a promise out while it reads.
+        # The job reads the joints and waits for the short remainder of the promise.
         if now.steady >= self._promise_end - SHORT_REST_S:
             self._machine.move(Event.FREE, S.WITHDRAWING)
             if self._to_park:
@@ -516,7 +517,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._check_place(result)
 
     def _check_place(self, reading: Reading) -> None:
-        """The arm must stay where it was placed; one garbled report does not count."""
+        """Check that the arm stays where it was placed; a single garbled report is ignored."""
         arm = self._cell.arm
         angle, quill = 2 * arm.tolerance_angle, 2 * arm.tolerance_quill
         limits = (angle, angle, quill, angle)
@@ -552,7 +553,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._cell = event.cell
         self._geometry = event.cell.arm.geometry()
         self._longest_hold = permit.longest_hold(event.cell)
-        # A predecessor of this node may have promised to stand still.
+        # This node may have promised to stand still before it was restarted.
         self._promise_end = max(self._promise_end, now.steady + self._longest_hold)
 
     def _closed(self) -> None:
@@ -569,7 +570,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._stand(Event.CONNECTED)
 
     def _stand(self, event: Event) -> None:
-        """The state of an arm that was just connected, cleared or activated."""
+        """Go to the state of an arm that was just connected, cleared or activated."""
         self.patience = patience_after(self.patience, None)
         self._tap_id = 0
         if not self._active and event is not Event.CONNECTED:
@@ -601,7 +602,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self._stops.stopped:
             return
         if self._job is not None:
-            # The arm comes to a stand at the end of the move under way.
+            # The arm stops at the end of the present move.
             self._abandon()
             self._halting = True
         else:
@@ -651,7 +652,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         elif self.state not in (S.STOPPED, S.FAULT):
             self._read_when_due(READ_PERIOD_S, arm_jobs.read, now)
         if self.state is S.IN_POSITION and now.ros > self._expiry:
-            # Nobody came back for this tap: the planner may be gone.
+            # The planner did not withdraw this tap; its node may have ended.
             self._give_up(now)
         self._leave_when_free(now)
 
@@ -684,7 +685,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         message.header.stamp = self._read_stamp if reading is not None else to_stamp(now.ros)
         if reading is not None:
             message.tip_pose = self._tip_pose(reading)
-            # An arm with a driver of its own tells them itself.
+            # An arm with its own ROS driver publishes the joint states itself.
             own_driver = self._cell.arm.ros2_control is not None
             if self._read_stamp != self._joints_told and not own_driver:
                 self._joints_told = self._read_stamp
@@ -694,7 +695,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return Publish("arm_state", message)
 
     def _tip_pose(self, reading: Reading) -> PoseMessage:
-        """Where a reading says that the tip is, in ``table``; made once for each reading."""
+        """Return the tip's pose in ``table`` from a reading; computed once per reading."""
         told, pose = self._tip
         if told is not reading:
             tip = self._geometry.forward(reading.joints)
@@ -704,7 +705,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return pose
 
     def _comparable(self, message: Message) -> Message:
-        # While it moves, the end of each move is told at once.
+        # While the arm moves, the end of each move is published immediately.
         read = self._read_stamp if self.state is S.PLACING else None
         trouble = message.error_code, message.error_msg
         return message.state, message.tap_id, message.enabled, *trouble, read
@@ -720,7 +721,11 @@ INACTIVE_TROUBLE = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activat
 
 
 def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:
-    """Joints and time from the start in s of every point; ValueError with what is wrong."""
+    """Return the joints and the time from the start in s of every point.
+
+    Raises:
+        ValueError: the trajectory is invalid; the message says why.
+    """
     names = list(Joints._fields)
     if sorted(message.joint_names) != sorted(names) or not message.points:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""The arm's blocking sequences: plain code on its driver, abandoned between two moves."""
+"""Blocking jobs on the arm's driver; a job can be abandoned between two moves."""
 
 from __future__ import annotations
 
@@ -20,48 +20,48 @@ from tapping_cell.logic.effects import JobContext
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Where the arm is, as read back."""
+    """Read-back of the arm's position."""
 
     homed: bool
-    """Whether the joints mean anything."""
+    """Whether the arm is homed, so that the joints are valid."""
     joints: Joints
     moving: bool
     stamp: float
-    """Steady time at which it was asked for, s."""
+    """Steady time at which the reading was requested, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class MotionEnd:
-    """How a motion ended: as planned, or abandoned between two moves."""
+    """End of a motion, which was completed or abandoned between two moves."""
 
     complete: bool
     reading: Reading
 
 
 def reading_of(driver: ArmDriver) -> Reading:
-    """Ask where the arm stands."""
+    """Read back the arm's position."""
     return _told(driver, driver.read())
 
 
 def _told(driver: ArmDriver, reading: ArmReading) -> Reading:
-    """A driver's reading with what it is worth."""
+    """Convert a driver's reading, and add whether the arm is homed."""
     return Reading(driver.homed, reading.joints, reading.moving, reading.stamp)
 
 
 def connect(context: JobContext, patience: float) -> Reading:
-    """Open the line again and read where the arm is."""
+    """Open the port again and read back the arm's position."""
     driver: ArmDriver = context.driver
     driver.connect(timeout=patience)
     return reading_of(driver)
 
 
 def read(context: JobContext) -> Reading:
-    """Read back where the arm stands."""
+    """Read back the arm's position."""
     return reading_of(context.driver)
 
 
 def clear(context: JobContext) -> Reading:
-    """End a stop or a fault."""
+    """Clear a stop or a fault."""
     driver: ArmDriver = context.driver
     driver.clear_fault()
     return reading_of(driver)
@@ -70,7 +70,7 @@ def clear(context: JobContext) -> Reading:
 def home(
     context: JobContext, strategy: HomingStrategy, motion: MotionSettings, not_before: float
 ) -> MotionEnd:
-    """Find out where the arm is, then park it."""
+    """Home the arm, then park it."""
     driver: ArmDriver = context.driver
     _wait(context, not_before)
     driver.home(strategy)
@@ -80,7 +80,7 @@ def home(
 def place(
     context: JobContext, tip: TipPose, motion: MotionSettings, expiry: int, not_before: float
 ) -> MotionEnd:
-    """Bring the tip to a pose in ``arm_base`` and settle there. ``expiry``: ROS time in ns."""
+    """Move the tip to a pose in ``arm_base`` and settle there. ``expiry``: ROS time in ns."""
     driver: ArmDriver = context.driver
     _wait(context, not_before)
     path = strike_path(driver.geometry, driver.read_joints(), tip, motion)
@@ -93,8 +93,8 @@ def place(
 def withdraw(
     context: JobContext, plan: Callable[[Joints], Sequence[Waypoint]], not_before: float
 ) -> MotionEnd:
-    """Leave the strike pose by a path from the present joints, not before a time of the steady
-    clock."""
+    """Leave the strike pose along a path planned from the present joints. ``not_before``: earliest
+    start on the steady clock, s."""
     driver: ArmDriver = context.driver
     here = driver.read_joints()
     path = plan(here)
@@ -109,7 +109,8 @@ def follow(
     scale: float,
     not_before: float,
 ) -> MotionEnd:
-    """Go through joints at times from the start in s, stopping at each; ``scale``: of the speed."""
+    """Follow a trajectory of joints and times from its start in s, with a stop at every point.
+    ``scale``: factor on the speed."""
     driver: ArmDriver = context.driver
     _wait(context, not_before)
     here, before, complete = driver.read_joints(), 0.0, True
@@ -125,7 +126,7 @@ def follow(
 
 
 def _wait(context: JobContext, until: float) -> None:
-    """Stand still until a time of the steady clock."""
+    """Wait without motion until a time of the steady clock."""
     left = until - context.now().steady
     if left > 0:
         context.sleep(left)
@@ -138,7 +139,7 @@ def _park(context: JobContext, here: Joints, motion: MotionSettings) -> MotionEn
 
 
 def _move_along(context: JobContext, path: Sequence[Waypoint], expiry: int | None = None) -> bool:
-    """Take the waypoints; False where the motion was abandoned between two of them."""
+    """Move along the waypoints; return False if the motion was abandoned."""
     driver: ArmDriver = context.driver
     for waypoint in path:
         if context.abandoned() or (expiry is not None and context.now().ros > expiry):

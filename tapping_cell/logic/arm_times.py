@@ -1,4 +1,4 @@
-"""How long the arm's ways around the taps take, by the moves that it is commanded."""
+"""Durations of the arm's motions before and after a tap, computed from the commanded moves."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from tapping_cell.planning import Strike
 from tapping_cell.se2 import Array, Pose, compose
 
 REST_S = 0.30
-"""Of a tap besides the arm's moves: settling, firing, the look and messages."""
+"""Duration of a tap without the arm's moves: settling, firing, observation and messages."""
 SIDEWAYS_S = 0.25
-"""Mean time from above a strike to where the camera sees the object."""
+"""Mean time from above a strike pose to a pose in which the camera sees the object."""
 HEADINGS = np.arange(12) * (2.0 * math.pi / 12)
-"""In which mean times are taken, of strikes around the middle of the table."""
+"""Headings of the strikes around the table's centre over which mean times are taken, rad."""
 
 
 class ArmTimes:
-    """``planning.tap_times.TapTimes`` of a cell's arm; ``camera``: place of its lens in ``table``,
-    m, for ``tap`` alone."""
+    """``planning.tap_times.TapTimes`` of a cell's arm. ``camera``: position of the lens in
+    ``table``, m; only ``tap`` uses it."""
 
     def __init__(self, cell: Cell, camera: tuple[float, float, float] | None = None) -> None:
         self._cell = cell
@@ -61,19 +61,19 @@ class ArmTimes:
         return strike_durations(self._geometry, here, self._tips(strikes), self._motion)
 
     def between(self, strikes: ArrayLike, following: ArrayLike) -> Array:
-        """See ``TapTimes``. The arm is taken to withdraw straight up."""
+        """See ``TapTimes``. The arm is assumed to withdraw straight up."""
         ways = self._ways(strikes, following)
         return np.where(np.isfinite(ways), ways, self.mean_way)
 
     @property
     def parked(self) -> Array:
-        """Where the tip of the parked arm stands, x, y, height, yaw in ``table``."""
+        """Tip of the parked arm: x, y, height and yaw in ``table``."""
         return self._tip(self._motion.park)
 
     def tap(self, tip: Array, before: Pose, strike: Strike) -> tuple[float, Array]:
-        """Seconds of a tap of an arm whose tip stands at (4,), and where it stands afterwards.
+        """Return the duration of a tap in s and the tip (4,) after it, from the tip (4,) before.
 
-        ``before``: the object when the tap was planned.
+        ``before``: pose of the object for which the tap was planned.
         """
         at = np.asarray(strike.plan.strike_pose)
         seconds = float(self.to_strikes(tip, at))
@@ -95,8 +95,8 @@ class ArmTimes:
         return np.stack([planar[..., 0], planar[..., 1], z, planar[..., 2]], axis=-1)
 
     def _joints(self, poses: Array, height: float) -> Array:
-        """Joints (..., 4) with the tip at poses (..., 3) of ``table``, the elbow on the side of the
-        park pose where it can be; NaN out of reach."""
+        """Return joints (..., 4) with the tip at poses (..., 3) in ``table``; NaN if out of reach.
+        The elbow is on the same side as in the park pose if possible."""
         tips, park = self._tips(poses, height), self._motion.park
         own = self._geometry.branch_of(park)
         other = next(side for side in Branch if side is not own)

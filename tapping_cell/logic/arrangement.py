@@ -1,9 +1,8 @@
-"""An arrangement of several objects, as the planner keeps, decides and reports it.
+"""Task of arranging several objects, with the progress of each object and its reports.
 
-Which object is tapped next, and how, is decided by ``planning.arrangement``; each of its taps runs
-through the planner's machine like any other, with the same checks and waits. Here stands what an
-arrangement is besides: the objects that must be seen before each decision, how far each of them is,
-and what is told of it.
+``planning.arrangement`` decides which object is tapped next and how. The planner's state machine
+executes each of these taps like any other, with the same checks and waits. This module determines
+which objects must be seen before a decision, tracks the progress of each object, and reports it.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ from tapping_cell.se2 import Array, Pose
 
 
 class Progress(Enum):
-    """How far one object is."""
+    """Progress of one object."""
 
     WAITING = "Waiting"
     ACTIVE = "Active"
@@ -58,7 +57,7 @@ class Progress(Enum):
 
 
 class Change(Enum):
-    """What moves it on."""
+    """Events that change the progress of an object."""
 
     TAPPED_TO_GOAL = "tapped to its goal"
     TAPPED_AWAY = "tapped out of the way"
@@ -71,7 +70,7 @@ P = Progress
 OPEN = (P.WAITING, P.ACTIVE, P.MAKING_WAY, P.REACHED)
 PROGRESS_TABLE = table(
     [
-        # An object that was touched by another one, or has to make way, leaves its goal again.
+        # An object that another one has touched, or that has to make way, leaves its goal again.
         (OPEN, Change.TAPPED_TO_GOAL, (P.ACTIVE,)),
         (OPEN, Change.TAPPED_AWAY, (P.MAKING_WAY,)),
         (OPEN, Change.LEFT, (P.WAITING,)),
@@ -91,7 +90,7 @@ WIRE = {progress: getattr(ObjectProgress, progress.name) for progress in Progres
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """Where one object is to go. ``tolerance`` in m and rad."""
+    """Goal of one object. ``tolerance`` in m and rad."""
 
     message: PoseStamped
     goal: Pose
@@ -100,22 +99,22 @@ class Wanted:
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class ArrangementTask(Task):
-    """Several objects, each to its place; ``object_id`` and ``goal`` are those of the move under
-    way. A planner that crashed in it leaves it."""
+    """Task of moving several objects to their goals. ``object_id`` and ``goal`` belong to the
+    present move. A planner that crashed does not resume this task."""
 
     resumable: ClassVar[bool] = False
 
     wanted: Mapping[str, Wanted]
-    """By object, in the order of the request."""
+    """Goals by name of the object, in the order of the request."""
     bodies: Sequence[Body]
-    """Every object of the cell."""
+    """All objects of the cell."""
     known: Mapping[str, Gains]
-    """What earlier goals taught about each."""
+    """Gains of each object, learnt in earlier goals."""
     adapt: bool
     in_order: bool
     arrangement: ArrangementSession | None = None
     touched: list[str] = field(default_factory=list)
-    """Objects that moved with a tap of another one, since they were last told."""
+    """Objects that were moved by a tap of another object and not yet reported."""
     _seen: dict[str, Observation] = field(default_factory=dict)
     _states: dict[str, ObjectState] = field(default_factory=dict)
     _tap: TapOf | None = None
@@ -123,7 +122,7 @@ class ArrangementTask(Task):
     _ended: tuple[int, str] = (ErrorCode.NONE, "")
 
     def description(self) -> str:
-        """The arrangement for people."""
+        """Return a readable description of the arrangement."""
         goals = "; ".join(
             f"'{name}' to x {1000 * one.goal.x:.1f} mm, y {1000 * one.goal.y:.1f} mm, "
             f"{math.degrees(one.goal.theta):.1f} deg"
@@ -132,9 +131,11 @@ class ArrangementTask(Task):
         return f"arrangement: {goals}"
 
     def observed(self, monitor: CellMonitor, after: float, frames: int, now: Now) -> bool:
-        """Whether every object was seen at rest after a steady time; the monitor then watches the
-        object in hand, else the one that is missing. An object that need not be tapped and is not
-        on the table is left out from the beginning."""
+        """Return whether every object was seen at rest after the steady time ``after``.
+
+        The monitor then watches the present object, otherwise the first object not yet seen. An
+        object that is not on the table and not to be moved is left out from the beginning.
+        """
         found = {}
         for body in self._bodies():
             monitor.watch(body.name)
@@ -157,7 +158,7 @@ class ArrangementTask(Task):
         return True
 
     def computation(self, frames: int) -> Callable[[], ArrangementDecision]:
-        """Which object is tapped next and how; see ``Task.computation``."""
+        """Return the job that decides which object to tap and how; see ``Task.computation``."""
         if self.arrangement is None:
             present = [body for body in self.bodies if body.name in self._seen]
             self.arrangement = ArrangementSession(
@@ -179,7 +180,7 @@ class ArrangementTask(Task):
         return decision
 
     def conclude(self, computed: ArrangementDecision) -> Decision:
-        """Take in what was decided; see ``Task.conclude``."""
+        """Apply the computed decision; see ``Task.conclude``."""
         assert self.arrangement is not None
         decision = computed
         if isinstance(decision, LookLonger):
@@ -201,11 +202,14 @@ class ArrangementTask(Task):
         return decision.strike
 
     def before(self, seen: ObjectState) -> Pose:
-        """Where the object in hand lies, by the observation that the decision used."""
+        """Return the pose of the present object in the observation that the decision used."""
         return self._seen[self.object_id].pose
 
     def others_moved(self, monitor: CellMonitor, distance: float, angle: float) -> bool:
-        """Whether an object that is not tapped is seen elsewhere than when the tap was planned."""
+        """Return whether an object other than the tapped one has moved since the tap was planned.
+
+        ``distance`` in m and ``angle`` in rad are the limits.
+        """
         return any(
             monitor.moved(name, observed.pose, distance, angle)
             for name, observed in self._seen.items()
@@ -213,13 +217,13 @@ class ArrangementTask(Task):
         )
 
     def learn(self, shot: Shot, pose: Pose, covariance: Array) -> None:
-        """Learn from a tap of the object in hand."""
+        """Learn from a tap of the present object."""
         assert self.arrangement is not None and self._tap is not None
         after = Observation(pose, covariance)
         self.arrangement.observe(self._tap, Observation(shot.before), after)
 
     def learnt(self) -> dict[str, Gains]:
-        """What the taps taught, by object that was tapped."""
+        """Return the learnt gains of every object that was tapped."""
         if self.arrangement is None:
             return {}
         return {
@@ -229,7 +233,7 @@ class ArrangementTask(Task):
         }
 
     def end(self, code: int, sentence: str) -> None:
-        """Keep why it ended."""
+        """Store the reason of the end; objects not at their goals have failed."""
         self._ended = (code, sentence)
         if code:
             for name in self._told():
@@ -239,11 +243,11 @@ class ArrangementTask(Task):
     # Reports
 
     def progress(self) -> list[ObjectProgress]:
-        """How far every object is."""
+        """Return the progress of every object."""
         return [self._progress_of(name) for name in self._told()]
 
     def report(self, now: Now, active: bool) -> ArrangementState:
-        """How far the arrangement is."""
+        """Return the message on the progress of the arrangement."""
         code, sentence = self._ended
         state = ArrangementState(
             active=active,
@@ -259,13 +263,13 @@ class ArrangementTask(Task):
     def feedback(
         self, state: PlanState
     ) -> PositionObject.Feedback | SingleTap.Feedback | ArrangeObjects.Feedback:
-        """The action's feedback."""
+        """Return the action's feedback."""
         return ArrangeObjects.Feedback(plan_state=state, objects=self.progress())
 
     def result(
         self, code: int, sentence: str, last: PlanState, seen: ObjectState | None
     ) -> PositionObject.Result | SingleTap.Result | ArrangeObjects.Result:
-        """The action's result."""
+        """Return the action's result."""
         return ArrangeObjects.Result(
             error_code=code,
             error_msg=sentence,
@@ -275,7 +279,7 @@ class ArrangementTask(Task):
         )
 
     def lose(self, shot: Shot) -> None:
-        """Keep a record of the tap, if it was or may have been fired."""
+        """Record the tap if it was or may have been fired."""
         if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):
             self.records.append(shot.record(None, self.session.gains))
 
@@ -283,7 +287,7 @@ class ArrangementTask(Task):
         return self.bodies if self.arrangement is None else self.arrangement.bodies
 
     def _turn_to(self, name: str) -> None:
-        """Take an object in hand: the camera follows it, and states tell of it."""
+        """Make an object the present one, which is observed and reported from now on."""
         self.object_id = name
         if name in self.wanted:
             self.goal, self.message = self.wanted[name].goal, self.wanted[name].message
@@ -308,7 +312,7 @@ class ArrangementTask(Task):
         self._machine(name).move(change, FOLLOWS[change])
 
     def _told(self) -> list[str]:
-        """Objects with a goal in the order of the request, then those that made way."""
+        """Return the objects with a goal in the order of the request, then those that made way."""
         return [*self.wanted, *(name for name in self._progress if name not in self.wanted)]
 
     def _progress_of(self, name: str) -> ObjectProgress:

@@ -1,4 +1,4 @@
-"""What camera, arm and tapper last published, and what that means for the planner."""
+"""Monitor of the last messages of camera, arm and tapper, evaluated for the planner."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from tapping_cell.messages import ArmState, ErrorCode, ObjectState, ObjectStates
 from tapping_cell.se2 import Pose
 
 Trouble = tuple[int, str]
-"""An error code and a sentence."""
+"""Error code and message."""
 
 QUICKEST_IMAGE_S = 0.05
-"""Bound of the least delay of an image until its observation is heard, beyond that of the arm's
-messages: it cannot be told from a difference of the clocks, and makes images look later than they
-were taken."""
+"""Upper bound of the minimum delay from an image to its observation, beyond the delay of the arm's
+messages, s. This delay cannot be distinguished from a difference of the clocks, so an image appears
+later than it was taken."""
 FAULTED = (TapperState.FAULT, TapperState.STOPPED)
 ENGAGED = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 NAMES = {"object": "camera_pose", "arm": "scara_arm", "tapper": "tapper_trigger"}
 
 
 class CellMonitor:
-    """The last message of each of the three, and when it arrived.
+    """Stores the last message of camera, arm and each tapper board, with its time of arrival.
 
-    Whether an observation was made before or after something is judged on this computer's steady
-    clock, with the estimated difference of the camera's clock.
+    Times of observations are compared with other events on this computer's steady clock. The
+    estimated difference of the camera's clock is corrected.
     """
 
     def __init__(self, silence_limit: float) -> None:
@@ -48,17 +48,17 @@ class CellMonitor:
 
     @property
     def object(self) -> ObjectState | None:
-        """What is known of the object that is watched."""
+        """Last state of the watched object; None if none was received."""
         return self._states.get(self._watched) if self._watched else self._own
 
     def watch(self, name: str) -> None:
-        """From now on every question about the object is about the one of that name, as
-        ``object_states`` tells of it; empty for the cell's own, as ``object_state`` does."""
+        """Select the object for all following queries by its name in ``object_states``. An empty
+        name selects the cell's own object, which ``object_state`` reports."""
         self._watched = name
 
     def expect(self, has_arm: bool, boards: Sequence[Sequence[str]]) -> None:
-        """What the cell consists of: an arm or none, and the tappers' names of each board. Whoever
-        does not know judges by what is heard."""
+        """Set whether the cell has an arm, and the tappers' names of each board. Without this call
+        both are derived from the received messages."""
         self._arm_expected = has_arm
         self._expected = frozenset(tuple(names) for names in boards)
 
@@ -71,8 +71,7 @@ class CellMonitor:
 
     @property
     def tip(self) -> tuple[float, float, float, float] | None:
-        """Where the arm says that its tip stands, x, y, height and yaw in ``table``; None where it
-        does not know."""
+        """Last reported tip of the arm: x, y, height and yaw in ``table``; None if not homed."""
         if self.arm is None or not self.arm.homed:
             return None
         place = from_message(self.arm.tip_pose)
@@ -80,8 +79,8 @@ class CellMonitor:
 
     @property
     def tapper(self) -> TapperState | None:
-        """What there is to say of the tappers: the last word of the board that has something to
-        say; a fault before a tap under way before rest."""
+        """State of the most relevant board: a board with a fault, otherwise a board with a tap
+        under way, otherwise the board that published last."""
         states = self._boards
         for wanted in (FAULTED, ENGAGED):
             for state in states.values():
@@ -90,14 +89,14 @@ class CellMonitor:
         return states.get(self._spoke)
 
     def on_object(self, message: ObjectState, now: Now) -> None:
-        """Take in ``object_state``."""
+        """Process ``object_state``."""
         self._own = message
         self._heard["object"] = now.steady
         self.camera_clock.hear(message.header.stamp, now)
         self._note_seen("", message, now)
 
     def on_objects(self, message: ObjectStates, now: Now) -> None:
-        """Take in ``object_states``."""
+        """Process ``object_states``."""
         for state in message.objects:
             self._states[state.object_id] = state
             self._note_seen(state.object_id, state, now)
@@ -108,15 +107,15 @@ class CellMonitor:
             self._seen_at[name] = max(self._seen_at.get(name, -math.inf), seen)
 
     def on_arm(self, message: ArmState, now: Now) -> None:
-        """Take in ``arm_state``."""
+        """Process ``arm_state``."""
         self.arm = message
         self._heard["arm"] = now.steady
 
     def on_tapper(self, message: TapperState, now: Now) -> None:
-        """Take in ``tapper_state``."""
+        """Process ``tapper_state``."""
         board = tuple(message.tappers) or self._only_board()
         if board is None or (self._expected and board not in self._expected):
-            return  # one that has not read its cell file yet, or of another cell
+            return  # this board has not read its cell file yet, or belongs to another cell
         if board:
             self._boards.pop((), None)
         self._spoke = board
@@ -124,18 +123,19 @@ class CellMonitor:
         self._boards_heard[self._spoke] = now.steady
 
     def _only_board(self) -> tuple[str, ...] | None:
-        """The board that a state without names speaks of; None where there are several."""
+        """Return the board of a state without tappers' names; None if there are several boards."""
         known = self._expected or frozenset(self._boards)
         if len(known) > 1:
             return None
         return next(iter(known), ())
 
     def silent(self, name: str, now: Now) -> bool:
-        """Whether ``object``, ``arm`` or ``tapper`` was not heard for longer than the limit."""
+        """Return whether the message timeout of ``object``, ``arm`` or ``tapper`` has passed."""
         return now.steady - self._last_heard(name) > self._silence_limit
 
     def _last_heard(self, name: str) -> float:
-        """Steady time of the last word; of the tappers that of the board unheard for longest."""
+        """Return the steady time of the last message; for ``tapper``, that of the board with the
+        oldest last message."""
         if name != "tapper":
             return self._heard[name]
         boards = self._expected or frozenset(self._boards_heard)
@@ -144,23 +144,24 @@ class CellMonitor:
         )
 
     def observed_at(self, now: Now) -> float:
-        """When the last image was taken, on the own steady clock, s."""
+        """Return the time of the last image on the own steady clock, s."""
         if self.object is None:
             return -math.inf
         return self.camera_clock.to_steady(self.object.header.stamp, now)
 
     def unseen_for(self, now: Now) -> float:
-        """How long ago the object was last seen, s."""
+        """Return the time since the object was last seen, s."""
         return now.steady - self._seen_at.get(self._watched, -math.inf)
 
     @property
     def pose(self) -> Pose | None:
-        """Where the object is seen now; None while it is not seen."""
+        """Present pose of the object; None while it is not seen."""
         seen = self.object
         return from_message(seen.pose.pose) if seen is not None and seen.visible else None
 
     def usable(self, after: float, frames: int, now: Now) -> bool:
-        """True for an observation of the object at rest that was made after a steady time."""
+        """Return whether the last observation shows the object at rest, was made after the steady
+        time ``after``, and was fused from at least ``frames`` frames."""
         seen = self.object
         return bool(
             seen is not None
@@ -174,7 +175,7 @@ class CellMonitor:
         )
 
     def missing(self, now: Now) -> Trouble | None:
-        """What keeps the cell from tapping; None when nothing does."""
+        """Return why the cell is not ready for a tap, or None if it is."""
         arm, tapper = self.arm, self.tapper
         of_arm = self._arm_missing(arm, now) if self.has_arm else None
         if of_arm is not None:
@@ -211,7 +212,7 @@ class CellMonitor:
         return None
 
     def fault(self) -> Trouble | None:
-        """A fault of arm or tapper that needs a person; None where there is none."""
+        """Return a fault of arm or tapper that a person must clear, or None."""
         for state, faults in (
             (self.arm, (ArmState.FAULT, ArmState.STOPPED)),
             (self.tapper, FAULTED),
@@ -221,7 +222,7 @@ class CellMonitor:
         return None
 
     def lost(self, now: Now) -> bool:
-        """True when arm or tapper went away: their drivers come back by themselves."""
+        """Return whether arm or tapper is lost; their drivers reconnect automatically."""
         arm = self.arm
         arm_lost = self.has_arm and (
             self.silent("arm", now) or (arm is not None and arm.state == ArmState.DISCONNECTED)
@@ -233,8 +234,8 @@ class CellMonitor:
         )
 
     def withdrawn(self, now: Now) -> bool:
-        """True when the arm gives the camera a free view, nothing is charged and no striker of a
-        fixed mount is out."""
+        """Return whether the arm leaves the camera a free view, no tapper is charged and no striker
+        of a fixed mount is out."""
         arm = self.arm
         free = not self.has_arm or (
             arm is not None and arm.state == ArmState.IDLE and arm.clear_of_camera
@@ -243,18 +244,18 @@ class CellMonitor:
         return free and bool(self._boards) and safe and not self.lost(now)
 
     def in_position(self, tap_id: int) -> bool:
-        """True when the arm publishes that it is in position for that tap."""
+        """Return whether the arm publishes that it is in position for this tap."""
         arm = self.arm
         return arm is not None and arm.tap_id == tap_id and arm.state == ArmState.IN_POSITION
 
     def left_behind(self) -> int:
-        """Id of a tap that the arm still serves for a planner that is gone; 0 for none."""
+        """Return the id of a tap that the arm still executes for a former planner; 0 if none."""
         arm = self.arm
         serving = arm is not None and arm.state in (ArmState.IN_POSITION, ArmState.MOVING)
         return int(arm.tap_id) if arm is not None and serving else 0
 
     def last_tap_id(self) -> int:
-        """The greatest tap id that arm and tapper have published."""
+        """Return the greatest tap id that arm and tapper have published."""
         return max(
             self.arm.tap_id if self.arm is not None else 0,
             *(state.tap_id for state in self._boards.values()),
@@ -262,26 +263,26 @@ class CellMonitor:
         )
 
     def outcome(self, tap_id: int) -> int:
-        """The outcome that the tapper publishes for a tap; NONE while it publishes none."""
+        """Return the outcome that the tapper publishes for a tap; NONE if it publishes none."""
         tapper = self.tapper_of(tap_id)
         return int(TapperState.NONE) if tapper is None else int(tapper.outcome)
 
     def tapper_of(self, tap_id: int) -> TapperState | None:
-        """The last word of the board that serves or served a tap; None where none did."""
+        """Return the last state of the board that executes or executed a tap, or None."""
         serving = [state for state in self._boards.values() if state.tap_id == tap_id]
         return serving[0] if serving else None
 
     def seen_away_from(self, pose: Pose, distance: float, angle: float) -> bool:
-        """True when the object is seen farther than ``distance`` m or turned by more than
-        ``angle`` rad from a pose."""
+        """Return whether the object is seen more than ``distance`` m or ``angle`` rad away from a
+        pose."""
         return _away(self.object, pose, distance, angle)
 
     def moved(self, name: str, pose: Pose, distance: float, angle: float) -> bool:
-        """The same of any object that ``object_states`` tells of."""
+        """Like :meth:`seen_away_from`, for any object in ``object_states``."""
         return _away(self._states.get(name), pose, distance, angle)
 
     def blind(self, waited: float, frames: int, now: Now) -> Trouble:
-        """Why no usable observation was made within ``waited`` s."""
+        """Return why no usable observation was made within ``waited`` s."""
         seen, name = self.object, f"'{self._watched}'" if self._watched else "the object"
         if self._own is None or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)
@@ -334,7 +335,7 @@ class CellMonitor:
 
 
 def _away(seen: ObjectState | None, pose: Pose, distance: float, angle: float) -> bool:
-    """Whether an object is seen farther or turned by more than that from a pose."""
+    """Return whether an object is seen more than ``distance`` m or ``angle`` rad from a pose."""
     if seen is None or not seen.visible or seen.error_code:
         return False
     found = from_message(seen.pose.pose)

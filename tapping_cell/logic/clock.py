@@ -1,4 +1,4 @@
-"""Time as the machines get it from their host."""
+"""Time that the host passes to the state machines."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ NANOSECONDS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Now:
-    """One moment on both clocks of a host. The host reads ``steady`` first."""
+    """Present time on both clocks of a host. The host reads ``steady`` first."""
 
     steady: float
-    """s, the host's steady clock: also the clock of its drivers."""
+    """Time of the host's steady clock, which its drivers also use, s."""
     ros: int
-    """ns, the host's ROS time: what stamps and expiries are compared with."""
+    """ROS time of the host, for comparison with stamps and expiries, ns."""
 
 
 def to_nanoseconds(stamp: Time) -> int:
-    """A stamp in ns."""
+    """Convert a stamp to ns."""
     return stamp.sec * NANOSECONDS + stamp.nanosec
 
 
 def to_seconds(stamp: Time) -> float:
-    """A stamp in s."""
+    """Convert a stamp to s."""
     return stamp.sec + 1e-9 * stamp.nanosec
 
 
 def to_stamp(nanoseconds: int) -> Time:
-    """A time in ns as a stamp."""
+    """Convert a time in ns to a stamp."""
     sec, nanosec = divmod(nanoseconds, NANOSECONDS)
     return Time(sec=sec, nanosec=nanosec)

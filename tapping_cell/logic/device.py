@@ -1,4 +1,4 @@
-"""What the machines of the two serial devices share: jobs, stops, faults, life cycle."""
+"""Base class of the state machines of arm and tapper: jobs, stops, faults and lifecycle."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ from tapping_cell.logic.transitions import StateMachine
 from tapping_cell.messages import ErrorCode, StopState, Trigger
 
 FIRST_PATIENCE_S = 1.0
-"""First wait for a port, and for whoever is there to answer."""
+"""Timeout of the first attempt to open a port and receive a reply."""
 LONGEST_PATIENCE_S = 6.0
-"""Opening a port restarts many boards, and some take seconds: each further try of a port that is
-there but mute waits longer, up to this."""
+"""Maximum of this timeout. It is doubled after each attempt without a reply, because opening a port
+restarts many boards, and some of them take seconds."""
 MUTE = (FaultReason.UNKNOWN_FIRMWARE, FaultReason.TIMEOUT, FaultReason.NEEDS_PERSON)
 LOST = (FaultReason.DISCONNECTED, FaultReason.PORT_MISSING, FaultReason.PORT_BUSY)
 CONTINUE = (ErrorCode.NONE, "")
@@ -54,18 +54,18 @@ Event = TypeVar("Event", bound=Enum)
 
 
 def patience_after(patience: float, fault: HardwareFault | None) -> float:
-    """How long the next ``connect`` may wait, after one with this patience."""
+    """Return the timeout in s of the next ``connect`` after one with the timeout ``patience``."""
     if fault is not None and fault.reason in MUTE:
         return min(2 * patience, LONGEST_PATIENCE_S)
     return FIRST_PATIENCE_S
 
 
 class DeviceLogic(ABC, Generic[State, Event]):
-    """The common half of a device's machine.
+    """Common part of the state machines of the devices.
 
-    One job at a time does what was commanded; an idle read may run besides, and what it tells
-    counts only while no other job was begun since. A job that a stop, a fault or a new life of the
-    line overtook ends without changing the state.
+    One job at a time executes a command. A read job may run as well; its result is used only if no
+    other job was started since. If a stop, a fault or a new connection overtakes a job, the end of
+    this job does not change the state.
     """
 
     stop_trouble: Trouble
@@ -86,11 +86,11 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._read_at = -1.0
         self._published: Message | None = None
 
-    # What a host and a person may read
+    # Public properties
 
     @property
     def state(self) -> State:
-        """The machine's state."""
+        """Present state."""
         return self._machine.state
 
     @property
@@ -105,10 +105,10 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     @property
     def trouble(self) -> Trouble:
-        """Error code and sentence; (0, "") while all is well."""
+        """Error code and message; (0, "") if there is no error."""
         return self._trouble
 
-    # What a device gives
+    # Methods that a device implements
 
     @abstractmethod
     def _handle_message(self, topic: str, message: Message, now: Now) -> None: ...
@@ -133,23 +133,23 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     @abstractmethod
     def _overtaken(self, event: JobEnded, now: Now) -> None:
-        """A job ended that something else overtook: keep what stays true of it."""
+        """Handle the end of an overtaken job: keep the part of its result that is still valid."""
 
     @abstractmethod
     def _configured_with(self, event: Configured, now: Now) -> None:
-        """Take the cell, before anything else."""
+        """Store the cell, before any other step of the configuration."""
 
     @abstractmethod
     def _closed(self) -> None:
-        """The port was closed: nothing is known any more but a stop."""
+        """Handle the closing of the port: forget the device's state, but not a stop."""
 
     @abstractmethod
     def _code_of(self, fault: HardwareFault) -> int:
-        """The code of a fault of this device."""
+        """Return the error code of a fault of this device."""
 
     @abstractmethod
     def _connected(self, answer: Any, now: Now) -> None:
-        """The port is open: take up the state of the device."""
+        """Handle the opening of the port: adopt the state of the device."""
 
     @abstractmethod
     def _activated(self, now: Now) -> None: ...
@@ -171,19 +171,19 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     @abstractmethod
     def _healthy(self) -> bool:
-        """Whether there is nothing to clear."""
+        """Return whether there is no fault or stop to clear."""
 
     @abstractmethod
     def _time_passed(self, now: Now) -> None: ...
 
     @abstractmethod
     def _report(self, now: Now) -> Publish:
-        """The state's message."""
+        """Return the effect that publishes the state."""
 
-    # The contract
+    # Handlers of the protocol ``Logic``
 
     def on_lifecycle(self, event: LifecycleEvent, now: Now) -> Sequence[Effect]:
-        """The node's life cycle."""
+        """Handle a lifecycle event of the node."""
         if isinstance(event, Configured):
             self._configured = True
             self._configured_with(event, now)
@@ -213,7 +213,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         return self._drain(now)
 
     def on_message(self, topic: str, message: Message, now: Now) -> Sequence[Effect]:
-        """A message."""
+        """Handle a message."""
         if topic == stops.TOPIC:
             new = not self._stops.stopped and message.data
             if new:
@@ -231,7 +231,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
     def on_request(
         self, service: str, request: Message, token: Token, now: Now
     ) -> Sequence[Effect]:
-        """A service request."""
+        """Handle a service request."""
         if service == "~/stop":
             self._effects.append(StopWire())
             if self._stops.press():
@@ -245,7 +245,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         return self._drain(now)
 
     def on_answer(self, token: Token, response: Message | None, now: Now) -> Sequence[Effect]:
-        """An answer."""
+        """Handle the answer to a call."""
         if isinstance(token, tuple) and token[0] == "reset":
             self._levels_told(token[1], response, now)
         else:
@@ -253,7 +253,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         return self._drain(now)
 
     def on_job(self, event: JobProgress | JobEnded, now: Now) -> Sequence[Effect]:
-        """A job."""
+        """Handle the progress or the end of a job."""
         if isinstance(event, JobProgress):
             if event.job == self._job:
                 self._job_told(self._job_name, event.content, now)
@@ -269,20 +269,20 @@ class DeviceLogic(ABC, Generic[State, Event]):
         return self._drain(now)
 
     def on_tick(self, now: Now) -> Sequence[Effect]:
-        """Time has passed."""
+        """Handle the timer and publish the state."""
         if self._configured:
             self._time_passed(now)
         self._published = None
         return self._drain(now)
 
     def on_defect(self, error: Exception, now: Now) -> Sequence[Effect]:
-        """A handler raised."""
+        """Stop the device and report INTERNAL after a handler has raised ``error``."""
         self._effects.clear()
         self._effects.append(StopWire())
         self._defect(error, now)
         return self._drain(now)
 
-    # For the devices
+    # Helpers for the devices
 
     def _end(self, event: JobEnded, name: str, now: Now) -> None:
         fault = event.fault
@@ -308,7 +308,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         )
 
     def _run(self, name: str, run: Callable[[JobContext], object]) -> None:
-        """Begin the one job."""
+        """Start a job; the one under way is abandoned."""
         self._abandon()
         self._jobs += 1
         self._job, self._job_name = self._jobs, name
@@ -322,17 +322,17 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._effects.append(RunJob(Job(self._jobs, "read", run)))
 
     def _abandon(self) -> None:
-        """Have the job under way end between two of its steps."""
+        """Request that the job under way ends between two of its steps."""
         if self._job is not None:
             self._effects.append(AbandonJob(self._job))
 
     def _overtake(self) -> None:
-        """Abandon the job under way, whose end will not change the state any more."""
+        """Abandon the job under way, so that its end does not change the state."""
         self._abandon()
         self._job = None
 
     def _say(self, code: int, sentence: str) -> None:
-        """Keep a fault or refusal in the state, and log it once."""
+        """Set a fault or refusal as the error of the state, and log it once."""
         if sentence and self._trouble[1] != sentence:
             self._log(LogLevel.ERROR, sentence)
         self._trouble = (code, sentence)
@@ -344,7 +344,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._effects.append(Answer(token, Trigger.Response(success=success, message=sentence)))
 
     def _drain(self, now: Now) -> Sequence[Effect]:
-        """The effects so far, and the state where it changed."""
+        """Return the collected effects, and the state message if the state changed."""
         report = self._report(now)
         if self._comparable(report.message) != self._published:
             self._published = self._comparable(report.message)
@@ -354,7 +354,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     @abstractmethod
     def _comparable(self, message: Message) -> Message:
-        """The part of the state's message whose change is published at once."""
+        """Return the part of the state message whose changes are published immediately."""
 
     # Stops
 

@@ -1,4 +1,4 @@
-"""What a machine asks its host to do. The host carries effects out in the order given."""
+"""Effects: actions that a state machine returns for its host to execute in the given order."""
 
 from __future__ import annotations
 
@@ -12,50 +12,50 @@ from tapping_cell.logic.clock import Now
 Message = Any
 """A dataclass of ``tapping_cell.messages``."""
 Token = Any
-"""Names a question or a request; hashable, chosen by whoever asks."""
+"""Hashable identifier of a call or a request, chosen by the caller."""
 Content = Mapping[str, Any]
-"""What is kept over a restart: text, numbers, truth values, lists of them (JSON)."""
+"""JSON content that is stored across a restart: strings, numbers, booleans and lists of them."""
 
 
 class JobContext(Protocol):
-    """What a running job may use of its host."""
+    """Interface of the host to a running job."""
 
     @property
     def driver(self) -> Any:
-        """The driver of the host's device; its clock is that of ``Now.steady``."""
+        """Driver of the host's device; it uses the same clock as ``Now.steady``."""
 
     def now(self) -> Now:
-        """The present moment."""
+        """Return the present time."""
 
     def sleep(self, duration: float) -> None:
-        """Let ``duration`` s pass."""
+        """Sleep for ``duration`` s."""
 
     def abandoned(self) -> bool:
-        """Whether :class:`AbandonJob` was given for this job."""
+        """Return whether :class:`AbandonJob` was requested for this job."""
 
     def post(self, content: object) -> None:
-        """Hand :class:`JobProgress` with this content to the machine; returns once handled."""
+        """Send :class:`JobProgress` with this content to the machine; return once it is handled."""
 
     def ask(self, query: Callable[[Now], Any]) -> Any:
-        """The answer of a side-effect-free method of the machine, in exclusion with its handlers.
+        """Call a method of the machine without side effects, under the lock of its handlers.
 
-        The time that the query gets is read once the exclusion is held.
+        The time passed to the method is read once the lock is held.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A blocking sequence on the driver; jobs run one at a time, in the order given."""
+    """A blocking function that uses the driver; jobs run one at a time, in the given order."""
 
     number: int
-    """Unique in the machine's life."""
+    """Unique number within the lifetime of the machine."""
     name: str
     run: Callable[[JobContext], object]
 
 
 @dataclass(frozen=True, slots=True)
 class JobProgress:
-    """What a running job tells."""
+    """Progress report of a running job."""
 
     job: int
     content: Any
@@ -63,16 +63,16 @@ class JobProgress:
 
 @dataclass(frozen=True, slots=True)
 class JobEnded:
-    """The end of a job, exactly one for each: ``result`` is what ``run`` returned."""
+    """End of a job, sent exactly once per job. ``result``: return value of ``run``."""
 
     job: int
     result: Any = None
     fault: Exception | None = None
-    """What ``run`` raised in place of returning: a HardwareFault, or a defect."""
+    """Exception that ``run`` raised: a HardwareFault, or any other if the program has a defect."""
 
 
 class LogLevel(Enum):
-    """As in ROS."""
+    """Log levels as in ROS."""
 
     INFO = "info"
     WARNING = "warning"
@@ -81,7 +81,7 @@ class LogLevel(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Publish:
-    """Publish a message on a relative topic (``~/`` for the node's own)."""
+    """Publish a message on a relative topic (``~/`` for a private topic of the node)."""
 
     topic: str
     message: Message
@@ -89,21 +89,21 @@ class Publish:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """Call a service; ``on_answer(token, response)`` follows once, with None after ``timeout``."""
+    """Call a service. ``on_answer(token, response)`` follows once, with None after ``timeout``."""
 
     service: str
     request: Message
     token: Token
     timeout: float
-    """s."""
+    """Timeout of the call, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class AskStops:
-    """Ask every publisher of ``emergency_stop`` for its present level.
+    """Query the present level of every publisher of ``emergency_stop``.
 
-    ``on_answer(token, StopLevels)`` follows once. The host asks by a new subscription, because a
-    subscription that exists does not tell whose message it got.
+    ``on_answer(token, StopLevels)`` follows once. The host creates a new subscription for this,
+    because an existing one does not identify the publisher of a message.
     """
 
     token: Token
@@ -111,20 +111,20 @@ class AskStops:
 
 @dataclass(frozen=True, slots=True)
 class StopLevels:
-    """The answer to :class:`AskStops`."""
+    """Answer to :class:`AskStops`."""
 
     asserted: bool
-    """A publisher holds its stop now."""
+    """Whether a publisher asserts its stop at present."""
     publishers: tuple[str, ...]
-    """Names of the nodes that publish ``emergency_stop`` now."""
+    """Names of the nodes that publish ``emergency_stop`` at present."""
     gone: tuple[str, ...]
-    """Nodes whose publisher existed when a stop was heard since the last
-    ``KeepStop(None)``, and is gone."""
+    """Nodes whose publisher does not exist any more, but did when a stop was received after the
+    last ``KeepStop(None)``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer to a service request or action goal that ``on_request`` brought."""
+    """Answer to a service request or action goal that ``on_request`` received."""
 
     token: Token
     response: Message
@@ -132,7 +132,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
-    """Feedback of an action goal that was not answered yet."""
+    """Feedback of an action goal that has not been answered yet."""
 
     token: Token
     message: Message
@@ -140,26 +140,26 @@ class Feedback:
 
 @dataclass(frozen=True, slots=True)
 class RunJob:
-    """Run a job after those given before."""
+    """Run a job after all jobs that were queued before."""
 
     job: Job
 
 
 @dataclass(frozen=True, slots=True)
 class AbandonJob:
-    """Set the flag that the job looks at between its steps; it still ends in its event."""
+    """Set the flag that the job checks between its steps; a JobEnded event still follows."""
 
     job: int
 
 
 @dataclass(frozen=True, slots=True)
 class StopWire:
-    """``driver.stop()`` at once, past the worker."""
+    """Call ``driver.stop()`` immediately, without waiting for the worker thread."""
 
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """A sentence for the log."""
+    """Write a sentence to the log."""
 
     level: LogLevel
     sentence: str
@@ -167,19 +167,19 @@ class Log:
 
 @dataclass(frozen=True, slots=True)
 class KeepGoal:
-    """Keep the goal under way over a crash; None removes it."""
+    """Store the goal under way, for a restart after a crash; None removes it."""
 
     content: Content | None
 
 
 @dataclass(frozen=True, slots=True)
 class TouchGoal:
-    """Mark the kept goal as still worked on: an old one is not resumed."""
+    """Update the age of the stored goal, because a goal that is too old is not resumed."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeepStop:
-    """Keep the stops that are held over a restart, on disk before anything else; None removes."""
+    """Write the latched stops to disk before any other effect, for a restart; None removes them."""
 
     content: Content | None
 

@@ -1,8 +1,8 @@
 """The enabling device of set-up mode: the page's key or the foot switch at the tapper's board.
 
-While one is held the arm may move, slowly, and the tapper may charge and fire, weakly. Each says so
-again and again; whatever ends that (released, a page without focus, a lost connection, a process
-that hangs) ends the motion (ISO 10218-1, 5.8.3; ISO 12100, 6.2.11.9).
+While one of them is held, the arm may move slowly, and the tapper may charge and fire weakly. Each
+device repeats its message while it is held. When the messages end (key released, page without
+focus, lost connection, hung process), the motion ends (ISO 10218-1, 5.8.3; ISO 12100, 6.2.11.9).
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from tapping_cell.messages import ErrorCode
 
 TOPIC = "enabling"
 SOURCE = "enabling device released"
-"""What a stop by it is called in ``stop_state``."""
+"""Source in ``stop_state`` of a stop by the enabling device."""
 HEARTBEAT_S = 0.35
-"""A key or switch that was last heard held this long ago counts as released."""
+"""A key or switch counts as released this long after its last message that it is held."""
 RELEASED: Trouble = (
     ErrorCode.ENABLING_RELEASED,
     "set-up mode: no enabling device is held; hold the page's key or the foot switch",
@@ -30,19 +30,19 @@ STOPPED: Trouble = (
 
 
 class EnablingDevice:
-    """Both devices; one that is held suffices."""
+    """State of the key and the switch. It is sufficient to hold one of the two."""
 
     def __init__(self) -> None:
         self._key_at = self._switch_at = -math.inf
 
     def hear_key(self, held: bool, now: Now) -> None:
-        """Hear the topic ``enabling``."""
+        """Process a message of the topic ``enabling``."""
         self._key_at = now.steady if held else -math.inf
 
     def hear_switch(self, held: bool, now: Now) -> None:
-        """Hear of the switch at the tapper's board."""
+        """Process the reported state of the switch at the tapper's board."""
         self._switch_at = now.steady if held else -math.inf
 
     def held(self, now: Now) -> bool:
-        """Whether a device is held now."""
+        """Return whether a device is held now."""
         return now.steady - max(self._key_at, self._switch_at) <= HEARTBEAT_S

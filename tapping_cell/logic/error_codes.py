@@ -1,4 +1,4 @@
-"""The reasons of hardware faults as the numbers of ``ErrorCode``."""
+"""Mapping from the reasons of hardware faults to the numbers of ``ErrorCode``."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ _TAPPER = {
 
 
 def of_arm(fault: HardwareFault) -> int:
-    """The code of a fault of the arm."""
+    """Return the error code of a fault of the arm."""
     return _ARM.get(fault.reason, ErrorCode.INTERNAL)
 
 
 def of_tapper(fault: HardwareFault) -> int:
-    """The code of a fault of the tapper."""
+    """Return the error code of a fault of the tapper."""
     return _TAPPER.get(fault.reason, ErrorCode.INTERNAL)

@@ -1,4 +1,4 @@
-"""Goal handling of a cell with fixed tappers: the same requests, another kind of session."""
+"""Goal handling of a cell with fixed tappers, which uses a different kind of session."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tapping_cell.se2 import Array, Pose
 
 
 class FixedGoalHandling(GoalHandling):
-    """See the module's docstring. What was learnt of the mounts is kept from goal to goal."""
+    """See the module's docstring. The estimates of the mounts are kept from goal to goal."""
 
     def _prepare(self, cell: Cell) -> None:
         self._whole = assembly.make_fixed_space(cell)
@@ -66,11 +66,11 @@ class FixedGoalHandling(GoalHandling):
         )
 
     def outline(self) -> Array:
-        """Edges of the working area, (edges, 2 ends, 2), m in ``table``."""
+        """Return the edges of the working area, (edges, 2 ends, 2), m in ``table``."""
         return self._space.area.outline()
 
     def learn(self, task: Task) -> None:
-        """Remember what a goal's taps taught about object and mounts."""
+        """Keep the gains and the estimates of the mounts that were learnt from a goal's taps."""
         super().learn(task)
         if isinstance(task.session, FixedTapperSession):
             self._mounts = task.session.mounts
@@ -78,7 +78,7 @@ class FixedGoalHandling(GoalHandling):
     def accept_tap(
         self, asked: SingleTap.Goal, token: Token, pose: Pose | None, now: Now
     ) -> SingleTapTask | Refused:
-        """Fixed tappers make no prescribed taps yet."""
+        """Refuse: prescribed taps are not yet supported for fixed tappers."""
         return Refused(
             ErrorCode.COMMAND_INVALID,
             "single taps are prescribed for a tapper on an arm alone; send goals, whose taps are"
@@ -87,5 +87,5 @@ class FixedGoalHandling(GoalHandling):
 
 
 def goal_handling_class(cell: Cell) -> type[GoalHandling]:
-    """The kind of goal handling that fits a cell."""
+    """Return the class of goal handling for a cell."""
     return GoalHandling if cell.file.fixed_tappers is None else FixedGoalHandling

@@ -1,4 +1,4 @@
-"""Goals in other frames than ``table``: what the machines ask of whoever knows the frames."""
+"""Interface for the poses of other frames in ``table``, for goals in these frames."""
 
 from __future__ import annotations
 
@@ -7,29 +7,29 @@ from typing import Protocol
 from tapping_cell.messages import Pose, Time
 
 TABLE = "table"
-"""The frame in which the cell works, defined by the reference markers."""
+"""Name of the cell's frame, which is defined by the reference markers."""
 
 
 class FrameError(LookupError):
-    """A frame is not connected to ``table``; the sentence says which are."""
+    """A frame is not connected to ``table``; the message names the frames that are."""
 
 
 class Frames(Protocol):
-    """Where other frames are."""
+    """Source of the poses of other frames."""
 
     def in_table(self, frame: str, stamp: Time) -> Pose:
-        """The pose of a frame in ``table`` at a time; a stamp of zero asks for the latest.
+        """Return the pose of a frame in ``table`` at a time; a stamp of zero means the latest.
 
         Raises:
-            FrameError: it is not known.
+            FrameError: the pose is not known.
         """
 
 
 class TableOnly:
-    """No other frame is known, as tf2_ros is not installed."""
+    """Stand-in without any other frame, used if tf2_ros is not installed."""
 
     def in_table(self, frame: str, stamp: Time) -> Pose:
-        """Refuse."""
+        """Raise FrameError."""
         raise FrameError(
             f"the goal's frame_id is '{frame}', but goals are poses in '{TABLE}'; set "
             f"header.frame_id to {TABLE}, or install tf2_ros to send goals in other frames"

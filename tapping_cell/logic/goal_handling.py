@@ -1,4 +1,4 @@
-"""Goal handling: requests are checked and become tasks, with the cell's map and methods."""
+"""Goal handling: checks requests and creates tasks with the cell's map and planning method."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ from tapping_cell.planning.session import GoalSession
 from tapping_cell.se2 import Array, Pose
 
 LOOKS = ("name", "marker", "outline", "calibration")
-"""Fields of an object file that say nothing of how it slides."""
+"""Fields of an object file that do not affect how the object slides."""
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A goal as it arrives. Tolerances in m and rad, time limit in s; 0 for the cell's own."""
+    """A received goal. Tolerances in m and rad, time limit in s; 0 means the cell's default."""
 
     message: PoseStamped
     position_tolerance: float = 0.0
@@ -61,19 +61,19 @@ class Request:
     time_limit: float = 0.0
     token: Token | None = None
     probe: bool = False
-    """Begin with a few of the smallest taps."""
+    """Whether to begin with a few of the smallest taps."""
     ask: bool = False
-    """A person confirms every tap."""
+    """Whether a person confirms every tap."""
     object_id: str = ""
-    """Name of the object; empty for the cell's own."""
+    """Name of the object; empty for the cell's own object."""
 
 
 class GoalHandling:
-    """Turns requests into tasks.
+    """Converts requests to tasks.
 
     Raises:
-        tapping_cell.planning.PlanningError: the planning method is not known, or what was learnt
-            in earlier runs cannot be read.
+        tapping_cell.planning.PlanningError: the planning method is unknown, or the gains learnt in
+            earlier runs cannot be read.
     """
 
     def __init__(
@@ -92,12 +92,14 @@ class GoalHandling:
         frames: Frames | None = None,
         solve_in_background: bool = True,
     ) -> None:
-        """``other_objects``: to be avoided; ``objective``: what goals are reached with the fewest
-        of, empty for the cell file's; ``adapt``: learn from taps; ``probe``: begin with a few of
-        the smallest taps for an object that is not known; ``keep_for``: the cell for which what was
-        learnt is remembered between runs, empty for none; ``time_limit``: of a goal that states
-        none, s; ``maps``: made before for the same cell; ``frames``:
-        knows the frames of goals, None for ``table`` alone."""
+        """Create the goal handling of a cell.
+
+        ``other_objects``: obstacles; ``objective``: quantity to minimise, empty for the one in the
+        cell file; ``adapt``: learn from taps; ``probe``: begin with a few of the smallest taps if
+        the object's gains are not known; ``keep_for``: cell for which gains are stored between
+        runs, empty to store none; ``time_limit``: default time limit of a goal, s; ``maps``: maps
+        already made for this cell; ``frames``: other frames of goals, None for ``table`` only.
+        """
         self.cell = cell
         self._frames = frames or TableOnly()
         self.other_objects = other_objects
@@ -114,10 +116,10 @@ class GoalHandling:
         self._given_maps = maps
         self._prepare(cell)
         self.others = other_objects.areas(now)
-        """Where the other objects lie; None for one that is not on the table."""
+        """Areas that the other objects cover; None for an object that is not on the table."""
         self._planned_among = self.others
         self._use_map()
-        # Made now, so that a method that must be solved first begins before the first goal.
+        # The method is created now, because some methods run a solver before the first goal.
         self._use_method(cell.tolerance)
         self._cells = {
             file.name: replace(cell, object=file) for file in (cell.object, *other_objects.files)
@@ -131,8 +133,8 @@ class GoalHandling:
         )
 
     def _maps_of_objects(self) -> dict[str, FreeSpace]:
-        """Where each object can be worked on, on the table without the others; objects that differ
-        in name and look alone share a map."""
+        """Return the free space of each object on the table without the others. Objects that differ
+        only in name and appearance share a map."""
         made: dict[str, FreeSpace] = {}
         maps = {}
         for name, cell in self._cells.items():
@@ -149,23 +151,23 @@ class GoalHandling:
             maps[name] = made[key]
         return maps
 
-    # What another kind of cell does otherwise
+    # Methods that other kinds of cells override
 
     def _prepare(self, cell: Cell) -> None:
-        """Make what lasts as long as the cell."""
+        """Create the maps and planners that are kept for the lifetime of the cell."""
         self._maps = self._given_maps or TableMaps(cell)
         self._planners: dict[str, Planner] = {}
 
     def _use_map(self) -> None:
-        """Take the map with the other objects where they lie."""
+        """Select the map with the other objects at their present places."""
         self.map = self._maps.among([area for area in self.others if area is not None])
 
     def _use_method(self, tolerance: tuple[float, float]) -> None:
-        """See that there is the planning method (PlanningError)."""
+        """Check that the planning method is available; raise PlanningError otherwise."""
         self._planner_for(self.cell, tolerance)
 
     def _update(self, task: Task) -> None:
-        """Let a task work with the present map."""
+        """Make a task use the present map."""
         if task.free_space is not self.map.free:
             assert isinstance(task.session, (PositioningSession, PrescribedSession))
             single = isinstance(task, SingleTapTask)
@@ -174,13 +176,13 @@ class GoalHandling:
             task.free_space = self.map.free
 
     def _goal_refusal(self, goal: Pose) -> Refusal | None:
-        """Why the cell cannot bring the object there, or None."""
+        """Return why the cell cannot move the object to this goal, or None if it can."""
         return check_goal(goal, self.map.space, self.map.free)
 
     def _session(
         self, goal: Pose, tolerance: tuple[float, float], most_taps: int, probe: bool
     ) -> GoalSession:
-        """What decides on the taps of a goal."""
+        """Return the session that decides on the taps of a goal."""
         return PositioningSession(
             goal,
             self._planner_for(self.cell, tolerance),
@@ -194,16 +196,18 @@ class GoalHandling:
         )
 
     def outline(self) -> Array:
-        """Edges of the region in which an object can be worked on, (edges, 2 ends, 2), m."""
+        """Return the edges of the object's free space, (edges, 2 ends, 2), m."""
         return self.map.free.outline()
 
-    # What every cell does
+    # Methods of all cells
 
     def update_free_space(self, task: Task, since: float, now: Now) -> tuple[int, str] | None:
-        """Let a task work in the space that the other objects leave; or why that is not known: the
-        camera has not looked for one of them since the steady time ``since``."""
+        """Make a task use the free space among the other objects.
+
+        Return an error if the camera has not observed one of them since the steady time ``since``.
+        """
         if isinstance(task, ArrangementTask):
-            return None  # it keeps count of every object by itself
+            return None  # an arrangement observes every object itself
         names = self.other_objects.unobserved(since)
         if names:
             return (
@@ -217,20 +221,20 @@ class GoalHandling:
         return None
 
     def others_moved(self, now: Now) -> bool:
-        """True where another object lies elsewhere than when the present tap was planned."""
+        """Return whether another object has moved since the present tap was planned."""
         return self.other_objects.moved_since(self._planned_among, now)
 
     def _locate_others(self, now: Now) -> None:
-        """Take in where the other objects lie now."""
+        """Update the areas of the other objects."""
         before, self.others = self.others, self.other_objects.areas(now)
         if before != self.others:
             self._use_map()
 
     def use(self, planner: str) -> None:
-        """Take another planning method, from the next goal on.
+        """Use another planning method from the next goal on.
 
         Raises:
-            tapping_cell.planning.PlanningError: the method is not known; the old one stays.
+            tapping_cell.planning.PlanningError: the method is unknown; the old one is kept.
         """
         before, self._planner = self._planner, planner or self.cell.file.goal.planner
         try:
@@ -241,11 +245,11 @@ class GoalHandling:
 
     @property
     def gains(self) -> Gains:
-        """What earlier goals taught about the object."""
+        """Gains of the object, learnt in earlier goals."""
         return self._gains
 
     def learnt(self) -> dict[str, str]:
-        """What earlier goals taught about the object, with deviations, for diagnostics."""
+        """Return the learnt gains with their standard deviations as text, for diagnostics."""
         numbers = self._gains.as_numbers()
         return {
             f"learnt {name}": f"{numbers[name]:.4f} +- {numbers[f'{name}_deviation']:.4f}"
@@ -253,7 +257,7 @@ class GoalHandling:
         }
 
     def learn(self, task: Task) -> None:
-        """Remember what a goal's taps taught about the object, for the goals that follow."""
+        """Keep the gains learnt from a goal's taps for the following goals."""
         own = self.cell.object.name
         learnt = task.learnt() if isinstance(task, ArrangementTask) else {own: task.session.gains}
         self._known |= learnt
@@ -263,7 +267,7 @@ class GoalHandling:
                 keep_gains(name, self._keep_for, gains)
 
     def accept(self, request: Request, now: Now) -> Task | Refused:
-        """A task for a request, or why there is none."""
+        """Return a task for a request, or why the request is refused."""
         name = self.cell.object.name
         if request.object_id not in ("", name):
             return self._accept_among_others(request, now)
@@ -347,7 +351,7 @@ class GoalHandling:
     def accept_tap(
         self, asked: SingleTap.Goal, token: Token, pose: Pose | None, now: Now
     ) -> SingleTapTask | Refused:
-        """A task for a single tap, or why there is none. ``pose``: where the object is, if seen."""
+        """Return a task for a single tap, or why it is refused. ``pose``: observed pose, if any."""
         curve = self.cell.file.tapper.curve()
         if not curve.slowest <= asked.striker_speed <= curve.fastest:
             return Refused(
@@ -367,7 +371,7 @@ class GoalHandling:
         session = PrescribedSession(
             tap, self.map.experiments, self.map.free, self._gains, adapt=self._adapt
         )
-        # Until the tap is decided on, its goal is where the object lies.
+        # The goal is the pose of the object until the tap is decided.
         goal = pose or Pose(0.0, 0.0, 0.0)
         message = PoseStamped(pose=to_message(goal))
         message.header.frame_id = "table"
@@ -392,8 +396,8 @@ class GoalHandling:
         *,
         ask: bool = False,
     ) -> ArrangementTask | Refused:
-        """A task for an arrangement, or why there is none. Whether its layout can be reached shows
-        when every object is seen."""
+        """Return a task for an arrangement, or why it is refused. Whether its layout can be reached
+        is only checked once every object is seen."""
         if self.cell.file.arm is None:
             return Refused(
                 ErrorCode.NO_ARRANGEMENT,
@@ -451,7 +455,7 @@ class GoalHandling:
         )
 
     def _wanted(self, asked: ArrangeObjects.Goal, now: Now) -> dict[str, Wanted] | Refused:
-        """The goals of an arrangement by object, or why they are not taken."""
+        """Return the goals of an arrangement by name of the object, or why they are refused."""
         if not asked.goals:
             return Refused(
                 ErrorCode.COMMAND_INVALID, "the arrangement has no goals; give at least one"
@@ -486,11 +490,11 @@ class GoalHandling:
         return wanted
 
     def _free_of(self, name: str) -> FreeSpace:
-        """The map of the table without other objects for one of them."""
+        """Return the free space of one object on the table without the others."""
         return self._free[name] if name in self._free else self._maps.among(()).free
 
     def _planner_for(self, cell: Cell, tolerance: tuple[float, float]) -> Planner:
-        """The planning method for a cell's object and a tolerance, made once and kept."""
+        """Return the planning method for a cell's object and a tolerance, which is cached."""
         settings = assembly.make_planner_settings(cell, tolerance)
         key = f"{self._planner};{settings.key()}"
         if key not in self._planners:

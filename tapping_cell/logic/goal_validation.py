@@ -1,4 +1,4 @@
-"""Goals as they arrive: what is refused before anything moves."""
+"""Validation of received goals before any motion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NORM_SLACK = 0.01
 OLDEST_S = 60.0
 FARTHEST_AHEAD_S = 5.0
 LEAST_TOLERANCE = 5e-5
-"""Of position (m) and angle (rad), whatever the object."""
+"""Minimum tolerance of position (m) and angle (rad) for any object."""
 
 REFUSALS = {
     RefusalReason.GOAL_NOT_FINITE: ErrorCode.GOAL_NOT_FINITE,
@@ -39,21 +39,21 @@ REFUSALS = {
     RefusalReason.GOALS_OVERLAP: ErrorCode.GOALS_OVERLAP,
     RefusalReason.NO_ARRANGEMENT: ErrorCode.NO_ARRANGEMENT,
 }
-"""The code of each of planning's reasons."""
+"""Error code of each refusal reason of the planning package."""
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A goal that is not taken: its code and a sentence."""
+    """Refusal of a goal, with an error code and a message."""
 
     code: int
     sentence: str
 
 
 def read_goal(message: PoseStamped, now: float, frames: Frames) -> Pose | Refused:
-    """The planar goal of a message in ``table``, or why it is not taken.
+    """Return the planar goal of a message in ``table``, or why it is refused.
 
-    ``now`` is ROS time in s; ``frames`` knows where the message's frame is.
+    ``now`` is ROS time in s; ``frames`` returns the pose of the message's frame in ``table``.
     """
     if not is_finite(message.pose):
         return Refused(
@@ -96,7 +96,7 @@ def read_goal(message: PoseStamped, now: float, frames: Frames) -> Pose | Refuse
 def read_tolerance(
     position: float, angle: float, default: tuple[float, float]
 ) -> tuple[float, float] | Refused:
-    """The tolerance of an action goal in m and rad, 0 meaning the cell's own."""
+    """Return the tolerance of an action goal in m and rad; 0 means the cell's default."""
     for name, value, unit in (("position", position, "m"), ("angle", angle, "rad")):
         if not math.isfinite(value) or value < 0 or 0 < value < LEAST_TOLERANCE:
             return Refused(

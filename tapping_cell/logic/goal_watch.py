@@ -1,7 +1,7 @@
-"""Whether the planner that took a goal still serves it, for a client that waits for the end.
+"""Watch, for a waiting client, whether the planner still pursues the goal that it accepted.
 
-A planner that dies takes the action's answer with it. Where it is started again soon it resumes the
-goal and tells its end in ``plan_state`` alone; where it is not, the client has to end the wait.
+After a crash of the planner no action result is sent. If the planner restarts soon, it resumes the
+goal and reports its end only in ``plan_state``. Otherwise the client has to end the wait.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from tapping_cell.messages import ErrorCode, PlanState
 from tapping_cell.se2 import Pose
 
 SILENCE_S = 3.0
-"""A planner that is not heard for so long may be gone; it reports every 0.5 s."""
+"""Message timeout of the planner, which reports every 0.5 s."""
 RETURN_S = 30.0
-"""A planner that is started again is back within so long, or is given up."""
+"""Maximum wait for a planner to restart."""
 RESUMING_S = 10.0
-"""A planner that is back has taken up the goal within so long, or does not."""
+"""Maximum wait for a restarted planner to resume the goal."""
 GRACE_S = 1.0
-"""The answer of the action comes so soon after the last report, where it comes at all."""
+"""Maximum time between the final report and the action result, if there is a result."""
 SAME_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How the goal ended, as a code and a sentence of ErrorCode; NONE where it was reached."""
+    """End of the goal, as an ErrorCode and a message; the code is NONE if it was reached."""
 
     code: int
     sentence: str
@@ -36,13 +36,13 @@ class GoalWatch:
     """Follows one goal from its acceptance. Times are steady, in s."""
 
     def __init__(self, goal: Pose, planners: frozenset[bytes], now: float) -> None:
-        """``goal`` in ``table``; ``planners``: who publishes ``plan_state`` as the goal is sent."""
+        """``goal`` in ``table``; ``planners``: publishers of ``plan_state`` when it was sent."""
         self._goal = goal
         self._planners = planners
         self._heard = self._quiet_since = now
         self._final_since = math.inf
         self.gone = False
-        """The planner that took the goal does not exist any more, or is silent."""
+        """Whether the planner that accepted the goal has ended or has timed out."""
 
     def look(
         self,
@@ -52,10 +52,10 @@ class GoalWatch:
         planners: frozenset[bytes],
         now: float,
     ) -> Ended | None:
-        """How the goal has ended without an answer; None while one may come.
+        """Return how the goal has ended without a result, or None while a result may still come.
 
-        ``plan`` and ``pose``: the last report and its goal, arrived at ``heard``; ``planners``: who
-        publishes ``plan_state`` now.
+        ``plan`` and ``pose``: the last report and its goal, received at ``heard``; ``planners``:
+        present publishers of ``plan_state``.
         """
         self._heard = max(self._heard, heard)
         silent = now - self._heard > SILENCE_S

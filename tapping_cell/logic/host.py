@@ -1,8 +1,8 @@
-"""The contract between a machine and its host.
+"""The interface between a state machine and its host.
 
-The host calls one handler at a time, under one lock for each machine, with the time read once the
-lock is held, and carries out the effects that it returns before the next handler runs. Jobs run
-outside the lock. A handler that raises is a defect: the host then calls ``on_defect``.
+The host calls one handler at a time, under one lock per machine, and reads the time once the lock
+is held. It executes the effects that the handler returns before it calls the next one. Jobs run
+outside the lock. If a handler raises, the program has a defect, and the host calls ``on_defect``.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from tapping_cell.logic.effects import Content, Effect, JobEnded, JobProgress, M
 
 @dataclass(frozen=True, slots=True)
 class Configured:
-    """Files are read, ports are open; nothing may move."""
+    """The node has read its files and opened its ports; nothing may move yet."""
 
     cell: Cell
     connected: Any = None
-    """What the driver's ``connect`` returned; of a planner its GoalHandling."""
+    """Return value of the driver's ``connect``; for the planner, its GoalHandling."""
     kept_stop: Content | None = None
-    """Of the last KeepStop of the node's life before."""
+    """Content of the last KeepStop before the node was restarted."""
     kept_goal: Content | None = None
-    """Of the last KeepGoal."""
+    """Content of the last KeepGoal."""
     kept_goal_age: float = 0.0
-    """s since the goal was kept or touched."""
+    """Time since the last KeepGoal or TouchGoal, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unreachable:
-    """The device did not answer when the node was to be configured; tried again later."""
+    """The device did not reply during the node's configuration, which is tried again later."""
 
     fault: HardwareFault
 
@@ -51,42 +51,42 @@ class Deactivated:
 
 @dataclass(frozen=True, slots=True)
 class ShutDown:
-    """The node ends in order: port closed, worker ended. Nothing of the job under way follows."""
+    """The node shuts down: port closed, worker ended. The job under way sends no more events."""
 
 
 LifecycleEvent = Configured | Unreachable | Activated | Deactivated | ShutDown
 
 
 class Logic(Protocol):
-    """A machine."""
+    """Interface of a state machine."""
 
     tick_period: float
-    """Longest time between two calls of ``on_tick``, s."""
+    """Maximum time between two calls of ``on_tick``, s."""
 
     def on_lifecycle(self, event: LifecycleEvent, now: Now) -> Sequence[Effect]:
-        """The node's life cycle."""
+        """Handle a lifecycle event of the node."""
 
     def on_message(self, topic: str, message: Message, now: Now) -> Sequence[Effect]:
-        """A message, by its relative topic name; not to be changed or kept by the caller."""
+        """Handle a message of a relative topic name. The caller must not change or keep it."""
 
     def on_request(
         self, service: str, request: Message, token: Token, now: Now
     ) -> Sequence[Effect]:
-        """A service request or action goal, by the service's or action's name.
+        """Handle a service request or action goal, given the service's or action's name.
 
-        ``Answer(token, ...)`` follows once, at once or later. The cancellation of an action goal
-        comes as ``on_request("cancel", None, token)`` with the goal's token and has no answer of
-        its own.
+        ``Answer(token, ...)`` follows once, immediately or later. The cancellation of an action
+        goal is passed as ``on_request("cancel", None, token)`` with the goal's token and is not
+        answered separately.
         """
 
     def on_answer(self, token: Token, response: Message | None, now: Now) -> Sequence[Effect]:
-        """The answer to Call or AskStops; None where none came in time."""
+        """Handle the answer to Call or AskStops; None after the timeout."""
 
     def on_job(self, event: JobProgress | JobEnded, now: Now) -> Sequence[Effect]:
-        """A job tells of its progress or its end."""
+        """Handle the progress or the end of a job."""
 
     def on_tick(self, now: Now) -> Sequence[Effect]:
-        """Time has passed."""
+        """Handle the timer."""
 
     def on_defect(self, error: Exception, now: Now) -> Sequence[Effect]:
-        """A handler raised: go to a safe state and tell it as INTERNAL."""
+        """Go to a safe state and report INTERNAL after a handler has raised ``error``."""

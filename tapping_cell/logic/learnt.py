@@ -1,4 +1,4 @@
-"""What taps taught about the object, as the cell's messages carry it."""
+"""Conversion of the gains learnt from taps to a message."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tapping_cell.planning import Gains
 
 
 def to_message(gains: Gains) -> LearntGains:
-    """The message of one object's gains."""
+    """Convert the gains of one object to a message."""
     return LearntGains(
         **gains.as_numbers(), explained=int(gains.taken), unexplained=int(gains.outliers)
     )

@@ -1,4 +1,4 @@
-"""The other objects on the table, as keep-outs for the planner: where they were last seen."""
+"""The other objects on the table as obstacles for the planner, at their last observed poses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tapping_cell.se2 import Pose, transform_points
 
 @dataclass(slots=True)
 class _Known:
-    """What is known of one of them; times on the steady clock, in s."""
+    """Last observations of one object; times on the steady clock, in s."""
 
     observed_at: float = -math.inf
     pose: Pose | None = None
@@ -25,15 +25,15 @@ class _Known:
 
 
 class OtherObjects:
-    """Where the objects are that stand on the table besides the object of the cell.
+    """Poses of the objects on the table besides the cell's own object.
 
-    One that is not seen any more stays where it was for a while, since a hand may hide it; then it
-    counts as taken away.
+    An object that is no longer seen keeps its pose for a while, because a hand may hide it. After
+    that it counts as removed.
     """
 
     def __init__(self, files: Sequence[ObjectFile], memory: float, moved: float) -> None:
-        """``memory`` (s): for how long one that is not seen stays; ``moved`` (m): one seen nearer
-        than this to where it was has not moved."""
+        """``memory``: time in s after which an unseen object counts as removed; ``moved``: minimum
+        displacement in m that counts as motion."""
         self._files = tuple(files)
         self._memory = memory
         self._moved = moved
@@ -41,11 +41,11 @@ class OtherObjects:
 
     @property
     def files(self) -> tuple[ObjectFile, ...]:
-        """The files of these objects."""
+        """Object files of these objects."""
         return self._files
 
     def on_object(self, message: ObjectState, clock: PeerClock, now: Now) -> None:
-        """Take in one observation of one of the objects; ``clock``: of the camera's computer."""
+        """Process an observation of one object; ``clock``: clock of the camera's computer."""
         shape = next((file.shape for file in self._files if file.name == message.object_id), None)
         if shape is None:
             return
@@ -64,16 +64,16 @@ class OtherObjects:
             known.pose = pose
 
     def areas(self, now: Now) -> tuple[KeepOut | None, ...]:
-        """The ground that each of them covers, in the files' order; None for one not there."""
+        """Return the area that each object covers, in the order of the files; None if absent."""
         return tuple(self._area(file, now) for file in self._files)
 
     def moved_since(self, areas: Sequence[KeepOut | None], now: Now) -> bool:
-        """True where one lies elsewhere than in :meth:`areas` of before, or came besides."""
+        """Return whether an object has moved or appeared since ``areas`` (see :meth:`areas`)."""
         return any(area is not None and area not in areas for area in self.areas(now))
 
     def unobserved(self, since: float) -> str:
-        """Names of the objects that the camera has not observed since ``since``, a time on the
-        steady clock in s; empty for none."""
+        """Return the names of the objects that the camera has not observed since ``since``, a time
+        on the steady clock in s; empty if there are none."""
         return ", ".join(
             f"'{file.name}'"
             for file in self._files

@@ -1,9 +1,9 @@
-"""How old what another node says is, where that node may run on another computer.
+"""Age of the messages of another node, which may run on another computer.
 
-The age of a message is its delay beyond the smallest delay seen of that node lately. Own time is
-the steady clock, so that a step of this computer's clock changes nothing; a stamp in the future
-makes everything else look older, never younger. A delay that all messages of the window share
-cannot be told from a difference of the clocks: ``skew`` bounds both.
+The age of a message is its delay beyond the smallest recent delay of that node. Local time is the
+steady clock, so a step of this computer's wall clock has no effect. A stamp in the future makes all
+other messages appear older, never younger. A delay that all messages of the window share cannot be
+distinguished from a difference of the clocks; ``skew`` bounds the sum of both.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from tapping_cell.messages import Time
 
 WINDOW_S = 10.0
 SKEW_LIMIT_S = 0.5
-"""Largest difference of two computers' clocks with which the cell works."""
+"""Maximum difference of two computers' clocks with which the cell works."""
 
 
 class PeerClock:
     """The clock of one other node, estimated from the stamps of its messages."""
 
     def __init__(self) -> None:
-        # (time of arrival, arrival minus stamp), the differences rising: a sliding minimum.
+        # Sliding minimum: pairs (arrival, arrival minus stamp) with increasing differences.
         self._delays: deque[tuple[float, float]] = deque()
 
     def hear(self, stamp: Time, now: Now) -> None:
-        """Take in a message's stamp; a stamp of zero means that none was given."""
+        """Process a message's stamp; a stamp of zero means that none was given."""
         if not (stamp.sec or stamp.nanosec):
             return
         delay = now.steady - to_seconds(stamp)
@@ -37,17 +37,17 @@ class PeerClock:
             self._delays.popleft()
 
     def to_steady(self, stamp: Time, now: Now) -> float:
-        """A stamp of that node on the own steady clock; ``now`` for a stamp of zero."""
+        """Convert a stamp of that node to the own steady clock; ``now`` for a stamp of zero."""
         if not (stamp.sec or stamp.nanosec) or not self._delays:
             return now.steady
         return to_seconds(stamp) + self._delays[0][1]
 
     def age(self, stamp: Time, now: Now) -> float:
-        """Age of a message in s, at least 0 for one that was heard."""
+        """Return the age of a message in s, at least 0 for a message that was received."""
         return now.steady - self.to_steady(stamp, now)
 
     def skew(self, now: Now) -> float:
-        """Own clock minus that of the node, the least delay included, s; 0 while unknown."""
+        """Return own ROS time minus the node's, including the minimum delay, s; 0 if unknown."""
         if not self._delays:
             return 0.0
         return self._delays[0][1] - (now.steady - 1e-9 * now.ros)

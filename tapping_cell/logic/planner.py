@@ -1,9 +1,10 @@
-"""The planner's machine: a goal in, tap after tap out, until the object is seen to be there.
+"""State machine of the planner: takes a goal and commands taps until the object has reached it.
 
-One tap: observe the object at rest, decide, command the tap, wait until the tapper tells how it
-ended, have the arm withdraw, wait for rest, observe again. Where taps are asked for, a person
-confirms each one before it is commanded. Every wait has a deadline and every goal a time limit.
-What is not known is observed; nothing is fired twice.
+The cycle of one tap: observe the object at rest, decide, command the tap, wait until the tapper
+reports the outcome, have the arm withdraw, and observe the object at rest again. If confirmation
+is enabled, a person confirms each tap before it is commanded. Every wait has a deadline and every
+goal a time limit. If the outcome of a tap is not known, the object is observed again; no tap is
+fired twice.
 """
 
 from __future__ import annotations
@@ -74,18 +75,18 @@ WITHDRAWN_BY_ANOTHER = (
     "the tap was ended before it was fired, and not by this planner; see who else publishes"
     " tap_command or tapper_state",
 )
-"""Why a tap was not fired whose tapper has no complaint."""
+"""Error of a tap that was not fired although the tapper reports no error."""
 HIDDEN_S = 0.7
-"""An object that is not seen for so long after the arm withdrew may be hidden by it: it parks."""
+"""If the object is not seen for this time after the withdrawal, the arm may hide it and parks."""
 PARKING_S = 0.5
-"""Within so long an arm that was told to park says that it moves."""
+"""Time within which an arm that was commanded to park reports that it moves."""
 REPORT_PERIOD_S = 0.5
-"""Between two reports while nothing changes. While a tap is under way every tick reports: the
-tapper discharges the striker when this heartbeat ends."""
+"""Time between two reports while nothing changes. While a tap is under way the planner reports at
+every tick, because the tapper discharges the striker when this heartbeat ends."""
 
 
 class State(Enum):
-    """Where the planner is with its goal."""
+    """States of the planner."""
 
     IDLE = "Idle"
     WAITING_FOR_CELL = "WaitingForCell"
@@ -101,7 +102,7 @@ class State(Enum):
 
 
 class Event(Enum):
-    """What moves it on."""
+    """Events of the planner."""
 
     GOAL_ACCEPTED = "goal accepted"
     CELL_READY = "cell ready"
@@ -133,7 +134,7 @@ WORKING = (
     S.SETTLING,
 )
 TAPPING = (S.PLACING, S.FIRING)
-"""States in which a tap is under way that may yet be fired."""
+"""States in which the tap under way may still be fired."""
 
 TABLE = table(
     [
@@ -148,7 +149,7 @@ TABLE = table(
         ((S.PLANNING,), Event.LOOK_WANTED, (S.LOOKING,)),
         ((S.PLANNING,), Event.TAP_PROPOSED, (S.CONFIRMING,)),
         ((S.CONFIRMING,), Event.TAP_DROPPED, (S.LOOKING,)),
-        # Nothing must be placed before a tapper at a fixed mount fires.
+        # With a fixed tapper no arm moves, so the planner enters FIRING directly.
         ((S.PLANNING, S.CONFIRMING), Event.TAP_COMMANDED, (S.PLACING, S.FIRING)),
         ((S.PLACING,), Event.IN_POSITION, (S.FIRING,)),
         (TAPPING, Event.OUTCOME_TOLD, (S.SETTLING,)),
@@ -162,10 +163,10 @@ TABLE = table(
 )
 WIRE = {state: getattr(PlanState, state.name) for state in State}
 WORKING_STATES = tuple(WIRE[state] for state in WORKING)
-"""Of ``plan_state``: a goal is under way."""
+"""Values of ``plan_state`` while a goal is under way."""
 FINAL = (S.REACHED, S.FAILED, S.CANCELED)
 FINAL_STATES = tuple(WIRE[state] for state in FINAL)
-"""Of ``plan_state``: the goal has ended."""
+"""Values of ``plan_state`` after a goal has ended."""
 REMEMBERED = (
     "object_id",
     "planner",
@@ -177,19 +178,19 @@ REMEMBERED = (
     "taps",
     "last_tap",
 )
-"""Fields of the last goal that stay readable after its end, for whoever joins late."""
+"""Fields of the last goal that are still published after its end, for late subscribers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What there is to draw: published as ``markers``. Poses in ``table``."""
+    """Content of the topic ``markers``. Poses are in ``table``."""
 
     state: PlanState
     pose: Pose | None
     goal: Pose | None
     strike: Strike | None
     path: tuple[Pose, ...]
-    """Where the object lay before each tap of this goal."""
+    """Poses of the object before each tap of this goal."""
     others: tuple[KeepOut | None, ...]
 
 
@@ -199,7 +200,7 @@ class PlannerLogic:
     tick_period = TICK_S
 
     goals: GoalHandling
-    """Of the present configuration: what ``Configured`` brings as ``connected``."""
+    """Goal handling of the present configuration (``connected`` of the event ``Configured``)."""
 
     def __init__(self, settings: PlannerSettings) -> None:
         self._settings = settings
@@ -224,17 +225,17 @@ class PlannerLogic:
         self._effects: list[Effect] = []
         self._learnt: tuple[Gains | None, LearntGains] = (None, LearntGains())
         self.last = PlanState(residual_distance=math.nan, residual_rotation=math.nan)
-        """The last report."""
+        """Last published report."""
 
     @property
     def state(self) -> State:
-        """The machine's state."""
+        """Present state."""
         return self._machine.state
 
-    # The contract
+    # Handlers of the protocol ``Logic``
 
     def on_lifecycle(self, event: LifecycleEvent, now: Now) -> Sequence[Effect]:
-        """The node's life cycle."""
+        """Handle a lifecycle event of the node."""
         if isinstance(event, Configured):
             assert isinstance(event.connected, GoalHandling)
             self.goals = event.connected
@@ -248,18 +249,18 @@ class PlannerLogic:
             self._active = True
             self._report(now)
         else:
-            # Unreachable does not come: the planner has no device.
+            # The event Unreachable does not occur, because the planner has no device.
             self._active = False
             if self._task is not None:
                 sentence = "the planner was deactivated"
                 self._fail(ErrorCode.NOT_ACTIVE, sentence, now)
             if not isinstance(event, Deactivated):
-                # An orderly end is an end of the goal, too.
+                # An orderly shutdown also ends the goal.
                 self._effects.append(KeepGoal(None))
         return self._drain()
 
     def on_message(self, topic: str, message: Message, now: Now) -> Sequence[Effect]:
-        """A message."""
+        """Handle a message."""
         if topic == "goal_pose":
             self._on_goal(Request(message), now)
         elif topic == "object_state":
@@ -287,8 +288,8 @@ class PlannerLogic:
     def on_request(
         self, service: str, request: Message, token: Token, now: Now
     ) -> Sequence[Effect]:
-        """An action goal, or the cancellation of one; the answer to a proposed tap; whether every
-        tap is to be asked for (``ask``, the parameter of that name)."""
+        """Handle an action goal, its cancellation, the answer to a proposed tap, or a change of the
+        parameter ``ask`` (whether a person confirms every tap)."""
         if service == "cancel":
             if self._task is not None and self._task.token == token:
                 self._end_tap(now)
@@ -318,15 +319,15 @@ class PlannerLogic:
         return self._drain()
 
     def on_answer(self, token: Token, response: Message | None, now: Now) -> Sequence[Effect]:
-        """The planner asks nobody."""
+        """Do nothing: the planner calls no service."""
         return ()
 
     def on_job(self, event: JobProgress | JobEnded, now: Now) -> Sequence[Effect]:
-        """What a decision needed is computed."""
+        """Act on the decision that a job has computed."""
         task, seen = self._task, self._monitor.object
         awaited = isinstance(event, JobEnded) and event.job == self._computation
         if task is None or seen is None or self.state is not S.PLANNING or not awaited:
-            return ()  # of a goal that has ended meanwhile
+            return ()  # the job belongs to a goal that has ended meanwhile
         assert isinstance(event, JobEnded)
         if event.fault is not None:
             raise event.fault
@@ -334,7 +335,7 @@ class PlannerLogic:
         return self._drain()
 
     def on_tick(self, now: Now) -> Sequence[Effect]:
-        """Time has passed."""
+        """Check the deadlines and publish the periodic report."""
         self._advance(now)
         quiet = now.steady - self._reported_at
         if self._active and (self.state in TAPPING or quiet > REPORT_PERIOD_S):
@@ -346,7 +347,7 @@ class PlannerLogic:
         return self._drain()
 
     def on_defect(self, error: Exception, now: Now) -> Sequence[Effect]:
-        """A handler raised: end the tap and the goal."""
+        """End the tap and the goal after a handler has raised ``error``."""
         self._effects.clear()
         if self._shot is not None:
             self._withdraw(self._shot.tap_id, now)
@@ -393,7 +394,7 @@ class PlannerLogic:
             self._begin(task, now)
 
     def _refusal(self, now: Now) -> Refused | None:
-        """Why no goal is taken at present; None when one is."""
+        """Return why no goal is accepted at present, or None if goals are accepted."""
         if not self._active:
             return Refused(ErrorCode.NOT_ACTIVE, "the planner is not active; activate it first")
         fault = self._monitor.fault()
@@ -402,7 +403,7 @@ class PlannerLogic:
         return None
 
     def _refuse(self, refused: Refused, request: Request, now: Now) -> None:
-        """Report a goal that is not taken."""
+        """Report a goal that was refused."""
         code, sentence = refused.code, refused.sentence
         report = GoalReport(
             refused=True,
@@ -444,7 +445,7 @@ class PlannerLogic:
         self._enter(Event.GOAL_ACCEPTED, S.WAITING_FOR_CELL, now, self._settings.ready_deadline)
 
     def _keep_goal(self, task: Task, now: Now) -> None:
-        """Keep the goal over a crash."""
+        """Store the goal so that the planner can resume it after a crash."""
         if task.resumable and self._settings.resume_within > 0:
             content = {
                 "goal": list(task.goal),
@@ -457,12 +458,12 @@ class PlannerLogic:
             self._effects.append(KeepGoal(content))
 
     def _asks(self, task: Task | None) -> bool:
-        """Whether a person confirms the taps: of a goal, or of the next one."""
+        """Return whether a person confirms the taps of ``task`` (None: of the next goal)."""
         return self._ask or (task is not None and task.ask)
 
     def _change_ask(self, ask: bool, now: Now) -> None:
-        """Ask before the taps that are planned from now on, or do not. A tap that was proposed
-        still waits for its answer."""
+        """Set whether a person confirms the taps that are planned from now on. A tap that was
+        already proposed still waits for its answer."""
         self._ask = ask
         if self._task is not None:
             self._keep_goal(self._task, now)
@@ -470,7 +471,7 @@ class PlannerLogic:
             self._report(now, self.last.error_code, self.last.error_msg)
 
     def _recall(self, event: Configured, now: Now) -> None:
-        """Resume the goal of a planner that crashed a moment ago."""
+        """Load the goal of a planner that crashed recently, to resume it."""
         kept = event.kept_goal
         assert kept is not None
         self._effects.append(KeepGoal(None))
@@ -491,7 +492,7 @@ class PlannerLogic:
     # The cycle
 
     def _advance(self, now: Now) -> None:
-        """Do what is due in the present state."""
+        """Run the handler of the present state."""
         if not self._active:
             return
         if self._resumed is not None:
@@ -520,7 +521,7 @@ class PlannerLogic:
         }[self.state](task, now)
 
     def _wait_for_cell(self, task: Task, now: Now) -> None:
-        """Wait until arm, tapper and camera are ready; end a tap that a restart left behind."""
+        """Wait until arm, tapper and camera are ready; end a tap left over from a former run."""
         missing = self._monitor.missing(now)
         if missing is None:
             self._look_after = now.steady
@@ -534,13 +535,13 @@ class PlannerLogic:
             self._fail(code, f"the cell was not ready: {sentence}", now)
 
     def _look(self, task: Task, now: Now) -> None:
-        """Observe the object at rest, take in the last tap, decide on the next."""
+        """Observe the object at rest, evaluate the last tap, and decide on the next one."""
         needed = self._settings.frames_needed
         observed = task.observed(self._monitor, self._look_after, needed, now)
         seen = self._monitor.object
         if seen is None or not observed:
             if self._monitor.silent("object", now):
-                # Its node may be on the way back: it has as long as any part of the cell.
+                # The camera's node may be restarting, so it gets the ready deadline.
                 self._wait_again(now)
             elif self._hidden_by_arm(now):
                 self._park(now)
@@ -551,7 +552,7 @@ class PlannerLogic:
                 self._fail(*self._monitor.blind(self._settings.look_deadline, needed, now), now)
             return
         if not task.ready:
-            # The goal's own time limit ends this, if nothing does.
+            # Only the goal's time limit ends this wait.
             self._deadline = now.steady + self._settings.look_deadline
             return
         unknown = self.goals.update_free_space(task, self._look_after, now)
@@ -571,31 +572,31 @@ class PlannerLogic:
         if computation is None:
             self._act(task, task.decide(seen, frames), seen, now)
             return
-        # Beside the machine, which goes on telling that it is there.
+        # The job runs outside the lock, so that the planner keeps publishing its heartbeat.
         self._computation += 1
         self._effects.append(RunJob(Job(self._computation, "plan", lambda _: computation())))
         self._enter(Event.OBSERVED, S.PLANNING, now, self._deadline - now.steady)
 
     def _wait_for_computation(self, task: Task, now: Now) -> None:
-        """The goal's own time limit ends this, if nothing does."""
+        """Wait for the job of the decision. A fault or the goal's time limit also ends the wait."""
         fault = self._monitor.fault()
         if fault is not None:
             self._fail(*fault, now)
 
     def _look_on(self, now: Now) -> None:
-        """The observation gets longer with every image."""
+        """Continue the observation: more images are fused."""
         if self.state is S.PLANNING:
             self._enter(Event.LOOK_WANTED, S.LOOKING, now, self._deadline - now.steady)
 
     def _act(self, task: Task, decision: Decision, seen: ObjectState, now: Now) -> None:
-        """Do what was decided on what was seen."""
+        """Carry out a decision that is based on the observation ``seen``."""
         if isinstance(task, ArrangementTask):
             self._turn_to_object(task)
         if isinstance(decision, LookAgain):
             self._look_on(now)
             return
         if isinstance(decision, Refusal):
-            # An observation that is too uncertain gets better with every image.
+            # If the observation is too uncertain, every further image improves it.
             if decision.reason is not RefusalReason.CAMERA_TOO_COARSE or self._late(now):
                 self._fail(REFUSALS[decision.reason], decision.sentence, now)
             else:
@@ -617,7 +618,7 @@ class PlannerLogic:
             self._plan(task, decision, task.before(seen), now)
 
     def _turn_to_object(self, task: ArrangementTask) -> None:
-        """Watch the object in hand from now on; tell of one that another one has touched."""
+        """Watch the present object of the arrangement; warn about objects moved by its taps."""
         self._monitor.watch(task.object_id)
         names, task.touched = task.touched, []
         if names:
@@ -628,7 +629,7 @@ class PlannerLogic:
             )
 
     def _exhausted(self, task: Task) -> Trouble | None:
-        """Why no further tap is tried; None when one is."""
+        """Return why no further tap is made, or None if one may be made."""
         if task.without_effect >= self._settings.attempts:
             return (
                 ErrorCode.TAP_WITHOUT_EFFECT,
@@ -646,10 +647,10 @@ class PlannerLogic:
         return None
 
     def _plan(self, task: Task, strike: Strike, before: Pose, now: Now) -> None:
-        """Make or propose one tap, under an id that was never used before."""
-        # Whole seconds of the clock: ids rise over restarts of every node, and fit the tapper's
-        # 32 bits until 2106. What arm and tapper have served already counts where a clock was set
-        # back.
+        """Command or propose one tap, under an id that was never used before."""
+        # Ids are whole seconds of the clock, so they increase across restarts of every node and
+        # fit the tapper's 32 bits until 2106. If a clock was set back, the last id that arm and
+        # tapper have served is the lower bound.
         self._last_tap_id = max(
             self._last_tap_id + 1, now.ros // NANOSECONDS, self._monitor.last_tap_id() + 1
         )
@@ -668,7 +669,7 @@ class PlannerLogic:
         self._enter(Event.TAP_PROPOSED, S.CONFIRMING, now, patience)
 
     def _command(self, shot: Shot, now: Now) -> None:
-        """Publish one tap."""
+        """Publish the command of one tap."""
         self._shot, self._proposed = shot, None
         allowance = self._settings.place_deadline + self._settings.fire_deadline
         expiry = now.ros + round(allowance * NANOSECONDS)
@@ -680,7 +681,7 @@ class PlannerLogic:
             self._enter(Event.TAP_COMMANDED, S.FIRING, now, self._settings.fire_deadline)
 
     def _wait_for_person(self, task: Task, now: Now) -> None:
-        """A person looks at the proposed tap; the plan holds as long as the object stays."""
+        """Wait until a person answers the proposed tap; drop the proposal if an object moves."""
         shot = self._proposed
         assert shot is not None
         fault = self._monitor.fault()
@@ -700,9 +701,9 @@ class PlannerLogic:
             )
 
     def _on_confirmation(self, asked: ConfirmTap.Request, now: Now) -> ConfirmTap.Response:
-        """A person's answer: only for the tap that is proposed now, as it was proposed."""
+        """Handle a person's answer, which is only valid for the tap that is proposed now."""
         if self._task is not None:
-            self._advance(now)  # what was heard, or is overdue, comes first
+            self._advance(now)  # first handle received messages and passed deadlines
         shot, task = self._proposed, self._task
         if shot is None or task is None or shot.tap_id != asked.tap_id:
             waiting = f"tap {shot.tap_id} does" if shot is not None else "none does"
@@ -731,7 +732,7 @@ class PlannerLogic:
         )
 
     def _drop_proposal(self, why: str, now: Now) -> None:
-        """Observe the object again and plan another tap in place of the proposed one."""
+        """Drop the proposed tap, observe the object again and plan another tap."""
         shot, self._proposed = self._proposed, None
         assert shot is not None
         self._log(LogLevel.INFO, f"tap {shot.number} (id {shot.tap_id}) is planned anew: {why}")
@@ -739,7 +740,7 @@ class PlannerLogic:
         self._enter(Event.TAP_DROPPED, S.LOOKING, now, self._settings.look_deadline)
 
     def _wait_for_arm(self, task: Task, now: Now) -> None:
-        """The arm brings the striker to its strike pose; the tapper waits for it."""
+        """Wait until the arm has moved the striker to its strike pose."""
         shot = self._shot
         assert shot is not None
         if self._disturbed(shot, now):
@@ -758,21 +759,21 @@ class PlannerLogic:
             )
 
     def _wait_for_tapper(self, task: Task, now: Now) -> None:
-        """The tapper charges and fires once."""
+        """Wait until the tapper has charged and fired once."""
         shot = self._shot
         assert shot is not None
         if self._monitor.outcome(shot.tap_id) != TapperState.NONE:
             self._take_outcome(task, shot, now)
         elif self._disturbed(shot, now):
-            # It may be the tap itself, seen before the tapper's report: withdrawing is right in
-            # both cases, and the outcome stays what the tapper tells.
+            # The tap itself may have moved the object before the tapper's report arrived.
+            # Withdrawing is right in both cases, and the tapper still reports the outcome.
             self._withdraw(shot.tap_id, now)
         if self.state is S.FIRING and (self._late(now) or self._monitor.lost(now)):
             self._log(LogLevel.WARNING, "the tap's outcome is not known; observing the object")
             self._give_up(TapperState.UNKNOWN, now)
 
     def _take_outcome(self, task: Task, shot: Shot, now: Now) -> None:
-        """Take in the outcome that the tapper told."""
+        """Process the outcome that the tapper reported."""
         tapper = self._monitor.tapper_of(shot.tap_id)
         assert tapper is not None
         shot.outcome = self._monitor.outcome(shot.tap_id)
@@ -791,10 +792,10 @@ class PlannerLogic:
         self._enter(Event.OUTCOME_TOLD, S.SETTLING, now, self._settings.withdraw_deadline)
 
     def _wait_for_withdrawal(self, task: Task, now: Now) -> None:
-        """The arm gives the camera a free view."""
+        """Wait until the arm has withdrawn and the camera has a free view."""
         shot = self._shot
         if shot is not None:
-            # What the tapper tells later of a tap whose outcome was not known.
+            # The tapper may report an outcome after the planner has assumed it to be unknown.
             shot.outcome = self._monitor.outcome(shot.tap_id) or shot.outcome
         if self._monitor.withdrawn(now) and now.steady >= self._parking_until:
             self._look_after = now.steady
@@ -808,7 +809,7 @@ class PlannerLogic:
         )
 
     def _check_cell(self, code: int, sentence: str, now: Now) -> None:
-        """End a wait for arm or tapper: by a fault, a lost driver, the deadline."""
+        """End a wait for arm or tapper after a fault, a lost driver or a passed deadline."""
         fault = self._monitor.fault()
         if fault is not None:
             self._fail(*fault, now)
@@ -818,14 +819,14 @@ class PlannerLogic:
             self._fail(code, sentence + "; check the arm, then send the goal again", now)
 
     def _wait_again(self, now: Now) -> None:
-        """A part of the cell is not there: end the tap, wait for the cell."""
+        """End the tap and wait for the cell, because a part of it is missing."""
         self._end_tap(now)
         self._proposed = None
         deadline = self._settings.ready_deadline
         self._enter(Event.CELL_NOT_READY, S.WAITING_FOR_CELL, now, deadline)
 
     def _disturbed(self, shot: Shot, now: Now) -> bool:
-        """True when the object, or another one, was moved since the tap was planned."""
+        """Return whether this object or another one was moved since the tap was planned."""
         limits = self._settings.moved_limit, self._settings.turned_limit
         if self._monitor.seen_away_from(shot.before, *limits):
             return True
@@ -842,7 +843,7 @@ class PlannerLogic:
         self._enter(Event.GIVEN_UP, S.SETTLING, now, self._settings.withdraw_deadline)
 
     def _end_tap(self, now: Now) -> None:
-        """Withdraw the tap under way, if there is one; whether it was fired is observed later."""
+        """Withdraw the tap under way, if any. Its outcome may remain unknown."""
         shot = self._shot
         if shot is None or self.state not in TAPPING:
             return
@@ -852,7 +853,7 @@ class PlannerLogic:
             shot.outcome = TapperState.NOT_FIRED if placing else TapperState.UNKNOWN
 
     def _withdraw(self, tap_id: int, now: Now) -> None:
-        """Command, once, that this tap is over."""
+        """Publish the withdrawal of a tap, once per tap."""
         if tap_id == self._withdrawn_tap_id:
             return
         self._withdrawn_tap_id = tap_id
@@ -865,14 +866,14 @@ class PlannerLogic:
         self._effects.append(Publish("tap_command", command))
 
     def _hidden_by_arm(self, now: Now) -> bool:
-        """True when the object should be seen and is not, and the arm may have to park."""
+        """Return whether the object is not seen although it should be, so that the arm parks."""
         if not self._has_arm or self._withdrawn_tap_id in (0, self._parked_tap_id):
             return False
         looked = now.steady - self._look_after
         return min(looked, self._monitor.unseen_for(now)) > HIDDEN_S
 
     def _park(self, now: Now) -> None:
-        """Send the arm on to its park pose: a second withdrawal says so."""
+        """Move the arm on to its park pose, by publishing the withdrawal a second time."""
         tap_id = self._withdrawn_tap_id
         if not self._has_arm or tap_id in (0, self._parked_tap_id):
             return
@@ -894,7 +895,7 @@ class PlannerLogic:
         self._finish(S.FAILED, code, sentence, now)
 
     def _finish(self, state: State, code: int, sentence: str, now: Now) -> None:
-        """End the goal; whoever sent it as an action gets its result."""
+        """End the goal; if it is an action goal, send its result."""
         task = self._task
         assert task is not None
         event = {S.FAILED: Event.GOAL_FAILED, S.CANCELED: Event.GOAL_CANCELED}.get(
@@ -928,7 +929,7 @@ class PlannerLogic:
     def _report(
         self, now: Now, code: int = ErrorCode.NONE, sentence: str = "", draw: bool = True
     ) -> None:
-        """Publish the state with its error code and sentence, and what is known."""
+        """Publish the state with its error code and message; ``draw``: also publish the markers."""
         self._reported_at = now.steady if draw else self._reported_at
         task, pose = self._task, self._monitor.pose
         state = PlanState(state=WIRE[self.state], error_code=code, error_msg=sentence)
@@ -974,7 +975,7 @@ class PlannerLogic:
             )
 
     def _known_of_the_object(self) -> LearntGains:
-        """What is known of the object now; made again only where it has changed."""
+        """Return the gains learnt for the object as a message, cached until they change."""
         if not self._configured:
             return LearntGains()
         gains = self._task.session.gains if self._task is not None else self.goals.gains
@@ -991,7 +992,7 @@ class PlannerLogic:
 
 
 def _final_report(state: PlanState, task: Task) -> GoalReport:
-    """The report of a goal that has ended."""
+    """Return the report of a goal that has ended."""
     report = GoalReport(header=state.header, state=state.state, records=task.records)
     for name in (
         "object_id",

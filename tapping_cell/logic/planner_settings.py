@@ -1,4 +1,4 @@
-"""What a person may set of the planner's machine; the node declares these as its parameters."""
+"""Settings of the planner, which the node declares as its parameters."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tapping_cell.configuration.schema import choice, quantity, text
 
 @dataclass(frozen=True, slots=True)
 class PlannerSettings:
-    """Limits and choices of the planner's machine."""
+    """Limits and choices of the planner."""
 
     planner: str = text("planning method; if empty, the one named in the cell file", default="")
     objective: str = choice(

@@ -1,4 +1,4 @@
-"""Planar poses and their covariances in messages."""
+"""Conversion of planar poses and their covariances from and to messages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PLANAR = (0, 1, 5)
 
 
 def to_message(pose: Pose, height: float = 0.0) -> PoseMessage:
-    """A planar pose at a height in m."""
+    """Convert a planar pose at a height in m to a message."""
     return PoseMessage(
         position=Point(x=pose.x, y=pose.y, z=height),
         orientation=Quaternion(z=math.sin(pose.theta / 2), w=math.cos(pose.theta / 2)),
@@ -26,14 +26,14 @@ def to_message(pose: Pose, height: float = 0.0) -> PoseMessage:
 
 
 def from_message(message: PoseMessage) -> Pose:
-    """The planar part of a pose."""
+    """Return the planar part of a pose."""
     q = message.orientation
     theta = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
     return Pose(message.position.x, message.position.y, theta)
 
 
 def compose(frame: PoseMessage, pose: PoseMessage) -> PoseMessage:
-    """A pose that is given in a frame, in the frame's parent; ``frame``: its pose in the parent."""
+    """Convert a pose from a frame to its parent; ``frame``: the frame's pose in the parent."""
     turn, own = _rotation(frame.orientation), _rotation(pose.orientation)
     p, origin = pose.position, frame.position
     x, y, z = turn.apply([p.x, p.y, p.z])
@@ -49,31 +49,32 @@ def _rotation(q: Quaternion) -> Rotation:
 
 
 def is_finite(message: PoseMessage) -> bool:
-    """True where every number of a pose is finite."""
+    """Return whether every number of a pose is finite."""
     p, q = message.position, message.orientation
     return all(math.isfinite(value) for value in (p.x, p.y, p.z, q.x, q.y, q.z, q.w))
 
 
 def quaternion_norm(message: PoseMessage) -> float:
-    """Length of the orientation quaternion; 1 for a rotation."""
+    """Return the norm of the orientation quaternion; 1 for a rotation."""
     q = message.orientation
     return math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
 
 
 def tilt(message: PoseMessage) -> float:
-    """Angle between the pose's z axis and the table's, in rad, of a unit quaternion."""
+    """Return the angle in rad between the z axes of the pose and of its frame; the quaternion must
+    be normalised."""
     q = message.orientation
     return math.acos(max(-1.0, min(1.0, 1 - 2 * (q.x**2 + q.y**2))))
 
 
 def covariance_from_message(values: Sequence[float]) -> NDArray[np.float64]:
-    """The 3 x 3 covariance of (x, y, theta) out of the 36 numbers of a pose covariance."""
+    """Return the 3 x 3 covariance of (x, y, theta) from the 36 numbers of a pose covariance."""
     full = np.asarray(values, dtype=float).reshape(6, 6)
     return full[np.ix_(_PLANAR, _PLANAR)]
 
 
 def covariance_to_message(covariance: NDArray[np.float64]) -> list[float]:
-    """A 3 x 3 covariance of (x, y, theta) as the 36 numbers of a pose covariance."""
+    """Convert a 3 x 3 covariance of (x, y, theta) to the 36 numbers of a pose covariance."""
     full = np.zeros((6, 6))
     full[np.ix_(_PLANAR, _PLANAR)] = covariance
     return [float(value) for value in full.reshape(-1)]

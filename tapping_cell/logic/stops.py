@@ -1,9 +1,10 @@
-"""Stops as levels: who holds one, and when a person may reset.
+"""Latch of the emergency stop: which sources have stopped, and when a person may reset.
 
-A True on ``emergency_stop`` stops at once and latches. A False ends the hold of that level but
-never releases: a person resets with ``clear_fault``. ROS does not tell whose message arrived, so a
-reset asks every publisher anew; what holds, refuses. A publisher that vanished cannot be asked: a
-person must look at it, and confirms by asking for the reset a second time.
+True on ``emergency_stop`` stops immediately and latches. False only clears the asserted level; the
+stop stays latched until a person resets it with ``clear_fault``. A message does not identify its
+publisher, so a reset queries every publisher again and is refused if one still asserts the stop. A
+publisher that has vanished cannot be queried: a person must inspect the cell and confirm by
+requesting the reset a second time.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ TOPIC = "emergency_stop"
 SERVICE = "service stop"
 RESTART = "a stop before the restart"
 CONFIRM_WITHIN_S = 30.0
-"""A second request so soon after the refusal that asks for it counts as its confirmation."""
+"""Time after such a refusal within which a second request counts as the confirmation."""
 
 
 class StopLatch:
-    """The stops of one actor."""
+    """Stop latch of one device."""
 
     def __init__(self) -> None:
         self._sources: list[str] = []
@@ -30,16 +31,16 @@ class StopLatch:
 
     @property
     def stopped(self) -> bool:
-        """True from a stop until its reset."""
+        """Whether a stop is latched."""
         return bool(self._sources)
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """What stopped since the last reset."""
+        """Sources of the stops since the last reset."""
         return tuple(self._sources)
 
     def advice(self) -> str:
-        """What a person has to do; empty when not stopped."""
+        """Return what a person has to do; empty if not stopped."""
         if not self._sources:
             return ""
         if self._asserted:
@@ -47,11 +48,11 @@ class StopLatch:
         return "make the cell safe, then call clear_fault"
 
     def content(self) -> Content:
-        """What is kept over a restart."""
+        """Return the content to be stored for a restart."""
         return {"sources": list(self._sources), "asserted": self._asserted}
 
     def recall(self, content: Content | None) -> None:
-        """Find the stop of the life before. One that cannot be read counts as a stop."""
+        """Restore the stop from before a restart. Content that cannot be read counts as a stop."""
         if content is None:
             return
         sources = content.get("sources")
@@ -61,7 +62,7 @@ class StopLatch:
         self._asserted = self._asserted or content.get("asserted") is not False
 
     def hear(self, level: bool) -> bool:
-        """Hear a level of the topic; returns whether it stops anew or changes what is kept."""
+        """Process a level of the topic; return whether the stored content has changed."""
         changed = level != self._asserted
         self._asserted = level
         if level:
@@ -70,16 +71,16 @@ class StopLatch:
         return changed and self.stopped
 
     def press(self, source: str = SERVICE) -> bool:
-        """A stop without a level, such as the service's: it latches; returns whether it is new."""
+        """Latch a stop without a level, such as that of the service; return whether it is new."""
         self._heard += 1
         return self._add(source)
 
     def begin_reset(self) -> None:
-        """A reset is asked for: the publishers are asked for their levels."""
+        """Begin a reset, before the publishers are queried for their levels."""
         self._asked = self._heard
 
     def try_reset(self, levels: StopLevels | None, now: Now) -> str:
-        """Reset if the answer of the publishers allows it; returns why not, empty where done."""
+        """Reset if the publishers' levels allow it; return why not, or "" after the reset."""
         if levels is None:
             return "the publishers of emergency_stop could not be asked; call clear_fault again"
         if self._heard != self._asked:

@@ -1,4 +1,4 @@
-"""Which taps are possible where, with what stands on the table at present."""
+"""Maps of the possible taps among the obstacles that are on the table at present."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tapping_cell.planning import FreeSpace, KeepOut, StrikeSpace, cautious
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableMap:
-    """The possible taps among some obstacles: for goals, and for single taps (experiments)."""
+    """Possible taps among given obstacles, for goals and for single taps (``experiments``)."""
 
     space: StrikeSpace
     experiments: StrikeSpace
@@ -20,7 +20,7 @@ class TableMap:
 
 
 class TableMaps:
-    """Makes maps of a cell's table; the last ones are kept, because each takes about a second."""
+    """Makes maps of a cell's table. The last ``KEPT`` maps are cached: each takes about 1 s."""
 
     KEPT = 4
 
@@ -30,7 +30,7 @@ class TableMaps:
         self._made: dict[tuple[KeepOut, ...], TableMap] = {}
 
     def among(self, obstacles: Sequence[KeepOut]) -> TableMap:
-        """The map with these obstacles on the table."""
+        """Return the map of the table with these obstacles."""
         key = tuple(obstacles)
         if key not in self._made:
             if len(self._made) >= self.KEPT:

@@ -1,4 +1,4 @@
-"""What arm and tapper both refuse of a tap command, whoever sent it."""
+"""Validation of tap commands, common to arm and tapper."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ from tapping_cell.logic.poses import is_finite, quaternion_norm
 from tapping_cell.messages import ErrorCode, TapCommand
 
 LONGEST_EXPIRY_S = 900.0
-"""Longer than all deadlines of a tap together can be set: what lives longer blocks the cell."""
+"""Maximum time until a command expires, above the largest possible sum of the planner's place and
+fire deadlines. A longer expiry would block the cell."""
 CLOCK_TOLERANCE_S = 1.0
-"""How far a command's stamp may lie in the future: clocks of two computers differ a little."""
+"""Maximum time by which a stamp may lie in the future, as the computers' clocks differ slightly."""
 LARGEST_JUMP = 2**28
-"""How far an id may lie above both the last one and the clock's whole seconds (8 years): one that
-is far greater would leave none for the taps that follow."""
+"""Maximum distance of an id above both the last id and the clock's whole seconds (8 years). A much
+greater id would leave none for the following taps."""
 
 Trouble = tuple[int, str]
-"""An error code and a sentence."""
+"""Error code and message."""
 
 
 def largest_id(last_tap_id: int, now: Now) -> int:
-    """The greatest id that is taken for one."""
+    """Return the greatest valid id."""
     return max(last_tap_id, now.ros // NANOSECONDS) + LARGEST_JUMP
 
 
 def refusal(command: TapCommand, now: Now, last_tap_id: int) -> Trouble | None:
-    """Code and sentence where a TAP must not be taken; None where it is sound.
+    """Return why a TAP must be refused, or None if it is valid.
 
-    ``last_tap_id``: the greatest id served so far. A stamp of zero means that none was given.
+    ``last_tap_id``: greatest id executed so far. A stamp of zero means that none was given.
     """
     if command.request != TapCommand.TAP:
         return (
@@ -71,19 +72,20 @@ def refusal(command: TapCommand, now: Now, last_tap_id: int) -> Trouble | None:
 
 
 def named_tapper(name: str, tappers: Sequence[str]) -> str | None:
-    """Which of the tappers a name means: an empty one the only tapper; None for none of them."""
+    """Return the tapper with this name, or None if there is none. An empty name selects the only
+    tapper."""
     if name == "" and len(tappers) == 1:
         return tappers[0]
     return name if name in tappers else None
 
 
 def unknown_tapper(name: str, tappers: Sequence[str]) -> Trouble:
-    """The refusal of a command whose tapper is none of these."""
+    """Return the refusal of a command that names none of these tappers."""
     known = ", ".join(f"'{tapper}'" for tapper in tappers)
     asked = f"there is no tapper '{name}'" if name else "it names no tapper and there are several"
     return ErrorCode.TAPPER_UNKNOWN, f"{asked}; name one of {known}"
 
 
 def expired(command: TapCommand, now: Now) -> bool:
-    """Whether the command's expiry has passed."""
+    """Return whether the command's expiry has passed."""
     return now.ros > to_nanoseconds(command.expiry)

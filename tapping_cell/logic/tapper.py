@@ -1,7 +1,7 @@
-"""The tapper's machine: charges and fires once a tap, only while the arm holds still for it.
+"""State machine of the tapper: charges and fires once per tap, only while the arm stands still.
 
-Of tappers at fixed mounts no arm need hold still: the machine charges at once, fires when it is
-charged, and is at rest again when the board has seen the striker back at its mount."""
+A tapper at a fixed mount needs no arm: the machine charges immediately, fires when the striker is
+charged, and returns to rest when the board detects the striker back at its mount."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ from tapping_cell.se2 import Pose
 
 READ_PERIOD_S = 0.1
 HOLD_TIMEOUT_S = 0.2
-"""After this the arm is asked anew."""
+"""Timeout of one call of ``hold_still``; the tapper then calls it again."""
 HOLD_ATTEMPTS = 5
 PROVE_PERIOD_S = 0.5
-"""Between two attempts to prove that the strikers are at their mounts."""
+"""Time between two attempts to prove that the strikers are at their mounts."""
 LONGEST_CHARGED_S = 3.0
-"""A striker that was charged while the arm lowered it is discharged where the arm is not in
-position so long afterwards."""
+"""Maximum time from the end of charging until the arm is in position; then the striker is
+discharged."""
 
 
 class State(Enum):
@@ -51,13 +51,13 @@ class State(Enum):
     DISCONNECTED = "Disconnected"
     SAFE = "Safe"
     WAITING = "Waiting"
-    """A tap is taken; the arm is on its way."""
+    """A tap is accepted and the arm is moving to its strike pose."""
     CHARGING = "Charging"
     CHARGED = "Charged"
-    """The arm is on its last way down, or is asked to stand still."""
+    """The arm is still lowering the striker, or ``hold_still`` was called."""
     FIRING = "Firing"
     RETURNING = "Returning"
-    """A striker at a fixed mount was released and is not back."""
+    """A striker at a fixed mount was released and has not returned yet."""
     DISCHARGING = "Discharging"
     FAULT = "Fault"
     STOPPED = "Stopped"
@@ -119,10 +119,10 @@ WIRE = {
     S.STOPPED: TapperState.STOPPED,
     S.CLEARING: TapperState.STOPPED,
 }
-"""What each state is called in ``tapper_state``."""
+"""Value of ``tapper_state`` for each state."""
 SERVING = frozenset({S.WAITING, S.CHARGING, S.CHARGED, S.FIRING, S.DISCHARGING})
 LOST_BOARD = (*LOST, FaultReason.TIMEOUT, FaultReason.BOARD_RESET)
-"""Faults that a new session ends."""
+"""Faults that a new session with the board ends."""
 OF_THE_TAP = (
     FaultReason.INTERLOCK,
     FaultReason.REJECTED,
@@ -131,7 +131,7 @@ OF_THE_TAP = (
     FaultReason.NOT_ENABLED,
     FaultReason.PROTOCOL,
 )
-"""Faults that end a tap; once the board has discharged, the next may come."""
+"""Faults that end only the present tap. The next tap is accepted once the board has discharged."""
 STOPPED_BOARD = (FaultReason.STOPPED, FaultReason.NEEDS_PERSON)
 OUTCOMES = {
     FireOutcome.FIRED: TapperState.FIRED,
@@ -146,16 +146,16 @@ LATCHED = (
 
 
 def random_key() -> int:
-    """A number that nobody guesses, above 0."""
+    """Return an unpredictable number above 0."""
     return 1 + secrets.randbelow(2**63)
 
 
 @dataclass(frozen=True, slots=True)
 class TapperOptions:
-    """The node's parameters that the machine needs.
+    """Parameters of the node that the machine needs.
 
-    ``draw_key``: a random number above 0, with which this tapper alone can end the
-    arm's promise to stand still before its time.
+    ``draw_key`` returns a random number above 0. With this key only this tapper can end the arm's
+    promise to stand still early.
     """
 
     state_rate: float = 20.0
@@ -165,38 +165,38 @@ class TapperOptions:
     """Set-up mode: charges and fires only while an enabling device is held."""
     draw_key: Callable[[], int] = random_key
     board: int = 0
-    """Which of the cell's boards this is, in the order of the cell file."""
+    """Index of this board in the cell file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tap:
-    """The tap that is served."""
+    """The tap under way."""
 
     tap_id: int
     channel: int
-    """Of the tapper that strikes, on its board."""
+    """Channel of the striking tapper on its board."""
     energy: float
     """J."""
     expiry: int
     """ROS time, ns."""
     planned: Pose
-    """Where the object lay when the tap was planned."""
+    """Pose of the object for which the tap was planned."""
     strike: Pose
-    """Where the arm brings the tip, or where it stands."""
+    """Pose of the tip for the strike. An arm moves it there; a fixed tapper is always there."""
     flight: float
-    """From the release until the striker is at the end of its stroke, s; the arm stands still."""
+    """Time from the release to the end of the stroke, s; the arm stands still meanwhile."""
 
 
 @dataclass(frozen=True, slots=True)
 class Permit:
-    """The arm's promise to stand still for a tap, until a time of the own steady clock."""
+    """The arm's promise to stand still for a tap until ``until``, s on the own steady clock."""
 
     tap_id: int
     until: float
 
 
 class TapperLogic(DeviceLogic[State, Event]):
-    """See the module's docstring. Nothing but its jobs charges and fires."""
+    """See the module's docstring. Only the jobs of this machine charge and fire."""
 
     stop_trouble = (
         ErrorCode.TAPPER_STOPPED,
@@ -225,17 +225,17 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._draw_key = options.draw_key
         self._last_tap_id = 0
         self._used = 0
-        """The greatest number that the board has charged for, in this node's life or before."""
+        """Greatest shot number that the board has charged for, also before this node started."""
         self._fixed = False
         self._told = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
         self._set_up = options.set_up
         self._enabling = EnablingDevice()
 
-    # Queries of the running job: they answer and change nothing
+    # Queries by the running job, without side effects
 
     def doubt_charging(self, now: Now) -> Trouble | None:
-        """What forbids to charge, or to go on with it; None when nothing does."""
+        """Return why charging must not begin or continue, or None if it may."""
         tap = self._tap
         if tap is None:
             return ErrorCode.NONE, "the tap is over"
@@ -250,7 +250,10 @@ class TapperLogic(DeviceLogic[State, Event]):
         return self._peers.charging_doubt(tap.tap_id, tap.planned, tap.strike, now)
 
     def doubt_firing(self, release_by: float, now: Now) -> Trouble | None:
-        """The last check before FIRE. ``release_by``: when the release is over at the latest."""
+        """Check for the last time before FIRE; return why firing is forbidden, or None.
+
+        ``release_by``: latest end of the release, s on the steady clock.
+        """
         doubt = self.doubt_charging(now)
         if doubt is not None:
             return doubt
@@ -260,7 +263,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         if doubt is not None:
             return doubt
         if self._fixed:
-            # Nobody can move a mount: what is left is that this very tap is being fired.
+            # A mount cannot move, so only the state of this tap remains to be checked.
             fires = self.state is S.FIRING
             return None if fires else (ErrorCode.NONE, "the tap is over")
         if promise is None or promise.tap_id != tap.tap_id:
@@ -302,7 +305,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         raise AssertionError(f"the tapper has no service {service}")
 
     def _watch_enabling(self, now: Now) -> None:
-        """End a tap whose enabling device is no longer held."""
+        """End the tap under way if no enabling device is held in set-up mode."""
         if self._set_up and self.state in SERVING and not self._enabling.held(now):
             self._give_up(enabling.RELEASED)
 
@@ -342,7 +345,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._charge_when_ready(now)
 
     def _give_way(self, command: TapCommand, now: Now) -> None:
-        """A tap of another board was commanded: none of this one is fired beside it."""
+        """Give up the tap of this board, because a tap of another board was commanded."""
         if self.state in SERVING and command.tap_id != self._told.tap_id:
             self._give_up(
                 (
@@ -357,7 +360,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._told.measured_speed = math.nan
 
     def _refusal(self, command: TapCommand, now: Now) -> Trouble | None:
-        """Why a tap command is not taken; None when it is."""
+        """Return why a tap command is refused, or None if it is accepted."""
         if not self._active or not self._configured:
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
         if self.state is not S.SAFE:
@@ -389,8 +392,8 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _refuse(self, command: TapCommand, refusal: Trouble, now: Now) -> None:
         code, sentence = refusal
         self._log(LogLevel.ERROR, f"tap {command.tap_id} refused: {sentence}")
-        # While a tap is under way the state tells of that one, and of no other; an id that cannot
-        # be must not become the last one.
+        # While a tap is under way the published state is about that tap only. An id beyond the
+        # largest valid one must not become the last id.
         new = self._last_tap_id < command.tap_id <= tap_commands.largest_id(self._last_tap_id, now)
         if new and self.state not in SERVING:
             self._last_tap_id = command.tap_id
@@ -417,7 +420,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         )
 
     def _give_up(self, why: Trouble) -> None:
-        """End the tap under way without a release, unless it was released already."""
+        """End the tap under way without a release, unless the striker was already released."""
         if self._given_up is None:
             self._given_up = why
         if self.state is S.WAITING:
@@ -436,7 +439,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     # The arm's promise to stand still
 
     def _ask_when_in_position(self, now: Now) -> None:
-        """Ask the arm to stand still as soon as it is in position, or discharge."""
+        """Call ``hold_still`` once the arm is in position, or discharge if the tap must end."""
         tap = self._tap
         if self.state is not S.CHARGED or tap is None or self._attempts > 0:
             return
@@ -474,7 +477,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))
 
     def _let_arm_go(self, after: float) -> None:
-        """The shot is over: let the arm move after ``after`` s; if this is lost, it moves later."""
+        """End the arm's promise in ``after`` s. If this request is lost, the promise ends later."""
         if self._key:
             request = HoldStill.Request(tap_id=self._told.tap_id, duration=after, key=self._key)
             token = ("let go", self._told.tap_id)
@@ -487,7 +490,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             return
         if token != ("hold", tap.tap_id, self._attempts):
             return
-        # Counted from before the question: the arm handled it later, so that its own end is later.
+        # The promise is counted from the call. The arm handled the call later, so the end of the
+        # promise by the arm's own clock is later, too.
         until = self._asked_at + permit.hold(tap.flight)
         late = response is None or now.steady > until - permit.RELEASE_S - tap.flight
         if response is not None and not response.granted:
@@ -542,7 +546,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _charge_ended(self, end: ChargeEnd, now: Now) -> None:
         self._take_in(end.status)
         if end.charged and self.state is S.DISCHARGING:
-            # Given up in the moment in which it was charged.
+            # The tap was given up just when charging ended.
             self._run("discharge", tapper_jobs.discharge)
         elif not end.charged:
             self._not_fired(self._given_up or end.refusal)
@@ -553,10 +557,10 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._ask_when_in_position(now)
 
     def _not_fired(self, why: Trouble | None) -> None:
-        """The tap ended without a release, and the tapper is at rest."""
+        """Handle the end of a tap without a release, with the tapper at rest."""
         self._machine.move(Event.ENDED, S.SAFE)
         self._tap = None
-        # A number that the board has used may have been fired before this node was restarted.
+        # A shot that the board has already used may have been fired before this node restarted.
         spent = why is not None and why[0] == ErrorCode.TAPPER_SPENT
         self._told.outcome = TapperState.UNKNOWN if spent else TapperState.NOT_FIRED
         self._let_arm_go(0.0)
@@ -564,7 +568,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._trouble = (code, sentence if code else "")
 
     def _fired(self, end: FireEnd, now: Now) -> None:
-        """A shot ended: tell its outcome, then the state in which the board is."""
+        """Handle the end of a shot: its outcome, then the state of the board."""
         struck, self._tap = self._tap, None
         self._told.outcome = OUTCOMES[end.outcome]
         if end.outcome is FireOutcome.NOT_FIRED:
@@ -599,29 +603,30 @@ class TapperLogic(DeviceLogic[State, Event]):
         if name == "connect":
             self.patience = patience_after(self.patience, fault)
         if name == "prove" and fault.reason is FaultReason.INTERLOCK:
-            return  # the guard was opened meanwhile: it is proven when it is closed
-        # Every fault that a job raises was met before FIRE went out.
+            return  # the guard was opened meanwhile; the proof is repeated when it is closed
+        # A fault that a job raises always occurred before FIRE was sent.
         if fault.reason in OF_THE_TAP and self.state in (S.CHARGING, S.CHARGED, S.FIRING):
             self._log(LogLevel.ERROR, fault.sentence)
             self._discharge((of_tapper(fault), fault.sentence))
             return
         if fault.reason in OF_THE_TAP and name == "charge" and self.state is S.DISCHARGING:
-            # Given up before, and now the board has refused to go on, such as after it discharged
-            # by itself while this process was frozen.
+            # The tap was given up before, and the board has now refused to continue charging, for
+            # example because it discharged automatically while this process was suspended.
             self._run("discharge", tapper_jobs.discharge)
             return
         if self._tap is not None:
             self._tap = None
             self._told.outcome = TapperState.NOT_FIRED
         if name == "connect" and fault.reason is FaultReason.UNKNOWN_FIRMWARE:
-            # A board that is mute for a while looks the same; it is tried again.
+            # A board that does not reply for a while causes the same fault, so connecting is
+            # tried again.
             self._fail_to(S.DISCONNECTED)
             self._say(of_tapper(fault), fault.sentence)
             return
         self._meet(fault)
 
     def _meet(self, fault: HardwareFault) -> None:
-        """Go where a fault leads."""
+        """Go to the state that belongs to a fault, and report it."""
         if fault.reason in LOST_BOARD:
             self._fail_to(S.DISCONNECTED)
         else:
@@ -629,7 +634,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._say(of_tapper(fault), fault.sentence)
 
     def _overtaken(self, event: JobEnded, now: Now) -> None:
-        # A stop came while the shot was under way: its outcome is as true as any.
+        # A stop came while the shot was under way; its outcome is still valid.
         if self._told.outcome == TapperState.NONE and self._told.tap_id:
             if isinstance(event.result, FireEnd) and event.result.shot == self._told.tap_id:
                 self._told.outcome = OUTCOMES[event.result.outcome]
@@ -644,7 +649,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._see_mounts()
 
     def _see_return(self, reply: Reply) -> None:
-        """The striker is back, or was given up."""
+        """Handle the end of the wait for a released striker, which is back or overdue."""
         if reply.state is BoardState.SAFE:
             self._machine.move(Event.RETURNED, S.SAFE)
         elif not reply.stop_latched:
@@ -658,7 +663,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             )
 
     def _see_mounts(self) -> None:
-        """Tell, while at rest, what is wrong with the mounts, or that it is no longer."""
+        """Report an error of the mounts while at rest, or clear it when it is gone."""
         if not self._fixed:
             return
         doubt = self._mounts.doubt()
@@ -674,7 +679,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._watch_enabling(now)
 
     def _see_stop(self, reply: Reply) -> None:
-        """A stop that was pressed at the cell."""
+        """Handle a stop button that was pressed at the cell."""
         if reply.stop_latched:
             self._stop_tap()
             self._machine.move(Event.FAILED, S.STOPPED)
@@ -734,7 +739,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._trouble = (ErrorCode.NONE, "")
 
     def _activated(self, now: Now) -> None:
-        """Nothing moves by itself."""
+        """Do nothing: the tapper begins nothing without a command."""
 
     def _deactivated(self, now: Now) -> None:
         if self.state in SERVING:
@@ -750,7 +755,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._trouble = (ErrorCode.TAPPER_NOT_CONNECTED, "the tapper is not connected")
 
     def _stop_tap(self) -> None:
-        """End the tap; the outcome of a shot under way is told when its job has ended."""
+        """End the tap; the outcome of a shot under way is reported when its job has ended."""
         if self._tap is not None and self.state is not S.FIRING:
             self._told.outcome = TapperState.NOT_FIRED
         self._fire_job = self._job if self.state is S.FIRING else None
@@ -803,7 +808,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             )
 
     def _prove_when_due(self, now: Now) -> None:
-        """Have the board prove its mounts where it can and has not."""
+        """Have the board prove its mounts if it can and has not done so."""
         mounts = self._mounts
         wanted = self._fixed and mounts.fitted and not mounts.proven and not mounts.away
         wanted = wanted and self._told.interlock_closed and self.state is S.SAFE

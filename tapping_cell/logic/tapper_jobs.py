@@ -1,4 +1,4 @@
-"""The tapper's blocking sequences: plain code on its driver."""
+"""Blocking jobs on the tapper's driver."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from tapping_cell.logic.effects import JobContext
 from tapping_cell.logic.tap_commands import Trouble
 
 WINDOW_S = 0.04
-"""From the last check before FIRE to the board's deadline: a frame and its reply take 20 ms."""
+"""Time from the last check before FIRE to the board's deadline; FIRE and its reply take 20 ms."""
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What the board tells, and what the driver counted."""
+    """Reply of the board, and the driver's count of fired shots."""
 
     reply: Reply
     fired: int
@@ -27,7 +27,7 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class ChargeEnd:
-    """How charging ended: charged, or discharged for the reason that a check gave."""
+    """End of charging: charged, or discharged because of ``refusal``."""
 
     status: Status
     charged: bool
@@ -36,34 +36,34 @@ class ChargeEnd:
 
 @dataclass(frozen=True, slots=True)
 class FireEnd:
-    """How a shot ended, and what the board tells afterwards."""
+    """End of a shot, and the board's status afterwards."""
 
     shot: int
     outcome: FireOutcome
     sentence: str
     refusal: Trouble | None
-    """What the last check had against it, if that is why it was not fired."""
+    """Reason given by the last check, if it prevented the shot."""
     refused: HardwareFault | None
-    """What the board had against it, if that is why."""
+    """Fault reported by the board, if it prevented the shot."""
     status: Status | None
     fault: HardwareFault | None
-    """What was met after the outcome was known."""
+    """Fault that occurred after the outcome was known."""
 
 
 def connect(context: JobContext, patience: float) -> Status:
-    """Open the line again with a new session, which discharges the tapper."""
+    """Open the port again with a new session, which discharges the tapper."""
     driver: TapperDevice = context.driver
     return _told(driver, driver.connect(timeout=patience))
 
 
 def read(context: JobContext) -> Status:
-    """Ask for the state; also what keeps a charged tapper alive."""
+    """Request the state; this request also keeps a charged tapper charged."""
     driver: TapperDevice = context.driver
     return _told(driver, driver.status())
 
 
 def clear(context: JobContext) -> Status:
-    """End a stop or a fault; after a stop the board demands a person at the cell."""
+    """Clear a stop or a fault; after a stop the board requires a person at the cell."""
     driver: TapperDevice = context.driver
     return _told(driver, driver.clear())
 
@@ -88,7 +88,7 @@ def charge(
     doubt: Callable[[Now], Trouble | None],
     tell: bool,
 ) -> ChargeEnd:
-    """Charge ``energy`` in J for a shot of a channel, and discharge at once when ``doubt`` is met.
+    """Charge ``energy`` in J for a shot of a channel; discharge if ``doubt`` returns a reason.
 
     ``tell``: post the board's last reply before each check.
     """
@@ -115,9 +115,9 @@ def fire(
     doubt: Callable[[float, Now], Trouble | None],
     tell: bool,
 ) -> FireEnd:
-    """Fire a charged shot within a window that ``doubt`` allows, and discharge what was not fired.
+    """Fire a charged shot if ``doubt`` allows it, or discharge it.
 
-    ``doubt`` gets the latest time of the steady clock at which the release can still be on, in s.
+    ``doubt`` receives the latest possible end of the release, s on the steady clock.
     ``tell``: post the board's last reply before each check.
     """
     driver: TapperDevice = context.driver
@@ -144,7 +144,7 @@ def fire(
 
 
 def wait_for_return(context: JobContext) -> Status:
-    """Wait until the striker that was released is back at its mount, or is given up."""
+    """Wait until the released striker is back at its mount, or the board stops waiting for it."""
     driver: TapperDriver = context.driver
     return _told(driver, driver.wait_for_return(lambda: not context.abandoned()))
 

@@ -1,7 +1,7 @@
-"""Whom a tapper must hear before it charges and fires: arm, planner and camera.
+"""Checks of the messages of arm, planner and camera before the tapper charges and fires.
 
-Tappers at fixed mounts have no arm. In its place stand the mounts, which the board has proven, and
-the cell's other boards, none of which may be charged or have a striker out."""
+Fixed tappers have no arm. Instead, the board must have proven its mounts, and none of the cell's
+other boards may be charged or have a striker out."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tapping_cell.messages import (
 from tapping_cell.se2 import Pose
 
 TAPPING = (PlanState.PLACING, PlanState.FIRING)
-"""Phases of a planner that waits for its tap."""
+"""States of the planner in which it waits for its tap."""
 BLIND = frozenset(
     {
         ErrorCode.CAMERA_SILENT,
@@ -33,28 +33,28 @@ BLIND = frozenset(
         ErrorCode.STAMP_INVALID,
     }
 )
-"""Codes with which no usable picture comes: they do not count as a word of the camera."""
+"""Error codes of messages without a usable image: they do not count as a camera heartbeat."""
 ABOVE_M, ABOVE_RAD = 0.005, 0.05
-"""How near above its strike pose the arm must stand, as read back, for charging to begin."""
+"""Maximum horizontal distance and angle from the tip to its strike pose when charging begins."""
 IDLE_LIMIT_S = 1.5
-"""A planner whose tap it is not speaks twice a second: it is missed only after so long."""
+"""Message timeout of a planner that did not command the tap; it publishes only twice a second."""
 
 
 @dataclass(frozen=True, slots=True)
 class PeerLimits:
-    """What is tolerated of the peers."""
+    """Limits for the messages of arm, planner and camera."""
 
     arm_freshness: float = 0.3
-    """Greatest age of the arm's read-back, s."""
+    """Maximum age of the arm's read-back, s."""
     silence: float = 0.45
-    """Longest silence of planner and camera, s."""
+    """Message timeout of planner and camera, s."""
     unseen: float = 0.45
-    """Longest time for which the object may not be seen before the shot, s; longer where the arm
-    itself covers the object on its way to some strike poses."""
+    """Maximum time before the shot for which the object may not be seen, s. It must be longer if
+    the arm itself covers the object on its way to some strike poses."""
     moved: float = 0.002
-    """Greatest distance of the object from where the tap was planned, m."""
+    """Maximum distance of the object from the pose for which the tap was planned, m."""
     turned: float = math.radians(3)
-    """Greatest rotation of the object from how the tap was planned, rad."""
+    """Maximum rotation of the object from the pose for which the tap was planned, rad."""
 
 
 RESTING = (
@@ -63,21 +63,25 @@ RESTING = (
     TapperState.FAULT,
     TapperState.DISCONNECTED,
 )
-"""States of a board in which it fires nothing before it says so; its strikers may still be out."""
+"""States in which a board cannot fire before it publishes another state. Its strikers may still be
+out."""
 
 
 @dataclass(slots=True)
 class Mounts:
-    """What the own board tells of its strikers. ``proven``: since its start each was seen at its
-    mount and, where it was released, to leave it and come back; ``away``: names of those that are
-    not there; ``fitted``: whether switches tell."""
+    """State of the strikers as reported by the own board.
+
+    ``proven``: since the board's start each striker was detected at its mount and, if it was
+    released, detected to leave it and return. ``away``: names of the strikers that are not at
+    their mounts. ``fitted``: whether the mounts have switches.
+    """
 
     proven: bool = False
     fitted: bool = False
     away: tuple[str, ...] = ()
 
     def doubt(self) -> Trouble | None:
-        """Why no tapper of this board may be charged; None where one may."""
+        """Return why no tapper of this board may be charged, or None if charging is allowed."""
         if not self.fitted:
             return (
                 ErrorCode.TAPPER_MOUNT_NOT_PROVEN,
@@ -99,11 +103,11 @@ class Mounts:
 
 
 class TapperPeers:
-    """What arm, planner and camera said last, and when by the own steady clock.
+    """Last messages of arm, planner and camera, with their times on the own steady clock.
 
-    A planner or camera that was never heard is not missed: a person or a program may command
-    single taps without it. One that was heard and falls silent is lost, hung processes included;
-    each word is as old as its stamp.
+    A planner or camera without any message yet does not count as lost, because a person or a
+    program may command single taps without it. If its messages end, for example because its process
+    hangs, it is lost. The age of a message is determined from its stamp.
     """
 
     def __init__(self, limits: PeerLimits) -> None:
@@ -122,30 +126,30 @@ class TapperPeers:
         self._other_boards: frozenset[tuple[str, ...]] = frozenset()
 
     def use_mounts(self, mounts: Mounts, other_boards: Sequence[Sequence[str]]) -> None:
-        """This cell has no arm: ``mounts`` of the own board, and the tappers' names of each of the
-        others."""
+        """Set up the checks of a cell without an arm. ``mounts``: of the own board;
+        ``other_boards``: the tappers' names of each other board."""
         self._mounts = mounts
         self._other_boards = frozenset(tuple(names) for names in other_boards)
 
     def hear_tapper(self, message: TapperState, now: Now) -> None:
-        """Hear ``tapper_state`` of any board."""
+        """Process ``tapper_state`` of any board."""
         names = tuple(message.tappers)
         if names in self._other_boards:
             self._boards[names] = message, now.steady
 
     def begin_tap(self, object_id: str) -> None:
-        """A tap of an object was commanded (empty: the cell's own): whose it is shows in what the
-        planner says from now on."""
+        """Begin the checks of a tap of an object (empty: the cell's own object). The following
+        messages of the planner show whether the planner commanded this tap."""
         self._planners_tap = False
         self._object = object_id
 
     def hear_arm(self, message: ArmState, now: Now) -> None:
-        """Hear ``arm_state``."""
+        """Process ``arm_state``."""
         self._clocks["arm"].hear(message.header.stamp, now)
         self._arm, self._arm_heard = message, now.steady
 
     def hear_plan(self, message: PlanState, now: Now) -> None:
-        """Hear ``plan_state``."""
+        """Process ``plan_state``."""
         self._clocks["planner"].hear(message.header.stamp, now)
         self._phase = message.state
         self._plan_heard = self._clocks["planner"].to_steady(message.header.stamp, now)
@@ -153,7 +157,7 @@ class TapperPeers:
             self._planners_tap = True
 
     def hear_object(self, message: ObjectState, now: Now) -> None:
-        """Hear ``object_state``."""
+        """Process ``object_state``."""
         if message.error_code in BLIND:
             return
         self._clocks["camera"].hear(message.header.stamp, now)
@@ -162,7 +166,7 @@ class TapperPeers:
             self._seen[""] = self._seen[message.object_id] = message, self._picture_at
 
     def hear_objects(self, message: ObjectStates, now: Now) -> None:
-        """Hear ``object_states``: each state is as old as its own stamp."""
+        """Process ``object_states``; the age of each state is determined from its own stamp."""
         for state in message.objects:
             seen_at = self._clocks["camera"].to_steady(state.header.stamp, now)
             last = self._seen.get(state.object_id, (state, -math.inf))[1]
@@ -170,7 +174,7 @@ class TapperPeers:
                 self._seen[state.object_id] = state, seen_at
 
     def given_up(self) -> Trouble | None:
-        """Why the tap under way is nobody's any more: its planner does something else."""
+        """Return an error if the planner that commanded the tap no longer waits for it."""
         if self._planners_tap and self._phase not in TAPPING:
             return (
                 ErrorCode.NOT_READY,
@@ -180,20 +184,20 @@ class TapperPeers:
         return None
 
     def doubt(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
-        """What arm, planner or camera say, or fail to say, against this tap; None for nothing.
+        """Return why the tap must not be fired, by the messages of the peers; None if it may.
 
-        ``planned``: where the object lay when the tap was planned; ``strike``: where the tap wants
-        the tip, in ``table``.
+        ``planned``: pose of the object for which the tap was planned; ``strike``: commanded pose of
+        the tip. Both are in ``table``.
         """
         if self._mounts is not None:
             return self._mount_doubt(now) or self._other_doubt(planned, now)
         return self._arm_doubt(tap_id, strike, now) or self._other_doubt(planned, now)
 
     def charging_doubt(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
-        """The same against charging, which may begin while the arm lowers the striker.
+        """Return why the tapper must not be charged, or None; see :meth:`doubt`.
 
-        ``strike``: the commanded strike pose, in ``table``. The arm must have been read back above
-        it, so that the only motion left is straight down, and must still be heard.
+        Charging may begin while the arm lowers the striker. The last read-back of the arm must be
+        above the strike pose, so that only a motion straight down remains, and must be recent.
         """
         if self._mounts is not None:
             return self._mount_doubt(now) or self._other_doubt(planned, now)
@@ -212,7 +216,7 @@ class TapperPeers:
         )
 
     def _lowers(self, tap_id: int, strike: Pose, now: Now) -> bool:
-        """True while the arm, heard lately, is on its way down to the strike pose of a tap."""
+        """Return whether the arm has recently reported that it moves down to the strike pose."""
         arm = self._arm
         if arm is None or arm.state != ArmState.MOVING or arm.tap_id != tap_id or not arm.homed:
             return False
@@ -235,13 +239,12 @@ class TapperPeers:
         if age > limit:
             return code, f"the arm's read-back is {age:.2f} s old, more than {limit:.2f} s"
         if not _above(arm, strike):
-            # Two planners by mistake may give one id to two taps.
+            # If two planners run by mistake, two taps may have the same id.
             return code, f"the arm is in position for another tap with the id {tap_id}"
         return None
 
     def _mount_doubt(self, now: Now) -> Trouble | None:
-        """What is to be said against a tap from the board's own mounts: they are not proven, or
-        another board is not at rest."""
+        """Return an error if the own mounts are not proven or another board is not at rest."""
         assert self._mounts is not None
         doubt = self._mounts.doubt()
         if doubt is not None:
@@ -296,7 +299,7 @@ class TapperPeers:
         return None
 
     def _disturbance(self, planned: Pose, now: Now) -> Trouble | None:
-        """The object must be seen where the tap was planned."""
+        """Return an error unless the object is seen at the pose for which the tap was planned."""
         if self._picture_at is None:
             return None
         seen, seen_at = self._seen.get(self._object, (None, -math.inf))
@@ -325,6 +328,6 @@ class TapperPeers:
 
 
 def _above(arm: ArmState, strike: Pose) -> bool:
-    """Whether the tip was read back at or above a strike pose."""
+    """Return whether the tip was read back at or above a strike pose."""
     tip = from_message(arm.tip_pose)
     return tip.distance_to(strike) <= ABOVE_M and abs(tip.rotation_to(strike)) <= ABOVE_RAD

@@ -1,4 +1,4 @@
-"""One goal and one tap of it, as the planner keeps and reports them."""
+"""Goals and their taps as the planner stores and reports them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from tapping_cell.vision import ReferenceMap
 Array = NDArray[np.float64]
 
 LEAST_EFFECT = 0.2
-"""Share of the wanted distance below which a tap counts as without effect."""
+"""A tap that moves the object by less than this fraction of the wanted distance has no effect."""
 
 
 @dataclass(slots=True, eq=False)
@@ -56,18 +56,18 @@ class Shot:
     tap_id: int
     object_id: str
     number: int
-    """Its place in its goal, from 1."""
+    """Number of the tap within its goal, from 1."""
     strike: Strike
     before: Pose
     covariance: Array
-    """(3, 3), m and rad: of where the object is expected to come to rest."""
+    """Covariance (3, 3) of the predicted pose of the object at rest, m and rad."""
     fired_at: int | None = None
-    """When the tapper's report arrived, ROS time in ns."""
+    """Arrival time of the tapper's report, ROS time in ns."""
     outcome: int = TapperState.NONE
     measured_speed: float = math.nan
 
     def command(self, now: int, expiry: int, height: float) -> TapCommand:
-        """The command of this tap; times in ns, ``height`` of the tip over the table in m."""
+        """Return the command of this tap. Times in ns; ``height``: tip above the table, m."""
         plan = self.strike.plan
         command = TapCommand(
             request=TapCommand.TAP,
@@ -85,7 +85,11 @@ class Shot:
         return command
 
     def planned(self, answer_by: int, height: float) -> PlannedTap:
-        """This tap before it is made; ``answer_by`` in ns, 0 where nobody is asked."""
+        """Return the message on this tap before it is made.
+
+        ``answer_by``: deadline of a person's answer in ns, 0 if no confirmation is needed.
+        ``height``: tip above the table, m.
+        """
         plan = self.strike.plan
         tap = PlannedTap(
             tap_id=self.tap_id,
@@ -102,8 +106,8 @@ class Shot:
         return tap
 
     def record(self, seen: ObjectState | None, gains: Gains) -> TapRecord:
-        """What is kept of this tap once its result is seen; ``seen`` None: it never was. ``gains``:
-        what is known of the object after it."""
+        """Return the record of this tap. ``seen``: observation of its result, None if there was
+        none. ``gains``: gains of the object after the tap."""
         strike = self.strike
         if seen is None:
             seen = ObjectState()
@@ -140,7 +144,7 @@ class Task:
     """One goal from its acceptance to its end. ``tolerance`` in m and rad."""
 
     resumable: ClassVar[bool] = True
-    """Whether a planner that crashed goes on with it."""
+    """Whether a restarted planner resumes this goal after a crash."""
 
     object_id: str
     """Name of the object."""
@@ -150,21 +154,21 @@ class Task:
     max_taps: int
     session: GoalSession | PrescribedSession
     token: Token | None
-    """Of the action goal that waits for the result; None for a goal of the topic."""
+    """Token of the action goal that waits for the result; None for a goal from the topic."""
     expires: float
-    """Steady time in s after which the goal is given up."""
+    """Steady time in s after which the goal is aborted."""
     ask: bool = False
-    """A person confirms every tap."""
+    """Whether a person confirms every tap."""
     records: list[TapRecord] = field(default_factory=list)
     not_fired: int = 0
     without_effect: int = 0
     free_space: object | None = None
-    """The map that the session was last told to work in."""
+    """Map that the session uses at present."""
     arm: tuple[float, float, float, float] | None = None
-    """Where the arm's tip stands before a decision: x, y, height and yaw in ``table``."""
+    """Pose of the arm's tip before a decision: x, y, height and yaw in ``table``."""
 
     def description(self) -> str:
-        """The goal for people."""
+        """Return a readable description of the goal."""
         return (
             f"goal x {1000 * self.goal.x:.1f} mm, y {1000 * self.goal.y:.1f} mm, "
             f"{math.degrees(self.goal.theta):.1f} deg"
@@ -172,21 +176,27 @@ class Task:
 
     @property
     def ready(self) -> bool:
-        """Whether a decision can be made: a goal may have to be solved first."""
+        """Whether a decision can be made; the solver may still have to finish for this goal."""
         return not isinstance(self.session, GoalSession) or self.session.ready
 
     def computation(self, frames: int) -> Callable[[], Any] | None:
-        """What takes so long to decide on what was ``observed`` that it is computed beside the
-        machine, for ``conclude``; None where ``decide`` answers at once. ``frames`` as there."""
+        """Return the slow part of a decision as a function, to be run as a job after ``observed``.
+
+        ``conclude`` receives its result. Return None if ``decide`` is fast enough without a job.
+        ``frames``: see ``decide``.
+        """
         return None
 
     def conclude(self, computed: Any) -> Decision:
-        """The decision that follows from what was computed."""
+        """Return the decision that follows from the result of ``computation``."""
         raise NotImplementedError
 
     def decide(self, seen: ObjectState, frames: int) -> Decision:
-        """What to do with the object at rest as it is seen; a look is ``frames`` long, a long one
-        ``LONG_LOOK`` times that; 0 where there is no time left for a long one."""
+        """Decide on the next action from an observation of the object at rest.
+
+        ``frames``: length of a normal observation in frames; a long one takes ``LONG_LOOK`` times
+        as many. It is 0 if no time is left for a long observation.
+        """
         assert isinstance(self.session, GoalSession)
         self.session.arm = self.arm
         pose = from_message(seen.pose.pose)
@@ -197,7 +207,7 @@ class Task:
         )
 
     def take_in(self, shot: Shot, seen: ObjectState) -> None:
-        """Learn from a tap that was, or may have been, fired."""
+        """Process a tap that was or may have been fired: learn from it and record it."""
         pose = from_message(seen.pose.pose)
         covariance = covariance_from_message(seen.pose.covariance)
         self.learn(shot, pose, covariance)
@@ -207,33 +217,34 @@ class Task:
         self.without_effect = 0 if moved else self.without_effect + 1
 
     def observed(self, monitor: CellMonitor, after: float, frames: int, now: Now) -> bool:
-        """Whether what a decision needs was seen at rest after a steady time, by so many images."""
+        """Return whether every object that a decision needs was observed at rest, in at least
+        ``frames`` frames, after the steady time ``after``."""
         return monitor.usable(after, frames, now)
 
     def before(self, seen: ObjectState) -> Pose:
-        """Where the object lies that the decided tap is for."""
+        """Return the pose of the object for which the tap was decided."""
         return from_message(seen.pose.pose)
 
     def learn(self, shot: Shot, pose: Pose, covariance: Array) -> None:
-        """Learn from a tap and what is seen after it."""
+        """Learn from a tap and the pose observed after it."""
         self.session.observe(shot.strike, shot.before, pose, covariance)
 
     def lose(self, shot: Shot) -> None:
-        """The goal ends with a tap under way."""
+        """Handle the end of the goal during the tap ``shot``."""
 
     def end(self, code: int, sentence: str) -> None:
-        """The goal ends, with NONE where it is reached."""
+        """Handle the end of the goal; ``code`` is NONE if it was reached."""
 
     def feedback(
         self, state: PlanState
     ) -> PositionObject.Feedback | SingleTap.Feedback | ArrangeObjects.Feedback:
-        """The action's feedback."""
+        """Return the action's feedback."""
         return PositionObject.Feedback(plan_state=state)
 
     def result(
         self, code: int, sentence: str, last: PlanState, seen: ObjectState | None
     ) -> PositionObject.Result | SingleTap.Result | ArrangeObjects.Result:
-        """The action's result; ``last``: the last report of this goal."""
+        """Return the action's result; ``last``: the last report of this goal."""
         result = PositionObject.Result(
             error_code=code,
             error_msg=sentence,
@@ -248,7 +259,7 @@ class Task:
         return result
 
     def fill(self, state: PlanState, pose: Pose | None) -> None:
-        """Write this goal and its residual into a report; ``pose`` is None while not seen."""
+        """Write this goal and its residual into a report; ``pose``: None while not seen."""
         state.object_id = self.object_id
         state.planner = self.session.method
         state.goal = self.message
@@ -264,9 +275,9 @@ class Task:
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class SingleTapTask(Task):
-    """One prescribed tap; its goal is where it is expected to send the object.
+    """One prescribed tap; its goal is the predicted pose of the object.
 
-    A planner that crashed in it leaves it: whether the tap was fired is for the camera to see.
+    A planner that crashed does not resume this task, because the tap may have been fired.
     """
 
     resumable: ClassVar[bool] = False
@@ -275,7 +286,7 @@ class SingleTapTask(Task):
     references: ReferenceMap
 
     def description(self) -> str:
-        """The tap for people."""
+        """Return a readable description of the tap."""
         asked = self.session.prescription
         return (
             f"single tap: striker {1000 * asked.striker_speed:.0f} mm/s, incidence "
@@ -283,7 +294,7 @@ class SingleTapTask(Task):
         )
 
     def decide(self, seen: ObjectState, frames: int) -> Decision:
-        """The tap, kept between the reference markers that the camera sees; then Done."""
+        """Return the tap, limited to the area between the visible reference markers; then Done."""
         used = set(seen.references_used)
         known = [marker.id in used for marker in self.references.markers]
         decision = self.session.decide(
@@ -299,17 +310,17 @@ class SingleTapTask(Task):
     def feedback(
         self, state: PlanState
     ) -> PositionObject.Feedback | SingleTap.Feedback | ArrangeObjects.Feedback:
-        """The action's feedback."""
+        """Return the action's feedback."""
         return SingleTap.Feedback(plan_state=state)
 
     def result(
         self, code: int, sentence: str, last: PlanState, seen: ObjectState | None
     ) -> PositionObject.Result | SingleTap.Result | ArrangeObjects.Result:
-        """The action's result: the record of the tap."""
+        """Return the action's result: the record of the tap."""
         record = self.records[-1] if self.records else TapRecord()
         return SingleTap.Result(error_code=code, error_msg=sentence, record=record)
 
     def lose(self, shot: Shot) -> None:
-        """Keep a record of the tap, if it was or may have been fired."""
+        """Record the tap if it was or may have been fired."""
         if shot.outcome in (TapperState.FIRED, TapperState.UNKNOWN):
             self.records.append(shot.record(None, self.session.gains))

@@ -1,4 +1,4 @@
-"""State machines as tables: what is not in the table cannot happen."""
+"""State machines defined by transition tables."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ Event = TypeVar("Event", bound=Enum)
 
 
 class UndefinedTransition(Exception):
-    """A machine met an event that its table does not allow: a defect of this program."""
+    """An event occurred that the transition table does not allow: a defect of this program."""
 
 
 class StateMachine(Generic[State, Event]):
-    """The state, changed by the rows of a table alone.
+    """A state machine that allows only the transitions of its table.
 
-    ``table`` gives for a state and an event the states that may follow; the caller decides among
+    ``table`` maps a state and an event to the states that may follow. The caller selects one of
     them.
     """
 
@@ -29,15 +29,15 @@ class StateMachine(Generic[State, Event]):
 
     @property
     def state(self) -> State:
-        """The present state."""
+        """Present state."""
         return self._state
 
     def allows(self, event: Event) -> bool:
-        """Whether the table has a row for this event in the present state."""
+        """Return whether the table has a row for this event in the present state."""
         return (self._state, event) in self._table
 
     def move(self, event: Event, target: State) -> None:
-        """Go to a state. Raises UndefinedTransition where the table has no such row."""
+        """Go to a state. Raises UndefinedTransition if the table does not allow it."""
         allowed = self._table.get((self._state, event), frozenset())
         if target not in allowed:
             raise UndefinedTransition(
@@ -49,10 +49,10 @@ class StateMachine(Generic[State, Event]):
 def table(
     rows: Iterable[tuple[Iterable[State], Event, Iterable[State]]],
 ) -> dict[tuple[State, Event], frozenset[State]]:
-    """A table from rows (states, event, following states).
+    """Return a transition table made from rows (states, event, following states).
 
     Raises:
-        ValueError: two rows tell of the same state and event.
+        ValueError: two rows are for the same state and event.
     """
     made: dict[tuple[State, Event], frozenset[State]] = {}
     for states, event, targets in rows:
@@ -64,7 +64,7 @@ def table(
 
 
 def diagram(rules: Mapping[tuple[State, Event], frozenset[State]], initial: State) -> str:
-    """A table as a Mermaid state diagram, one arrow for each pair of states."""
+    """Return a table as a Mermaid state diagram with one arrow for each pair of states."""
     labels: dict[tuple[str, str], list[str]] = {}
     for (state, event), targets in rules.items():
         for target in targets:

@@ -1,9 +1,9 @@
-"""How far the arm withdraws after a tap: until the camera sees what it must, and no farther.
+"""Withdrawal of the arm after a tap, only until the camera has a free view.
 
-The shapes of arm and tool throw shadows from the camera's lens on the table. The object, wherever
-the tap may have sent it, and enough reference markers must lie outside them. Among the poses at
-travel height with such a view, the arm goes to the one from which the tap and the next one take the
-least time.
+Seen from the camera's lens, arm and tool cover parts of the table. The object, at every place that
+it may have reached, and enough reference markers must lie outside these parts. Among the poses at
+travel height with such a view, the arm selects the one with the least total time of the withdrawal
+and the move to the next tap.
 """
 
 from __future__ import annotations
@@ -28,26 +28,27 @@ from tapping_cell.se2 import Array, Pose
 from tapping_cell.vision.free_view import view_clearance
 
 VIEW_MARGIN_M = 0.008
-"""Around the object and the markers, for errors of arm, camera and shapes."""
+"""Margin around the object and the markers, for errors of arm, camera and shapes."""
 OVERSHOOT = 1.3
-"""How far the object may have slid over the predicted displacement."""
+"""Assumed maximum displacement of the object, as a multiple of the predicted one."""
 PLACES = 6
-"""Places along its way at which the object is looked for."""
+"""Number of places along the object's path that must be visible."""
 MARKERS_HIDDEN = 3
-"""Most reference markers that the arm may hide; at least half of them stay free."""
+"""Maximum number of reference markers that the arm may hide; at least half of them stay visible."""
 STEPS = np.linspace(-1.0, 1.0, 13)
-"""Changes of shoulder and elbow that are tried, rad."""
+"""Candidate changes of the shoulder and elbow joints, rad."""
 TURNS = (-1.2, 0.0, 1.2)
-"""Changes of the tool's joint that are tried, rad."""
+"""Candidate changes of the tool joint, rad."""
 HEADINGS = np.arange(8) * (2.0 * math.pi / 8)
-"""In which the next tap may be."""
+"""Possible headings of the next tap, rad."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What the camera looks at after a tap. ``camera``: place of its lens in ``table``, m.
+    """Scene that the camera must observe after a tap. ``camera``: lens position in ``table``, m.
 
-    ``before``: the object when the tap was planned; ``predicted``: after it. ``strike``: the tip.
+    ``before`` and ``predicted``: poses of the object before and after the tap. ``strike``: pose of
+    the tip.
     """
 
     camera: tuple[float, float, float]
@@ -59,10 +60,10 @@ class Scene:
 def withdrawal(
     cell: Cell, scene: Scene | None, current: Joints, motion: MotionSettings
 ) -> tuple[Waypoint, ...]:
-    """Waypoints from joints ``current`` to a pose with a free view, else to the park pose.
+    """Return waypoints from the joints ``current`` to a pose with a free view or to the park pose.
 
-    The park pose is also taken where no pose at travel height has a free view, and by an arm that
-    is no SCARA: where its links are, the cell file does not tell.
+    The park pose is used if the scene is not known, if no pose at travel height has a free view,
+    or if the arm is not a SCARA, because the cell file does not describe the links of other arms.
     """
     geometry = cell.arm.geometry()
     parked = withdraw_path(geometry, current, motion)
@@ -81,8 +82,8 @@ def withdrawal(
 
 
 def _candidates(geometry: ScaraGeometry, raised: Joints) -> Array:
-    """Joints (N, 4) around the raised pose, itself the first, within their limits and with the
-    elbow on the same side."""
+    """Return joints (N, 4) around the raised pose, within their limits and with the elbow on the
+    same side. The raised pose itself is the first row."""
     shoulder, elbow, tool = np.meshgrid(STEPS, STEPS, TURNS, indexing="ij")
     change = np.stack([shoulder, elbow, np.zeros_like(shoulder), tool], axis=-1).reshape(-1, 4)
     all_of = np.concatenate([np.zeros((1, 4)), change]) + np.array(raised)
@@ -95,7 +96,7 @@ def _candidates(geometry: ScaraGeometry, raised: Joints) -> Array:
 
 
 def _is_free(cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array) -> Array:
-    """Which of the arm's poses (N, 4) leave object and enough markers to the camera, (N,) bool."""
+    """Return which of the joints (N, 4) leave object and enough markers visible, (N,) bool."""
     bars = arm_bars(geometry, cell.arm.shape(cell.file.tapper), joints)
     start, end = (_in_table(cell.arm_base, places) for places in (bars.start, bars.end))
     radius = bars.radius + VIEW_MARGIN_M
@@ -118,7 +119,7 @@ def _is_free(cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array) -
 def _to_next(
     cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array, motion: MotionSettings
 ) -> Array:
-    """Mean time (N,) in s from the arm's poses (N, 4) to a next tap, whose heading is not known."""
+    """Return the mean time (N,) in s from joints (N, 4) to the next tap over all its headings."""
     reach = math.hypot(scene.strike.x - scene.before.x, scene.strike.y - scene.before.y)
     yaw = HEADINGS - cell.arm_base.theta
     middle = cell.arm_base.inverse() @ scene.predicted
@@ -139,7 +140,7 @@ def _to_next(
 
 
 def _in_table(base: Pose, places: Array) -> Array:
-    """Places (..., 3) of ``arm_base`` in ``table``."""
+    """Transform points (..., 3) from ``arm_base`` to ``table``."""
     cos, sin = math.cos(base.theta), math.sin(base.theta)
     turned = np.empty_like(places)
     turned[..., 0] = base.x + cos * places[..., 0] - sin * places[..., 1]

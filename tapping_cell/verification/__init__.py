@@ -1,1 +1,1 @@
-"""The cell's own logic, drivers and boards in virtual time, under every fault, from one seed."""
+"""Fault injection: runs the cell's logic, drivers and boards in virtual time, from one seed."""

@@ -1,7 +1,7 @@
-"""A camera and its node in virtual time: what ``object_state`` says, frame by frame.
+"""Model of the camera and its node in virtual time, which publishes ``object_state`` per frame.
 
-The pose of each frame is the world's truth with noise; rest, fusion and covariance are judged by
-the tracker that ships (``vision.rest_detection``). Images themselves are not drawn.
+The pose in each frame is the ground truth with noise. Rest, fusion and covariance are computed by
+the tracker of the product (``vision.rest_detection``). No images are rendered.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.vision.rest_detection import RestSettings, Track
 
 PERIOD_S = 1 / 15
-"""Between frames: half the rate of the shipped camera, to halve the time that a run takes."""
+"""Frame period: half the frame rate of the real camera, which halves the duration of a run."""
 LATENCY_S = 0.02
-"""From the exposure to the publication of the pose."""
+"""Time from the exposure to the publication of the pose."""
 SILENCE_LIMIT_S = 0.4
-"""Without a frame for so long, the node publishes that the camera is silent."""
+"""Time without a frame after which the node publishes that the camera is silent."""
 CAMERA_SILENT = 301
 
 
 @dataclass(slots=True)
 class CameraFaults:
-    """What goes wrong with the camera at present; times in s of the run."""
+    """Active faults of the camera; times in s of the run."""
 
     lost_until: float = -math.inf
     late_until: float = -math.inf
@@ -42,10 +42,11 @@ class CameraFaults:
 
 
 class Camera:
-    """Publishes ``object_state`` through ``publish`` as long as its process is there.
+    """Publishes ``object_state`` through ``publish`` while its process is alive.
 
-    ``look``: the object's true pose at a time, or None while something covers it. ``ros_now``: ROS
-    time (ns) of the camera's computer. ``sigma``: standard deviation of one frame: m, m, rad.
+    ``look`` returns the true pose of the object at a time, or None while something covers it.
+    ``ros_now`` returns the ROS time (ns) of the camera's computer. ``sigma``: standard deviation of
+    the pose in one frame: m, m, rad.
     """
 
     def __init__(
@@ -76,7 +77,7 @@ class Camera:
         scheduler.after(float(rng.uniform(0, PERIOD_S)), self._expose)
 
     def restart(self) -> None:
-        """The process is there again and knows nothing."""
+        """Restart the process with an empty state."""
         self.alive = True
         self._track = Track(RestSettings())
         self._last = None
@@ -140,7 +141,7 @@ class Camera:
 
 
 def _planar_covariance(planar: Array) -> list[float]:
-    """A covariance (3, 3) of x, y, theta as the 36 numbers of PoseWithCovariance."""
+    """Convert a covariance (3, 3) of x, y, theta to the 36 numbers of PoseWithCovariance."""
     whole = np.zeros((6, 6))
     whole[np.ix_((0, 1, 5), (0, 1, 5))] = planar
     return [float(value) for value in whole.ravel()]

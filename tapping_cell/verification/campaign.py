@@ -1,4 +1,4 @@
-"""Many runs on all cores: counts by fault and by outcome, and what was violated."""
+"""Campaign of many runs on all cores, with counts of faults, outcomes and violations."""
 
 from __future__ import annotations
 
@@ -16,28 +16,29 @@ from tapping_cell.verification.invariants import Violation
 from tapping_cell.verification.trial import Report, run_trial
 
 GOALS_A_RUN = 10
-"""Goals of one cell, from one seed: results do not depend on the number of processes."""
+"""Goals per run, which has its own cell and seed; so results are independent of the number of
+processes."""
 
 
 @dataclass(slots=True)
 class Summary:
-    """What a campaign brought."""
+    """Results of a campaign."""
 
     goals: int = 0
     taps: int = 0
     program_taps: int = 0
-    """Commanded by a program, beside the goals."""
+    """Number of taps that a program commanded, in addition to those of the goals."""
     cell_seconds: float = 0.0
     by_fault: Counter[str] = field(default_factory=Counter)
     by_code: Counter[int] = field(default_factory=Counter)
     by_node: Counter[str] = field(default_factory=Counter)
-    """What has struck a node."""
+    """Counts of the faults that were injected into each node."""
     releases: int = 0
     violations: list[tuple[int, Violation]] = field(default_factory=list)
-    """With the seed that repeats each."""
+    """Violations, each with the seed that reproduces it."""
 
     def add(self, report: Report) -> None:
-        """Count one run."""
+        """Add the results of one run."""
         self.goals += len(report.outcomes)
         self.taps += sum(outcome.taps for outcome in report.outcomes)
         self.program_taps += report.program_taps
@@ -50,7 +51,7 @@ class Summary:
 
 
 def seeds_of(seed: int, goals: int) -> list[tuple[int, int]]:
-    """The runs of a campaign: the seed of each and how many goals it has."""
+    """Return the seed and the number of goals of each run of a campaign."""
     return [
         (seed * 1_000_000 + number, min(GOALS_A_RUN, goals - first))
         for number, first in enumerate(range(0, goals, GOALS_A_RUN))
@@ -58,10 +59,10 @@ def seeds_of(seed: int, goals: int) -> list[tuple[int, int]]:
 
 
 def settle_on(core: int) -> None:
-    """Keep this process on one core, counted through those that it may use.
+    """Pin this process to one of the available cores; ``core`` is its index modulo their number.
 
-    Of a run's threads one goes on at a time: on one core a change from one to the next takes
-    microseconds, between cores that others use too it takes milliseconds.
+    Only one thread of a run is active at a time. Switching threads takes microseconds on one core,
+    but milliseconds between cores that other processes also use.
     """
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
@@ -77,7 +78,7 @@ def _settle(taken: Synchronized[int]) -> None:
 
 
 def reports_of(runs: list[tuple[int, int]], jobs: int, mix: Mix = ALL) -> Iterator[Report]:
-    """Work through runs on so many processes."""
+    """Execute runs on ``jobs`` processes and yield their reports."""
     if jobs == 1 or len(runs) == 1:
         for seed, goals in runs:
             yield run_trial(seed, goals, mix=mix)
@@ -96,7 +97,7 @@ def run_campaign(
     stop_at_violation: bool = False,
     mix: Mix = ALL,
 ) -> Summary:
-    """Run so many goals; ``progress`` is told after every run."""
+    """Run a campaign; ``progress`` is called after every run."""
     summary = Summary()
     for report in reports_of(seeds_of(seed, goals), jobs, mix):
         summary.add(report)

@@ -1,7 +1,7 @@
-"""Which injected faults explain how a goal ended: a code must name a true cause.
+"""Mapping from the error code of a goal to the injected faults that explain it.
 
-A goal that ends with a code of which none of the explaining faults has struck lately is a
-violation: the cell blamed what nothing was wrong with.
+The error code must name a true cause. If none of the faults that explain the code was injected
+recently, the cell has reported a wrong cause, which is a violation.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from tapping_cell.messages import ErrorCode
 
 LASTING_S = 45.0
-"""A fault explains what ends within so long after it: the longest lasts 30 s, and the cell is
-brought back after it."""
+"""Time after a fault within which it explains the end of a goal. The longest fault lasts 30 s, and
+the cell needs time to recover from it."""
 
 FREEZES = frozenset(
     {
@@ -40,9 +40,9 @@ LINES = frozenset({"serial line", "line at a shot", "cable at a shot"})
 POWER = frozenset({"loss of power", "power at a shot", "motors off"})
 STOPS = frozenset({"emergency stop", "stop service"})
 DELAYS = FREEZES | ENDS | LINKS | LINES | {"deactivate", "second node"}
-"""What makes something late or silent."""
+"""Kinds of faults that delay or suppress messages."""
 COVERED = "the arm covers the object"
-"""A condition of the world that explains a code as a fault does."""
+"""Condition that is not a fault but can also explain an error code."""
 CAMERA = frozenset({"camera", "object moved"})
 
 EXPLAINED_BY: dict[int, frozenset[str]] = {
@@ -67,7 +67,7 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TAPPER_REPLY_GARBLED: LINES,
     ErrorCode.TAPPER_TIMEOUT: LINES | POWER | FREEZES | {"slow topic"},
     ErrorCode.TAPPER_RESET: LINES | POWER,
-    # A board that hears nothing for 0.5 s discharges by itself.
+    # A board that receives nothing for 0.5 s discharges automatically.
     ErrorCode.TAPPER_FAULT: LINES | POWER | FREEZES,
     ErrorCode.TAPPER_INTERLOCK_OPEN: frozenset({"guard"}),
     ErrorCode.TAPPER_SILENT: DELAYS,
@@ -88,7 +88,7 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TAP_WITHOUT_EFFECT: CAMERA | POWER,
     ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN,
 }
-"""Code of a goal's end: the kinds of faults of which one must have struck."""
+"""For each error code of a goal, the kinds of faults of which one must have been injected."""
 CONDITIONS = frozenset(
     {
         ErrorCode.NONE,
@@ -100,11 +100,11 @@ CONDITIONS = frozenset(
         ErrorCode.GOAL_OUT_OF_REACH,
     }
 )
-"""Codes of which the cause is where object and goal lie."""
+"""Codes caused by the poses of object and goal, not by a fault."""
 
 
 def explains(code: int, struck: Iterable[str]) -> bool:
-    """Whether one of the faults that have struck is a true cause of this end."""
+    """Return whether one of the injected faults ``struck`` is a true cause of this code."""
     if code in CONDITIONS:
         return True
     return not EXPLAINED_BY.get(code, frozenset()).isdisjoint(struck)

@@ -1,4 +1,4 @@
-"""What can go wrong in a cell, drawn at random and brought about at its time."""
+"""Random faults of a cell and their injection."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ if TYPE_CHECKING:
     from tapping_cell.verification.trial import Trial
 
 SPAN_S = 16.0
-"""Faults are spread over so long from the moment at which a goal is sent."""
+"""Time after a goal is sent over which its faults are spread."""
 SHARE_AT_A_MOMENT = 0.25
-"""Of the goals' faults, those that strike around one state that a node publishes, together: what
-goes wrong at the same time is what guards are for."""
+"""Fraction of the goals whose faults all strike just after a node publishes one state, because the
+guards must handle coinciding faults."""
 SHARE_AT_THE_SHOT = 0.5
-"""Of the goals' faults, those that strike together around one step of a shot."""
+"""Fraction of the goals whose faults all strike just after one step of a shot."""
 CLOSE_S = 0.3
-"""How far faults of one moment lie apart at most."""
+"""Maximum time from a moment to its faults."""
 CLOSEST_S = 2e-4
-"""Faults around a shot lie from so far to ``CLOSE_S`` apart, all orders of magnitude alike."""
+"""Minimum time from a step of a shot to its faults; the times are log-uniform up to ``CLOSE_S``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mix:
-    """Which faults are drawn. ``only``: of these kinds, of all when empty; ``mean``: of a goal, on
-    average."""
+    """Distribution of the faults. ``only``: kinds of faults, empty for all; ``mean``: mean number
+    of faults per goal."""
 
     only: tuple[str, ...] = ()
     mean: float = 2.0
@@ -55,14 +55,14 @@ ALL = Mix()
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """The n-th time in a goal that something happens; ``name`` as the trial tells it."""
+    """The n-th occurrence of an event in a goal; n is ``times``. The trial reports ``name``."""
 
     name: str
     times: int
 
 
 def told(topic: str, state: int) -> str:
-    """The name of the moment at which a node publishes that it is in another state."""
+    """Return the name of the moment at which a node publishes a change to this state."""
     return f"{topic} {state}"
 
 
@@ -93,7 +93,7 @@ OF_A_SHOT = (
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault of a run. ``time`` in s from when the goal is sent, or from ``moment``."""
+    """One fault of a run. ``time`` in s from the sending of the goal, or from ``moment``."""
 
     kind: str
     time: float
@@ -108,7 +108,10 @@ def draw_faults(
     mix: Mix = ALL,
     at_the_shot: bool = False,
 ) -> list[Fault]:
-    """The faults of one goal, in the order of their times; ``at_the_shot``: around it alone."""
+    """Draw the faults of one goal, in the order of their times.
+
+    ``at_the_shot``: only faults around the shot.
+    """
     only, mean = mix.only, mix.mean
     number = 1 + int(rng.poisson(mean - 1)) if at_the_shot else int(rng.poisson(mean))
     place = 0.0 if at_the_shot else rng.random()
@@ -136,7 +139,7 @@ Made = tuple[Callable[["Trial"], None], str]
 
 
 def _duration(rng: np.random.Generator, shortest: float, longest: float) -> float:
-    """Log-uniform between the two, s."""
+    """Draw a log-uniform duration between the two limits, s."""
     return float(math.exp(rng.uniform(math.log(shortest), math.log(longest))))
 
 
@@ -153,7 +156,7 @@ def _freeze(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _freeze_at_shot(rng: np.random.Generator, trial: Trial) -> Made:
-    """For about as long as the arm promises to stand still."""
+    """Freeze a node for about as long as the arm promises to stand still."""
     node = _pick(rng, ("tapper_trigger", "tapper_trigger", "scara_arm", "tap_planner"))
     duration = float(rng.uniform(0.02, 0.6))
     return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
@@ -216,7 +219,7 @@ LINKS = {
     "hold_still": ("request", "answer"),
     "emergency_stop": NODES,
 }
-"""Who hears what; of a service both ways."""
+"""Subscribers of each topic; for a service, both directions."""
 
 
 def _slow_topic(rng: np.random.Generator, trial: Trial) -> Made:
@@ -264,7 +267,7 @@ def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
             request=TapCommand.WITHDRAW if withdraw else TapCommand.TAP, tap_id=number
         )
         if not withdraw and last:
-            # A command like the last one, with an id that is not the planner's.
+            # The command is a copy of the last one with another id than the planner's.
             model = t.witness.commands[last]
             command.strike_pose, command.striker_speed = model.strike_pose, model.striker_speed
             command.object_pose, command.predicted_pose = model.object_pose, model.predicted_pose
@@ -280,7 +283,7 @@ def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _foreign_outcome(rng: np.random.Generator, trial: Trial) -> Made:
-    """Somebody else says that the shot is over, by topic or by service."""
+    """Another node reports that the shot is over, by topic or by service."""
     fired, by_service = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
 
     def strike(t: Trial) -> None:
@@ -300,7 +303,7 @@ def _foreign_outcome(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _foreign_withdrawal(rng: np.random.Generator, trial: Trial) -> Made:
-    """Somebody else withdraws the tap under way."""
+    """Another node withdraws the tap under way."""
 
     def strike(t: Trial) -> None:
         last = max(t.witness.commands, default=0)
@@ -313,7 +316,7 @@ def _foreign_withdrawal(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _repeated_command(rng: np.random.Generator, trial: Trial) -> Made:
-    """The last TAP arrives once more, as it was: from a recording, or by a network's doing."""
+    """The last TAP arrives again unchanged, from a recording or because of the network."""
 
     def strike(t: Trial) -> None:
         last = max(t.witness.commands, default=0)
@@ -324,7 +327,7 @@ def _repeated_command(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _slow_answer(rng: np.random.Generator, trial: Trial) -> Made:
-    """The arm is asked and answers at the edge of what the tapper waits for."""
+    """Delay ``hold_still`` so that the answer arrives close to the tapper's timeout."""
     delays = {("hold_still", way): float(rng.uniform(0.0, 0.2)) for way in ("request", "answer")}
     if rng.random() < 0.5:
         delays.pop(("hold_still", _pick(rng, ("request", "answer"))))
@@ -340,7 +343,7 @@ def _slow_answer(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
-    """Something is told that one node hears at once and the others late."""
+    """A message is received by one node immediately and by the others late."""
     kind = _pick(rng, ONE_SIDED)
     what, words = MAKERS[kind](rng, trial)
     first = _pick(rng, ("scara_arm", *NODES))
@@ -353,7 +356,7 @@ def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
         if node != first
     ]
     if silent:
-        # What the first node says of it is late as well.
+        # The first node's own messages are late, too.
         links += [("arm_state", "tapper_trigger"), ("plan_state", "tapper_trigger")]
 
     def strike(t: Trial) -> None:
@@ -368,7 +371,7 @@ def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _motors_off(rng: np.random.Generator, trial: Trial) -> Made:
-    """The motors of a board lose their power, and with it their place."""
+    """The motors of a board lose their power and therefore their position."""
     if rng.random() < 0.5:
         return lambda t: t.turn_arm_motors_off(), "the arm's motors lose their power"
     lasting = _duration(rng, 0.05, 3.0)
@@ -382,7 +385,7 @@ def _shot_power(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _shot_cable(rng: np.random.Generator, trial: Trial) -> Made:
-    """The tapper's cable fails: no byte of some length of time arrives, or the port goes."""
+    """The tapper's cable fails: bytes are lost or late for some time, or the port disappears."""
     kinds = (FaultKind.DROP, FaultKind.STALL, FaultKind.HANG_UP, FaultKind.DELAY, FaultKind.DELAY)
     kind = kinds[int(rng.integers(len(kinds)))]
     direction = list(Direction)[int(rng.integers(2))]
@@ -398,7 +401,7 @@ def _shot_cable(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _foreign_state(rng: np.random.Generator, trial: Trial) -> Made:
-    """Somebody else says that the arm is in position, or that the planner waits for its shot."""
+    """Another node publishes that the arm is in position, or that the planner waits for a shot."""
     of_arm = bool(rng.random() < 0.5)
 
     def strike(t: Trial) -> None:
@@ -473,7 +476,7 @@ def _line(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _shot_line(rng: np.random.Generator, trial: Trial) -> Made:
-    """The tapper's line in the moment of a shot, which takes some 100 bytes each way."""
+    """The tapper's line fails during a shot, which takes about 100 bytes in each direction."""
     direction = list(Direction)[int(rng.integers(2))]
     drawn = random_fault(rng, direction, 0, 120)
 
@@ -515,7 +518,7 @@ def _camera(rng: np.random.Generator, trial: Trial) -> Made:
         elif which == "hidden":
             t.hide_object(lasting)
         else:
-            # One frame: what lasts longer is a lie that no fusion can see through.
+            # A wrong pose lasts for one frame only, because fusion cannot detect a longer one.
             faults.wrong_until, faults.wrong_by = t.scheduler.now + 1 / 15, off
 
     return strike, f"frames {which} for {lasting:.2f} s"
@@ -610,7 +613,7 @@ ONE_SIDED = (
     *("foreign withdrawal", "foreign outcome") * 3,
     *("foreign command", "cancel", "emergency stop", "replay"),
 )
-"""What one node may hear well before the others."""
+"""Kinds of faults whose messages one node may receive well before the others."""
 AT_A_SHOT = (
     *("freeze at a shot", "freeze at a write", "freeze after the last check") * 2,
     "freeze at a shot",
@@ -632,4 +635,5 @@ AT_A_SHOT = (
     "duplicates",
     "second client",
 )
-"""Around a shot, what makes two nodes see different things is drawn more often."""
+"""Kinds of faults around a shot. Those that make two nodes observe different states are repeated,
+so that they are drawn more often."""

@@ -1,7 +1,7 @@
-"""A process of the cell in virtual time: runs one machine of ``logic`` as its ROS node does.
+"""Process in virtual time, which runs one state machine of ``logic`` as its ROS node does.
 
-It can be frozen (and acts afterwards on what had arrived before), killed at any event, and started
-again with the files that it left behind.
+A process can be frozen (messages received meanwhile are handled afterwards), killed at any event,
+and restarted with the files that it has stored.
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ from tapping_cell.verification.scheduler import Fiber, Scheduler, Timer
 from tapping_cell.verification.serial_line import SerialLine
 
 START_S = (0.4, 2.5)
-"""From the start of a process to its first try to configure."""
+"""Range of the time from the start of a process to its first attempt to configure."""
 RETRY_S = 1.0
-"""Between two tries to configure."""
+"""Time between two attempts to configure."""
 QUEUE = 10
-"""Messages of one topic that wait for a frozen process; the oldest are lost."""
+"""Queue depth of a topic while the process is frozen; older messages are lost."""
 
 
 def copy_of(value: Any) -> Any:
-    """A copy of a message that shares nothing with it that could change."""
+    """Return a deep copy of a message."""
     kind: type = type(value)
     if kind is list:
         return [copy_of(item) for item in value] if value and _names(type(value[0])) else value[:]
@@ -73,7 +73,7 @@ def copy_of(value: Any) -> Any:
 
 
 def _names(kind: type) -> tuple[str, ...] | None:
-    """The fields of a class of messages; None of any other class."""
+    """Return the field names of a message class, or None for any other class."""
     if kind not in _FIELDS:
         known = is_dataclass(kind)
         _FIELDS[kind] = tuple(item.name for item in fields(kind)) if known else None
@@ -86,7 +86,7 @@ _PLAIN = frozenset((int, float, str, bool, bytes))
 
 @dataclass(slots=True)
 class HostClock:
-    """The clocks of one computer. ``offset``, ``drift``: of its ROS time against the run's."""
+    """Clocks of one computer. ``offset`` and ``drift``: of its ROS time against the run's time."""
 
     scheduler: Scheduler
     offset: float = 0.0
@@ -95,7 +95,7 @@ class HostClock:
     epoch: float = 1_800_000_000.0
 
     def now(self) -> Now:
-        """Both clocks."""
+        """Return the time on both clocks."""
         passed = self.scheduler.now
         ros = self.epoch + passed * (1.0 + self.drift) + self.offset
         return Now(passed + self.steady_offset, round(ros * 1e9))
@@ -103,7 +103,7 @@ class HostClock:
 
 @dataclass(slots=True)
 class Disk:
-    """What a process leaves behind when it ends."""
+    """Stored data that a process leaves on disk when it ends."""
 
     goal: Content | None = None
     goal_touched: float = -math.inf
@@ -113,10 +113,10 @@ class Disk:
 
 @dataclass(slots=True)
 class Program:
-    """What runs in a process: a machine, with a driver on a serial line or none.
+    """Content of a process: a state machine, optionally with a driver on a serial line.
 
-    ``connect(driver, patience, now)`` is what the node does to configure. ``topics`` are those
-    that it hears, ``services`` those that it offers.
+    ``connect(driver, patience, now)`` configures the node. ``topics`` are its subscriptions,
+    ``services`` the services that it offers.
     """
 
     make: Callable[[], tuple[Logic, Any]]
@@ -128,7 +128,7 @@ class Program:
 
 
 class Process:
-    """One program on one computer. Times in s of the run."""
+    """A process that runs one program on one computer. Times in s of the run."""
 
     def __init__(
         self,
@@ -145,13 +145,13 @@ class Process:
         self.active = False
         self.frozen_until = 0.0
         self.freeze_before_write: tuple[int, float] | None = None
-        """After so many more writes of the driver, freeze before the next one for so long."""
+        """Planned freeze: number of the driver's writes before it, and its duration in s."""
         self.freeze_after_check: float = 0.0
-        """Freeze for so long after the next question that a job asks its machine."""
+        """Duration of a freeze after the next query of a job to its machine, s; 0 for none."""
         self.on_handled: Callable[[str, str, Any], None] = lambda process, topic, message: None
-        """Told of every message once the machine has handled it."""
+        """Called for every message after the machine has handled it."""
         self.on_asked: Callable[[str, str, Any], None] = lambda process, job, answer: None
-        """Told of every answer that the machine gives to its running job."""
+        """Called for every answer of the machine to a query of its running job."""
         self.on_log: Callable[[str, str], None] = lambda process, sentence: None
         self.freezes = 0
         self.defects: list[str] = []
@@ -167,7 +167,7 @@ class Process:
         self._running: Job | None = None
         self._abandoned: set[int] = set()
         self._inbox: deque[tuple[str, Callable[[], None]]] = deque()
-        """What arrived while the process was frozen, with its topic; of anything else with none."""
+        """Actions received while the process was frozen, each with its topic (empty if none)."""
         self._answers: dict[Any, Callable[[Any], None]] = {}
         self._tick: Timer | None = None
         self._life = 0
@@ -180,11 +180,11 @@ class Process:
 
     @property
     def lives(self) -> int:
-        """Starts and ends of the process so far."""
+        """Number of starts and kills of the process so far."""
         return self._life
 
     def start(self) -> None:
-        """Begin to run."""
+        """Start the process."""
         self._life += 1
         life = self._life
         self.alive, self.active, self.frozen_until = True, False, 0.0
@@ -209,7 +209,7 @@ class Process:
         worker.start()
 
     def kill(self) -> None:
-        """As by SIGKILL: nothing is told to anybody, the port closes."""
+        """Kill the process as by SIGKILL: it publishes nothing more, and its port is closed."""
         if not self.alive:
             return
         self._life += 1
@@ -226,7 +226,7 @@ class Process:
             self._program.line.fiber = None
 
     def freeze(self, duration: float) -> None:
-        """As by SIGSTOP and, after ``duration`` s, SIGCONT."""
+        """Freeze the process as by SIGSTOP and, after ``duration`` s, SIGCONT."""
         if not self.alive:
             return
         self.freezes += 1
@@ -236,7 +236,7 @@ class Process:
         self._scheduler.at(self.frozen_until, self._thaw)
 
     def lifecycle(self, event: LifecycleEvent) -> None:
-        """Activate or deactivate from outside."""
+        """Activate or deactivate the node from outside."""
         if not self.alive:
             return
 
@@ -249,7 +249,7 @@ class Process:
         self._when_awake(handle)
 
     def shut_down(self) -> None:
-        """End in order, as by SIGTERM."""
+        """Shut the process down as by SIGTERM."""
         if self.alive:
             self._handle(lambda now: self.logic.on_lifecycle(Deactivated(), now))
             self._handle(lambda now: self.logic.on_lifecycle(ShutDown(), now))
@@ -263,15 +263,18 @@ class Process:
         answer: Callable[[Any], None],
         waits: bool = True,
     ) -> None:
-        """A service request, an action goal or its cancellation (which has no answer: ``waits``
-        False); ``answer`` gets the response or result."""
+        """Send a service request, an action goal or its cancellation to the machine.
+
+        ``answer`` receives the response or result. ``waits`` is False for a cancellation, because
+        it has no answer.
+        """
         if waits:
             self._answers[token] = answer
         self._when_awake(
             lambda: self._handle(lambda now: self.logic.on_request(service, request, token, now))
         )
 
-    # What arrives
+    # Received messages
 
     def _deliver(self, topic: str, message: Any) -> None:
         if not self.alive:
@@ -316,7 +319,7 @@ class Process:
             return
         try:
             effects = call(self._clock.now())
-        except Exception as error:  # a defect, told as the ROS host tells it
+        except Exception as error:  # a defect, which is handled as by the ROS host
             self.defects.append(f"{self.name}: {error!r}")
             effects = self.logic.on_defect(error, self._clock.now())
         self._carry_out(effects)
@@ -404,7 +407,7 @@ class Process:
     # Coming up, and ticks
 
     def _configure(self, life: int) -> None:
-        """Without a device nothing is waited for."""
+        """Configure a node without a device, which needs no waiting."""
         if life == self._life:
             self._come_up(self._program.connect(None, 0.0, self._clock.now()), life)
 
@@ -467,7 +470,7 @@ class Process:
         self._handle(lambda now: self.logic.on_job(event, now))
 
     def _pause(self, worker: Fiber) -> None:
-        """In the worker: wait while the process is frozen."""
+        """Wait, in the worker, while the process is frozen."""
         while self._scheduler.now < self.frozen_until:
             worker.wait_until(self.frozen_until)
 
@@ -484,7 +487,7 @@ class Process:
 
 @dataclass(slots=True)
 class _Context:
-    """What a job may use of its process."""
+    """Interface of the process to a running job (``JobContext``)."""
 
     process: Process
     job: Job
@@ -495,27 +498,27 @@ class _Context:
         self.driver = self.process._driver
 
     def now(self) -> Now:
-        """The present moment."""
+        """Return the present time."""
         return self.process._clock.now()
 
     def sleep(self, duration: float) -> None:
-        """Let ``duration`` s pass."""
+        """Sleep for ``duration`` s."""
         assert self.worker is not None, "only a device's job waits"
         until = self.process._scheduler.now + duration
         while self.process._scheduler.now < until:
             self.worker.wait_until(until)
 
     def abandoned(self) -> bool:
-        """Whether the job was abandoned."""
+        """Return whether the job was abandoned."""
         return self.job.number in self.process._abandoned
 
     def post(self, content: object) -> None:
-        """Tell the machine of progress."""
+        """Send a progress report to the machine."""
         event = JobProgress(self.job.number, content)
         self.process._handle(lambda now: self.process.logic.on_job(event, now))
 
     def ask(self, query: Callable[[Now], Any]) -> Any:
-        """Ask the machine."""
+        """Query the machine."""
         answer = query(self.process._clock.now())
         self.process.on_asked(self.process.name, self.job.name, answer)
         duration = self.process.freeze_after_check

@@ -1,6 +1,6 @@
-"""Look for a violation with one mutant planted: ``python -m tapping_cell.verification.hunt``.
+"""Search for a violation caused by one mutant: ``python -m tapping_cell.verification.hunt``.
 
-A program of its own, because a mutant must be planted before its module is imported.
+This is a separate program, because a mutant must be applied before its module is imported.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from tapping_cell.verification.mutants import MUTANTS, plant
 
 
 def main() -> int:
-    """Plant the mutant, run goals until it is caught, print what caught it as JSON."""
+    """Apply the mutant, run goals until a violation occurs, and print its name as JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("name", choices=[mutant.name for mutant in MUTANTS])
     parser.add_argument("--goals", type=int, default=100)

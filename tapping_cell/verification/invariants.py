@@ -1,4 +1,4 @@
-"""What must never happen, checked against the truth after every event of a run."""
+"""Safety invariants, checked against the ground truth after every event of a run."""
 
 from __future__ import annotations
 
@@ -15,33 +15,35 @@ from tapping_cell.verification.physical_cell import PhysicalCell, Release
 from tapping_cell.verification.scheduler import Scheduler
 
 WINDOW_S = 0.1
-"""A release may follow a FIRE that was on its way by so much: the board's longest window."""
+"""Maximum delay of a release after it was forbidden, because FIRE may already have been sent: the
+board's longest firing window."""
 STRIKE_POSITION_M = 0.0025
 STRIKE_ANGLE_RAD = 0.01
-"""How far the true tip may be from the commanded one at a release: errors of the arm included."""
+"""Maximum deviation of the tip from its commanded pose at a release, with errors of the arm."""
 ENERGY_SHARE = 0.03
-"""How far the energy of a release may be from what was asked for."""
+"""Maximum relative deviation of the energy of a release from the requested one."""
 STRIKE_HEIGHT_M = 0.0005
 BUMP_M = 0.004
 BUMP_RAD = math.radians(6.0)
-"""From how much on an object that was moved by hand must not be struck as planned."""
+"""Displacement of the object beyond which it must not be struck as planned."""
 CHARGED_LIMIT_S = 12.0
-"""Longest time that a striker may stay charged, whatever happened to the computers."""
+"""Maximum time that a striker may stay charged, whatever happens to the computers."""
 CHECK_S = 0.045
-"""A release follows the last check before FIRE by so much at most: the board's deadline for it."""
+"""Maximum time from the last check before FIRE to the release, from the board's deadline."""
 PULSE_S = 0.02
-"""Of a release; the arm's promise lasts for it and for the striker's flight."""
+"""Duration of the release pulse; the arm's promise covers it and the striker's flight."""
 SILENCE_S = 1.5
-"""Longest silence of a planner with which the tapper fires, whether it speaks of the tap or not."""
+"""Maximum silence of the planner before a release of one of its taps, whether or not its messages
+have shown that it waits for this tap."""
 ORPHAN_S = 1.5
-"""A release may follow the end of its planner by so much: heartbeats must have stopped by then."""
+"""Maximum time from the end of the planner to a release; by then its heartbeat has timed out."""
 STOP_MOTION_S = 1.5
-"""An arm that was told to stop is at rest after so long, braking and delivery included."""
+"""Maximum time from a stop command to the arm's rest, with delivery and braking."""
 
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """An invariant that was broken; ``time`` in s of the run."""
+    """Violation of an invariant; ``time`` in s of the run."""
 
     name: str
     time: float
@@ -50,10 +52,10 @@ class Violation:
 
 @dataclass(slots=True)
 class Witness:
-    """Hears everything, knows the truth, and checks. Times in s of the run.
+    """Checks all messages and the ground truth against the invariants. Times in s of the run.
 
-    ``stopped_at``: since when a stop that nobody has reset is held, by process; ``ended_taps``:
-    when the end of a tap (withdrawal, stop, cancel) was delivered to the tapper's process.
+    ``stopped_at``: for each process, the time of a stop that has not been reset. ``ended_taps``:
+    for each tap, when its end (withdrawal, stop, cancel) was delivered to the tapper's process.
     """
 
     scheduler: Scheduler
@@ -68,33 +70,33 @@ class Witness:
     """Whether a person has allowed motion since the last crash, stop or loss of power."""
     hidden_since: float = math.inf
     moved_by_hand: tuple[float, Pose] | None = None
-    """When the object was last moved by hand, and where it lay before."""
+    """Time at which the object was last moved by hand, and its pose before."""
     held_since: float = math.inf
-    """Since when the panel's emergency stop is held."""
+    """Time since which the panel's emergency stop has been held."""
     planner_gone_since: float = math.inf
-    """Since when the planner's process does not exist."""
+    """Time since which the planner's process has not existed."""
     promises: dict[int, float] = field(default_factory=dict)
-    """Until when the arm has promised to stand still, by tap."""
+    """End of the arm's promise to stand still, by tap id."""
     last_check: tuple[float, object | None] = (-math.inf, "never asked")
-    """When the tapper's machine was last asked whether it may fire, and what it had against it."""
+    """Time of the last check before FIRE by the tapper's machine, and its reason to refuse."""
     motor_weak_until: float = -math.inf
-    """Until when the tapper's motor may have missed steps, for lack of power."""
+    """Time until which the tapper's motor may have lost steps due to missing power."""
     unseen_limit: float = 0.0
-    """A release may follow a change of the scene by so much: the limit of the object's being
-    unseen, of the camera's silence, and what is on its way."""
+    """Maximum time from a change of the scene to a release: the limit for an unseen object, the
+    message timeout of the camera, and the delay of messages under way."""
     seen_by_tapper: deque[tuple[float, Pose]] = field(default_factory=lambda: deque(maxlen=100))
-    """When the tapper's process heard where the object lies, and where that is."""
+    """Poses of the object that the tapper's process received, each with the time of receipt."""
     taken_by_tapper: dict[int, list[TapCommand]] = field(default_factory=dict)
-    """The TAPs that the tapper's process has heard, by id: of two with one id it may strike only
-    for one of its own."""
+    """TAP commands that the tapper's process received, by id. If two commands have the same id, the
+    tapper may execute only one that it received."""
     planners: set[int] = field(default_factory=set)
-    """The taps that the planner has commanded."""
+    """Ids of the taps that the planner has commanded."""
     planner_heard: float = -math.inf
-    """When the tapper's process heard the planner last."""
+    """Time at which the tapper's process last received a message of the planner."""
     unseen_by_tapper: float = 0.0
-    """The tapper's own limit of the object's being unseen."""
+    """Maximum time for which the tapper itself accepts an unseen object."""
     _struck_until: float = -math.inf
-    """When the striker that was released last is through its stroke."""
+    """Time at which the last released striker reaches the end of its stroke."""
     _asked_to_move: bool = True
     _released: int = 0
     _charged_since: float | None = None
@@ -102,11 +104,11 @@ class Witness:
     _plan_state: int = PlanState.IDLE
 
     def violate(self, name: str, sentence: str) -> None:
-        """Note a broken invariant."""
+        """Record a violation of an invariant."""
         self.violations.append(Violation(name, self.scheduler.now, sentence))
 
     def on_publish(self, node: str, topic: str, message: object) -> None:
-        """Hear what a node publishes."""
+        """Process a message that a node publishes."""
         if isinstance(message, TapCommand):
             if message.request == TapCommand.TAP:
                 self.commands[message.tap_id] = message
@@ -121,7 +123,7 @@ class Witness:
             self._on_plan_state(message)
 
     def after_event(self) -> None:
-        """Check what can be seen at any moment."""
+        """Check the invariants of releases, charging and motion after an event."""
         releases = self.physical.releases
         while self._released < len(releases):
             self._check_release(releases[self._released], releases[: self._released])
@@ -161,8 +163,8 @@ class Witness:
         self._check_scene(release, command)
 
     def _command_of(self, release: Release) -> TapCommand | None:
-        """The command that a release belongs to: where several had its id (two planners by
-        mistake), the one whose strike pose is nearest."""
+        """Return the command of a release. If several commands had its id (two planners by
+        mistake), return the one with the nearest strike pose."""
 
         def distance(command: TapCommand) -> float:
             pose = from_message(command.strike_pose)
@@ -175,7 +177,8 @@ class Witness:
     def _check_energy(self, release: Release, command: TapCommand) -> None:
         asked = self.physical.energy_for(command.striker_speed)
         weak = release.time < self.motor_weak_until
-        # A spring that its motor did not draw is weaker than asked, and nothing measures that.
+        # A spring that the motor did not fully charge is weaker than requested, which no sensor
+        # measures.
         least = 0.0 if weak else 1.0 - ENERGY_SHARE
         if not least * asked <= release.energy <= (1.0 + ENERGY_SHARE) * asked:
             self.violate(
@@ -257,7 +260,7 @@ class Witness:
             )
 
     def _check_knowledge(self, release: Release, planned: Pose) -> None:
-        """What the tapper has heard without a break is known to it, whatever the truth is."""
+        """Check a release against the poses that the tapper received, whatever the true pose is."""
         since, last = math.inf, self.seen_by_tapper[-1][0] if self.seen_by_tapper else math.inf
         if release.time > last + self.unseen_by_tapper + WINDOW_S:
             self.violate(
@@ -276,7 +279,7 @@ class Witness:
                 " had heard that the object lies elsewhere",
             )
 
-    # What goes on
+    # States
 
     def _check_charge(self) -> None:
         now = self.scheduler.now
@@ -325,18 +328,18 @@ class Witness:
     # Reports
 
     def ask_to_move(self) -> None:
-        """A command that may move the arm was handled: until it is idle again it may."""
+        """Allow the arm to move until it is idle again, because it has received a command."""
         self._asked_to_move = True
 
     def on_answer(self, service: str, request: object, response: object) -> None:
-        """Hear what a service answers."""
+        """Process the answer of a service."""
         if not isinstance(request, HoldStill.Request):
             return
         if isinstance(response, HoldStill.Response) and response.granted:
             self.promises[request.tap_id] = self.scheduler.now + request.duration
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
-        """Hear what a machine answers to its running job."""
+        """Process the answer of a machine to a query of its running job."""
         if process == "tapper_trigger" and job == "fire":
             self.last_check = self.scheduler.now, answer
 
@@ -363,7 +366,7 @@ class Witness:
     def _on_plan_state(self, message: PlanState) -> None:
         before, self._plan_state = self._plan_state, message.state
         if message.state != PlanState.REACHED or before == PlanState.REACHED:
-            return  # what is repeated was true when it was told first
+            return  # a repeated report was checked when it was first published
         true = self.physical.object_pose(self.scheduler.now)
         goal = from_message(message.goal.pose)
         off, turned = goal.distance_to(true), abs(goal.rotation_to(true))
@@ -378,7 +381,7 @@ class Witness:
             )
 
     def at_the_end(self) -> None:
-        """Hold every report of an outcome against what truly happened, also later."""
+        """Compare every reported outcome with all releases, including later ones."""
         fired = {release.shot for release in self.physical.releases}
         for shot, outcome in self.outcomes.items():
             if outcome == TapperState.NOT_FIRED and shot in fired:

@@ -1,7 +1,8 @@
-"""Single faults planted in the shipping logic: each must be caught, or its guard does nothing.
+"""Mutation tests: defects in the product's code, each of which the invariants must detect.
 
-A mutant is a small replacement in the source of one module of ``logic`` or ``hardware``, applied
-while the module is imported. The files on disk stay as they are.
+A mutant that is not detected shows that the guard it disables has no effect. A mutant is a small
+replacement in the source of one module, applied while the module is imported. The files on disk are
+not changed.
 """
 
 from __future__ import annotations
@@ -18,18 +19,18 @@ from types import ModuleType
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """``old`` stands exactly once in the module's source, and becomes ``new``."""
+    """A replacement of ``old``, which occurs exactly once in the module's source, by ``new``."""
 
     name: str
     module: str
     old: str
     new: str
     finding: str = ""
-    """The finding of a review (S1 to S11, R9) whose repair this takes out, or a part of it."""
+    """Review finding (S1 to S11, R9) whose correction this mutant removes at least in part."""
     also: Mutant | None = None
-    """What must be changed besides, in another module, to take the repair out."""
+    """Further replacement that is needed to remove the correction."""
     kinds: tuple[str, ...] = ()
-    """The kinds of faults that the guard is there for: a hunt draws its faults from these."""
+    """Kinds of faults against which the guard protects; a hunt draws its faults from these."""
 
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -404,23 +405,23 @@ MUTANTS: tuple[Mutant, ...] = (
 
 
 class MutantError(Exception):
-    """A mutant no longer fits the source that it changes."""
+    """A mutant does not match the source that it changes, or cannot be applied any more."""
 
 
 class _Loader(importlib.machinery.SourceFileLoader):
-    """Loads a module with a mutant in it."""
+    """Loader of a module with its mutants."""
 
     def __init__(self, name: str, path: str, mutants: Sequence[Mutant]) -> None:
         super().__init__(name, path)
         self._mutants = mutants
 
     def get_code(self, fullname: str):  # type: ignore[no-untyped-def]
-        """The code of the changed source; never from a cache."""
+        """Return the code of the changed source, never from a cache."""
         return compile(_changed(self._mutants), self.path, "exec", dont_inherit=True)
 
 
 class _Finder(importlib.abc.MetaPathFinder):
-    """Finds the module of a mutant before anybody else does."""
+    """Finder for the modules of mutants, which takes precedence over all other finders."""
 
     def __init__(self, mutants: Sequence[Mutant]) -> None:
         self._mutants = mutants
@@ -428,7 +429,7 @@ class _Finder(importlib.abc.MetaPathFinder):
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
-        """The specification of the module with the mutant; None for every other."""
+        """Return the specification of a module with mutants, or None for any other module."""
         here = [mutant for mutant in self._mutants if mutant.module == name]
         if not here:
             return None
@@ -442,21 +443,21 @@ def _source_of(module: str) -> Path:
 
 
 def parts_of(mutant: Mutant) -> tuple[Mutant, ...]:
-    """A mutant and what is changed with it."""
+    """Return a mutant and its further replacements."""
     return (mutant,) if mutant.also is None else (mutant, *parts_of(mutant.also))
 
 
 def mutated(mutant: Mutant) -> str:
-    """The changed source of a mutant's module.
+    """Return the changed source of a mutant's module.
 
     Raises:
-        MutantError: what is to be replaced does not stand in it exactly once.
+        MutantError: the text to be replaced does not occur exactly once in the source.
     """
     return _changed([mutant])
 
 
 def _changed(mutants: Sequence[Mutant]) -> str:
-    """The source of the one module of these mutants, with all of them in it."""
+    """Return the source of the common module of these mutants with all of them applied."""
     source = _source_of(mutants[0].module).read_text(encoding="utf-8")
     for mutant in mutants:
         count = source.count(mutant.old)
@@ -470,10 +471,10 @@ def _changed(mutants: Sequence[Mutant]) -> str:
 
 
 def plant(mutant: Mutant) -> None:
-    """Plant a mutant in this process, before its module is imported.
+    """Apply a mutant in this process, before its module is imported.
 
     Raises:
-        MutantError: the module was imported already, or the mutant no longer fits.
+        MutantError: the module was already imported, or the mutant does not match its source.
     """
     parts = parts_of(mutant)
     for part in parts:

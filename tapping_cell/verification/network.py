@@ -1,4 +1,4 @@
-"""Topics and services between nodes, with the delays and repeats that DDS may have."""
+"""Model of topics and services between nodes, with the delays and duplicates of DDS."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ import numpy as np
 from tapping_cell.verification.scheduler import Scheduler
 
 SERVICE_TIMEOUT_S = 1.0
-"""After which a person's request without an answer counts as failed."""
+"""Default timeout of a service call."""
 
 Deliver = Callable[[str, Any], None]
-"""Takes the topic and the message."""
+"""Callback with the topic and the message."""
 Handle = Callable[[Any, Callable[[Any], None]], None]
-"""Takes the request and what to call with the answer."""
+"""Callback with the request and a function that sends the answer."""
 
 
 @dataclass(slots=True)
 class Quality:
-    """How a topic is sent: ``latched``: late joiners get the last message."""
+    """Quality of service of a topic. ``latched``: transient local."""
 
     latched: bool = False
 
 
 @dataclass(slots=True)
 class LinkFaults:
-    """What goes wrong between nodes at present; times in s."""
+    """Active faults of the network; times in s."""
 
     usual_delay: tuple[float, float] = (0.0003, 0.002)
     duplicates: float = 0.0
-    """Share of messages that arrive twice."""
+    """Fraction of messages that arrive twice."""
     slow: dict[tuple[str, str], float] = field(default_factory=dict)
     """Extra delay by topic and subscriber, or by service and ``request`` or ``answer``."""
 
 
 @dataclass(slots=True, eq=False)
 class _Link:
-    """From one publisher to one subscriber of a topic: in order."""
+    """Connection of a topic to one subscriber, which preserves the order of the messages."""
 
     subscriber: str
     deliver: Deliver
@@ -48,20 +48,20 @@ class _Link:
 
 
 class Network:
-    """Everything that nodes say to each other. Names of nodes tell publishers apart."""
+    """Transport of all messages between nodes. Publishers are identified by their nodes' names."""
 
     def __init__(
         self, scheduler: Scheduler, rng: np.random.Generator, qualities: dict[str, Quality]
     ) -> None:
         self.faults = LinkFaults()
         self.history: dict[str, deque[Any]] = {}
-        """The last messages of each topic, for replays."""
+        """Last messages of each topic, for replays."""
         self.on_publish: Callable[[str, str, Any], None] = lambda node, topic, message: None
-        """Told of every message that a node publishes."""
+        """Called for every message that a node publishes."""
         self.on_call: Callable[[str, Any], None] = lambda service, request: None
-        """Told of every call of a service when it is made."""
+        """Called when a service is called."""
         self.on_answer: Callable[[str, Any, Any], None] = lambda service, request, response: None
-        """Told of every answer of a service when it is given."""
+        """Called when a service answers."""
         self._scheduler = scheduler
         self._rng = rng
         self._qualities = qualities
@@ -70,7 +70,7 @@ class Network:
         self._servers: dict[str, tuple[str, Handle]] = {}
 
     def subscribe(self, node: str, topic: str, deliver: Deliver) -> None:
-        """Begin to hear a topic; what is latched arrives at once."""
+        """Subscribe to a topic; latched messages are sent immediately."""
         link = _Link(node, deliver)
         self._links.setdefault(topic, []).append(link)
         if self._quality(topic).latched:
@@ -78,8 +78,8 @@ class Network:
                 self._send(link, topic, message)
 
     def publish(self, node: str, topic: str, message: Any, only: str = "") -> None:
-        """Send a message to everybody who hears the topic; ``only``: it is lost but for this
-        node, as where it is published as best effort."""
+        """Send a message to all subscribers of the topic. ``only``: the message is lost for all
+        other nodes, as may happen with best effort."""
         self.on_publish(node, topic, message)
         self.history.setdefault(topic, deque(maxlen=20)).append(message)
         if self._quality(topic).latched:
@@ -89,11 +89,11 @@ class Network:
                 self._send(link, topic, message)
 
     def hasten(self, topic: str, towards: str) -> None:
-        """A link is no longer slow."""
+        """End the extra delay of a link."""
         self.faults.slow.pop((topic, towards), None)
 
     def latched(self, topic: str) -> dict[str, Any]:
-        """The last message of each publisher that is there."""
+        """Return the last latched message of each present publisher."""
         return dict(self._last.get(topic, {}))
 
     def serve(self, node: str, service: str, handle: Handle) -> None:
@@ -107,7 +107,7 @@ class Network:
         on_answer: Callable[[Any | None], None],
         timeout: float = SERVICE_TIMEOUT_S,
     ) -> None:
-        """Call a service; None where nobody answers within ``timeout`` s."""
+        """Call a service; ``on_answer`` receives None if no answer arrives within ``timeout`` s."""
         answered = False
         self.on_call(service, request)
 
@@ -130,7 +130,7 @@ class Network:
         self._scheduler.after(timeout, lambda: finish(None))
 
     def leave(self, node: str) -> None:
-        """A node is gone: it hears nothing more, and what it latched is forgotten."""
+        """Remove a node with its subscriptions, services and latched messages."""
         for topic, links in self._links.items():
             self._links[topic] = [link for link in links if link.subscriber != node]
         for kept in self._last.values():

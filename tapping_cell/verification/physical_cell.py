@@ -1,4 +1,4 @@
-"""The physical side of a simulated cell: boards and their lines, arm, striker, object, view."""
+"""Physical part of a simulated cell: boards, serial lines, arm, striker, object and camera view."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tapping_cell.verification.serial_line import SerialLine
 
 @dataclass(frozen=True, slots=True)
 class Release:
-    """The striker was released, in truth. ``height`` of the tip in m, ``speed`` in m/s."""
+    """Ground truth of a release of the striker. ``energy`` in J, ``height`` of the tip in m."""
 
     shot: int
     energy: float
@@ -37,7 +37,7 @@ class Release:
 
 
 class PhysicalCell:
-    """What exists whether or not a program runs. Times in s of the run."""
+    """Parts of the cell that exist independently of any program. Times in s of the run."""
 
     def __init__(self, scheduler: Scheduler, cell: Cell, truth: TruthFile, seed: int) -> None:
         self.cell = cell
@@ -54,7 +54,7 @@ class PhysicalCell:
             cell.object, cell.file.tapper.striker(), cell.file.tapper.stroke, truth, seed
         )
         self.arm_board = arm_emulator(cell.arm, truth.arm, seed, scheduler.now)
-        # Half of the boards have a screw that the spring cannot push back while its motor is off.
+        # In half of the boards the spring cannot push the screw back while the motor is off.
         spring = SpringMechanism(back_drive=4000.0 if seed % 2 else 0.0)
         self.tapper_board = TapperEmulator(
             TapperMachine(spring=spring), self._release, boot=1, now=scheduler.now
@@ -63,48 +63,48 @@ class PhysicalCell:
         self.tapper_line = SerialLine(scheduler, FaultLayer(self.tapper_board), "tapper")
 
     def joints(self, time: float) -> Joints:
-        """Where the arm truly is."""
+        """Return the true joints of the arm."""
         return Joints(*self.arm_board.joints(time))
 
     def moving(self, time: float) -> bool:
-        """Whether the arm truly moves."""
+        """Return whether the arm truly moves."""
         return self.arm_board.moving(time)
 
     def tip(self, time: float) -> tuple[Pose, float]:
-        """The striker's tip: its true pose in ``table`` and its height in m."""
+        """Return the true pose of the striker's tip in ``table`` and its height in m."""
         tip = self.geometry.forward(self.joints(time))
         return self._base @ Pose(tip.x, tip.y, tip.yaw), tip.z
 
     def object_pose(self, time: float) -> Pose:
-        """Where the object truly is."""
+        """Return the true pose of the object."""
         self.world.advance(time)
         return self.world.pose
 
     def view(self, time: float) -> Pose | None:
-        """The object's true pose, or None while the arm stands between it and the camera."""
+        """Return the true pose of the object, or None while the arm hides it from the camera."""
         pose = self.object_pose(time)
         return None if self._hidden(pose, time) else pose
 
     def energy_for(self, speed: float) -> float:
-        """What the tapper's curve asks for a striker speed in m/s, J."""
+        """Return the energy in J for a striker speed in m/s, by the tapper's curve."""
         return self._curve.energy_for(speed)
 
     def flight(self, speed: float) -> float:
-        """How long a striker of this speed (m/s) is on its way through its stroke, s."""
+        """Return the time of flight in s through the stroke at this striker speed (m/s)."""
         return self.cell.file.tapper.stroke / speed
 
     def press_clear_button(self) -> None:
-        """A person presses the button at the tapper's board."""
+        """Press the clear button at the tapper's board."""
         self.tapper_board.press_clear_button(self._scheduler.now)
         self.tapper_line.schedule()
 
     def set_interlock(self, closed: bool) -> None:
-        """The guard is opened or closed."""
+        """Open or close the guard."""
         self.tapper_board.set_interlock(closed, self._scheduler.now)
         self.tapper_line.schedule()
 
     def _hidden(self, pose: Pose, time: float) -> bool:
-        """Whether the arm's silhouette, as the camera sees it, meets the object's top."""
+        """Return whether the arm's silhouette in the camera view overlaps the object's top."""
         joints = self.joints(time)
         if (pose, joints) != self._looked_at:
             self._looked_at = pose, joints
@@ -124,7 +124,7 @@ class PhysicalCell:
         return False
 
     def _release(self, shot: int, energy: float, now: float) -> float | None:
-        """The board released the striker."""
+        """Handle a release of the striker by the board."""
         tip, height = self.tip(now)
         self.releases.append(
             Release(

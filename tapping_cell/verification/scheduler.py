@@ -1,8 +1,8 @@
-"""Virtual time: events in order of their time, and threads of which only one ever runs.
+"""Discrete-event scheduler in virtual time, with threads of which only one runs at a time.
 
-Drivers block. Each blocking sequence therefore runs in a thread of its own, a *fiber*, but a fiber
-runs only while the scheduler waits for it, and gives control back wherever it waits. Nothing runs
-at the same time as anything else, so the order of events follows from the seed alone.
+Drivers block, so each driver runs in its own thread, a *fiber*. A fiber runs only while the
+scheduler waits for it, and returns control whenever it waits. Because nothing runs concurrently,
+the order of events depends only on the seed.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from itertools import count
 Action = Callable[[], None]
 
 MOST_EVENTS_AT_ONCE = 100_000
-"""Events without any time passing after which the run counts as hanging."""
+"""Maximum number of events at the same virtual time; with more, the run counts as hanging."""
 
 
 class HangError(Exception):
-    """Virtual time no longer passes."""
+    """Virtual time no longer advances."""
 
 
 class Killed(BaseException):
-    """Raised inside a fiber at the place where it waits when its process is killed.
+    """Raised in a waiting fiber when its process is killed.
 
-    Not an ``Exception``, so that no driver takes it for a failure of a device.
+    It is not an ``Exception``, so that no driver handles it as a fault of a device.
     """
 
 
@@ -40,17 +40,17 @@ class Timer:
         self.action: Action | None = action
 
     def cancel(self) -> None:
-        """Do not let it happen."""
+        """Cancel the event."""
         self.action = None
 
 
 class Scheduler:
-    """The events of one run. Times are in s from the start of the run."""
+    """Event queue of one run. Times are in s from the start of the run."""
 
     def __init__(self) -> None:
         self.now = 0.0
         self.after_event: Action = lambda: None
-        """Called after every event: where invariants are checked."""
+        """Called after every event, to check the invariants."""
         self._queue: list[tuple[float, int, Timer]] = []
         self._numbers = count()
         self._at_once = 0
@@ -59,20 +59,20 @@ class Scheduler:
         self._failure: BaseException | None = None
 
     def at(self, time: float, action: Action) -> Timer:
-        """Let ``action`` happen at ``time``, at once where that has passed."""
+        """Schedule ``action`` at ``time``, or immediately if that time has passed."""
         timer = Timer(max(time, self.now), action)
         heapq.heappush(self._queue, (timer.time, next(self._numbers), timer))
         return timer
 
     def after(self, delay: float, action: Action) -> Timer:
-        """Let ``action`` happen ``delay`` s from now."""
+        """Schedule ``action`` in ``delay`` s."""
         return self.at(self.now + delay, action)
 
     def run(self, until: float, done: Callable[[], bool] = lambda: False) -> None:
-        """Let events happen up to the time ``until``, or until ``done()`` is true after one.
+        """Process events up to the time ``until``, or until ``done()`` is true after an event.
 
         Raises:
-            HangError: too many events without any time passing.
+            HangError: too many events occurred at the same time.
         """
         while self._queue and self._queue[0][0] <= until and not done():
             time, _, timer = heapq.heappop(self._queue)
@@ -91,7 +91,7 @@ class Scheduler:
     # Fibers
 
     def switch_to(self, fiber: Fiber) -> None:
-        """Let a fiber run until it waits or ends; what it raises is raised here."""
+        """Run a fiber until it waits or ends; re-raise its exception, if any."""
         fiber.baton.release()
         self._baton.acquire()
         failure, self._failure = self._failure, None
@@ -99,20 +99,20 @@ class Scheduler:
             raise failure
 
     def switch_back(self, failure: BaseException | None = None) -> None:
-        """In a fiber: hand control back to the event that let it run."""
+        """Return control from a fiber to the event that started it."""
         self._failure = failure
         self._baton.release()
 
 
 class Fiber:
-    """A thread that runs only while the scheduler waits for it; ``body`` is its whole life."""
+    """A thread that executes ``body``, but only while the scheduler waits for it."""
 
     def __init__(self, scheduler: Scheduler, name: str, body: Action) -> None:
         self.baton = threading.Lock()
         self.baton.acquire()
         self.ended = False
         self.frozen_until = 0.0
-        """Before this time it does not go on, whatever it waits for."""
+        """Time before which the fiber does not continue, whatever it waits for."""
         self._scheduler = scheduler
         self._body = body
         self._killed = False
@@ -121,11 +121,11 @@ class Fiber:
         self._thread.start()
 
     def start(self) -> None:
-        """Let it begin, as an event of its own."""
+        """Schedule the start of the fiber as a separate event."""
         self.wake()
 
     def wait_until(self, time: float) -> None:
-        """In the fiber: let virtual time pass up to ``time``, or until :meth:`wake`.
+        """Wait, inside the fiber, until virtual time reaches ``time`` or :meth:`wake` is called.
 
         Raises:
             Killed: the process was killed meanwhile.
@@ -139,19 +139,19 @@ class Fiber:
             raise Killed
 
     def wake(self) -> None:
-        """Let the fiber go on now, whatever it waits for."""
+        """Continue the fiber now, or when it is no longer frozen, whatever it waits for."""
         if self._wake is not None:
             self._wake.cancel()
         self._wake = self._scheduler.at(self.frozen_until, self._resume)
 
     def freeze(self, until: float) -> None:
-        """Let the fiber not go on before ``until``: its process is frozen."""
+        """Freeze the fiber's process: the fiber does not continue before ``until``."""
         self.frozen_until = max(self.frozen_until, until)
         if self._wake is not None and self._wake.time < self.frozen_until:
             self.wake()
 
     def kill(self) -> None:
-        """End the fiber where it waits."""
+        """End the waiting fiber."""
         if self.ended or self._killed:
             return
         self._killed = True

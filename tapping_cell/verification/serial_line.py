@@ -1,4 +1,4 @@
-"""The host's end of an emulated serial line, for drivers that run in a fiber."""
+"""Host side of an emulated serial line, for drivers that run in a fiber."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from tapping_cell.verification.scheduler import Fiber, Scheduler, Timer
 
 
 class SerialLine:
-    """A board behind a line that may fail. Keeps the board going while nobody reads."""
+    """A board behind a line that may fail. The board also runs while the host does not read."""
 
     def __init__(self, scheduler: Scheduler, layer: FaultLayer, name: str) -> None:
         self.layer = layer
         self.fiber: Fiber | None = None
-        """The fiber that the driver runs in."""
+        """Fiber in which the driver runs."""
         self.before_write: Callable[[], None] = lambda: None
-        """Called before bytes go out: where a process may be frozen."""
+        """Called before bytes are sent; it may freeze the process."""
         self._scheduler = scheduler
         self._name = name
         self._offset = 0.0
@@ -29,13 +29,13 @@ class SerialLine:
         self.schedule()
 
     def set_clock(self, offset: float) -> None:
-        """The host's steady clock shows so much more than the time of the run, s."""
+        """Set the host's steady clock to the time of the run plus ``offset`` in s."""
         self._offset = offset
 
-    # Keeping the board going
+    # Events of the board
 
     def schedule(self) -> None:
-        """See to it that the board's next event happens in time; call it after acting on it."""
+        """Schedule the board's next event; call this method after every action on the board."""
         due = self.layer.next_on_line()
         if self._reading and (output := self.layer.next_event()) is not None:
             due = output if due is None else min(due, output)
@@ -58,24 +58,24 @@ class SerialLine:
 
     @property
     def name(self) -> str:
-        """Name for messages."""
+        """Name in messages."""
         return self._name
 
     @property
     def is_open(self) -> bool:
-        """Whether the line is open as far as known."""
+        """Whether the line is open, as far as the host has noticed."""
         return self._absences is not None
 
     def now(self) -> float:
-        """The host's steady clock, s."""
+        """Return the time of the host's steady clock, s."""
         return self._scheduler.now + self._offset
 
     def sleep(self, duration: float) -> None:
-        """Let ``duration`` s pass."""
+        """Sleep for ``duration`` s."""
         self._wait_until(self._scheduler.now + duration)
 
     def open(self, timeout: float) -> None:
-        """Open anew, waiting for the port; bytes that came before are dropped."""
+        """Wait for the port and open it; bytes received before are discarded."""
         self._absences = None
         deadline = self._scheduler.now + timeout
         while not self.layer.plugged:
@@ -92,10 +92,10 @@ class SerialLine:
         self._reading = False
 
     def read(self, timeout: float) -> bytes:
-        """The bytes at hand, letting up to ``timeout`` s pass for the first."""
+        """Return the available bytes; wait up to ``timeout`` s for the first one."""
         deadline = self._scheduler.now + timeout
         if timeout > 0:
-            # Real time passes however short the wait; rounding must not make it stand still.
+            # Time must advance in every wait, however short, despite rounding.
             deadline = max(deadline, math.nextafter(self._scheduler.now, math.inf))
         while True:
             self._require()
@@ -114,11 +114,11 @@ class SerialLine:
         self._require()
         self.layer.receive(data, self._scheduler.now)
         self.schedule()
-        # A port that vanished under these bytes took some of them or none: who knows.
+        # If the port vanished during the write, it is unknown which bytes were sent.
         self._require()
 
     def stop(self, data: bytes) -> bool:
-        """Latch the stop and write ``data``; from outside the fiber too."""
+        """Latch the stop and write ``data``; may also be called from outside the fiber."""
         self._stopped = True
         if self.fiber is not None and self._reading:
             self.fiber.wake()
@@ -129,7 +129,7 @@ class SerialLine:
         return True
 
     def release(self) -> None:
-        """End the latch of ``stop``."""
+        """Release the latched stop."""
         self._stopped = False
 
     def _wait_until(self, time: float) -> None:
@@ -147,11 +147,11 @@ class SerialLine:
 
 
 class BusyLine(SerialLine):
-    """A line that another process has open: it cannot be opened."""
+    """A line that cannot be opened, because another process has opened it."""
 
     def schedule(self) -> None:
-        """The other process keeps the board going."""
+        """Do nothing: the other process schedules the board's events."""
 
     def open(self, timeout: float) -> None:
-        """Fail, as a port that is locked does."""
+        """Raise the fault of a locked port."""
         raise HardwareFault(FaultReason.PORT_BUSY, f"{self.name} is in use by another process")

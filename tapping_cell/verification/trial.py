@@ -1,4 +1,4 @@
-"""One cell in virtual time, with people, goals and faults, from one seed."""
+"""Run of one cell in virtual time, with operators, goals and faults, from one seed."""
 
 from __future__ import annotations
 
@@ -109,31 +109,31 @@ SERVES = {
 CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
 COVERED_S, CLEAR_VIEW_S = 4.0, 0.45
-"""Limit of the object's being unseen: where the arm covers the object, for up to 3.4 s on its way
-to a strike pose, and where the camera sees past it."""
+"""Maximum time for which the object may be unseen: if the arm covers it (up to 3.4 s on its way to
+a strike pose), and if the camera sees past the arm."""
 NOTICED_S = 0.7
-"""From when the limit has passed to when no release comes any more: delayed messages and the
-board's window."""
+"""Maximum time from the end of that limit to a release, for delayed messages and the board's firing
+window."""
 GOAL_TIME_LIMIT_S = 120.0
 PROGRAM_TAPS = 1.0
-"""After a goal a program commands so many taps of its own, on average."""
+"""Mean number of taps that a program commands after each goal."""
 SHARE_OF_RIVALS = 0.1
-"""Of these taps, those of which two programs each have one with the same id."""
+"""Fraction of these taps for which a second program commands another tap with the same id."""
 PROGRAM_PATIENCE_S, PROGRAM_EXPIRY_S = 12.0, 10.0
-"""How long such a program waits for its tap's outcome, and how long the tap is valid."""
+"""Time for which the program waits for the outcome of its tap, and time until the tap expires."""
 GOAL_SLACK_S = 5.0
-"""A goal must end so long after its time limit at the latest, its planner being there."""
+"""Maximum time from a goal's time limit to its end, if the planner's process is alive."""
 STOP_WORD_S = 0.1
-"""Within so long a stop that was delivered to a tapper's process has reached its board."""
+"""Maximum time from the delivery of a stop to the tapper's process until its board has stopped."""
 BAD_LINE_S = 15.0
-"""After a fault of a line so long is given to notice it and to open the line anew."""
+"""Time allowed after a fault of a serial line to detect it and to open the line again."""
 RECOVERY_S = 90.0
-"""For so long a person tries to bring the cell back before the next goal."""
+"""Maximum time for a person to recover the cell before the next goal."""
 
 
 @cache
 def shipped_cell() -> Cell:
-    """The cell of the package."""
+    """Return the default cell of the package."""
     return load_cell()
 
 
@@ -144,7 +144,7 @@ def _maps() -> TableMaps:
 
 @dataclass(slots=True)
 class GoalOutcome:
-    """How one goal ended."""
+    """Outcome of one goal."""
 
     number: int
     code: int
@@ -156,14 +156,14 @@ class GoalOutcome:
 
 @dataclass(slots=True)
 class Report:
-    """What one run brought."""
+    """Results of one run."""
 
     seed: int
     outcomes: list[GoalOutcome] = field(default_factory=list)
     violations: list[Violation] = field(default_factory=list)
     faults: Counter[str] = field(default_factory=Counter)
     by_node: Counter[str] = field(default_factory=Counter)
-    """What has struck a node: such as "freeze scara_arm"."""
+    """Counts of the faults that were injected into a node, such as "freeze scara_arm"."""
     releases: int = 0
     program_taps: int = 0
     cell_seconds: float = 0.0
@@ -171,7 +171,7 @@ class Report:
 
 
 class Trial:
-    """The whole cell of one seed. Times in s of the run."""
+    """The complete cell of one seed. Times in s of the run."""
 
     def __init__(
         self,
@@ -181,7 +181,7 @@ class Trial:
         faults: bool = True,
         mix: Mix = ALL,
     ) -> None:
-        """``faults`` False: nothing happens to the cell; ``mix``: which faults are drawn."""
+        """``faults``: whether to inject faults; ``mix``: which faults are drawn."""
         self._mix = mix
         self.seed = seed
         self._faulty = faults
@@ -240,19 +240,19 @@ class Trial:
         )
         self._hidden_until = -math.inf
         self.disturbed_until = -math.inf
-        """Until when a fault of an earlier goal may last."""
+        """Time until which a fault of an earlier goal may last."""
         self.tapper_power_lost_at = -math.inf
         self._token = 0
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
         self._waiting_faults: list[Fault] = []
         self._taken: set[int] = set()
-        """Taps whose command the tapper's process has handled."""
+        """Ids of the taps whose command the tapper's process has handled."""
         self._struck: list[tuple[float, str]] = []
         self._blamed = 0
-        """The last tap that blamed the tapper's controller."""
+        """Id of the last tap that was reported with TAPPER_FAULT."""
         self._struck_before = False
-        """Whether faults struck the goal or tap before: they may last into the next."""
+        """Whether the previous goal or tap had faults, which may last into the next one."""
         self._moments: Counter[str] = Counter()
         self._states: dict[str, int] = {}
         self._last_words: dict[tuple[str, str], str] = {}
@@ -325,7 +325,7 @@ class Trial:
     # One run
 
     def run(self, goals: int) -> Report:
-        """Bring up the cell and work through so many goals, faults among them."""
+        """Start the cell and execute this number of goals with their faults."""
         try:
             self.bring_up()
             for number in range(goals):
@@ -357,17 +357,17 @@ class Trial:
         self._recover()
 
     def draw_goal(self, rng: np.random.Generator) -> Pose:
-        """A goal somewhere in the middle of the table."""
+        """Draw a goal in the central area of the table."""
         x, y = rng.uniform((-0.1, -0.06), (0.1, 0.06))
         return Pose(float(x), float(y), float(rng.uniform(-0.6, 0.6)))
 
     def next_goal(self, number: int) -> Pose:
-        """The goal of this number: mostly like the published task, not far from the object."""
+        """Draw the next goal, in 80 % of the cases near the object like in the published task."""
         rng = self.rng
         true = self.physical.object_pose(self.scheduler.now)
         goal = self.draw_goal(rng)
         if rng.random() < 0.8:
-            # The published task and its like: some way and some rotation from where it lies.
+            # Similar to the published task: a displacement and a rotation from the present pose.
             turn, way = rng.uniform(-0.3, 0.3), rng.uniform(0.0, 0.04)
             angle = rng.uniform(-math.pi, math.pi)
             goal = Pose(
@@ -404,7 +404,7 @@ class Trial:
         last = max((fault.time for fault in faults if fault.moment is None), default=0.0)
         self.scheduler.run(max(self.scheduler.now, began + last) + 0.5)
         result = self._result
-        # What went wrong in the goal before may last into this one.
+        # A fault of the previous goal may last into this one.
         quiet = not (faults or self._struck_before)
         self._struck_before = bool(faults)
         quiet = quiet and began > self.disturbed_until
@@ -434,7 +434,7 @@ class Trial:
         self._recover()
 
     def _work_on_a_tap(self) -> None:
-        """A program commands one tap by itself, with no planner that watches over it."""
+        """Let a program command one tap without a planner."""
         command = self._program_tap()
         if command is None:
             return
@@ -447,7 +447,8 @@ class Trial:
         self._waiting_faults, self._result = list(faults), None
         self._moments.clear()
         if self._faulty and self.rng.random() < SHARE_OF_RIVALS:
-            # A second program takes the same id for another tap; each is heard by one alone.
+            # A second program uses the same id for another tap. The arm receives only one of the
+            # commands, and the tapper only the other.
             rival = copy_of(command)
             rival.strike_pose.position.x += float(self.rng.choice((-1.0, 1.0))) * 0.02
             self._note("a second program's tap with the same id")
@@ -472,7 +473,7 @@ class Trial:
         self._recover()
 
     def _program_tap(self) -> TapCommand | None:
-        """The last tap's like, at the object as the camera sees it now; None where it does not."""
+        """Return the last tap, transferred to the observed pose of the object; None if unseen."""
         last = max(self.witness.commands, default=0)
         seen = self._last("object_state")
         if not last or seen is None or not (seen.visible and seen.at_rest):
@@ -497,7 +498,7 @@ class Trial:
         return command
 
     def note_kind(self, kind: str) -> None:
-        """A fault of this kind strikes now."""
+        """Record that a fault of this kind strikes now."""
         self._struck.append((self.scheduler.now, kind))
 
     def _strike(self, fault: Fault) -> None:
@@ -505,10 +506,11 @@ class Trial:
         self.note_kind(fault.kind)
         fault.strike(self)
 
-    # What people do
+    # Actions of people
 
     def send_goal(self, goal: Pose, foreign: bool = False) -> None:
-        """Send an action goal to the planner, if it is there."""
+        """Send an action goal to the planner if its process is alive. ``foreign``: publish the goal
+        of a second client instead."""
         message = PoseStamped(pose=to_message(goal))
         message.header.frame_id = "table"
         process = self.processes["tap_planner"]
@@ -542,7 +544,7 @@ class Trial:
             self.processes[node].freeze(duration)
 
     def kill(self, node: str, away: float) -> None:
-        """Kill a process; it is started again after ``away`` s."""
+        """Kill a process; it restarts after ``away`` s."""
         if node == "camera_pose":
             self.report.by_node["kill camera_pose"] += 1
             self.camera.alive = False
@@ -558,7 +560,7 @@ class Trial:
         self.scheduler.after(away, lambda: self._start_again(node))
 
     def shut_down(self, node: str, away: float) -> None:
-        """End a process in order; it is started again after ``away`` s."""
+        """Shut a process down; it restarts after ``away`` s."""
         process = self.processes[node]
         if not process.alive:
             return
@@ -582,9 +584,9 @@ class Trial:
                 self.witness.planner_gone_since = math.inf
 
     def start_second(self, node: str, lasting: float) -> None:
-        """Start a second node of a kind by mistake; the devices' ports are taken. Killed later.
+        """Start a second instance of a node, as by mistake, and kill it after ``lasting`` s.
 
-        Services of the same name are answered by the first.
+        The ports of the devices are in use. The first instance answers the services.
         """
         physical = self.physical
         lines = (
@@ -607,7 +609,7 @@ class Trial:
         self.scheduler.after(lasting, second.kill)
 
     def hide_object(self, duration: float) -> None:
-        """Hold a hand over the object."""
+        """Hide the object, as by a hand, for ``duration`` s."""
         now = self.scheduler.now
         if now >= self._hidden_until:
             self.witness.hidden_since = now
@@ -620,7 +622,7 @@ class Trial:
             self.witness.hidden_since = math.inf
 
     def move_object(self, shift: Pose) -> None:
-        """Move the object by hand; it stays on the middle of the table."""
+        """Move the object by hand, within the central area of the table."""
         now = self.scheduler.now
         before = self.physical.object_pose(now)
         self.witness.moved_by_hand = (now, before)
@@ -633,7 +635,7 @@ class Trial:
         )
 
     def press_emergency_stop(self, duration: float) -> None:
-        """Hold the emergency stop of the panel for so long."""
+        """Hold the emergency stop of the panel for ``duration`` s."""
         self._pressed_until = max(self._pressed_until, self.scheduler.now + duration)
         self.network.publish("panel", "emergency_stop", Bool(data=True))
         self.witness.held_since = min(self.witness.held_since, self.scheduler.now)
@@ -646,33 +648,33 @@ class Trial:
             self.network.publish("panel", "emergency_stop", Bool(data=False))
 
     def _be_impatient(self) -> None:
-        """Somebody clears while the emergency stop is still held, and homes: it must not help."""
+        """Call clear_fault and home while the emergency stop is held, which must have no effect."""
         for node in ("tapper_trigger", "scara_arm"):
             self._call(node, "~/clear_fault")
         self.scheduler.after(1.0, self._home_impatiently)
 
     def _home_impatiently(self) -> None:
         if math.isinf(self.witness.held_since):
-            # It was released meanwhile: then this is a person's word like any other.
+            # The stop was released meanwhile, so these calls of a person are valid.
             for node in ("tapper_trigger", "scara_arm"):
                 self._give_word(node)
             self.witness.word_given = True
         self._call("scara_arm", "~/home")
 
     def interrupt_tapper_power(self) -> None:
-        """The tapper's board loses its power for a moment, and with it its latched stop."""
+        """Interrupt the power of the tapper's board, which also loses its latched stop."""
         self.tapper_power_lost_at = self.scheduler.now
         self.physical.tapper_board.power_cycle(self.scheduler.now)
         self.physical.tapper_line.schedule()
 
     def turn_arm_motors_off(self) -> None:
-        """The arm's motors lose their power, as by somebody's sleep command: the quill sinks."""
+        """Switch the arm's motors off, as by a sleep command, so that the quill sinks."""
         self.physical.arm_board.fall_asleep(self.scheduler.now)
         self.physical.arm_line.schedule()
         self.witness.word_given = False
 
     def turn_tapper_motor_off(self, duration: float) -> None:
-        """The tapper's motor has no power for so long: its steps move nothing."""
+        """Switch the tapper's motor off for ``duration`` s, so that its steps have no effect."""
 
         def switch(on: bool) -> None:
             self.physical.tapper_board.set_motor_power(on, self.scheduler.now)
@@ -701,7 +703,8 @@ class Trial:
             process.request(service, Trigger.Request(), ("person", self._token), lambda _: None)
 
     def _recover(self) -> None:
-        """What a person does until the cell is ready for a goal: look, clear, press, home."""
+        """Recover the cell as a person would, until it is ready for a goal: inspect it, press the
+        clear button, clear faults and home."""
         until = self.scheduler.now + RECOVERY_S
         arm_states, tapper_states = ArmState, TapperState
         while self.scheduler.now < until:
@@ -737,7 +740,7 @@ class Trial:
         pose = self.physical.object_pose(self.scheduler.now)
         return abs(pose.x) > 0.2 or abs(pose.y) > 0.13
 
-    # Hearing
+    # Messages
 
     def _last(self, topic: str) -> Any:
         kept = self.network.history.get(topic)
@@ -761,7 +764,7 @@ class Trial:
             self._reached(told(topic, message.state))
 
     def _check_blame(self, message: TapperState) -> None:
-        """A tap that was not fired blames the tapper's controller only where it had a fault."""
+        """Check that an injected fault explains a tap that ended with TAPPER_FAULT unfired."""
         blamed = message.error_code == ErrorCode.TAPPER_FAULT
         if not blamed or message.outcome != TapperState.NOT_FIRED or message.tap_id == self._blamed:
             return
@@ -775,7 +778,7 @@ class Trial:
             )
 
     def _reached(self, name: str) -> None:
-        """Let the faults strike that wait for this moment."""
+        """Inject the faults that wait for this moment."""
         self._moments[name] += 1
         for fault in list(self._waiting_faults):
             if fault.moment == Moment(name, self._moments[name]):
@@ -822,13 +825,13 @@ class Trial:
             self.witness.ended_taps.setdefault(message.tap_id, now)
 
     def _may_move_arm(self, topic: str, message: Any) -> bool:
-        """Whether a message is one that asks the arm to move: not the withdrawal of no tap."""
+        """Return whether a message may make the arm move; a withdrawal without a tap id may not."""
         if topic == "tap_command":
             return bool(message.request == TapCommand.TAP or message.tap_id)
         return topic == "joint_trajectory"
 
     def _expect_stop_on_wire(self) -> None:
-        """A stop that the tapper's process has heard reaches its board at once."""
+        """Check that a stop received by the tapper's process reaches its board immediately."""
         line, told = self.physical.tapper_line, self.scheduler.now
         struck = line.layer.happened
         if not line.is_open or (struck and struck[-1][0] > told - BAD_LINE_S):
@@ -852,7 +855,7 @@ class Trial:
 
 
 def _short(message: Any) -> str:
-    """A message in a few words, for the trace."""
+    """Return a short text of a message, for the trace."""
     if isinstance(message, ObjectState):
         return f"visible={message.visible} rest={message.at_rest}"
     if isinstance(message, PlanState):
@@ -872,5 +875,5 @@ def _short(message: Any) -> str:
 
 
 def run_trial(seed: int, goals: int, trace: bool = False, mix: Mix = ALL) -> Report:
-    """One run with faults of this mix."""
+    """Execute one run with faults of this mix."""
     return Trial(seed, trace, mix=mix).run(goals)
