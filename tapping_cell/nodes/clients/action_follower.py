@@ -54,7 +54,7 @@ class ActionFollower(ClientNode, Generic[Event]):
         return done.wait(patience)
 
     def events(self, poll: float = 0.2) -> Iterator[Event | None]:
-        """Yield events as they arrive, and None in between, so that the caller can do other work."""
+        """Yield events as they arrive, and None in between so that the caller can do other work."""
         while True:
             try:
                 event: Event | None = self._events.get(timeout=poll)
