@@ -1,7 +1,7 @@
-"""Goals of fixed tappers, solved once and kept; in a process of its own where nobody can wait.
+"""Cache of solved goals of fixed tappers; goals can be solved in a separate process.
 
-Solving takes seconds of processor time. In a thread it would keep the interpreter from whoever else
-needs it, and the planner from telling that it is alive.
+Solving a goal takes seconds of processor time. A solving thread would block the interpreter for the
+other threads, so that the planner's heartbeat would stop.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from tapping_cell.planning.settings import PlannerSettings
 KEPT_SOLUTIONS = 16
 
 NICENESS = 5
-"""Of the solving process: the cell's nodes come first."""
+"""Niceness of the solving process, so that the cell's nodes have priority."""
 
 
 class SolvedGoal:
-    """A goal that is solved, or being solved: coarse first, then fine."""
+    """A goal that is solved or being solved, first on the coarse grid, then on the fine grid."""
 
     def __init__(self) -> None:
         self._solution: Solution | None = None
@@ -38,16 +38,16 @@ class SolvedGoal:
 
     @property
     def solution(self) -> Solution | None:
-        """The best solution so far; None while there is none.
+        """Best solution so far, or None.
 
-        Raises what solving it raised.
+        Raises the exception of the solver if it failed before the first solution.
         """
         if self._failure is not None and self._solution is None:
             raise self._failure
         return self._solution
 
     def take(self, result: Solution | Exception) -> None:
-        """A better solution, or why there will be none."""
+        """Store a better solution or the error of the solver."""
         if isinstance(result, Exception):
             self._failure = result
         else:
@@ -55,10 +55,10 @@ class SolvedGoal:
 
 
 class GoalSolver:
-    """Solves goals and keeps the last ones solved, for one object and cell.
+    """Solves goals for one object and cell, and caches the last solutions.
 
-    ``background``: in a process of its own; who asks gets the best solution so far. ``step``: of
-    the fine grid where it is solved here.
+    ``background``: solve in a separate process; callers get the best solution so far. ``step``:
+    step of the fine grid if the goal is solved in this process.
     """
 
     def __init__(self, *, background: bool = False, step: float = FINE) -> None:
@@ -67,7 +67,7 @@ class GoalSolver:
         self._worker = _Worker(self._take) if background else None
 
     def goal(self, space: FixedStrikeSpace, settings: PlannerSettings, goal: Array) -> SolvedGoal:
-        """The solved goal; where it is new and not for the background, after seconds."""
+        """Return the solved goal. Without a background process a new goal takes seconds."""
         turn = 0.0 if space.is_round else float(goal[2])
         place = np.array([goal[0], goal[1], turn])
         key = f"{space.key()};{settings.key()};{np.round(place, 6).tolist()}"
@@ -90,7 +90,7 @@ class GoalSolver:
 
 
 class _Worker:
-    """The solving process, started at once; it ends with this one."""
+    """The solving process, which starts immediately and ends with this process."""
 
     def __init__(self, take: Any) -> None:
         self._take = take
@@ -105,7 +105,7 @@ class _Worker:
     def ask(
         self, key: str, space: FixedStrikeSpace, settings: PlannerSettings, place: Array
     ) -> None:
-        """Have a goal solved after those that were asked for before."""
+        """Queue a goal for solving."""
         self._asked.append(key)
         try:
             self._line.send((key, space, settings, place))
@@ -128,7 +128,7 @@ def _gone() -> PlanningError:
 
 
 def _work(line: Connection) -> None:
-    """Solve what is asked for, until nobody asks any more."""
+    """Solve the goals received on the pipe until it is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICENESS)
     while True:
@@ -142,5 +142,5 @@ def _work(line: Connection) -> None:
             line.send((key, solve_finer(space, settings, coarse)))
         except OSError:
             return
-        except Exception as error:  # told to whoever asked: this process has no caller
+        except Exception as error:  # sent to the parent, because this process has no caller
             line.send((key, error))

@@ -81,7 +81,7 @@ LEAST_MOVE = 1e-6
 """Displacements below this length, m, count as no displacement."""
 
 UNEXPLAINED = 0.5
-"""A tap is an outlier if it is a valid measurement with a lower probability than this."""
+"""A tap is an outlier if the probability that it is a valid measurement is below this."""
 
 
 _ONE_DEVIATION = (float(ndtr(-1.0)), float(ndtr(1.0)))

@@ -1,13 +1,13 @@
-"""Which tap brings the object to its goal in the least time: taps that follow, and the arm's way.
+"""Choice of the tap that reaches the goal in the least expected time, including arm motions.
 
-Many taps are nearly as good as the method's own: where two are needed, the first may go almost
-anywhere. Among them the one is chosen with the least expected time ::
+Many taps are almost as good as the method's own tap. For example, if two taps are needed, the first
+may go almost anywhere. Among these taps the one with the least expected time is chosen ::
 
-    t(tap) + t(next) + (E[taps that follow] - P) t_mean,
+    t(tap) + P (t(next) - t_way) + E[following taps] t_mean.
 
-where t(tap) is the arm's way to this strike, t(next) the way from there to the strike towards the
-goal that follows with probability P = min(1, E[taps that follow]), less the mean way, and t_mean
-the mean time of a tap.
+t(tap) is the time of the arm's motion to this strike. t(next) is the time from there to the next
+strike, which is directed towards the goal and has the probability P = min(1, E[following taps]).
+t_way is the mean time of the arm's motion and t_mean the mean time of a tap.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from tapping_cell.se2 import wrap_angle
 DIRECTIONS: Array = np.arange(24, dtype=np.float64) * (2.0 * math.pi / 24)
 SIZE_RATIO = 1.35
 SHARES = np.array([-1.0, -0.5, 0.5, 1.0])
-"""Rotations that are tried, as shares of the most of each size."""
+"""Rotations that are tried, as shares of the largest rotation of each size."""
 
 
 class NearTaps(NamedTuple):
-    """Taps in all directions: commanded displacements (n, 3) and expected taps that follow (n,)."""
+    """Taps in all directions: commanded displacements (n, 3) and expected following taps (n,)."""
 
     commanded: Array
     follow: Array
@@ -45,16 +45,16 @@ def near_taps(
     method: TapValues,
     settings: PlannerSettings,
 ) -> NearTaps | None:
-    """Taps of all directions and sizes, each with its best rotation; None while the method knows
-    no values.
+    """Taps of all directions and sizes, each with its best rotation; None while the method has no
+    values.
 
     Args:
-        pose: of the object, (3,).
-        left: goal less object, (3,).
-        own: the method's tap.
-        gains: what is known of the object.
-        method: what the taps that follow are known from.
-        settings: for which it was made.
+        pose: pose of the object, (3,).
+        left: goal minus object, (3,).
+        own: tap chosen by the method.
+        gains: learnt gains of the object.
+        method: planning method that provides the expected number of following taps.
+        settings: settings of the method.
     """
     distance, rotation, heading = (float(number) for number in gains.to_plan(left))
     sizes = _sizes(settings, distance, abs(float(own.distance)))
@@ -85,10 +85,10 @@ def quickest_first(
     times: TapTimes,
     tip: Array,
 ) -> Array:
-    """The taps that a contact of the object gives, in the order of their expected time, (m, 3).
+    """Return the taps that are possible with some contact, in order of expected time, (m, 3).
 
-    ``space``: which taps can be struck; ``times``: of the arm's way; ``tip``: where the arm's tip
-    stands, x, y, height, yaw in `table`. The others as for ``near_taps``.
+    ``space``: strike space; ``times``: durations of the arm's motions; ``tip``: pose of the arm's
+    tip, x, y, height, yaw in `table`. The other arguments are as for ``near_taps``.
     """
     possible, strikes = space.strike_poses(pose, taps.commanded)
     commanded, follow, strikes = taps.commanded[possible], taps.follow[possible], strikes[possible]
@@ -110,8 +110,8 @@ def _sizes(settings: PlannerSettings, distance: float, own: float) -> Array:
 
 
 def _behind(after: Array, heading: Array, strikes: Array, pose: Array) -> Array:
-    """Strike poses (n, 3) in these headings, as far from the middle of objects at (n, 3) as the
-    strikes before were."""
+    """Strike poses (n, 3) with these headings, at the same distance from the object's centre as the
+    previous strikes; ``after``: object poses (n, 3)."""
     far = np.hypot(strikes[:, 0] - pose[0], strikes[:, 1] - pose[1])
     return np.stack(
         [
