@@ -14,7 +14,7 @@ from tapping_cell.planning.two_tap import two_tap_choice
 
 @dataclass(frozen=True, slots=True)
 class ExactPlanner:
-    """Aims at the edge of the reachable region (section 4.1); if a tap falls short, plan again."""
+    """Aims at the edge of the reachable region (section 4.1) and replans if a tap falls short."""
 
     settings: PlannerSettings
     name: str = "exact"
