@@ -90,7 +90,7 @@ def measure() -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     return [
         f"{node}: emergency_stop to the wire: median {1e3 * figures['median']:.1f} ms, p99"
         f" {1e3 * figures['p99']:.1f} ms of {figures['stops']} (a bare byte: p99"

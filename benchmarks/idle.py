@@ -138,7 +138,7 @@ def _idle(node: rclpy.node.Node, number: int) -> None:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = []
     for name in ("cell", "pair"):
         shares = report[name]

@@ -49,7 +49,7 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = ["new taps in their 95 % interval at the same and at other settings"]
     for name, row in report.items():
         held = "; ".join(

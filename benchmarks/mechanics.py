@@ -47,7 +47,7 @@ def measure() -> dict:
 
 
 def lines(report: dict) -> list[str]:
-    """The figures for people."""
+    """Format the report as lines of text."""
     peer = report["solve_ivp"]
     text = [
         f"table for a new shape and torque factor: {1e3 * report['table_build_s']:.1f} ms",

@@ -95,7 +95,7 @@ def cpu_seconds(pid: int) -> float:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = [f"{name:<16}{100 * share:5.1f} % of a core" for name, share in report["cores"].items()]
     text.append(
         f"object_state at {report['rate_hz']:.1f} Hz, {report['age_ms']:.1f} ms after the middle "

@@ -198,7 +198,7 @@ class _Player:
 
 
 def lines(report: list[dict[str, Any]]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     return [
         f"{entry['case']:<34}{100 * entry['cores']:5.1f} % of a core at {entry['rate_hz']:.1f} Hz; "
         f"answer after {entry['latency_ms']:.1f} ms (p95 {entry['latency_p95_ms']:.1f}), of it "

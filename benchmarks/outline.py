@@ -156,7 +156,7 @@ def _off(pose: Array, true: Array) -> tuple[float, Array]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     count = report["scenes"] * report["places"]
     text = [
         f"one frame each of {count} places; mean normalised error squared: 3 for an honest "

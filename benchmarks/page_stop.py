@@ -75,7 +75,7 @@ def measure() -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     rows = [
         f"{name}: median {1e3 * row['median']:.1f} ms, p99 {1e3 * row['p99']:.1f} ms, longest"
         f" {1e3 * row['longest']:.1f} ms of {row['stops']}"

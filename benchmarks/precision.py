@@ -53,7 +53,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = [
         f"10 mm and 10 degrees, {report['trials']} trials; seconds of processor time",
         "smallest  tolerance  mean taps  90 %   done  truly inside  smallest taps inside  "

@@ -58,7 +58,7 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     made = [
         f"pictures {name}: {entry['arrived']} of {entry['sent']} arrived, median "
         f"{entry['median_ms']:.1f} ms"

@@ -147,7 +147,7 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = []
     for name, row in report.items():
         taps = row if name == "mean" else row["taps"]

@@ -261,7 +261,7 @@ def _tracker(scene: SceneRenderer, marker: ObjectMarker) -> dict[str, float]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     width = max(len(name) for name in report["methods"])
     rows = [
         f"{report['scenes']} scenes, one frame each, known camera and table",

@@ -131,7 +131,7 @@ def _photograph(
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     rows = score_lines(report["scores"])
     found = report["calibrations"]
     rows.append(

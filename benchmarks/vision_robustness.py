@@ -328,7 +328,7 @@ def _other_resolution(cell: Cell) -> bool:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     width = max(len(name) for name in report["cases"])
     rows = [
         f"{report['frames']} frames, {report['wrong']} wrong (off by more than "

@@ -46,7 +46,7 @@ def measure() -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = [
         f"{name}: launch within {100 * row['launch']:.2f} %, "
         f"slide within {100 * row['slide']:.3f} %"
