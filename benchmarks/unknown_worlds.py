@@ -138,7 +138,7 @@ def drawn_results(spread: tuple[float, float], first: int, worlds: int) -> Resul
 
 
 def figures(results: Results) -> dict[str, Any]:
-    """Return the figures of a group that the issue requires."""
+    """Summarise a group and count false claims and reached goals."""
     done = results.end == End.DONE
     return {
         **summarise(results),

@@ -57,12 +57,12 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def _agreement(content: ObjectFile) -> dict[str, float]:
-    """The largest errors, of velocity and of R omega over the speed, and likewise of the slide."""
+    """Largest errors of velocity and of R omega relative to the speed, and those of the slide."""
     tap = content.tap(_STRIKER)
     random = np.random.default_rng(0)
     launch = slide = 0.0
     radius = tap.body.support_radius
-    # One contact, as the closed form has it: no second one where an edge swings back.
+    # Only one contact, as in the closed form: no second contact if an edge swings back.
     plain = TruthFile((0.0, 0.0, 0.0), impact=ImpactTruth(follow_through=0.0))
     for wanted in _displacements(random, tap.cone_slope):
         if not tap.reachable(wanted):
