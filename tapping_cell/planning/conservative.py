@@ -12,7 +12,7 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.two_tap import two_tap_choice
 
 ERROR_LINE = 0.3
-"""Two standard deviations of the rotation's scatter, 15 % (section 3.1.1)."""
+"""Twice the standard deviation of the rotation's scatter, which is 15 % (section 3.1.1)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -107,7 +107,7 @@ class FreeSpace:
 
     @cached_property
     def regions(self) -> NDArray[np.int32]:
-        """Connected regions of workable cells, numbered from 1 (flat); 0 where not workable."""
+        """Region number of each cell (flat): connected workable cells from 1, other cells 0."""
         return np.asarray(label(self.workable, structure=np.ones((3, 3)))[0].reshape(-1))
 
     def contains(self, points: ArrayLike) -> BoolArray:

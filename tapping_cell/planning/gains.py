@@ -75,7 +75,7 @@ LEAST_SLOPE = 0.1
 corresponds to an arm that is 0.2 mm beside the middle of the paper's disk."""
 
 KEPT = 0.95
-"""Probability that what was learnt in an earlier run still holds."""
+"""Probability that the gains of an earlier run are still valid."""
 
 LEAST_MOVE = 1e-6
 """Displacements below this length, m, count as no displacement."""

@@ -25,7 +25,8 @@ from tapping_cell.planning.lookup import bracket
 from tapping_cell.planning.settings import PlannerSettings
 
 ERROR_LINE = 0.6
-"""Four standard deviations of the rotation's scatter, 15 %; five taps for the paper's task."""
+"""Four times the standard deviation of the rotation's scatter (15 %). It gives five taps for the
+paper's task."""
 
 AIM = 0.3
 """The last tap must aim within this share of the box's distance from the goal."""

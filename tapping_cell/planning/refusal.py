@@ -32,7 +32,7 @@ class RefusalReason(IntEnum):
 class Refusal:
     """A tap or a goal that planning refuses.
 
-    ``sentence`` names the value, the limit and what to do, in mm and degrees.
+    ``sentence`` contains the value, the limit and the remedy, in mm and degrees.
     """
 
     reason: RefusalReason

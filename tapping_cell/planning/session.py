@@ -48,7 +48,7 @@ PROBE_HEADINGS = np.arange(24) * (2.0 * math.pi / 24)
 
 UNKNOWN = 1.6
 """Ratio of the longest possible slide to the predicted slide above which the object is probed
-first. An object that behaves as its file says has a ratio of 1.2 after one tap."""
+first. An object that matches its file has a ratio of 1.2 after one tap."""
 
 QUICK_CHUNK = 12
 """Number of taps that are checked for a possible strike in one batch, quickest first."""
@@ -294,8 +294,8 @@ class PositioningSession(GoalSession):
         self.planner = planner
         self.gains = Gains.start() if gains is None else gains
         self.taps = 0
-        self._missed: tuple[float, ...] = ()  # headings of taps since the object last moved
-        self._skipped: tuple[float, ...] = ()  # headings that a person did not want
+        self._missed: tuple[float, ...] = ()  # headings of consecutive missed taps
+        self._skipped: tuple[float, ...] = ()  # headings that the operator rejected
         self._times = times
         self._adapt = adapt
         self._probes_left = MOST_PROBES if probe else 0

@@ -52,7 +52,7 @@ FARTHEST = 1.0
 """Distance in m beyond which the plan does not change."""
 
 SMALLEST_TURN = 0.26
-"""Smallest rotation on the action grid, as a share of the largest one of the smallest tap."""
+"""Smallest rotation on the action grid, as a share of the largest rotation of the smallest tap."""
 
 LATERAL_NODES = 8
 """Number of quadrature nodes over one half of the (symmetric) error of direction."""

@@ -40,7 +40,7 @@ def evaluate(
         UnknownPlannerError: unknown method.
         PlanningError: the method rejects the settings.
     """
-    make_planner(evaluation.planner, evaluation.settings)  # solved once, found by every process
+    make_planner(evaluation.planner, evaluation.settings)  # solve once; all processes load the plan
     chunk = OPEN_CHUNK if evaluation.space is None else TABLE_CHUNK
     sizes = [chunk] * (evaluation.trials // chunk)
     if evaluation.trials % chunk:
