@@ -1,7 +1,7 @@
-"""Benchmarks: how fast and how accurate each room is, beside a peer measured in the same run.
+"""Benchmarks of the speed and accuracy of each package, compared with a peer in the same run.
 
-They need the source tree and are not installed. ``test/support`` holds what they share with the
-tests: random truths and simulated experiments.
+They need the source tree and are not installed. ``test/support`` contains the code shared with the
+tests: random ground truth and simulated experiments.
 """
 
 import sys

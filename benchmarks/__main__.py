@@ -1,4 +1,4 @@
-"""Measure sections of the benchmarks, from the root of the source tree.
+"""Run sections of the benchmarks from the root of the source tree.
 
 python -m benchmarks
 python -m benchmarks --section mechanics --json
@@ -19,12 +19,12 @@ from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
 
-# A section is a module with ``measure() -> dict`` (what --json prints) and
-# ``lines(report) -> list[str]`` (the same for people). A module with a ``DEFAULT_COUNT`` takes how
-# many experiments, scenes, frames or seconds as ``measure(count)``.
+# A section is a module with ``measure() -> dict`` (printed by --json) and
+# ``lines(report) -> list[str]`` (the report as text). A module with a ``DEFAULT_COUNT`` has
+# ``measure(count)`` with the number of experiments, scenes, frames or seconds.
 SECTIONS = ("calibrate", "drivers", "emergency_stop", "mechanics", "vision")
 
-# Long: only when named.
+# Long sections, which run only if they are named.
 LONG_SECTIONS = (
     "arrangements",
     "calibration",
@@ -57,7 +57,7 @@ page. A peer is measured in the same run; times depend on the machine and its lo
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """The parser of the command line."""
+    """Create the parser of the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
         description=__doc__,
@@ -86,7 +86,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure the sections and print them; 0, or 2 for an invalid count."""
+    """Run the sections and print their reports; return exit code 0, or 2 for an invalid count."""
     chosen = make_parser().parse_args(arguments)
     if chosen.count is not None and chosen.count < 1:
         print(f"--count is {chosen.count}; it must be at least 1", file=sys.stderr)
@@ -109,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def write_section(file: Path, name: str, count: int | None, text: str) -> None:
-    """Replace the results of a section in the page of results; the other sections stay."""
+    """Replace one section in the page of results and keep the other sections."""
     before = file.read_text(encoding="utf-8") if file.exists() else ""
     sections = dict(re.findall(r"^## (\S+)\n(.*?)(?=^## |\Z)", before, re.MULTILINE | re.DOTALL))
     command = f"python -m benchmarks --section {name}" + (f" --count {count}" if count else "")

@@ -1,8 +1,9 @@
-"""Several objects to their places: success, contacts and taps, with the baselines beside.
+"""Arrangement of several objects: success, contacts and taps, compared with the baselines.
 
-Scenes of disks and squares of 20 to 40 mm in radius with gaps of 40 mm, and of nine disks of 25 mm
-that go to a grid; the published scatter, steady errors of 5 % of distance and 15 % of rotation, a
-camera of 0.1 mm and 0.1 degrees. A trial keeps the truth: where everything is, and what was hit.
+The scenes contain disks and squares with radii of 20 to 40 mm and gaps of 40 mm, or nine disks with
+a radius of 25 mm whose goals form a grid. The trials use the published scatter, systematic errors
+of 5 % in distance and 15 % in rotation, and a camera with 0.1 mm and 0.1 degrees of noise. The
+ground truth of every pose and every contact is recorded.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ GAIN_BIAS = (0.05, 0.15)
 OPTIONS = ["--camera-noise", "0.1", "0.1"]
 
 Group = tuple[str, ArrangementTask, list[str], float]
-"""Name, task, further options of the shapes, share of the count."""
+"""Name, task, additional options of the shapes, share of the count."""
 
 
 def groups() -> list[Group]:
-    """What is measured: with the built-in planner, then four random goals with the baselines."""
+    """Groups of trials: first the built-in planner, then four random goals with the baselines."""
     made: list[Group] = [
         ("2 swapped", ArrangementTask(2, "swap", gain_bias=GAIN_BIAS), [], 1.0),
         ("4 random", ArrangementTask(4, gain_bias=GAIN_BIAS), [], 1.0),
@@ -53,7 +54,7 @@ def groups() -> list[Group]:
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """A row for each group, over ``count`` scenes or its share of them."""
+    """Return a row per group, each over its share of ``count`` scenes."""
     rows = []
     for name, task, options, share in groups():
         parser = argparse.ArgumentParser()
@@ -68,7 +69,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     return [
         "contacts: scenes in which objects met, or the resting tool would have touched another;",
         "price: taps over those of each object alone; a decision: seconds of processor",

@@ -1,6 +1,7 @@
-"""The calibrations of camera, table, arm and tapper over random truths that they are not told.
+"""Calibrations of camera, table, arm and tapper against random, hidden ground truth.
 
-The camera's peer is OpenCV's calibrateCamera as it comes, five coefficients, on the same corners.
+The peer for the camera is OpenCV's default calibrateCamera with five coefficients on the same
+corners.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from tapping_cell.vision import CameraModel, CameraPose
 VIEWS = 20
 CORNER_SETS, PHOTO_SETS, TABLES, ARMS, TAPPERS = 12, 4, 4, 100, 300
 CORNER_NOISE = 0.05
-"""Pixels; what the search for corners leaves in rendered photographs is 0.02 to 0.04."""
+"""Noise of the corners in pixels; corner detection in rendered photographs has 0.02 to 0.04."""
 TARGETS = (
     Target("charuco", 10, 7, 0.025, 0.01875, "4X4_250"),
     Target("chessboard", 9, 7, 0.025),
@@ -38,7 +39,7 @@ TARGETS = (
 
 
 def measure() -> dict[str, Any]:
-    """Errors of all calibrations."""
+    """Return the errors of all calibrations."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -56,8 +57,8 @@ def measure() -> dict[str, Any]:
 def _camera_errors(
     model: CameraModel, views: list[TargetView], target: Target
 ) -> tuple[float, float, float, float]:
-    """Reprojection rms in pixels; relative error of the focal length here and with plain OpenCV;
-    errors over stated standard deviations of fx, fy, cx, cy, root mean square."""
+    """RMS reprojection error in pixels; relative errors of the focal length here and with plain
+    OpenCV; RMS of the errors of fx, fy, cx, cy divided by their stated standard deviations."""
     result = calibrate_camera(views, target, (model.width, model.height))
     points = [
         np.column_stack([target.points[v.ids], np.zeros(len(v.ids))]).astype(np.float32)
@@ -150,7 +151,7 @@ def _tables() -> dict[str, float]:
 
 
 def _arms() -> dict[str, float]:
-    """Errors of the wrist and of the forearm's heading at poses that were not in the record."""
+    """Errors of the wrist and of the forearm's heading at poses outside the calibration data."""
     gaps, turns, off, spent = [], [], [], []
     for seed in range(ARMS):
         random = np.random.default_rng(300 + seed)
@@ -182,7 +183,7 @@ def _arms() -> dict[str, float]:
 
 
 def _tappers() -> dict[str, dict[str, float]]:
-    """With the taps spread evenly over the energies, and as is advised."""
+    """Errors of the tapper's calibration for evenly distributed and for recommended energies."""
     return {"even": _tapper_figures((5,) * 6), "advised": _tapper_figures(SHARES)}
 
 
@@ -217,7 +218,7 @@ def _tapper_figures(shares: Sequence[int]) -> dict[str, float]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     rows = []
     for name, words in (
         ("camera_corners", f"camera, {VIEWS} views, corners with {CORNER_NOISE} px noise"),

@@ -1,10 +1,10 @@
-"""The fit of single taps against truths that it does not know.
+"""Fits of single taps against hidden ground truth.
 
-Each experiment draws a truth (friction 0.10 to 0.30, torque factor 1 to 4, restitution 0.65 to
-0.95, contact friction 0.14 to 0.28, a striker 5 % faster or slower than commanded), makes 4 runs of
-10 taps on the simulated world, which integrates them in time, with a scatter of 5 % in speed, 15 %
-in spin and 1 degree in direction, and a camera of 30 Hz whose poses are off by 0.03 mm and 0.05
-degrees; then it fits. Every fourth experiment predicts as many new taps.
+Each experiment draws a ground truth: friction 0.10 to 0.30, torque factor 1 to 4, restitution 0.65
+to 0.95, contact friction 0.14 to 0.28, and a striker 5 % faster or slower than commanded. It makes
+4 runs of 10 taps in the simulated world, which integrates them in time, and then fits the
+parameters. The scatter is 5 % in speed, 15 % in spin and 1 degree in direction; the 30 Hz camera
+has pose errors of 0.03 mm and 0.05 degrees. Every fourth experiment also predicts as many new taps.
 """
 
 from __future__ import annotations
@@ -27,15 +27,16 @@ from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTrut
 
 DEFAULT_COUNT = 100
 _SHAPES = ("disk", "ring", "polygon")
-_OTHERS = 0.2  # experiments with each other shape, of those with a disk
-_PREDICTING = 4  # every so many experiments
+_OTHERS = 0.2  # number of experiments per other shape, as a share of those with a disk
+_PREDICTING = 4  # number of experiments per experiment that predicts new taps
 _LIMITS = {"torque_factor": 0.05, "friction": 0.03, "restitution": 0.04}
 _SCATTER = ScatterTruth(speed=0.05, spin=0.15, direction=math.radians(1.0))
 _STRIKER = StrikerSection(mass=0.1, tip_radius=0.0054, constraint="free")
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Errors and coverage by shape, over ``count`` with disks and a fifth with the others."""
+    """Return errors and coverage by shape, over ``count`` experiments with disks and a fifth of
+    that number with each other shape."""
     report: dict[str, Any] = {"load": os.getloadavg()[0]}
     for shape in _SHAPES:
         number = count if shape == "disk" else max(round(_OTHERS * count), 1)
@@ -45,7 +46,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The figures for people."""
+    """Format the report as lines of text."""
     text = [f"load average {report['load']:.1f}"]
     for shape in _SHAPES:
         figures = report[shape]
@@ -85,7 +86,8 @@ def _shape(shape: str, count: int) -> dict[str, Any]:
 
 
 def trial(shape: str, seed: int) -> dict[str, Any]:
-    """One experiment: errors, half intervals and coverage; every fourth also predicts new taps."""
+    """Run one experiment and return errors, half widths of the intervals and coverage; every fourth
+    experiment also predicts new taps."""
     content, truth, true = draw(shape, seed)
     experiment = _experiment(content, truth, 2 * seed)
     began = time.process_time()
@@ -106,7 +108,7 @@ def trial(shape: str, seed: int) -> dict[str, Any]:
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """The figures of several experiments together."""
+    """Summarise several experiments."""
     seconds = float(np.mean([row["seconds"] for row in rows]))
     report: dict[str, Any] = {"experiments": len(rows), "fit_s": seconds}
     for name, limit in _LIMITS.items():
@@ -130,7 +132,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def draw(shape: str, seed: int) -> tuple[ObjectFile, TruthFile, dict[str, float]]:
-    """What the fit is told of an object, the truth, and the true values."""
+    """Draw the object file for the fit, the ground truth file and the true values."""
     random = np.random.default_rng([seed, _SHAPES.index(shape)])
     size = float(random.uniform(0.035, 0.055))
     half = 0.9 * size

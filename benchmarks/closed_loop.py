@@ -1,9 +1,9 @@
-"""What a fit is worth: taps that the optimal planner needs with the old and with the fitted object.
+"""Benefit of a fit: taps of the optimal planner with the configured and with the fitted object.
 
-The truth differs from the configuration by a fifth in friction, torque factor, restitution and
-contact friction, up or down. 4 runs of 10 single taps are made on the simulated world and fitted;
-then the planner, which learns nothing from tap to tap, positions the object (10 mm and 10 degrees)
-with the configured and with the fitted parameters, against the same truth and scatter.
+The true friction, torque factor, restitution and contact friction are a fifth higher or lower than
+configured. 4 runs of 10 single taps in the simulated world are fitted. Then the planner, without
+learning from taps, positions the object (10 mm and 10 degrees) with the configured and with the
+fitted parameters, with the same ground truth and scatter.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tapping_cell.planning import PlannerSettings, Scatter
 from tapping_cell.planning.evaluation import Evaluation, PhysicsWorld, evaluate, summarise
 from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTruth, TruthFile
 
-# True over configured: friction, torque factor, restitution, contact friction.
+# Ratios of true to configured friction, torque factor, restitution and contact friction.
 TRUTHS = (
     (1.2, 0.8, 0.8, 1.2),
     (1.2, 1.2, 0.8, 0.8),
@@ -38,7 +38,7 @@ _STRIKER = StrikerSection(mass=0.1, tip_radius=0.0054, constraint="free")
 
 
 def measure_loop(trials: int = TRIALS) -> list[dict[str, Any]]:
-    """Mean taps with the configured and the fitted object, for each truth."""
+    """Return the mean taps with the configured and the fitted object for each ground truth."""
     told = load_object(shared_folder() / "objects" / "aluminium_disk.yaml")
     report = []
     for seed, (friction, torque, restitution, contact) in enumerate(TRUTHS):
@@ -73,7 +73,7 @@ def measure_loop(trials: int = TRIALS) -> list[dict[str, Any]]:
 
 
 def _mean_taps(believed: ObjectFile, true: ObjectFile, trials: int) -> float:
-    """Over trials of the paper's task; endless ones count with the most taps."""
+    """Mean taps over trials of the paper's task; an unfinished trial counts as the maximum."""
     striker = _STRIKER.striker()
     scatter = Scatter(0.05, 0.15, math.radians(1.0))
     settings = replace(PlannerSettings.for_tap(believed.tap(striker)), scatter=scatter)

@@ -1,11 +1,11 @@
-"""Seconds per tap by activity, of the published task: 10 mm and 10 degrees, forth and back.
+"""Time per tap by activity for the published task: 10 mm and 10 degrees, forth and back.
 
-Two cells work on it. In the one, every node is a process, with drawn pictures and emulated boards;
-in the other, the same machines, drivers and boards run in virtual time, where software takes no
-time and messages take a few milliseconds: what it needs is what the cell's mechanics need. A tap
-lasts from its command to the next command, or to the end of its goal. Its activities follow each
-other without gaps or overlaps; what happens besides (the slide, a charge while the arm travels) is
-told apart.
+Two cells are measured. In the first, every node is a process, with rendered images and emulated
+boards. In the second, the same machines, drivers and boards run in virtual time, in which software
+takes no time and messages take a few milliseconds, so that only the time of the cell's mechanics
+remains. A tap lasts from its command to the next command, or to the end of its goal. Its activities
+follow each other without gaps or overlaps. Simultaneous activities (the slide, charging while the
+arm moves) are listed separately.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tapping_cell.verification.trial import Trial
 
 DEFAULT_COUNT = 20
 MOVES = ((10.0, 0.0, 10.0), (-10.0, 0.0, -10.0))
-"""Goals from where the object lies, mm, mm and degrees, in turn."""
+"""Goals relative to the object's pose, used in turn: mm, mm and degrees."""
 READY_PATIENCE_S = 60.0
 ACTIVITIES = ("travel", "lower", "settle", "charge", "fire", "withdraw", "camera", "planning")
 BESIDES = ("slide", "charging")
@@ -51,7 +51,7 @@ TOPICS = {
 
 @dataclass(slots=True)
 class Tap:
-    """One tap: when what happened, s."""
+    """Times of the events of one tap, s."""
 
     commanded: float
     above: float = math.nan
@@ -66,7 +66,7 @@ class Tap:
     done: float = math.nan
 
     def activities(self) -> dict[str, float]:
-        """Seconds of each of ``ACTIVITIES`` and ``BESIDES``."""
+        """Durations of ``ACTIVITIES`` and ``BESIDES``, s."""
         ready = max(self.in_position, self.charged)
         return {
             "travel": self.above - self.commanded,
@@ -83,19 +83,19 @@ class Tap:
 
 
 class Stopwatch:
-    """Hears the cell's topics and takes the times of each tap; times are the messages' stamps."""
+    """Subscriber that records the times of each tap from the stamps of the cell's messages."""
 
     def __init__(self, travel_height: float) -> None:
         self.taps: list[Tap] = []
         self.goals: list[tuple[float, int]] = []
-        """Seconds and taps of each goal that was reached."""
+        """Duration (s) and number of taps of each reached goal."""
         self._accepted = math.nan
         self._height = travel_height
         self._tap: Tap | None = None
         self._ids: list[int] = []
 
     def hear(self, topic: str, message: Any) -> None:
-        """Take in one message."""
+        """Process one message."""
         stamp = _seconds(message.header.stamp)
         if topic == "plan_state":
             self._time_goal(message, stamp)
@@ -121,7 +121,7 @@ class Stopwatch:
             self._accepted = stamp
 
     def _tap_command(self, tap: Tap, message: Any, stamp: float) -> None:
-        """A withdrawal tells nothing new."""
+        """Do nothing, because the cancellation of a tap gives no new time."""
 
     def _plan_state(self, tap: Tap, message: Any, stamp: float) -> None:
         if message.state == PlanState.LOOKING and math.isnan(tap.free):
@@ -169,7 +169,7 @@ def _seconds(stamp: Any) -> float:
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Mean seconds of every activity, over ``count`` goals in either cell."""
+    """Return the mean duration of every activity over ``count`` goals in each cell, s."""
     return {
         "mechanics": _summary(in_virtual_time(count)),
         "graph": _summary(in_graph(count)),
@@ -194,7 +194,7 @@ def _summary(watch: Stopwatch) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     free, graph = report["mechanics"], report["graph"]
     rows = [
         f"{'':18s}{'virtual time':>14s}{'graph':>10s}{'difference':>12s}",
@@ -221,7 +221,7 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 class QuietTrial(Trial):
-    """A cell in virtual time to which nothing happens, all computers having one clock."""
+    """A cell in virtual time without faults, whose computers share one clock."""
 
     def __init__(self, seed: int, hear: Callable[[str, Any], None]) -> None:
         self._hear = hear
@@ -236,12 +236,12 @@ class QuietTrial(Trial):
             self._hear(topic, message)
 
     def next_goal(self, number: int) -> Pose:
-        """The published task, forth and back."""
+        """Return the next goal of the published task, forth and back."""
         return _goal(self.physical.object_pose(self.scheduler.now), number)
 
 
 def in_virtual_time(count: int) -> Stopwatch:
-    """Times of goals, each pair of them in a cell and with a seed of its own."""
+    """Measure goals in virtual time; each pair of goals has its own cell and random seed."""
     watch = Stopwatch(load_cell().arm.travel_height)
     for seed in range(1, 1 + (count + 1) // len(MOVES)):
         report = QuietTrial(seed, watch.hear).run(len(MOVES))
@@ -251,7 +251,7 @@ def in_virtual_time(count: int) -> Stopwatch:
 
 
 def in_graph(count: int) -> Stopwatch:
-    """Times of goals in the cell whose nodes are processes."""
+    """Measure goals in the cell whose nodes are processes."""
     domain = own_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain.number)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -275,7 +275,7 @@ def in_graph(count: int) -> Stopwatch:
 
 
 def _goal(here: Pose, number: int) -> Pose:
-    """The goal of this number from where the object lies."""
+    """Return goal ``number`` relative to the object's pose."""
     dx, dy, turn = MOVES[number % len(MOVES)]
     theta = float(wrap_angle(here.theta + math.radians(turn)))
     return Pose(here.x + dx / 1000, here.y + dy / 1000, theta)

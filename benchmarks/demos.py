@@ -1,10 +1,10 @@
-"""What a fitted object file is worth in demos: taps with the configured and with the fitted file.
+"""Benefit of a fitted object file in demos: taps with the configured and with the fitted file.
 
-The cell's own sessions (planner, learning from tap to tap, arm, table) against the simulated world,
-which integrates every slide in time, with the truth's tilt, uneven pressure, scatter and errors of
-the arm; without pictures, serial lines and the graph, so that a demo takes a fifth of a second.
-Truths differ from the configuration by a fifth, as in closed_loop, and the fit is made of 4 runs of
-10 single taps on the same truth.
+The cell's own sessions (planner, learning from taps, arm, table) run against the simulated world.
+It integrates every slide in time, with the ground truth's tilt, uneven pressure, scatter and arm
+errors. Images, serial lines and the ROS graph are omitted, so that a demo takes a fifth of a
+second. The ground truths differ from the configuration by a fifth, as in closed_loop, and each fit
+uses 4 runs of 10 single taps with the same ground truth.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from tapping_cell.simulation.world import World
 
 DEFAULT_COUNT = 60
 MOVES = ((10.0, 0.0, 10.0), (40.0, -25.0, 30.0), (-35.0, 30.0, -25.0), (70.0, 10.0, 15.0))
-"""Goals from where the object lies, mm, mm and degrees, in turn."""
+"""Goals relative to the object's pose, used in turn: mm, mm and degrees."""
 _LOOK = (1.5e-5, 1.5e-5, 3e-4)
-"""What a look at rest leaves, one standard deviation: m, m, rad."""
+"""Standard deviations of a stationary observation: m, m, rad."""
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Mean taps over ``count`` demos for each truth."""
+    """Return the mean taps over ``count`` demos for each ground truth."""
     configured = load_cell()
     rows = []
     for seed, (friction, torque, restitution, contact) in enumerate(TRUTHS):
@@ -53,7 +53,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
         old = _demos(configured, configured.object, truth, count)
         fitted = replace(configured, object=_fitted(configured, truth, seed))
         new = _demos(fitted, configured.object, truth, count)
-        # A striker as fast as its curve says is what `calibrate tapper` leaves.
+        # After `calibrate tapper` the striker's speed matches its curve.
         as_told = replace(truth, impact=replace(truth.impact, striker_speed_factor=1.0))
         both = _demos(fitted, configured.object, as_told, count)
         saved = np.array(old) - np.array(new)
@@ -71,7 +71,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = [
         f"mean taps of {report['demos']} demos of 10 to 71 mm and 10 to 30 degrees, by the true"
         " over configured friction, torque factor, restitution and contact friction:"
@@ -103,8 +103,8 @@ def _fitted(cell: Cell, truth: TruthFile, seed: int) -> ObjectFile:
 
 
 def _demos(cell: Cell, told: ObjectFile, truth: TruthFile, count: int) -> list[int]:
-    """Taps of each demo of a cell that believes its object, where ``told`` is what the truth is
-    relative to; one that ends without the goal counts with the most taps."""
+    """Return the number of taps of each demo of a cell with its object file. ``told``: object file
+    to which the ground truth is relative. A demo that fails counts as the maximum number."""
     goal = cell.file.goal
     tolerance = (goal.position_tolerance, goal.angle_tolerance)
     planner = make_planner(goal.planner, assembly.make_planner_settings(cell, tolerance))
@@ -135,7 +135,7 @@ def _position(
     arm: ArmTruth,
     random: np.random.Generator,
 ) -> bool:
-    """Tap until the session says that it is done or refuses; whether it was done."""
+    """Tap until the session is done or refuses, and return whether it is done."""
     covariance = np.diag(np.square(_LOOK))
 
     def look() -> np.ndarray:
@@ -157,7 +157,7 @@ def _position(
 
 
 def _true_tip(cell: Cell, asked: Pose, arm: ArmTruth, random: np.random.Generator) -> Pose:
-    """Where the arm truly holds the tip that it was asked for."""
+    """Return the true pose of the tip for a commanded pose."""
     geometry = cell.arm.geometry()
     local = cell.arm_base.inverse() @ asked
     solution = geometry.inverse((local.x, local.y, cell.arm.strike_height, local.theta))

@@ -1,10 +1,9 @@
-"""From the loss of planner, arm, or camera in mid-draw to the tapper's board letting the striker
-down.
+"""Time from the loss of planner, arm or camera during charging to the discharge of the striker.
 
-A simulated cell runs as processes; the tapper is an emulated board in this process, whose spring
-takes seconds to draw, so that there is time to lose somebody. A node is killed (``SIGKILL``), hung
-(``SIGSTOP``), or the camera's pictures stop while its node lives on. Measured is what the board
-does, not what the nodes say.
+A simulated cell runs as processes. The tapper is an emulated board in this process, whose spring
+takes seconds to charge, so that a node can be lost meanwhile. A node is killed (``SIGKILL``) or
+stopped (``SIGSTOP``), or the camera's images stop while its node keeps running. The benchmark
+measures the actions of the board, not the reports of the nodes.
 """
 
 from __future__ import annotations
@@ -37,13 +36,12 @@ from tapping_cell.simulation.spring_drive import SpringMechanism
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 
 DEFAULT_COUNT = 10
-"""Losses of each kind."""
+"""Number of losses of each kind."""
 START, GOAL = Pose(-0.05, 0.02, 0.0), Pose(-0.02, 0.01, 0.2)
 SLOW_SPRING = SpringMechanism(step_rate=300.0)
-"""Some seconds to charge it."""
-"""Below the driver's own limit of a draw."""
+"""Spring that takes several seconds to charge, but less than the driver's timeout for charging."""
 LATEST_LOSS_S = 1.0
-"""The loss comes at random within so long after the draw has begun."""
+"""Maximum random delay of the loss after the start of charging, s."""
 PATIENCE_S = 90.0
 OVER = (PlanState.IDLE, PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
 CAMERA = "camera_pose"
@@ -55,7 +53,7 @@ PICTURES_STOP = ("pictures", "stop")
 
 
 class DrawnCell:
-    """A running cell whose planner keeps tapping with a spring that is never released."""
+    """A running cell whose planner requests taps, but whose spring is never fired."""
 
     def __init__(self, folder: Path) -> None:
         arm, tapper = folder / "arm", folder / "tapper"
@@ -76,7 +74,7 @@ class DrawnCell:
         self._goals = node.create_publisher(PoseStamped, "goal_pose", COMMAND)
         self._reset = node.create_client(ResetWorld, "reset_world")
         node.create_subscription(PlanState, "plan_state", self._on_plan, LATCHED)
-        # The pictures pass through here, so that they can stop while the camera's node goes on.
+        # Images are relayed here, so that they can stop while the camera's node keeps running.
         self._relay = node.create_publisher(Image, "relayed/image_raw", PICTURES)
         node.create_subscription(Image, "camera/image_raw", self._on_image, PICTURES, raw=True)
 
@@ -108,7 +106,7 @@ class DrawnCell:
         self._phase = message.state
 
     def draw(self) -> None:
-        """Have a tap drawn; sends the goal (anew) where none is under way."""
+        """Wait until the striker is being charged; send a goal if none is active."""
         deadline = time.monotonic() + PATIENCE_S
         asked = 0.0
         while self.board.state != "CHARGING":
@@ -126,7 +124,7 @@ class DrawnCell:
             time.sleep(0.001)
 
     def lose(self, who: str, how: str) -> float:
-        """Lose somebody now; s until the board has let the striker down."""
+        """Cause a loss and return the time until the board has discharged the striker, s."""
         began = time.monotonic()
         if who == PICTURES_STOP[0]:
             self.relaying = False
@@ -153,7 +151,7 @@ class DrawnCell:
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Times in s from each kind of loss to a striker let down."""
+    """Return the times from each kind of loss to the discharged striker, s."""
     domain = own_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain.number)
     chance = random.Random(1)
@@ -175,7 +173,7 @@ def _loss(cell: DrawnCell, who: str, how: str, chance: Callable[[], float]) -> f
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     rows = [
         f"{name}: let down after {1e3 * row['mean']:.0f} ms, at worst {1e3 * row['worst']:.0f} ms"
         f" of {report['count']}"

@@ -1,10 +1,10 @@
-"""The drivers: what they add to a tap, how soon a stop is on the wire, how soon they are back.
+"""Drivers: overhead per tap, latency of a stop on the wire, and time for reconnection.
 
-The overhead is measured in the emulated devices' own time (what they say takes as long as on a real
-line at 115200 baud, with 2 ms for the adapter; what they are sent is there at once, as over a
-native USB port, so the arm's bytes are counted beside), so the machine's load does not show in it.
-Stop and reconnection run over real pseudo-terminals in real time. Peers: a bare ``os.write``
-through the same terminal, and a bare opening of the port.
+The overhead is measured in the emulated devices' own time, so that it does not depend on the load
+of the computer. Replies take as long as on a real line at 115200 baud plus 2 ms for the adapter.
+Commands arrive immediately, as over a native USB port; the bytes sent to the arm are therefore
+counted separately. Stops and reconnections use pseudo-terminals in real time. The peers are a plain
+``os.write`` through the same terminal and a plain opening of the port.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ RETURNS = 20
 
 
 def measure() -> dict[str, Any]:
-    """Times and overhead of a tap in s for each dialect, stop to wire in s, reconnection in s."""
+    """Return, in s, the times and the overhead of a tap for each dialect, the latency of a stop and
+    the time for reconnection."""
     return {
         "overhead": {dialect.value: overhead(dialect, TAPS) for dialect in LANGUAGES},
         "stop": stop_to_wire(STOPS),
@@ -57,7 +58,7 @@ def measure() -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     rows = [
         f"{dialect}: {figures['in_position']:.2f} s from command to in position and"
         f" {figures['withdrawn']:.2f} s back to the park pose;"
@@ -83,9 +84,9 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
-    """Mean times of a tap in s: from command to in position, and back to the park pose; beyond
-    motion, settling and draw, up to the release, the whole, and of the reading that the whole
-    leaves out; and how many bytes the arm's board is sent."""
+    """Mean times of a tap, s: from the command to in position, back to the park pose, the overhead
+    beyond motion, settling and charging until firing, the total overhead, and the time of the
+    status query excluded from the total. Also the number of bytes sent to the arm's board."""
     cell = TrialCell(dialect, 3)
     cell.recover()
     before = cell.arm_line.count(Direction.TO_DEVICE)
@@ -108,7 +109,7 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
         cell.tapper.charge(shot, energy)
         cell.tapper.fire(shot, WINDOW, cell.allowed)
         to_release.append(cell.tapper_device.fires[-1][2] - began - needed)
-        # The node reads the arm while it waits for the release to end: counted by itself.
+        # The node queries the arm while it waits for the end of firing: counted separately.
         reading = cell.clock.now
         here = cell.arm.read_joints()
         readings.append(cell.clock.now - reading)
@@ -131,7 +132,8 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
 
 
 def stop_to_wire(stops: int) -> dict[str, float]:
-    """From the call of ``stop`` to its bytes at the other end, while another thread writes, s."""
+    """Time from the call of ``stop`` to its bytes at the other end, while another thread writes,
+    s."""
     master, slave = os.openpty()
     tty.setraw(slave)
     transport = SerialTransport(os.ttyname(slave))
@@ -174,7 +176,7 @@ def _until_heard(master: int, act: Callable[[], object], wanted: bytes) -> float
 
 
 def reconnect(times: int) -> dict[str, Any]:
-    """From the port's return to a driver that knows who is there, s; each driver by itself."""
+    """Time from the return of the port to the identification of the device, s, for each driver."""
     found: dict[str, list[float]] = {}
     bare: list[float] = []
     now = time.monotonic()
@@ -204,7 +206,8 @@ def reconnect(times: int) -> dict[str, Any]:
 
 
 def _return_of(terminal: PseudoTerminal, driver: ArmDriver | TapperDriver) -> float:
-    """Pull the cable, let the driver wait for the port, put it back; s until it is understood."""
+    """Unplug the cable, plug it in again while the driver waits, and return the time until the
+    device is identified, s."""
     terminal.hang_up()
     driver.close()
     back = threading.Timer(0.2, terminal.plug_in)

@@ -1,8 +1,8 @@
-"""From the topic ``emergency_stop`` to the stop bytes on the wire, through the real nodes.
+"""Latency from the topic ``emergency_stop`` to the stop bytes on the wire, with the real nodes.
 
-Each driver's node runs as a process of its own against an emulated board in this process; what is
-measured is publisher, middleware, executor, driver, terminal and the thread that reads it here. The
-peer is a byte written to the same terminal and seen by the same thread.
+Each driver node runs as a separate process with an emulated board in this process. The latency
+includes publisher, middleware, executor, driver, terminal and the reading thread in this process.
+The peer is a byte that is written to the same terminal and received by the same thread.
 """
 
 from __future__ import annotations
@@ -32,37 +32,37 @@ PATIENCE_S = 20.0
 
 
 class Listening:
-    """An emulated board that notes when a stop byte comes."""
+    """An emulated board that records the time of a received stop byte."""
 
     def __init__(self, board: DeviceEmulator) -> None:
         self.board = board
         self.stopped_at = 0.0
 
     def receive(self, data: bytes, now: float) -> None:
-        """Bytes from the host."""
+        """Receive bytes from the host."""
         if b"!" in data and not self.stopped_at:
             self.stopped_at = time.monotonic()
         self.board.receive(data, now)
 
     def advance(self, now: float) -> None:
-        """Let the board go on."""
+        """Advance the board to the time ``now``."""
         self.board.advance(now)
 
     def take_output(self, now: float) -> bytes:
-        """What the board says."""
+        """Return the board's output."""
         return self.board.take_output(now)
 
     def next_event(self) -> float | None:
-        """When the board does something next."""
+        """Return the time of the board's next event."""
         return self.board.next_event()
 
     def power_cycle(self, now: float) -> None:
-        """The board restarts."""
+        """Restart the board."""
         self.board.power_cycle(now)
 
 
 def measure() -> dict[str, Any]:
-    """Times in s for each node, and of a bare byte through the terminal."""
+    """Return the latencies for each node and for a plain byte through the terminal, s."""
     domain = own_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain.number)
     tapper = TapperEmulator(now=time.monotonic())
@@ -90,7 +90,7 @@ def measure() -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     return [
         f"{node}: emergency_stop to the wire: median {1e3 * figures['median']:.1f} ms, p99"
         f" {1e3 * figures['p99']:.1f} ms of {figures['stops']} (a bare byte: p99"

@@ -1,8 +1,9 @@
-"""What the idle cell takes of the processor, beside a bare pair of processes in the same run.
+"""Processor load of the idle cell, compared with minimal processes in the same run.
 
-The cell is the whole simulated graph with recorder and operator's page, its object at rest. The
-bare pair is what its messages cost without its work: one process publishes pictures of the same
-size at the same rate, one subscribes, and six idle nodes publish and take two topics at 10 Hz each.
+The cell is the complete simulated graph with recorder and operator's page and a stationary object.
+The minimal pair of processes measures the cost of the messages alone: one process publishes images
+of the same size at the same rate, one subscribes, and six idle nodes publish and subscribe to two
+topics at 10 Hz each.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ from tapping_cell.nodes.camera.images import PICTURES, to_message
 from tapping_cell.nodes.cell_node import LATCHED, choose_transport
 
 DEFAULT_COUNT = 20
-"""Seconds that each is watched."""
+"""Duration of each measurement, s."""
 SETTLE_S = 5.0
-"""After the object is at rest, and after the pair has started."""
+"""Delay after the object is stationary, and after the start of the minimal processes, s."""
 RATE_HZ = 30.0
 SIZE = (1024, 1280)
 IDLE_NODES = 6
@@ -36,7 +37,7 @@ LIMIT = 2.0
 
 
 def measure(seconds: int) -> dict[str, Any]:
-    """Shares of a core of every process, and the ratio of the two sums."""
+    """Return each process's load as a share of a core, and the ratio of the two sums."""
     domain = own_domain()
     local = {"ROS_DOMAIN_ID": str(domain.number), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     os.environ.update(local)
@@ -67,7 +68,7 @@ def _cell(seconds: int, local: dict[str, str]) -> dict[str, float]:
 
 
 def _wait_for_rest(graph: Graph) -> None:
-    """The client that waits is gone when the processes are watched."""
+    """Wait until the object is stationary, with a node that ends before the measurement."""
     rclpy.init()
     try:
         node = rclpy.create_node("idle_benchmark")
@@ -111,7 +112,7 @@ def _shares(processes: dict[str, int], seconds: int) -> dict[str, float]:
 
 
 def _run_bare(role: str) -> None:
-    """One process of the bare pair, until it is killed."""
+    """Run one process of the minimal pair until it is killed."""
     rclpy.init()
     node = rclpy.create_node(role)
     if role == "publisher":
@@ -138,7 +139,7 @@ def _idle(node: rclpy.node.Node, number: int) -> None:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = []
     for name in ("cell", "pair"):
         shares = report[name]

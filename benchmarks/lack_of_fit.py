@@ -1,8 +1,8 @@
-"""Whether ``fit`` knows when its model is wrong, in simulated worlds that it does not describe.
+"""Detection of model misfit by ``fit`` in simulated worlds that differ from its model.
 
 Each experiment fits 40 taps (4 runs at 20 and 45 degrees of incidence, 18 and 36 mm; scatter of 2.5
 % in speed, 5 or 15 % in spin, 1 degree in direction). 40 new taps at the same settings and 40 at
-eight others (10 to 50 degrees, 12 to 45 mm) are compared with the interval that is to hold 95 %.
+eight other settings (10 to 50 degrees, 12 to 45 mm) are compared with the 95 % prediction interval.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ WORLDS = {
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Misfits found and coverage, over ``count`` experiments a world."""
+    """Return the detected misfits and the coverage, over ``count`` experiments per world."""
     return {name: _world(truth, count) for name, truth in WORLDS.items()}
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = ["new taps in their 95 % interval at the same and at other settings"]
     for name, row in report.items():
         held = "; ".join(

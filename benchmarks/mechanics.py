@@ -1,7 +1,7 @@
-"""Sliding: the table against an ODE solver on the same closed forms, and against MuJoCo.
+"""Slides: the lookup table compared with an ODE solver on the same closed forms and with MuJoCo.
 
-Speeds are the best of several repetitions on one core. Every time stands beside the relative error
-of the distance and the rotation that it buys, against an integration at a tolerance of 1e-12.
+Times are the best of several repetitions on one core. Each time is reported with the relative error
+of distance and rotation, compared with an integration at a tolerance of 1e-12.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _LAUNCHES = 12
 _MUJOCO_LAUNCHES = 4
 _MUJOCO_FEET = 61
 _TIGHT = 1e-12
-# At this tolerance solve_ivp is as exact as the table at its worst, a few 1e-10.
+# At this tolerance solve_ivp is as accurate as the table's worst case, a few 1e-10.
 _EQUAL = 1e-10
 
 
 def measure() -> dict:
-    """All figures: seconds, rates per second, relative errors and ratios."""
+    """Return times (s), rates (1/s), relative errors and ratios."""
     sliding = Sliding(_DISK, _FRICTION, _KAPPA, _GRAVITY)
     report = {
         "table_build_s": _best(lambda: SlideTable("disk", _KAPPA * _DISK.gamma), 5),
@@ -47,7 +47,7 @@ def measure() -> dict:
 
 
 def lines(report: dict) -> list[str]:
-    """The figures for people."""
+    """Format the report as lines of text."""
     peer = report["solve_ivp"]
     text = [
         f"table for a new shape and torque factor: {1e3 * report['table_build_s']:.1f} ms",
@@ -80,7 +80,7 @@ def lines(report: dict) -> list[str]:
 
 
 def _best(task: Callable[[], object], repetitions: int) -> float:
-    """Seconds of the quickest run."""
+    """Return the time of the fastest repetition, s."""
     times = []
     for _ in range(repetitions):
         start = time.perf_counter()
@@ -139,7 +139,7 @@ def _polygon_rate() -> float:
 
 
 def _polygon_table_rates() -> dict[str, float]:
-    """A scalene triangle, which has no symmetry to save a table's size."""
+    """Measure a scalene triangle, whose table cannot be reduced by symmetry."""
     triangle = Polygon([(0, 0), (0.1, 0), (0, 0.07)], 0.2, 0.01)
     start = time.process_time()
     exact = Sliding(triangle, _FRICTION, _KAPPA, _GRAVITY)
@@ -185,8 +185,8 @@ def _against_solve_ivp(sliding: Sliding, forward_per_s: float) -> dict:
 def _solve(speed: float, spin: float, kappa: float, tolerance: float) -> tuple[float, float]:
     """Distance and rotation by ``solve_ivp``, with the textbook forms in K and E.
 
-    The variable is ln of the velocity's size, in which the end is regular: the kindest set-up for
-    the solver. The last 1e-7 of the velocity holds 1e-14 of the way.
+    The integration variable is the logarithm of the speed, which is regular at the end and
+    therefore best for the solver. The last 1e-7 of the speed contributes 1e-14 of the distance.
     """
     from scipy.integrate import solve_ivp
 
@@ -301,7 +301,7 @@ def _cylinder() -> str:
 
 
 def _feet() -> str:
-    """Feet on a sunflower's spiral, each of one share of the area."""
+    """Feet in a sunflower arrangement (Fermat's spiral), each for an equal share of the area."""
     size = 5e-4
     index = np.arange(_MUJOCO_FEET) + 0.5
     radius = _DISK.radius * np.sqrt(index / _MUJOCO_FEET)

@@ -1,8 +1,9 @@
-"""Computers on one machine: network namespaces, joined by a link that may delay and lose packets.
+"""Simulated computers: network namespaces connected by a link with optional delay and packet loss.
 
-Needs root, ``unshare``, ``nsenter`` and ``ip``; :func:`why_not` says what is missing. Without delay
-and loss two computers are joined by a veth pair, at the kernel's speed. With them every packet
-passes through this module's relay, a switch between TAP devices for some thousand packets/s.
+Needs root, ``unshare``, ``nsenter`` and ``ip``; :func:`why_not` returns what is missing. Without
+delay and loss, a veth pair connects two computers at the kernel's speed. Otherwise every packet
+passes through this module's relay, a switch between TAP devices, with a capacity in the order of a
+thousand packets/s.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _LONGEST_FRAME = 65535
 
 
 def why_not() -> str:
-    """Why no computers can be made here; empty where they can."""
+    """Return why network namespaces cannot be created here, or an empty string."""
     if os.geteuid() != 0:
         return "network namespaces need root"
     missing = [tool for tool in ("ip", "unshare", "nsenter") if shutil.which(tool) is None]
@@ -44,12 +45,12 @@ def why_not() -> str:
 
 
 class Computer:
-    """One network namespace with an address, and shared memory of its own."""
+    """One network namespace with an address and separate shared memory."""
 
     def __init__(self, name: str, address: str) -> None:
         self.name = name
         self.address = address
-        # The mount hides the shared memory of the others, which no network would carry.
+        # The mount hides the shared memory of the other computers, as on a real network.
         script = "mount -t tmpfs shm /dev/shm && ip link set lo up && echo up && exec sleep inf"
         self._holder = subprocess.Popen(
             ["unshare", "--net", "--mount", "--uts", "sh", "-c", f"hostname {name} && {script}"],
@@ -61,18 +62,18 @@ class Computer:
 
     @property
     def process_id(self) -> str:
-        """Of the process that holds the namespaces."""
+        """ID of the process that keeps the namespaces open."""
         return str(self._holder.pid)
 
     def command(self, words: Sequence[str]) -> list[str]:
-        """A command line that runs ``words`` on this computer."""
+        """Return a command line that runs ``words`` on this computer."""
         return ["nsenter", "--target", self.process_id, "--net", "--mount", "--uts", *words]
 
     def start(
         self, words: Sequence[str], environment: Mapping[str, str], **options: Any
     ) -> subprocess.Popen[str]:
-        """Start a program on this computer; its nodes look for others on the network."""
-        # Entering the namespaces leaves the working directory: the benchmarks are found by path.
+        """Start a program on this computer; its nodes discover other nodes over the network."""
+        # Entering the namespaces changes the working directory, so the benchmarks need a path.
         path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
         own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "PYTHONPATH": path}
         return subprocess.Popen(
@@ -80,7 +81,7 @@ class Computer:
         )
 
     def plug_in(self, interface: str) -> None:
-        """Move an interface of this machine to the computer, and give it the address."""
+        """Move a network interface to this computer and assign the address."""
         _ip("link", "set", interface, "netns", self.process_id)
         for words in (
             ("link", "set", interface, "name", "eth0"),
@@ -91,7 +92,7 @@ class Computer:
             subprocess.run(self.command(("ip", *words)), check=True)
 
     def close(self) -> None:
-        """End the computer; its interfaces go with it."""
+        """Stop the computer and remove its interfaces."""
         self._holder.kill()
         self._holder.communicate()
 
@@ -100,7 +101,8 @@ class Computer:
 def computers(
     names: Sequence[str], delay: float = 0.0, loss: float = 0.0
 ) -> Iterator[list[Computer]]:
-    """Computers on one network. ``delay``: of each packet, s; ``loss``: share of packets lost.
+    """Create computers on one network. ``delay``: delay of each packet, s; ``loss``: share of lost
+    packets.
 
     Raises:
         ValueError: more than two computers without delay and loss.
@@ -145,7 +147,7 @@ def _relay(made: list[Computer], ends: list[str], delay: float, loss: float) -> 
 
 
 def _forward(taps: Sequence[int], delay: float, loss: float) -> None:
-    """Switch frames between the devices by their hardware addresses, late and not all of them."""
+    """Switch frames between the devices by hardware address, with the delay and the loss."""
     chance = random.Random(1)
     homes: dict[bytes, int] = {}
     waiting: list[tuple[float, int, int, bytes]] = []
@@ -163,7 +165,7 @@ def _forward(taps: Sequence[int], delay: float, loss: float) -> None:
                     heapq.heappush(waiting, (due, next(order), tap, frame))
         while waiting and waiting[0][0] <= time.monotonic():
             *_, tap, frame = heapq.heappop(waiting)
-            with contextlib.suppress(OSError):  # a full queue, or a computer that was ended
+            with contextlib.suppress(OSError):  # a full queue or a stopped computer
                 os.write(tap, frame)
 
 

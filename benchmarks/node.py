@@ -1,8 +1,8 @@
-"""The running graph: what each node takes of a core, and how long camera_pose takes for a picture.
+"""Processor load of each node in the running graph, and time of camera_pose per image.
 
-Starts the simulated cell as processes, lets the object lie still, and reads for some seconds the
-processes' times and the stamps of object_state against the clock. Then feeds camera_pose alone with
-pictures of several kinds.
+The benchmark starts the simulated cell as processes with a stationary object. For several seconds
+it records the processor times of the processes and the ages of the object_state stamps. Then it
+sends several kinds of images to camera_pose alone.
 """
 
 from __future__ import annotations
@@ -23,12 +23,13 @@ from tapping_cell.cli.graph import SIMULATED, Graph, own_domain, with_own_ports
 from tapping_cell.nodes.cell_node import LATCHED
 
 DEFAULT_COUNT = 10
-"""Seconds that are watched."""
+"""Duration of the measurement, s."""
 PATIENCE_S = 60.0
 
 
 def measure(seconds: int) -> dict[str, Any]:
-    """Shares of a core by node, rate and age of object_state, milliseconds a picture."""
+    """Return the load of each node as a share of a core, rate and age of object_state, and the time
+    per image (ms)."""
     domain = own_domain()
     local = {"ROS_DOMAIN_ID": str(domain.number), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     os.environ.update(local)
@@ -89,13 +90,13 @@ def _watch(graph: Graph, seconds: int) -> dict[str, Any]:
 
 
 def cpu_seconds(pid: int) -> float:
-    """User and system time of a process, its threads included (proc(5), fields 14 and 15)."""
+    """User and system time of a process with all threads, s (proc(5), fields 14 and 15)."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = [f"{name:<16}{100 * share:5.1f} % of a core" for name, share in report["cores"].items()]
     text.append(
         f"object_state at {report['rate_hz']:.1f} Hz, {report['age_ms']:.1f} ms after the middle "

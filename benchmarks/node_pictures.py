@@ -1,8 +1,8 @@
-"""camera_pose alone, fed with pictures from this process: what a picture costs it and how late the
-answer is.
+"""Processor time and latency of camera_pose alone, with images published by this process.
 
-The latency counts from the call that publishes a picture to the arrival of its object_state here:
-the transport both ways included. The node's own share of that is what it says in /diagnostics.
+The latency is the time from the call that publishes an image to the arrival of its object_state
+here, including the transport both ways. The node's own share is the value that it publishes in
+/diagnostics.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tapping_cell.simulation.truth import CameraTruth
 
 RATE = 30.0
 PICTURES = 60
-"""Different pictures, shown over and over."""
+"""Number of different images, which are published repeatedly."""
 WARM_UP_S = 4.0
 PATIENCE_S = 60.0
 MARKED, PLAIN = "aluminium_disk.yaml", "plain_disk_with_dot.yaml"
@@ -44,7 +44,7 @@ MARKED, PLAIN = "aluminium_disk.yaml", "plain_disk_with_dot.yaml"
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What is shown to the node."""
+    """Parameters of the images for the node."""
 
     name: str
     object_file: str = MARKED
@@ -69,7 +69,7 @@ CASES = (
 def measure(
     seconds: float, environment: dict[str, str], cpu_seconds: Callable[[int], float]
 ) -> list[dict[str, Any]]:
-    """Each case in a process of its own; rclpy is initialised."""
+    """Run each case with a separate node process; rclpy must be initialised."""
     return [_measure(case, seconds, environment, cpu_seconds) for case in CASES]
 
 
@@ -104,7 +104,7 @@ def _pictures(case: Case, path: Path) -> list[Image]:
     renderer = make_renderer(cell, CameraTruth(), cell.outline(), 1)
     made = []
     for number in range(PICTURES):
-        # Once around in two seconds: 0.3 m/s, blurred over a fifth of the period.
+        # One circle in two seconds: 0.3 m/s, with motion blur over a fifth of the frame period.
         turns = np.array([number, number + 0.2]) / PICTURES if case.moving else np.full(2, 0.1)
         start, end = (
             Pose(0.1 * np.cos(angle), 0.1 * np.sin(angle), angle) for angle in 2 * np.pi * turns
@@ -115,16 +115,16 @@ def _pictures(case: Case, path: Path) -> list[Image]:
 
 
 def _encoded(grey: NDArray[np.uint8], encoding: str) -> NDArray[np.uint8]:
-    """A grey picture as a camera of that encoding sends it; grey, a Bayer pattern is the same."""
+    """Convert a grey image to an encoding; as a Bayer pattern a grey image is unchanged."""
     if encoding in ("bgr8", "bgra8"):
         return np.repeat(grey[..., None], len(encoding) - 1, axis=2)
     empty = {"mono16": 0, "yuv422": 128}.get(encoding)
-    # Of two bytes the upper one, which little-endian comes last, and with UYVY the grey one, too.
+    # The grey value is the second of two bytes: the high byte (little-endian) or the Y of UYVY.
     return grey if empty is None else np.stack([np.full_like(grey, empty), grey], axis=-1)
 
 
 class _Player:
-    """Plays the camera at its rate from a thread of its own and hears the answers."""
+    """Publishes images at the camera's rate and receives the results."""
 
     def __init__(self, case: Case, shown: list[Image]) -> None:
         self.node = rclpy.create_node("camera_player")
@@ -143,7 +143,7 @@ class _Player:
             self.node.create_subscription(Image, topic, lambda _: None, images.PICTURES)
 
     def play(self, seconds: float, graph: Graph) -> None:
-        """Publish for so long; what was measured before is forgotten."""
+        """Publish for ``seconds`` and discard earlier measurements."""
         executor = SingleThreadedExecutor()
         executor.add_node(self.node)
         deadline = time.monotonic() + PATIENCE_S
@@ -164,7 +164,7 @@ class _Player:
         executor.remove_node(self.node)
 
     def report(self, seconds: float) -> dict[str, Any]:
-        """Answers a second, and how late they were."""
+        """Return the rate and the latency of the results."""
         (pictures, busy), (pictures_0, busy_0) = self._inside, self._inside_before
         late = 1e3 * np.array(self._late)
         return {
@@ -198,7 +198,7 @@ class _Player:
 
 
 def lines(report: list[dict[str, Any]]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     return [
         f"{entry['case']:<34}{100 * entry['cores']:5.1f} % of a core at {entry['rate_hz']:.1f} Hz; "
         f"answer after {entry['latency_ms']:.1f} ms (p95 {entry['latency_p95_ms']:.1f}), of it "

@@ -1,4 +1,4 @@
-"""Objects without a marker on rendered frames with exact truth: how exact, how honest, how long."""
+"""Pose accuracy, covariance and time for objects without a marker on rendered frames."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from tapping_cell.vision.outline.search import (
 )
 
 DEFAULT_COUNT = 6
-"""Scenes: camera, light, blur and noise differ from one to the next."""
+"""Number of scenes, which differ in camera, light, blur and noise."""
 PLACES = 10
-"""Places of the object in a scene."""
+"""Number of object positions per scene."""
 WRONG = 0.0003
-"""Error (m) of a believed pose that counts as wrong."""
+"""Error above which an accepted pose counts as wrong, m."""
 CHI_SQUARE_95 = 7.815
-"""Of three degrees of freedom."""
+"""95 % quantile of the chi-square distribution with three degrees of freedom."""
 _SIDES = ((-0.04, -0.04), (0.04, -0.04), (0.04, 0.04), (-0.04, 0.04))
 OBJECTS = {
     "dark disk, light dot": ObjectOutline(
@@ -53,7 +53,7 @@ OBJECTS = {
 
 
 def measure(scenes: int) -> dict[str, Any]:
-    """Errors of single frames, normalised errors, and times, for each object."""
+    """Return errors of single frames, normalised errors and times for each object."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     keep_memory()  # as the node does
@@ -88,7 +88,7 @@ def _of_all_kinds(count: int) -> list[ObjectOutline]:
                 shape = {"vertices": tuple(map(tuple, places.tolist()))}
             made.append(ObjectOutline(height, brighter, **shape))
         except OutlineError:
-            continue  # not convex, or the same after a turn
+            continue  # not convex, or rotationally symmetric
     return made
 
 
@@ -124,7 +124,7 @@ def _one(outlines: list[ObjectOutline], places: int) -> dict[str, float]:
             fit = fit_surely(image, scene.view, outline, start, blur=USUAL_BLUR)
             follow.append((time.process_time() - begin) * 1e3)
             if fit is None or isinstance(accept(fit, outline), Refused):
-                # The node looks around in that case.
+                # In this case the node searches the surroundings.
                 fit = look_closely(image, scene.view, outline, start)
             if isinstance(fit, Refused):
                 missed += 1
@@ -149,14 +149,14 @@ def _one(outlines: list[ObjectOutline], places: int) -> dict[str, float]:
 
 
 def _off(pose: Array, true: Array) -> tuple[float, Array]:
-    """Distance in m, and the whole error (3,)."""
+    """Position error, m, and the complete error (3,)."""
     d = pose - true
     d[2] = wrap_angle(d[2])
     return math.hypot(d[0], d[1]), d
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     count = report["scenes"] * report["places"]
     text = [
         f"one frame each of {count} places; mean normalised error squared: 3 for an honest "

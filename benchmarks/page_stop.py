@@ -1,10 +1,11 @@
-"""From STOP on the operator's page to a subscriber of ``emergency_stop``, under attack.
+"""Latency from STOP on the operator's page to a subscriber of ``emergency_stop`` under attack.
 
-The real node runs as a process of its own, with its process for STOP. Another process plays
-``CLIENTS`` hostile pages, each with 200 messages a second: drags, commands and nonsense to the page
-(they connect again whenever they are thrown out), then checks and nonsense to STOP's own port. What
-is measured is a browser's request over a new connection, the process, the middleware, and the
-subscription that receives it here. Peers: the same without an attack, and a message published here.
+The real node runs as a separate process, with its process for STOP. Another process simulates
+``CLIENTS`` hostile clients with 200 messages per second each. They first send drags, commands and
+invalid data to the page, reconnecting when disconnected, and then checks and invalid data to the
+port of STOP. The latency includes a browser's request over a new connection, the process, the
+middleware and the subscription here. The peers are the same request without an attack and a message
+published here.
 """
 
 from __future__ import annotations
@@ -38,16 +39,16 @@ from tapping_cell.vision import CameraPose
 
 STOPS = 100
 PAUSE_S = 0.2
-"""Between stops."""
+"""Pause between stops, s."""
 CLIENTS = 50
 BATCH_PERIOD_S = 0.05
 BATCH = 10
-"""Messages of each client that are sent together every period: 200 a second."""
+"""Number of messages that each client sends per period, which gives 200 messages per second."""
 PATIENCE_S = 20.0
 
 
 def measure() -> dict[str, Any]:
-    """Times in s from the request to the message, for each attack."""
+    """Return the times from the request to the message for each attack, s."""
     domain = own_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain.number)
     page, stop = _free_port(), _free_port()
@@ -75,7 +76,7 @@ def measure() -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     rows = [
         f"{name}: median {1e3 * row['median']:.1f} ms, p99 {1e3 * row['p99']:.1f} ms, longest"
         f" {1e3 * row['longest']:.1f} ms of {row['stops']}"
@@ -87,7 +88,8 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 class Listener:
-    """Notes when a stop arrives; and plays a camera, so that drags cost what they cost."""
+    """Records the arrival of a stop, and publishes camera data so that drags have their real
+    cost."""
 
     def __init__(self) -> None:
         self.node = rclpy.create_node("page_stop_bench")
@@ -161,7 +163,7 @@ def _figures(times: list[float]) -> dict[str, float]:
 
 
 def _press(page: int, stop: int) -> bool:
-    """One STOP as a browser sends it, over a connection of its own."""
+    """Send one STOP over a new connection, as a browser does."""
     asked = urllib.request.Request(
         f"http://127.0.0.1:{stop}/",
         data=b'{"do": "stop"}',
@@ -175,7 +177,7 @@ def _press(page: int, stop: int) -> bool:
 
 
 def attack_pages(page: int, _: int, sent: Any) -> None:
-    """Hostile pages; runs until it is killed."""
+    """Run hostile clients of the page until the process is killed."""
     place = b'{"do":"place","number":%d,"x":%d,"y":0,"angle":9}'
     messages = [place % (number, number % 200 - 100) for number in range(1000)]
     messages += [b'{"do":"goal","x":1e9}', b'{"do":"home"}', b"[" * 500, b"\xff\xfe", b"{}"] * 40
@@ -189,7 +191,7 @@ def attack_pages(page: int, _: int, sent: Any) -> None:
 
 
 def attack_stop(page: int, stop: int, sent: Any) -> None:
-    """Hostile clients of STOP's own port; runs until it is killed."""
+    """Run hostile clients of the port of STOP until the process is killed."""
     bodies = [b'{"do":"check"}', b'{"do":"check","token":"x"}', b"nonsense", b"[" * 300]
     requests = [
         f"POST / HTTP/1.1\r\nHost: 127.0.0.1:{stop}\r\nOrigin: http://127.0.0.1:{page}\r\n"
@@ -201,7 +203,7 @@ def attack_stop(page: int, stop: int, sent: Any) -> None:
 
 
 def _attack(port: int, hello: bytes, messages: list[bytes], sent: Any) -> None:
-    """Send batches over every connection; open anew what was closed."""
+    """Send batches over every connection and reopen closed connections."""
     chance = random.Random(1)
     lines: list[socket.socket | None] = [None] * CLIENTS
     while True:
@@ -217,7 +219,7 @@ def _attack(port: int, hello: bytes, messages: list[bytes], sent: Any) -> None:
                 with sent.get_lock():
                     sent.value += BATCH
             except BlockingIOError:
-                continue  # the server reads no more: that is how it defends itself
+                continue  # the server has stopped reading, which is its defence
             except OSError:
                 if line is not None:
                     line.close()
@@ -226,7 +228,7 @@ def _attack(port: int, hello: bytes, messages: list[bytes], sent: Any) -> None:
 
 
 def _drain(line: socket.socket) -> None:
-    """Read what was answered; raises ConnectionError where the server has closed."""
+    """Read and discard replies; raise ConnectionError if the server has closed the connection."""
     with selectors.DefaultSelector() as ready:
         ready.register(line, selectors.EVENT_READ)
         while ready.select(0):
@@ -235,7 +237,7 @@ def _drain(line: socket.socket) -> None:
 
 
 def _frame(message: bytes) -> bytes:
-    """A text frame of a WebSocket, masked with zeros (RFC 6455, section 5.2)."""
+    """Make a WebSocket text frame with a mask of zeros (RFC 6455, section 5.2)."""
     size = len(message)
     length = bytes([0x80 | size]) if size < 126 else bytes([0xFE]) + size.to_bytes(2, "big")
     return b"\x81" + length + bytes(4) + message

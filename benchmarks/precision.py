@@ -1,8 +1,9 @@
-"""Taps and truth at fine tolerances: the published task at 1, 0.3, 0.1 and 0.05 mm and degrees.
+"""Taps and true errors of the published task at tolerances of 1, 0.3, 0.1 and 0.05 mm and degrees.
 
-The abstract model with the published scatter (5 and 15 %, and 1 degree of direction) and a look of
-0.01 mm and 0.01 degrees; what the smallest tap allows is measured beside it, and how long the plan
-takes to solve: the coarse one, which answers first, and the fine one.
+The trials use the abstract model with the published scatter (5 % and 15 %, and 1 degree in
+direction) and camera noise of 0.01 mm and 0.01 degrees. The benchmark also measures the limit due
+to the smallest tap and the time for solving the coarse plan, which is used first, and the fine
+plan.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ SMALLEST_TAPS_MM = (1.7, 1.0)
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """One row for each tolerance and smallest tap, over ``count`` trials."""
+    """Return one row per tolerance and smallest tap, over ``count`` trials."""
     rows = []
     for least in SMALLEST_TAPS_MM:
         for tolerance in TOLERANCES:
@@ -35,7 +36,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
             )
             began = time.process_time()
             solved = [(time.process_time() - began, plan) for plan in solutions(settings)]
-            keep_policy(settings, solved[-1][1])  # else the trials would solve it again
+            keep_policy(settings, solved[-1][1])  # otherwise the trials would solve it again
             found = summarise(evaluate(Evaluation("optimal", settings, trials=count), 1))
             rows.append(
                 {
@@ -53,7 +54,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = [
         f"10 mm and 10 degrees, {report['trials']} trials; seconds of processor time",
         "smallest  tolerance  mean taps  90 %   done  truly inside  smallest taps inside  "

@@ -14,7 +14,7 @@ from rclpy.time import Time
 
 
 def shift(seconds: float) -> None:
-    """Shift every clock of this process but the steady ones."""
+    """Shift every clock of this process except the steady clocks."""
     true_now = Clock.now
 
     def now(self: Clock) -> Time:

@@ -1,8 +1,8 @@
-"""Pictures between two computers, and goals over three whose clocks differ, on a link that loses.
+"""Images between two computers, and goals with three computers whose clocks differ.
 
-The computers are network namespaces of this machine (``benchmarks.networks``): pictures stay on one
-host or go over a clean link; goals go over a link with 20 ms and 1 % loss, with camera and vision
-on one computer, the drivers on another, planner and recorder on a third.
+The computers are network namespaces of this machine (``benchmarks.networks``). Images stay on one
+host or use a link without loss. Goals use a link with 20 ms delay and 1 % packet loss, with camera
+and vision on one computer, the drivers on the second, planner and recorder on the third.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from tapping_cell.cli.graph import own_domain
 from tapping_cell.nodes import MODULES
 
 DEFAULT_COUNT = 10
-"""Goals."""
+"""Number of goals."""
 PICTURES = 600
-"""Of each transport: 20 s."""
+"""Number of images per transport, which take 20 s."""
 RATE_HZ = 30.0
 SIZE = (1024, 1280)
 DELAY_S, LOSS = 0.020, 0.01
@@ -40,7 +40,7 @@ SETTLE_S = 3.0
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Pictures sent and arrived by transport, and the ends of the goals."""
+    """Return the sent and the received images by transport, and the results of the goals."""
     reason = why_not()
     if reason:
         raise OSError(f"this section needs network namespaces: {reason}")
@@ -58,7 +58,7 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     made = [
         f"pictures {name}: {entry['arrived']} of {entry['sent']} arrived, median "
         f"{entry['median_ms']:.1f} ms"
@@ -98,9 +98,9 @@ def _pictures(
 def cell(
     folder: Path, own: Mapping[str, str], clocks: Mapping[str, float] | None = None
 ) -> Iterator[Computer]:
-    """The simulated cell on three computers; gives the one at which people sit.
+    """Run the simulated cell on three computers and yield the operator's computer.
 
-    ``clocks``: how far each computer's clock is ahead, s.
+    ``clocks``: offset of each computer's clock, s, positive if it is ahead.
     """
     environment = {**own, "HOME": str(folder), "OPENBLAS_NUM_THREADS": "1"}
     shifts = CLOCKS_S if clocks is None else clocks
@@ -131,7 +131,7 @@ def cell(
 
 
 def goals(desk: Computer, own: Mapping[str, str], count: int) -> list[dict[str, Any]]:
-    """Send goals one after the other from that computer, and say how each truly ended."""
+    """Send goals one after the other from ``desk`` and return the true result of each goal."""
     words = [sys.executable, "-m", "benchmarks.two_computers", "goals", str(count)]
     client = desk.start(words, own, stdout=subprocess.PIPE)
     try:
@@ -142,7 +142,7 @@ def goals(desk: Computer, own: Mapping[str, str], count: int) -> list[dict[str, 
     return [json.loads(line) for line in told.splitlines()]
 
 
-# What runs on the computers.
+# Code that runs on the computers.
 
 
 def _write(transport: str) -> None:
@@ -170,7 +170,7 @@ def _write(transport: str) -> None:
         publisher.publish(picture, CameraInfo())
         due += 1.0 / RATE_HZ
         time.sleep(max(0.0, due - time.monotonic()))
-    time.sleep(PATIENCE_S)  # what is lost may yet be asked for; the reader ends first
+    time.sleep(PATIENCE_S)  # lost data may be requested again; the reader ends first
 
 
 def _read(transport: str) -> None:
@@ -214,7 +214,7 @@ def _send_goals(count: int) -> None:
     chance = random.Random(5)
     with GoalClient("goal") as client:
         for _ in range(count):
-            # A device that was lost on a busy machine comes back by itself.
+            # A device that was lost because of high load reconnects automatically.
             deadline = time.monotonic() + PATIENCE_S / 2
             while client.missing() and time.monotonic() < deadline:
                 time.sleep(0.2)

@@ -1,10 +1,10 @@
-"""Objects without a file: what nine goals teach, and what the tenth then takes.
+"""Objects without a file: learning from nine goals and the taps of further goals.
 
-Ten objects of the simulated world are drawn at random (disks, rings, polygons; friction 0.05 to
-0.6, torque factor 0.8 to 4, restitution, contact friction and density unknown too). Each begins
-with the file that the verb `new-object` makes of its true shape and height. Nine goals with
-learning from tap to tap give the taps from which `learn-object` makes a file; further goals are
-then made with that file and, with the same draws, with the true one. A perfect camera looks.
+Ten simulated objects are drawn at random (disks, rings, polygons; friction 0.05 to 0.6, torque
+factor 0.8 to 4; restitution, contact friction and density are also unknown). Each object starts
+with the file that the verb `new-object` makes from its true shape and height. `learn-object` makes
+a new file from the taps of nine goals with learning from taps. Further goals are then run with that
+file and, with the same random numbers, with the true file. The camera is perfect.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from tapping_cell.simulation.tap_trials import SimulatedTaps
 from tapping_cell.simulation.truth import ScatterTruth, TruthFile
 
 DEFAULT_COUNT = 100
-"""Goals with each of the two files of each object."""
+"""Number of goals per object with each of the two files."""
 
 OBJECTS = 10
 GOALS = 9
@@ -40,7 +40,7 @@ MARKER = MarkerSection("APRILTAG_36h11", 7, 0.03)
 
 @dataclass(slots=True)
 class Recorded:
-    """A world whose taps are kept, in the object's axes before each: commanded and measured."""
+    """A world that records commanded and measured taps in the object's frame before the tap."""
 
     world: SimulatedTaps
     commanded: list[Array] = field(default_factory=list)
@@ -48,13 +48,13 @@ class Recorded:
 
     @property
     def model(self) -> Any:
-        """The mechanics by which the planner makes its taps."""
+        """Mechanics with which the planner converts taps."""
         return self.world.model
 
     def answer(
         self, poses: Array, seen: Array, commanded: Array, gains: Array, rng: np.random.Generator
     ) -> Array:
-        """As the world answers."""
+        """Return the world's displacements (n, 3) and record the taps."""
         moved = self.world.answer(poses, seen, commanded, gains, rng)
         self.commanded.append(turned(commanded, -seen[:, 2]))
         self.measured.append(turned(moved, -seen[:, 2]))
@@ -62,14 +62,14 @@ class Recorded:
 
 
 def turned(moves: Array, angles: Array) -> Array:
-    """Displacements (n, 3) in axes turned back by ``angles`` (n,)."""
+    """Rotate displacements (n, 3) by ``angles`` (n,), rad."""
     cos, sin = np.cos(angles), np.sin(angles)
     x, y = moves[:, 0], moves[:, 1]
     return np.stack([cos * x - sin * y, sin * x + cos * y, moves[:, 2]], axis=1)
 
 
 def drawn_object(seed: int) -> tuple[ObjectFile, ObjectFile]:
-    """An object as it is, and the file with which it begins."""
+    """Draw an object; return its true file and its initial file."""
     random = np.random.default_rng(seed)
 
     def between(low: float, high: float) -> float:
@@ -98,7 +98,7 @@ def drawn_object(seed: int) -> tuple[ObjectFile, ObjectFile]:
 
 
 def learnt_file(true: ObjectFile, begun: ObjectFile, seed: int) -> ObjectFile:
-    """The file after nine goals that began with ``begun``."""
+    """Return the file learnt from nine goals that started with ``begun``."""
     evaluation, world = _evaluation(true, begun, GOALS)
     evaluate(evaluation, seed)
     return learn_object(
@@ -125,7 +125,7 @@ def _evaluation(true: ObjectFile, told: ObjectFile, goals: int) -> tuple[Evaluat
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Each object: what was learnt, and the taps of further goals with both files."""
+    """Return the learnt values and the taps of further goals with both files for each object."""
     report: dict[str, Any] = {}
     for seed in range(OBJECTS):
         true, begun = drawn_object(seed)
@@ -147,7 +147,7 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = []
     for name, row in report.items():
         taps = row if name == "mean" else row["taps"]

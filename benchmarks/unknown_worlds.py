@@ -1,9 +1,9 @@
-"""Goals in simulated worlds that the planner's files do not describe, with learning from each tap.
+"""Goals in simulated worlds that differ from the planner's files, with learning from each tap.
 
-The worlds are those of ``config/truth`` and worlds drawn around ``everything.yaml``: all effects at
-once, each of random size up to what stands there, friction and torque factor wrong by up to a
-factor. A goal (to 40 mm and 20 degrees, from anywhere on the cell's table) begins with no knowledge
-of the object but its file; a perfect camera looks after each tap.
+The worlds are those of ``config/truth`` and random variations of ``everything.yaml``. The latter
+have all effects simultaneously, each of random size up to the value in that file, and errors of
+friction and torque factor up to a given factor. A goal (up to 40 mm and 20 degrees, from anywhere
+on the cell's table) starts only with the object's file. A perfect camera measures after each tap.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from tapping_cell.simulation.tap_trials import SimulatedTaps
 from tapping_cell.simulation.truth import PatchTruth, TruthFile
 
 DEFAULT_COUNT = 2000
-"""Goals of all groups together."""
+"""Number of goals of all groups together."""
 
 GOALS_A_WORLD = 10
 TASKS = (0.040, math.radians(20.0))
 CAMERA = CameraNoise(0.00005, math.radians(0.05))
 SPREADS = {"within 2": (2.0, 2.0), "within 4 and 2.5": (4.0, 2.5)}
-"""Largest factors of friction and torque factor, either way."""
+"""Largest factors between the true and the configured friction and torque factor, either way."""
 
 
 def shipped_worlds() -> dict[str, TruthFile]:
-    """The worlds of ``config/truth``."""
+    """Load the worlds of ``config/truth``."""
     folder = shared_folder() / "truth"
     return {path.stem: load(TruthFile, path) for path in sorted(folder.glob("*.yaml"))}
 
 
 def drawn_world(spread: tuple[float, float], rng: np.random.Generator) -> TruthFile:
-    """A world with all effects of ``everything.yaml``, each of random size and direction."""
+    """Draw a world with all effects of ``everything.yaml`` in random sizes and directions."""
     base = load(TruthFile, shared_folder() / "truth" / "everything.yaml")
 
     def part(value: float) -> float:
@@ -101,7 +101,7 @@ def drawn_world(spread: tuple[float, float], rng: np.random.Generator) -> TruthF
 
 
 def run_world(truth: TruthFile, goals: int, seed: int, probe: bool = False) -> Results:
-    """Goals in one world, each begun afresh."""
+    """Run goals in one world, each without earlier learning."""
     cell = load_cell()
     tap = make_tap(cell)
     settings = replace(PlannerSettings.for_tap(tap), camera=CAMERA)
@@ -128,7 +128,7 @@ def _space() -> Any:
 
 
 def drawn_results(spread: tuple[float, float], first: int, worlds: int) -> Results:
-    """Goals in the drawn worlds ``first`` to ``first + worlds``."""
+    """Run goals in the drawn worlds ``first`` to ``first + worlds - 1``."""
     return join(
         [
             run_world(drawn_world(spread, np.random.default_rng(seed)), GOALS_A_WORLD, seed)
@@ -138,7 +138,7 @@ def drawn_results(spread: tuple[float, float], first: int, worlds: int) -> Resul
 
 
 def figures(results: Results) -> dict[str, Any]:
-    """What the issue asks of a group."""
+    """Summarise a group and count false claims and reached goals."""
     done = results.end == End.DONE
     return {
         **summarise(results),
@@ -148,7 +148,8 @@ def figures(results: Results) -> dict[str, Any]:
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Half of ``count`` goals in the shipped worlds, a quarter in each group of drawn ones."""
+    """Run half of ``count`` goals in the shipped worlds and a quarter in each group of drawn
+    worlds."""
     shipped = shipped_worlds()
     goals = max(1, count // 2 // len(shipped))
     report = {
@@ -162,7 +163,7 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = []
     for name, row in report.items():
         taps = row["taps"]

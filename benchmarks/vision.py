@@ -1,8 +1,8 @@
-"""The vision room on rendered frames with exact truth, beside plain cv2.aruco and pupil-apriltags.
+"""The vision package compared with cv2.aruco and pupil-apriltags on frames with ground truth.
 
-The peers find corners in the same images; their poses come from those corners through the same
-known camera and plane. pupil-apriltags is measured where it is installed (``pip install
-pupil-apriltags``).
+The peers detect corners in the same rendered images. Their poses are computed from those corners
+with the same known camera and plane. pupil-apriltags is measured if it is installed
+(``pip install pupil-apriltags``).
 """
 
 from __future__ import annotations
@@ -33,15 +33,16 @@ from tapping_cell.vision.markers.photometric import align, make_template
 
 DEFAULT_COUNT = 60
 FRAMES = 30
-"""Frames of one object at rest for the tracker's own time."""
+"""Number of frames of a stationary object for measuring the tracker's time."""
 MARGIN = 40
-"""Pixels around the marker that a search around the last pose gets."""
+"""Margin around the marker for a search near the last pose, in pixels."""
 USUAL_BLUR = 0.65
 Pose = np.ndarray | None
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Errors and times over ``count`` random scenes, and of a tracker at rest."""
+    """Return errors and times over ``count`` random scenes and for a tracker of a stationary
+    object."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     keep_memory()  # as the node does
@@ -79,7 +80,7 @@ def _measure(count: int) -> dict[str, Any]:
         assert scene is not None
         true = random.uniform([-0.25, -0.17, -math.pi], [0.25, 0.17, math.pi])
         image = scene.render(true)
-        # The picture is colder for the first than for the last: each method comes first in turn.
+        # The image is not yet cached for the first method, so each method is first in turn.
         turn = number % len(methods)
         for name in [*methods][turn:] + [*methods][:turn]:
             method = methods[name]
@@ -119,7 +120,7 @@ def _figures(rows: list[tuple[float, float, float]]) -> dict[str, float]:
 def _methods(
     view: View, marker: ObjectMarker
 ) -> dict[str, Callable[[np.ndarray, np.ndarray], Pose]]:
-    """Ways from an image (and the true pose, for the place of a search around it) to a pose."""
+    """Return the methods that compute a pose from an image; the true pose locates their search."""
     pixel = float(view.pose.translation[2]) / view.camera.fx
     modules = marker_pattern(marker.dictionary, marker.id).shape[0]
     template = make_template(marker, pixel, USUAL_BLUR * pixel)
@@ -138,11 +139,11 @@ def _methods(
         return None if fit is None else fit.pose
 
     def tracking(image: np.ndarray, true: np.ndarray) -> Pose:
-        # The last pose, about a pixel away.
+        # The last pose, with an error of about one pixel.
         return by_edges(image, quad(true + np.array([0.0005, -0.0004, 0.004])))
 
     def settled(image: np.ndarray, true: np.ndarray) -> Pose:
-        # An object at rest, or well predicted.
+        # A stationary or well predicted object.
         return by_edges(image, quad(true + np.array([2e-5, -2e-5, 2e-4])))
 
     def photometric(image: np.ndarray, true: np.ndarray) -> Pose:
@@ -175,7 +176,7 @@ def _aruco(
     refinement: int,
     region: Callable[[np.ndarray], tuple[int, int, int, int]] | None,
 ) -> Callable[[np.ndarray, np.ndarray], Pose]:
-    """OpenCV's detector as it comes, with one of its refinements."""
+    """OpenCV's detector with default parameters and one of its corner refinements."""
     parameters = aruco.detector_parameters()
     parameters.cornerRefinementMethod = refinement
     book = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36H11)
@@ -192,7 +193,7 @@ def _aruco(
 
 @lru_cache(maxsize=1)
 def _pupil_detector() -> Any:
-    """Made once and never given up: the package's destructor crashes the interpreter."""
+    """Create the detector once and never delete it, because its destructor crashes Python."""
     from pupil_apriltags import Detector
 
     Detector.__del__ = lambda self: None
@@ -211,9 +212,9 @@ def _pupil(
         part, origin = _cut(image, region, true)
         for found in detector.detect(part):
             if found.tag_id == marker.id:
-                # Its corners go counter-clockwise from the bottom left of the tag as printed by
-                # AprilRobotics, which stands upside down against OpenCV's; its pixels' corners, not
-                # their centres, are whole numbers.
+                # The corners are counter-clockwise from the bottom left of the tag as printed by
+                # AprilRobotics, which is upside down compared with OpenCV's tag. Integer
+                # coordinates are the corners of pixels, not their centres.
                 corners = found.corners + origin - 0.5
                 poses = [
                     pose_of_corners(view, np.roll(corners[::-1], shift, axis=0), marker)
@@ -238,8 +239,8 @@ def _cut(
 
 
 def _tracker(scene: SceneRenderer, marker: ObjectMarker) -> dict[str, float]:
-    """The whole tracker, reference markers included: milliseconds a frame at rest and while
-    sliding."""
+    """Measure the complete tracker with reference markers: time per frame for a stationary and for
+    a sliding object, ms."""
     folder = shared_folder()
     table = load_reference_map(folder / "table.yaml")
     tracker = PoseTracker(scene.view.camera, table, marker)
@@ -261,7 +262,7 @@ def _tracker(scene: SceneRenderer, marker: ObjectMarker) -> dict[str, float]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     width = max(len(name) for name in report["methods"])
     rows = [
         f"{report['scenes']} scenes, one frame each, known camera and table",

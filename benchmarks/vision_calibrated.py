@@ -1,8 +1,8 @@
-"""How exact is a cell whose camera was calibrated from photographs? And what limits it?
+"""Accuracy of a cell whose camera was calibrated from photographs, and its limits.
 
-Photographs of a ChArUco board are rendered and go through ``calibrate camera``'s own way; the
-object is then measured at rest, its frames fused, over the whole table: once with that
-calibration, once with the exact one.
+Rendered photographs of a ChArUco board are calibrated in the same way as by ``calibrate camera``.
+The stationary object is then measured over the whole table from fused frames, with that calibration
+and with the exact calibration.
 """
 
 from __future__ import annotations
@@ -31,13 +31,14 @@ DEFAULT_COUNT = 100
 VIEWS = 25
 FUSED = 30
 PLACES = 10
-"""Places of the object under one camera, and under one calibration."""
+"""Number of object positions per camera and calibration."""
 TEXEL = 0.0002
 TARGET = Target("charuco", 14, 10, 0.030, 0.022, "4X4_100")
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Scores of ``count`` places, a new camera and new photographs every ten."""
+    """Return the scores of ``count`` positions, with a new camera and new photographs for every
+    ten."""
     cv2.setNumThreads(1)
     cell = Cell.load()
     names = ("calibrated from photographs", "the same, one frame", "exact files")
@@ -80,7 +81,7 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def calibrated(random: np.random.Generator, camera: CameraModel) -> CameraCalibration:
-    """The camera as found from photographs of a board held at up to 35 degrees."""
+    """Calibrate a camera from photographs of a board with tilts of up to 35 degrees."""
     board = _board()
     rows, columns = np.mgrid[0 : camera.height, 0 : camera.width].astype(float)
     rays = camera.rays(np.stack([columns, rows], axis=-1))
@@ -101,13 +102,13 @@ def calibrated(random: np.random.Generator, camera: CameraModel) -> CameraCalibr
 
 
 def _stated(calibration: CameraCalibration) -> tuple[float, ...]:
-    """The standard deviations that the calibration's file states."""
+    """Standard deviations in the calibration file."""
     names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
     return tuple(calibration.deviations.get(name, 0.0) for name in names)
 
 
 def _board() -> np.ndarray:
-    """The board's reflectance, a value a texel, blurred like a well focused picture of it."""
+    """Reflectance of the board, one value per texel, blurred as in a well focused image."""
     book = marker_dictionary(TARGET.dictionary)
     each = round(TARGET.square / TEXEL)
     grid = (TARGET.columns, TARGET.rows)
@@ -131,7 +132,7 @@ def _photograph(
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     rows = score_lines(report["scores"])
     found = report["calibrations"]
     rows.append(

@@ -1,7 +1,8 @@
-"""Does the covariance tell the truth? Normalised errors over random scenes and calibrations.
+"""Consistency of the covariance: normalised errors over random scenes and calibrations.
 
-The squared error, normalised by the covariance, has the mean 3 for 3 degrees of freedom and stays
-below the 95 % bound in 95 of 100. Every scene is judged with exact files and with wrong ones.
+For a correct covariance the squared error normalised by it has a mean of 3 (3 degrees of freedom)
+and is below the 95 % bound in 95 of 100 cases. Every scene is evaluated with exact and with
+inaccurate files.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from tapping_cell.vision import PoseTracker
 
 DEFAULT_COUNT = 500
 PLACES = 5
-"""Places of the object under one camera."""
+"""Number of object positions per camera."""
 FUSED = 30
 CASES = {
     "exact files, one frame": (0.0, 0.0, 1),
@@ -37,7 +38,7 @@ CASES = {
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Scores of ``count`` scenes in every case."""
+    """Return the scores of ``count`` scenes in every case."""
     cv2.setNumThreads(1)
     cell = Cell.load()
     scores = {name: Score([], []) for name in CASES}
@@ -58,5 +59,5 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     return score_lines(report)

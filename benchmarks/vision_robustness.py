@@ -1,8 +1,8 @@
-"""Ten thousand frames of what goes wrong over a table: is a wrong pose ever published as good?
+"""Wrong poses among ten thousand frames with disturbances over the table.
 
-A frame is wrong when its pose is off by more than five standard deviations and by more than 0.3 mm
-(or 0.3 degrees). Every trouble must also be recognised: one of its problems, or its warning, must
-have been said while it lasted.
+A frame is wrong if the error of its pose is more than five standard deviations and more than 0.3 mm
+(or 0.3 degrees). Every disturbance must also be recognised: one of its problems or its warning must
+be reported while it lasts.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from tapping_cell.vision import Observation, PoseTracker, Problem
 DEFAULT_COUNT = 10_000
 PERIOD = 1.0 / 30.0
 SETTLE = 12
-"""Frames at rest before and after each trouble."""
+"""Number of undisturbed stationary frames before and after each disturbance."""
 _ASIDE = np.array([0.12, 0.10, 0.0])
 WRONG_MM, WRONG_DEG, WRONG_SIGMAS = 0.3, 0.3, 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """An image, the true pose (3,) at the middle of its exposure, and a stamp if not the usual."""
+    """An image, the true pose (3,) at the middle of its exposure, and a stamp if it is unusual."""
 
     image: np.ndarray
     true: np.ndarray
@@ -42,7 +42,7 @@ class Shot:
 
 @dataclass(slots=True)
 class Stage:
-    """A scene, the same seen by a camera that was bumped, and the object's place."""
+    """A scene, the same scene for a displaced camera, and the object's pose."""
 
     random: np.random.Generator
     scene: SceneRenderer
@@ -51,14 +51,14 @@ class Stage:
     place: np.ndarray
 
     def still(self, frames: int, scene: SceneRenderer | None = None) -> Iterator[Shot]:
-        """Nothing happens."""
+        """Generate frames of an undisturbed stationary object."""
         for _ in range(frames):
             yield Shot((scene or self.scene).render(self.place), self.place)
 
     def covered(
         self, middle: np.ndarray, half: tuple[float, float], height: float, frames: int
     ) -> Iterator[Shot]:
-        """Something ``height`` m over the table covers a rectangle around ``middle`` (3,)."""
+        """An obstacle ``height`` m above the table covers a rectangle around ``middle`` (3,)."""
         corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half
         place = transform_points(middle, corners)
         cover = Occluder(np.column_stack([place, np.full(4, height)]), self.random.uniform(20, 160))
@@ -67,7 +67,7 @@ class Stage:
 
 
 def _hand(stage: Stage) -> Iterator[Shot]:
-    """A hand comes, stays over the object for 3 s while that is moved by it, and goes."""
+    """A hand covers the object for 3 s and moves it."""
     far = stage.place + _ASIDE
     elsewhere = random_place(stage.random)
     for k in range(100):
@@ -79,7 +79,7 @@ def _hand(stage: Stage) -> Iterator[Shot]:
 
 
 def _finger(stage: Stage) -> Iterator[Shot]:
-    """A finger's breadth of the object's marker is covered, here or there."""
+    """A finger covers a random part of the object's marker."""
     for _ in range(6):
         angle = stage.random.uniform(0.0, 2.0 * math.pi)
         off = stage.random.uniform(0.018, 0.034)
@@ -94,26 +94,26 @@ def _reference(stage: Stage) -> Iterator[Shot]:
 
 
 def _half_reference(stage: Stage) -> Iterator[Shot]:
-    """The edge of a thing lies across a reference marker."""
+    """An object covers a reference marker partly."""
     marker = stage.cell.table.markers[int(stage.random.integers(len(stage.cell.table.markers)))]
     shift = stage.random.uniform(0.02, 0.04)
     yield from stage.covered(np.array([marker.x + shift, marker.y, 0.2]), (0.02, 0.04), 0.005, 20)
 
 
 def _bump(stage: Stage) -> Iterator[Shot]:
-    """The camera is bumped by 0.3 degrees, and knocked back."""
+    """The camera is turned by 0.3 degrees and back."""
     yield from stage.still(25, stage.bumped)
     yield from stage.still(25)
 
 
 def _light(stage: Stage) -> Iterator[Shot]:
-    """The light goes off, and on again."""
+    """The light goes off and on again."""
     for level in (0.5, 0.2, *[0.01] * 15, 0.3, 1.0):
         yield Shot(stage.scene.render(stage.place, light=level), stage.place)
 
 
 def _dusk(stage: Stage) -> Iterator[Shot]:
-    """The light changes slowly to a half and back."""
+    """The light decreases slowly to one half and increases again."""
     for k in range(60):
         level = 0.75 + 0.25 * math.cos(2.0 * math.pi * k / 60)
         yield Shot(stage.scene.render(stage.place, light=level), stage.place)
@@ -129,7 +129,7 @@ def _frozen(stage: Stage) -> Iterator[Shot]:
 
 
 def _late(stage: Stage) -> Iterator[Shot]:
-    """Frames of before arrive late, in disorder, or without a time."""
+    """Earlier frames arrive late, out of order or without a stamp."""
     old = stage.scene.render(stage.place)
     stage.place = random_place(stage.random)
     for stamp in (-5.0, -0.2, math.nan, -0.05, -1e9, math.inf):
@@ -138,7 +138,7 @@ def _late(stage: Stage) -> Iterator[Shot]:
 
 
 def _wrong_kind(stage: Stage) -> Iterator[Shot]:
-    """Other sizes, colours, depths."""
+    """The images have wrong sizes, encodings or depths."""
     image = stage.scene.render(stage.place)
     for wrong in (
         image[:512, :640],
@@ -168,7 +168,7 @@ def _slide(stage: Stage) -> Iterator[Shot]:
 
 
 def _creep(stage: Stage) -> Iterator[Shot]:
-    """The object is dragged at a millimetre a second."""
+    """The object is dragged at 1 mm/s."""
     angle = stage.random.uniform(0.0, 2.0 * math.pi)
     for _ in range(40):
         stage.place = stage.place + 3e-5 * np.array([math.cos(angle), math.sin(angle), 0.0])
@@ -176,7 +176,7 @@ def _creep(stage: Stage) -> Iterator[Shot]:
 
 
 def _grain(stage: Stage) -> Iterator[Shot]:
-    """A sensor turned up until the picture is grainy: 12 grey levels."""
+    """A high sensor gain causes noise of 12 grey levels."""
     for shot in stage.still(15):
         noise = stage.random.normal(0.0, 12.0, shot.image.shape)
         yield Shot(np.clip(shot.image + noise, 0, 255).astype(np.uint8), shot.true)
@@ -208,7 +208,8 @@ def _away(stage: Stage) -> Iterator[Shot]:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What happens, and what must be said of it: one of the problems, or a word of the warning."""
+    """A disturbance and the report that it requires: one of the problems, or a word of the
+    warning."""
 
     play: Callable[[Stage], Iterator[Shot]]
     problems: tuple[Problem, ...] = ()
@@ -236,7 +237,7 @@ CASES = {
 
 @dataclass(slots=True)
 class Tally:
-    """What a case came to."""
+    """Results of a case."""
 
     runs: int = 0
     unrecognised: int = 0
@@ -248,7 +249,7 @@ class Tally:
 
 
 def measure(count: int) -> dict[str, Any]:
-    """At least ``count`` frames, case after case, camera after camera."""
+    """Run all cases with changing cameras for at least ``count`` frames."""
     cv2.setNumThreads(1)
     cell = Cell.load()
     tallies = {name: Tally() for name in CASES}
@@ -315,7 +316,8 @@ def _judge(tally: Tally, seen: Observation, true: np.ndarray) -> None:
 
 
 def _other_resolution(cell: Cell) -> bool:
-    """A calibration of another resolution: every frame is refused, in words with both sizes."""
+    """Return whether a calibration for another resolution causes every frame to be rejected, with a
+    message that contains both sizes."""
     half = replace(cell.camera, width=cell.camera.width // 2, height=cell.camera.height // 2)
     tracker = PoseTracker(half, cell.table, cell.marker)
     frame = np.full((cell.camera.height, cell.camera.width), 90, np.uint8)
@@ -328,7 +330,7 @@ def _other_resolution(cell: Cell) -> bool:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     width = max(len(name) for name in report["cases"])
     rows = [
         f"{report['frames']} frames, {report['wrong']} wrong (off by more than "

@@ -1,5 +1,4 @@
-"""Random scenes of the vision benchmarks, and what is said about an answer when the truth is
-known."""
+"""Random scenes of the vision benchmarks, and scores of observations against ground truth."""
 
 from __future__ import annotations
 
@@ -17,12 +16,12 @@ from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
 from tapping_cell.vision import CameraModel, CameraPose, ObjectMarker, Observation, ReferenceMap
 
 BOUND_95 = 7.815
-"""Chi-square of 3 degrees of freedom: 95 % lie below."""
+"""95 % quantile of the chi-square distribution with 3 degrees of freedom."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """What the files of ``config/`` say: camera, reference markers, the disk's marker."""
+    """Contents of the files of ``config/``: camera, reference markers and the disk's marker."""
 
     camera: CameraModel
     table: ReferenceMap
@@ -30,7 +29,7 @@ class Cell:
 
     @classmethod
     def load(cls) -> Cell:
-        """From the shared folder."""
+        """Load the files from the shared folder."""
         folder = shared_folder()
         marker = load_object(folder / "objects" / "aluminium_disk.yaml").seen()
         assert isinstance(marker, ObjectMarker)
@@ -44,8 +43,8 @@ class Cell:
 def random_scene(
     random: np.random.Generator, cell: Cell, seed: int, turn: float = 0.0
 ) -> SceneRenderer:
-    """Tilt to 5 degrees, noise of 2 to 4 grey levels, light falling by up to two thirds; the camera
-    turned by ``turn`` rad about its own x axis after that."""
+    """Draw a scene with a tilt up to 5 degrees, noise of 2 to 4 grey levels and light that falls by
+    up to two thirds. The camera is then turned by ``turn`` rad about its x axis."""
     settings = SceneSettings(
         noise=random.uniform(2.0, 4.0),
         light_falloff=random.uniform(0.0, 0.67),
@@ -62,16 +61,16 @@ def random_scene(
 
 
 def random_place(random: np.random.Generator) -> np.ndarray:
-    """A pose (3,) anywhere on the table."""
+    """Draw a pose (3,) on the table."""
     return random.uniform([-0.25, -0.17, -math.pi], [0.25, 0.17, math.pi])
 
 
 def miscalibrated(
     random: np.random.Generator, cell: Cell, lens: float, misprint: float
 ) -> tuple[CameraModel, ReferenceMap]:
-    """Files that are wrong: the lens by ``lens`` times what OpenCV's calibration with twenty views
-    reports as standard deviations, the reference markers by ``misprint`` m and half of that at
-    their corners by a turn."""
+    """Draw inaccurate files. The errors of the lens are ``lens`` times the standard deviations that
+    OpenCV's calibration reports for twenty views. The reference markers are displaced by
+    ``misprint`` m and rotated such that their corners move by half of that."""
     n = lens * random.standard_normal(8)
     known = cell.camera
     wrong = np.array([0.0015 * n[4], 0.004 * n[5], 1.2e-4 * n[6], 1.2e-4 * n[7], 0.0])
@@ -93,7 +92,7 @@ def miscalibrated(
 
 
 def error_of(observation: Observation, true: np.ndarray) -> np.ndarray:
-    """What a good observation is off by, (3,): m, m, rad."""
+    """Error of a valid observation, (3,): m, m, rad."""
     assert observation.pose is not None
     error = np.array(observation.pose) - true
     error[2] = wrap_angle(error[2])
@@ -109,7 +108,7 @@ class Score:
     missed: int = 0
 
     def add(self, observation: Observation, true: np.ndarray) -> None:
-        """Take one answer."""
+        """Add one observation."""
         if observation.covariance is None:
             self.missed += 1
             return
@@ -118,7 +117,7 @@ class Score:
         self.normalised.append(float(error @ np.linalg.solve(observation.covariance, error)))
 
     def figures(self) -> dict[str, Any]:
-        """Mean normalised error squared, share within 95 %, and errors in mm and degrees."""
+        """Mean squared normalised error, share within the 95 % bound, errors in mm and degrees."""
         errors = np.array(self.errors)
         gaps = np.hypot(errors[:, 0], errors[:, 1]) * 1e3
         turns = np.degrees(np.abs(errors[:, 2]))
@@ -136,7 +135,7 @@ class Score:
 
 
 def score_lines(scores: dict[str, dict[str, Any]]) -> list[str]:
-    """Several scores as a table for people."""
+    """Format several scores as a table."""
     width = max(len(name) for name in scores)
     rows = [
         f"{'':<{width}}  {'count':>5} {'missed':>6}  {'error^2':>7} {'in 95 %':>7}"

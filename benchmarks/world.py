@@ -1,10 +1,10 @@
-"""The simulated world: agreement with the closed forms, and what a tap costs.
+"""The simulated world: agreement with the closed forms and processor time of a tap.
 
-Random taps of three bodies by a free striker, without any of the truth's effects: the launch by the
-contact integrated in time against the impulses of the closed form (with what the table's friction
-takes in the 0.3 ms until the speed is read), and the way from that launch to
-rest against the closed form of the slide. Then the processor's time of a tap in each supplied
-world.
+A free striker makes random taps of three bodies without any effects of the ground truth. The launch
+by the contact, integrated in time, is compared with the impulses of the closed form, including the
+loss by the table's friction in the 0.3 ms until the speed is read. The motion from that launch to
+rest is compared with the closed form of the slide. Then the processor time of a tap is measured in
+each supplied world.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _STROKE = 0.05
 
 
 def measure() -> dict[str, Any]:
-    """Errors relative to the speed and the distance; ms of the processor."""
+    """Return errors relative to the speed and the distance, and the processor time in ms."""
     disk = load_cell().object
     bodies = {
         "disk": disk,
@@ -46,7 +46,7 @@ def measure() -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """The report for people."""
+    """Format the report as lines of text."""
     text = [
         f"{name}: launch within {100 * row['launch']:.2f} %, "
         f"slide within {100 * row['slide']:.3f} %"
@@ -57,12 +57,12 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def _agreement(content: ObjectFile) -> dict[str, float]:
-    """The largest errors, of velocity and of R omega over the speed, and likewise of the slide."""
+    """Largest errors of velocity and of R omega relative to the speed, and those of the slide."""
     tap = content.tap(_STRIKER)
     random = np.random.default_rng(0)
     launch = slide = 0.0
     radius = tap.body.support_radius
-    # One contact, as the closed form has it: no second one where an edge swings back.
+    # Only one contact, as in the closed form: no second contact if an edge swings back.
     plain = TruthFile((0.0, 0.0, 0.0), impact=ImpactTruth(follow_through=0.0))
     for wanted in _displacements(random, tap.cone_slope):
         if not tap.reachable(wanted):

@@ -1,7 +1,8 @@
-"""Draw what each supplied world does to a tap: ``python -m benchmarks.world_figures``.
+"""Draw the effect of each supplied world on taps: ``python -m benchmarks.world_figures``.
 
-The same twelve taps all round the disk, once in a world without errors (grey) and once in that of a
-file of ``config/truth`` (blue): the path of the object's origin, and where its x axis ends.
+The figure shows the same twelve taps around the disk in a world without errors (grey) and in the
+world of a file of ``config/truth`` (blue), with the path of the object's origin and its final
+x axis.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _PICTURES_S = 1 / 60
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the figure; 0."""
+    """Write the figure and return exit code 0."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.world_figures", description=__doc__.splitlines()[0]
     )
@@ -79,7 +80,7 @@ def _draw(axis: Axes, name: str, truth: TruthFile) -> None:
 
 
 def _path(truth: TruthFile, heading: float) -> np.ndarray:
-    """Poses of one tap's object, shape (n, 3)."""
+    """Poses of the object during one tap, shape (n, 3)."""
     cell = load_cell()
     tapper = cell.file.tapper
     body = cell.object.body()

@@ -1,12 +1,12 @@
-"""Which tap next: planning methods, learning while tapping, the strike, and their evaluation.
+"""Planning: choice of the next tap, learning from taps, strikes, and evaluation of the methods.
 
-The whole of it in use::
+Example::
 
     planner = make_planner("exact", PlannerSettings(cone_slope=tap.cone_slope))
     space = StrikeSpace(tap, Workspace(), arm_reach)
     session = PositioningSession(goal_pose, planner, space)
     decision = session.decide(object_pose, covariance)  # Done, Strike or Refusal
-    ...  # fire decision.plan, look again
+    ...  # fire decision.plan, measure the pose again
     session.observe(decision, object_pose, pose_after)
 """
 

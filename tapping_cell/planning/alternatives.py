@@ -1,4 +1,4 @@
-"""The taps to try when the method's own cannot be struck, best first."""
+"""Alternative taps, best first, for the case that the method's own tap is not possible."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
 
 Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
-"""Which displacements (n, 3) can be struck, each from a pose (n, 3) of its own."""
+"""Function of poses (n, 3) and displacements (n, 3) that returns which of them are possible."""
 
 
 def alternative_taps(
@@ -35,12 +35,12 @@ def alternative_taps(
     tap: Tap,
     strikeable: Strikeable,
 ) -> Iterator[Array]:
-    """Displacements to command, in chunks of shape (n, 3), best first.
+    """Generate alternative displacements to command, in chunks of shape (n, 3), best first.
 
-    All directions, several distances (shares of the method's own choice ``first`` and of the
-    largest tap) and rotations (shares of the cone). They are ranked by how many taps the method
-    would need from where they lead, with the distance measured along the path around obstacles; one
-    more where the goal is near and the tap that would end there cannot be struck.
+    The candidates cover all directions, several distances (shares of the method's own choice
+    ``first`` and of the largest tap) and several rotations (shares of the cone). They are ranked by
+    the number of taps that the method needs afterwards, with the distance along the path around
+    obstacles. One more tap is added if the goal is near but not reachable by one possible tap.
     """
     number = gains.value
     made = candidate_taps(pose, goal, first, number, planner, paths.length, tap)
@@ -52,7 +52,7 @@ def alternative_taps(
         cost = made.cost[part] + indirect(made.after[part], goal, number, planner, strikeable)
         waiting = np.concatenate([waiting, part])
         waiting_cost = np.concatenate([waiting_cost, cost])
-        # Those that no candidate further on can come before.
+        # Candidates that no later candidate can precede.
         following = order[start + CHUNK : start + CHUNK + 1]
         ready = waiting_cost <= made.cost[following].min(initial=np.inf)
         rank = np.argsort(waiting_cost[ready], kind="stable")
@@ -62,10 +62,10 @@ def alternative_taps(
 
 
 class Candidates(NamedTuple):
-    """Taps that may replace a method's own, m of them for each pose.
+    """Candidates for replacing the method's own tap, m per pose.
 
-    commanded: (..., m, 3). after: (..., m, 3), the poses they lead to. cost: (..., m), taps with
-    this one and from there on, at least; infinite where nothing leads on.
+    commanded: (..., m, 3). after: (..., m, 3), poses after the taps. cost: (..., m), lower bound of
+    the number of taps from each candidate on; infinite if no path leads from there to the goal.
     """
 
     commanded: Array
@@ -82,9 +82,10 @@ def candidate_taps(
     path: Callable[[Array], Array],
     tap: Tap,
 ) -> Candidates:
-    """What ``alternative_taps`` ranks, for poses, goals and first choices (..., 3).
+    """Candidates for ``alternative_taps``, for poses, goals and first choices (..., 3).
 
-    number: ``Gains.value``, (..., 6). path: length of the way from places (..., m, 2) to the goal.
+    number: ``Gains.value``, (..., 6). path: function that returns the path lengths from points
+    (..., m, 2) to the goal, m.
     """
     settings = planner.settings
     length = np.hypot(first[..., 0], first[..., 1]) * number[..., 0]
@@ -121,8 +122,8 @@ def candidate_taps(
 
 
 def _through_edges(tap: Tap, body: Polygon, orientation: Array) -> Array:
-    """Directions of travel, rad in `table`, that the edges pass on best: their normals, and half
-    of the contact friction to both sides; (..., directions) for orientations (...)."""
+    """Directions of travel, rad in `table`, that are best possible with the edges: the normals and
+    half the angle of the friction cone to both sides; (..., directions) for orientations (...)."""
     inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0])
     aside = 0.5 * math.atan(tap.impact.friction) * np.array([-1.0, 0.0, 1.0])
     return np.asarray(orientation[..., None] + (inward[:, None] + aside).ravel())
@@ -135,11 +136,12 @@ def indirect(
     planner: Planner,
     strikeable: Strikeable,
 ) -> Array:
-    """One more tap where the rest cannot be struck in one: poses (..., 3) after a tap.
+    """Return the extra taps, 1 or 0, for poses (..., 3) after a tap: 1 if the residual is within
+    one tap, but that tap is not possible.
 
-    ``strikeable`` tells what a planning method does not know: the
-    edges of a polygon pass on impulses within the contact's friction of their normals only, and
-    beside another object there may be no room for arm and tool. ``number``: ``Gains.value``.
+    ``strikeable`` applies constraints that a planning method ignores: the edges of a polygon
+    transmit only impulses inside the friction cone, and other objects may obstruct the arm and the
+    tool. ``number``: ``Gains.value``.
     """
     left = goal - after
     distance = np.hypot(left[..., 0], left[..., 1])

@@ -1,12 +1,12 @@
-"""A bank of Kalman filters: a belief about a few numbers, robust to a wrong prior and to bumps.
+"""A bank of Kalman filters that is robust to a wrong prior, to outliers and to lasting changes.
 
-Each filter of the bank starts from a prior of its own width (static multiple models: Magill, IEEE
-Trans. Automatic Control 10, 1965), so that a belief that holds for most objects costs an object
-that is quite different only one measurement. A measurement may also be no measurement at all (a
-bumped object, a striker that missed): each filter weighs it by the probability that it is one
-(probabilistic data association: Bar-Shalom and Tse, Automatica 11, 1975). And the truth may change
-for good: one more filter, the candidate, assumes that it did so at the last measurement; when a
-second one agrees with it, the candidate outweighs the others and replaces them.
+Each filter of the bank starts from a prior of a different width (static multiple models: Magill,
+IEEE Trans. Automatic Control 10, 1965). The narrow prior suits most objects, and a very different
+object needs only one more measurement. A measurement may be an outlier (a bumped object, a striker
+that missed). Each filter weights it by the probability that it is valid (probabilistic data
+association: Bar-Shalom and Tse, Automatica 11, 1975). The true values may also change permanently.
+One more filter, the candidate, assumes that they changed at the last measurement. If the next
+measurement agrees with the candidate, the candidate outweighs the other filters and replaces them.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from scipy.special import ndtr
 from tapping_cell.planning.interface import Array
 
 BUMP = 0.02
-"""Probability that a measurement says nothing about the numbers."""
+"""Prior probability that a measurement is an outlier."""
 
 CHANGE = 0.004
-"""Probability that the truth is another one from a measurement on."""
+"""Prior probability, per measurement, that the true values have changed."""
 
 LEAST_WEIGHT = 1e-9
 
@@ -32,11 +32,11 @@ _BISECTIONS = 40
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is believed before any measurement: one normal distribution a filter.
+    """Prior distribution: a mixture with one normal distribution per filter.
 
-    weight: (filters,), adds up to 1. mean, deviation: (filters, numbers). change: index of the
-    filter that a changed truth is drawn from. span: range over which a bump spreads a measurement
-    evenly.
+    weight: (filters,), with a sum of 1. mean, deviation: mean and standard deviation, (filters,
+    numbers). change: index of the filter whose prior applies after a change. span: width of the
+    uniform distribution of outliers.
     """
 
     weight: Array
@@ -48,9 +48,9 @@ class Prior:
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """What is believed of one object's numbers, or of many objects' (leading axes).
+    """Estimate of the numbers of one object, or of several objects (leading axes).
 
-    weight: (..., filters), the last one the candidate. mean: (..., filters, numbers).
+    weight: (..., filters); the last filter is the candidate. mean: (..., filters, numbers).
     covariance: (..., filters, numbers, numbers).
     """
 
@@ -60,7 +60,7 @@ class Belief:
 
     @classmethod
     def start(cls, prior: Prior, shape: tuple[int, ...] = ()) -> Belief:
-        """The prior, for objects never measured."""
+        """Return the prior, for objects that were never measured."""
         count, numbers = prior.mean.shape
         order = [*range(count), prior.change]
         weight = np.append(prior.weight, 0.0)
@@ -72,17 +72,17 @@ class Belief:
         )
 
     def of(self, rows: NDArray[np.intp]) -> Belief:
-        """The belief of some of many objects."""
+        """Return the belief about the objects in ``rows``."""
         return Belief(self.weight[rows], self.mean[rows], self.covariance[rows])
 
     def put(self, rows: NDArray[np.intp], other: Belief) -> None:
-        """Replace the belief of some of many objects."""
+        """Replace the belief about the objects in ``rows``."""
         self.weight[rows] = other.weight
         self.mean[rows] = other.mean
         self.covariance[rows] = other.covariance
 
     def expected(self) -> Array:
-        """Expected numbers (..., numbers) of all filters but the candidate."""
+        """Expected numbers (..., numbers) over all filters except the candidate."""
         main = self.weight[..., :-1]
         share = main / main.sum(axis=-1, keepdims=True)
         return np.asarray(np.einsum("...h,...hi->...i", share, self.mean[..., :-1, :]))
@@ -96,9 +96,9 @@ class Belief:
         return np.asarray(np.sqrt(np.einsum("...h,...hi->...i", share, own + off * off)))
 
     def quantile(self, slope: ArrayLike, probability: float, noise: ArrayLike = 0.0) -> Array:
-        """Quantile (...,) of slope . numbers + noise over all filters, the candidate as well.
+        """Quantile (...,) of slope . numbers + noise over all filters, including the candidate.
 
-        slope: (..., numbers). noise: deviation of what is added, (...,).
+        slope: (..., numbers). noise: standard deviation of the added noise, (...,).
         """
         h = np.asarray(slope, dtype=float)
         mean = np.einsum("...hi,...i->...h", self.mean, h)
@@ -120,14 +120,16 @@ class Belief:
         share: ArrayLike,
         floor: ArrayLike,
     ) -> tuple[Belief, Array]:
-        """The belief after measuring slope . numbers, and the probability that it was no bump.
+        """Update the belief with a measurement of slope . numbers.
+
+        Returns the new belief and the probability that the measurement is valid.
 
         Args:
-            prior: the one that the belief started from.
+            prior: prior that the belief started from.
             slope: (..., numbers).
-            measured: (...,). NaN where nothing was measured: that says nothing.
-            share: (...,), deviation of a measurement as a share of the true value.
-            floor: (...,), deviation of a measurement of 0.
+            measured: (...,). NaN means no measurement and leaves the estimate unchanged.
+            share: (...,), standard deviation of a measurement relative to the true value.
+            floor: (...,), standard deviation of a measurement of 0.
         """
         h, y = np.asarray(slope, dtype=float), np.asarray(measured, dtype=float)
         known = np.isfinite(y)
@@ -137,7 +139,7 @@ class Belief:
         expected = np.einsum("...hi,...i->...h", mean, h)
         reach = np.einsum("...hij,...j->...hi", covariance, h)
         spread = np.einsum("...hi,...i->...h", reach, h)
-        # The share is one of the true value: of the estimate after this very measurement.
+        # The share refers to the true value, which is approximated by the updated estimate.
         noise = (relative * expected) ** 2 + least**2
         better = expected + spread / (spread + noise + 1e-300) * (y - expected)
         noise = (relative * better) ** 2 + least**2 + 1e-18
@@ -157,7 +159,8 @@ class Belief:
         return _settled(weight, mean, covariance), np.where(known, probability, 0.0)
 
     def _with_fresh(self, prior: Prior) -> tuple[Array, Array, Array]:
-        """One more filter: the truth has changed just now."""
+        """Return weights, means and covariances with an additional filter, which assumes that the
+        true values have just changed."""
         shape = self.weight.shape[:-1]
         numbers = prior.mean.shape[1]
         spread = np.diag(prior.deviation[prior.change] ** 2)
@@ -171,8 +174,8 @@ class Belief:
 
 
 def _settled(weight: Array, mean: Array, covariance: Array) -> Belief:
-    """Keep the better of the two last filters as the candidate; one that outweighs all others
-    replaces them."""
+    """Keep the more probable of the last two filters as the candidate. If the old candidate
+    outweighs all other filters, it replaces them."""
     old_better = weight[..., -2] > weight[..., -1]
     wins = old_better & (weight[..., -2] > weight[..., :-2].sum(axis=-1))
     pick = np.where(old_better, -2, -1)[..., None]

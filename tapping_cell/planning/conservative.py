@@ -1,4 +1,4 @@
-"""Conservative two-tap plans: a subgoal that the first tap's errors do not miss (section 4.2)."""
+"""Conservative two-tap plans: subgoals that allow for the first tap's errors (section 4.2)."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.two_tap import two_tap_choice
 
 ERROR_LINE = 0.3
-"""Two standard deviations of the rotation's scatter, 15 % (section 3.1.1)."""
+"""Twice the standard deviation of the rotation's scatter, which is 15 % (section 3.1.1)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConservativePlanner:
-    """Aims inside the reachable region by the length of the error line: larger first taps."""
+    """Aims inside the reachable region by the length of the error line, with larger first taps."""
 
     settings: PlannerSettings
     name: str = "conservative"
 
     def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
-        """The direct tap, or the first of a conservative two-tap plan."""
+        """Choose the direct tap or the first tap of a conservative two-tap plan."""
         line = ERROR_LINE if self.settings.error_line is None else self.settings.error_line
         return two_tap_choice(distance, rotation, self.settings, line)
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Taps of the plan without errors."""
+        """Number of taps of a plan without errors."""
         return nominal_taps(distance, rotation, self.settings)

@@ -1,4 +1,4 @@
-"""Where in the working area of fixed tappers a tap leads inward, and where none does."""
+"""Coverage of the working area by fixed tappers: the places from which a tap leads inward."""
 
 from __future__ import annotations
 
@@ -12,25 +12,28 @@ from tapping_cell.planning.interface import Array
 from tapping_cell.planning.strike import BoolArray
 
 STEP = 0.004
-"""Of the grid over the working area, m."""
+"""Step of the grid over the working area, m."""
 
 ANGLES = 12
-"""Orientations tried of an object that is not round."""
+"""Number of orientations tried for an object that is not round."""
 
 INWARD = math.radians(80.0)
-"""Largest angle between a tap and the way to the middle with which the tap counts as inward."""
+"""Largest angle between an inward tap and the direction to the middle."""
 
 MIDDLE = 0.25
-"""Share of the working radius within which every direction counts as inward: there taps must only
-go in more than one direction."""
+"""Share of the working radius within which every direction counts as inward. There, the directions
+of the taps must only leave no gap above ``WIDEST_GAP``."""
 
 WIDEST_GAP = math.radians(170.0)
-"""Most that neighbouring directions of taps may be apart near the middle, below a half plane."""
+"""Largest allowed angle between neighbouring directions of taps near the middle, below a half
+plane."""
 
 
 class Coverage(NamedTuple):
-    """points: (n, 2) over the working area, m. reached: (n, tappers), whether each tapper can tap
-    an object there at every orientation. dead: (n,), whether no tap leads on from there."""
+    """Coverage at points of the working area.
+
+    points: (n, 2), m. reached: (n, tappers), whether the tapper can tap an object there at every
+    orientation. dead: (n,), whether no tap leads inward from there at some orientation."""
 
     points: Array
     reached: BoolArray
@@ -38,7 +41,7 @@ class Coverage(NamedTuple):
 
 
 def coverage(space: FixedStrikeSpace) -> Coverage:
-    """What the tappers reach of the working area, for the space's object."""
+    """Compute the coverage of the working area for the space's object."""
     area = space.area
     count = math.ceil(area.radius / STEP)
     steps = np.linspace(-area.radius, area.radius, 2 * count + 1)

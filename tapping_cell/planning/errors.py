@@ -1,11 +1,11 @@
-"""What planning refuses by raising; a refused goal or tap is a value (``Refusal``) instead."""
+"""Exceptions of planning. A refused goal or tap raises nothing but returns a ``Refusal``."""
 
 from __future__ import annotations
 
 
 class PlanningError(ValueError):
-    """A setting or an argument of planning that makes no sense; the sentence says which."""
+    """Invalid setting or argument of planning; the message names it."""
 
 
 class UnknownPlannerError(PlanningError):
-    """A planner's name that is neither built in nor registered as an entry point."""
+    """Planner name that is neither built in nor registered as an entry point."""

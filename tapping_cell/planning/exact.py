@@ -14,15 +14,15 @@ from tapping_cell.planning.two_tap import two_tap_choice
 
 @dataclass(frozen=True, slots=True)
 class ExactPlanner:
-    """Aims at the edge of the reachable region (section 4.1): replanned where a tap falls short."""
+    """Aims at the edge of the reachable region (section 4.1) and replans if a tap falls short."""
 
     settings: PlannerSettings
     name: str = "exact"
 
     def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
-        """The direct tap, or the first of an exact two-tap plan."""
+        """Choose the direct tap or the first tap of an exact two-tap plan."""
         return two_tap_choice(distance, rotation, self.settings, error_line=0.0)
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Taps of the plan without errors."""
+        """Number of taps of a plan without errors."""
         return nominal_taps(distance, rotation, self.settings)

@@ -1,12 +1,12 @@
-"""How many taps are expected after one that need not lie on the line to the goal.
+"""Expected number of taps that follow a tap in any direction.
 
-The plan itself knows taps on that line only. A tap by s in a direction that differs by phi from it
-leaves, in the frame of the tap, ::
+The plan itself contains only taps on the line to the goal. After a tap of length s at an angle phi
+to that line, the residual in the frame of the tap is ::
 
-    (r cos phi - s (1 + a), -r sin phi + s c),    a, c scatter of distance and direction,
+    (r cos phi - s (1 + a), -r sin phi + s c),    a, c scatter of distance and direction.
 
-whose length is distributed over the grid of the plan's distances by nodes of equal probability;
-the rotation is independent of it, as in ``value_iteration``.
+The length of the residual is distributed over the grid of the plan's distances by nodes of equal
+probability. The rotation is independent of it, as in ``value_iteration``.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ def expected_taps(
     """Expected taps that follow a tap, (directions, sizes, turns); infinite outside the cone.
 
     Args:
-        solution: the plan that is followed after the tap.
-        settings: for which it was solved.
-        distance, rotation: what remains before the tap, m and rad.
-        aside: directions of the tap from that of the goal, rad.
-        sizes: of the tap, m, above 0.
-        turns: its rotations, rad.
+        solution: plan that is followed after the tap.
+        settings: settings of that plan.
+        distance, rotation: residual before the tap, m and rad.
+        aside: directions of the tap relative to the direction of the goal, rad.
+        sizes: lengths of the tap, m, above 0.
+        turns: rotations of the tap, rad.
     """
     box, camera, scatter = settings.stopping, settings.camera, settings.scatter
     share = max(scatter.distance, LEAST_SCATTER.distance)
@@ -78,15 +78,15 @@ def expected_taps(
 
 
 def _nodes(count: int) -> Array:
-    """Means of N(0, 1) over intervals of equal probability, (count,)."""
+    """Conditional means of N(0, 1) over intervals of equal probability, (count,)."""
     edges = ndtri(np.arange(1, count) / count)
     density = np.exp(-0.5 * edges**2) / math.sqrt(2.0 * math.pi)
     return np.asarray(-count * np.diff(density, prepend=0.0, append=0.0))
 
 
 def _radial_weights(grid: Array, lengths: Array, box: float) -> tuple[Array, Array]:
-    """Mean weights of linear interpolation of lengths (n, nodes) on a grid, (n, grid); and the part
-    of those inside the box, (n, grid up to the box)."""
+    """Mean weights for linear interpolation of lengths (n, nodes) on a grid, (n, grid), and the
+    part of the lengths inside the box, (n, grid up to the box)."""
     rows, nodes = lengths.shape
     index, share = bracket(grid, lengths)
     at = np.arange(rows)[:, None] * grid.size + index

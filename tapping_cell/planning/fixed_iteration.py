@@ -1,15 +1,15 @@
-"""Solving a goal of fixed tappers: value iteration over (x, y, theta) of the object.
+"""Policy iteration for a goal of fixed tappers, over the object's states (x, y, theta).
 
-(Bertsekas, *Dynamic Programming and Optimal Control*, 2012, vol. 2, ch. 3: the stochastic shortest
-path.)
+Source: Bertsekas, *Dynamic Programming and Optimal Control*, 2012, vol. 2, ch. 3 (stochastic
+shortest path).
 
-A tap is a tapper and a length: lengths in a geometric row, the one that ends nearest to the goal
-and the one that ends the rotation. An improvement compares the taps of all states by their mean W
-over the scatter; W is looked up at the nearest point of a table with points halfway between the
-grid's, so that what a tap leads to is found once for a grid and is an index from then on. Between
-improvements the policy is evaluated by sweeps with its own sparse matrix, with linear
-interpolation. A coarse grid is solved first and starts the fine one, which compares the taps only
-that are promising by the coarse one.
+A tap is a tapper and a length. The lengths are a geometric progression, the length that ends
+nearest to the goal and the length that corrects the rotation. A policy improvement compares the
+taps of all states by their mean W over the scatter. W is taken from the nearest point of a table
+that also has points halfway between the grid points. The state after a tap is therefore an index,
+which is computed only once per grid. Between improvements the policy is evaluated by sweeps with
+its sparse transition matrix, with linear interpolation. A coarse grid is solved first and
+initialises the fine grid, which compares only the taps that are promising on the coarse grid.
 """
 
 from __future__ import annotations
@@ -30,38 +30,38 @@ Singles = NDArray[np.float32]
 Indices = NDArray[np.int32]
 
 COARSE, FINE = 0.5, 0.22
-"""Steps of u on the two grids."""
+"""Steps of the grid coordinate u (see ``Grid``) on the two grids."""
 
 FINE_DISTANCE = 2.0
-"""Stopping boxes within which the steps of an axis are nearly even."""
+"""Distance from the goal, in stopping boxes, within which the grid is almost uniform."""
 
 LENGTHS = 12
-"""Lengths of taps that a state tries in a geometric row."""
+"""Number of tap lengths, in geometric progression, that are tried in a state."""
 
 OUTER = 0.020
-"""How far beyond the working area a state is still worth solving, m: objects that left it."""
+"""Distance beyond the working area up to which states are solved, for objects that left it, m."""
 
 POINTS = 8
-"""Equally likely points of a tap's scatter while solving."""
+"""Number of equally likely points that represent a tap's scatter while solving."""
 
 IMPROVEMENTS = (6, 4)
 """At most, on the coarse grid and on the fine one."""
 
 SWEEPS = 20
 SETTLED = 0.01
-"""Mean change of W in taps below which an improvement is the last."""
+"""Mean change of W, in taps, below which the iteration ends."""
 
 PROMISING = 20
-"""Taps of a state that are compared on the fine grid."""
+"""Number of taps per state that are compared on the fine grid."""
 
 AROUND = (0.93, 1.07)
-"""Shares of the best length that are tried besides."""
+"""Factors on the best length that are also tried."""
 
 CHUNK = 200_000
-"""States after taps that are worked out at once: they fit in a processor's cache."""
+"""Number of resulting states computed per batch, so that a batch fits in the processor's cache."""
 
 PER_HALF_STEP = 6
-"""Entries of an axis's table of indices for the smallest half step of its grid."""
+"""Entries of an axis's index table per smallest half step of its grid."""
 
 
 class Abandoned(Exception):
@@ -103,8 +103,10 @@ def _solve_on(problem: _Problem, improvements: int, start: Solution | None) -> S
 
 
 class _Axis:
-    """Finds the nearest half index of a coordinate in a table: without a logarithm, ten times as
-    fast. ``stride``: of the axis in the flat table; beyond the axis the index is ``beyond``."""
+    """Lookup table for the nearest half index of a coordinate, ten times as fast as a logarithm.
+
+    ``stride``: stride of the axis in the flat value table. Coordinates beyond the axis have the
+    index ``beyond``."""
 
     def __init__(
         self, fine: float, step: float, size: int, stride: int, beyond: int, most: float
@@ -118,16 +120,16 @@ class _Axis:
         self.table = np.where(outside, beyond, half * stride).astype(np.int32)
 
     def index(self, value: Singles) -> Indices:
-        """Of values in m or rad."""
+        """Return the indices of values in m or rad."""
         entry = (value * self.scale + np.float32(self.middle + 0.5)).astype(np.int32)
         return np.asarray(np.take(self.table, entry, mode="clip"))
 
 
 class _Problem:
-    """States, the taps that each can try, and where they lead.
+    """States, the possible taps of each state, and the states after these taps.
 
-    rows: (n,) of the grid's states from which some tap can be made. heading, slope, least, most:
-    of their taps, (n, tappers); a tap that cannot be made has least NaN.
+    rows: indices (n,) of the grid's states that have at least one possible tap. heading, slope,
+    least, most: properties of their taps, (n, tappers); ``least`` is NaN for an impossible tap.
     """
 
     def __init__(
@@ -171,7 +173,7 @@ class _Problem:
         self._make_axes(far + 2.0 * settings.largest_distance)
         count = lines.usable.shape[1] * (LENGTHS + 2)
         self.kept = np.broadcast_to(np.arange(count), (self.rows.size, count))
-        """The taps that are compared: tapper * (LENGTHS + 2) + length."""
+        """Indices of the compared taps: tapper * (LENGTHS + 2) + length."""
         self._after: Indices | None = None
 
     def _make_axes(self, most: float) -> None:
@@ -185,7 +187,7 @@ class _Problem:
         )
 
     def start(self, coarse: Solution | None) -> Array:
-        """A first guess of W: of a coarser grid, or the distance and rotation in taps."""
+        """Initial W: from a coarser solution, or estimated from the distance and the rotation."""
         value = np.full(self.states.shape[0], LOST)
         states = self.states[self.rows]
         if coarse is not None:
@@ -197,7 +199,7 @@ class _Problem:
         return value
 
     def _lengths(self, rows: slice) -> Singles:
-        """Of all taps of some states, (n, tappers, LENGTHS + 2), m."""
+        """Lengths of all taps of the given states, (n, tappers, LENGTHS + 2), m."""
         least, most = self.least[rows, :, None], self.most[rows, :, None]
         heading, slope, error = self.heading[rows], self.slope[rows], self.error[rows]
         row = least * (most / least) ** np.linspace(0.0, 1.0, LENGTHS, dtype=np.float32)
@@ -207,7 +209,7 @@ class _Problem:
         return np.concatenate([row, np.clip(own, least, most)], axis=-1)
 
     def _taps(self, rows: slice) -> tuple[NDArray[np.intp], Singles]:
-        """Tapper and length of the compared taps of some states, (n, kept) each."""
+        """Tapper and length of the compared taps of the given states, (n, kept) each."""
         lengths = self._lengths(rows)
         kept = self.kept[rows]
         flat = lengths.reshape(lengths.shape[0], -1)
@@ -216,7 +218,7 @@ class _Problem:
     def _leads_to(
         self, rows: slice, tapper: NDArray[np.intp], length: Singles, points: Singles
     ) -> Indices:
-        """Entries of the table where taps (n, k) of some states lead, (n, k, p)."""
+        """Table indices of the states after taps (n, k) of the given states, (n, k, p)."""
         error = self.error[rows]
         heading = np.take_along_axis(self.heading[rows], tapper, axis=1)
         slope = np.take_along_axis(self.slope[rows], tapper, axis=1)
@@ -236,8 +238,8 @@ class _Problem:
         return entry
 
     def _table(self, value: Array) -> Singles:
-        """W with points halfway between the grid's, flat; then W beyond the grid, in the box, and
-        of a tap that cannot be made."""
+        """Flat table of W with points halfway between the grid points. Three entries follow: W
+        beyond the grid, W in the stopping box and W of an impossible tap."""
         table: Singles = value.reshape(self.grid.shape).astype(np.float32)
         for axis in range(3):
             table = _halved(table, axis)
@@ -251,7 +253,7 @@ class _Problem:
             yield slice(first, first + size)
 
     def keep_promising(self, value: Array) -> None:
-        """Compare from now on those taps only that lead to low W without scatter."""
+        """Restrict later comparisons to the taps with the lowest mean W over a few points."""
         table = self._table(value)
         count = self.kept.shape[1]
         if count <= PROMISING:
@@ -265,7 +267,7 @@ class _Problem:
         self.kept = kept
 
     def improve(self, value: Array) -> tuple[NDArray[np.intp], Singles]:
-        """The best tap of every state by this W: its tapper (n,) and its length (n,), m."""
+        """Return the best tap of every state for this W: its tapper (n,) and length (n,), m."""
         table = self._table(value)
         chosen = np.empty(self.rows.size, dtype=np.intp)
         length = np.empty(self.rows.size, dtype=np.float32)
@@ -292,7 +294,7 @@ class _Problem:
         return chosen, length
 
     def evaluate(self, value: Array, tapper: NDArray[np.intp], length: Singles) -> Array:
-        """W of always following a policy, from a first guess."""
+        """Return W of a fixed policy, iterated from the initial ``value``."""
         every = np.arange(self.rows.size)
         heading, slope = self.heading[every, tapper], self.slope[every, tapper]
         size = length[:, None] * (1 + self.points[:, 0])
@@ -321,8 +323,8 @@ class _Problem:
     def _corners(
         self, x: Singles, y: Singles, turn: Singles
     ) -> tuple[Indices, Singles, NDArray[np.bool_]]:
-        """Indices and weights of linear interpolation at states (n, p): (n, p, 8) each; and which
-        states lie beyond the grid."""
+        """Indices and weights, (n, p, 8) each, for linear interpolation at states (n, p), and
+        which states lie beyond the grid, (n, p)."""
         step, fine, size = self.grid.step, self.grid.fine, self.grid.size
         inside = (x * x + y * y <= self.box[0] ** 2) & (np.abs(turn) <= self.box[1])
         beyond = np.zeros(inside.shape, dtype=bool)
@@ -356,7 +358,7 @@ class _Problem:
 
 
 def _halved(table: Singles, axis: int) -> Singles:
-    """A table with the means of neighbours between them along an axis."""
+    """Insert the means of neighbouring entries between them along an axis."""
     moved = np.moveaxis(table, axis, 0)
     made = np.empty((2 * moved.shape[0] - 1, *moved.shape[1:]), dtype=np.float32)
     made[::2] = moved
@@ -370,7 +372,7 @@ def _lines_at(
     rows: NDArray[np.intp],
     shape: tuple[int, ...],
 ) -> Lines:
-    """The lines at these states; of a round object once for every place."""
+    """Lines at these states; for a round object they are computed once per position."""
     if not space.is_round:
         return space.lines(places[rows])
     column = rows // shape[2]

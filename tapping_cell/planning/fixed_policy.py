@@ -1,11 +1,11 @@
-"""Expected taps to a goal with fixed tappers, kept on a grid over (x, y, theta) of the object.
+"""Expected number of taps to a goal with fixed tappers, on a grid over the object's (x, y, theta).
 
-A state is what remains to the goal, with the place of the goal fixed: where the object lies decides
-which tapper meets it and how. The grid is graded: coordinate u of an axis is asinh(e / fine), so
-that its steps are even near the goal and grow in proportion far from it, and the cell of a state is
-found without a search. W is the least expected number of taps when one more must be made; inside
-the stopping box a run costs nothing more. The scatter of a tap is a fixed set of equally likely
-points.
+A state is the error relative to a fixed goal, because the position of the object determines which
+tappers can hit it and how. The grid is graded: the coordinate u of an axis is asinh(e / fine). Its
+steps are uniform near the goal and grow in proportion far from it, and the cell of a state is found
+without a search. W is the least expected number of taps if at least one more tap must be made. The
+cost inside the stopping box is 0. The scatter of a tap is represented by a fixed set of equally
+likely points.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.se2 import wrap_angle
 
 LOST = 40.0
-"""Taps that a state costs from which no tap leads back, or which nobody may reach."""
+"""Cost, in taps, of a state without a tap towards the goal or of a forbidden state."""
 
 LEAST_SCATTER = (0.02, 0.04, 0.003)
-"""Plans allow for at least this much of distance, rotation (shares) and direction (rad)."""
+"""Minimum scatter that plans assume: distance, rotation (shares) and direction (rad)."""
 
 
 class Grid(NamedTuple):
-    """A graded grid about the goal. step: of u. fine: m and rad of the even part. size: of the
-    index range on each side of the goal, for distances and for the rotation."""
+    """A graded grid about the goal. step: step of u. fine: scale of the uniform part, m and rad.
+    size: number of points on each side of the goal, for the distances and for the rotation."""
 
     step: float
     fine: tuple[float, float]
@@ -39,12 +39,12 @@ class Grid(NamedTuple):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Points along each axis."""
+        """Number of points along each axis."""
         along, turn = 2 * self.size[0] + 1, 2 * self.size[1] + 1
         return along, along, turn
 
     def coordinates(self, remaining: Array) -> Array:
-        """Indices, not rounded, of states (..., 3): (3, ...)."""
+        """Fractional indices of states (..., 3): (3, ...)."""
         return np.stack(
             [
                 np.arcsinh(remaining[..., 0] / self.fine[0]) / self.step + self.size[0],
@@ -54,7 +54,7 @@ class Grid(NamedTuple):
         )
 
     def states(self) -> Array:
-        """Errors (object less goal) at the grid's points, (n, n, m, 3)."""
+        """Errors (object minus goal) at the grid points, (n, n, m, 3)."""
         along = self.fine[0] * np.sinh(self.step * np.arange(-self.size[0], self.size[0] + 1))
         turn = self.fine[1] * np.sinh(self.step * np.arange(-self.size[1], self.size[1] + 1))
         return np.stack(np.meshgrid(along, along, turn, indexing="ij"), axis=-1)
@@ -62,23 +62,24 @@ class Grid(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """A solved goal: W on a grid about it, (n, n, m), taps."""
+    """Solution for one goal: W, in taps, on a grid about the goal, (n, n, m)."""
 
     goal: tuple[float, float, float]
     grid: Grid
     value: Array
 
     def taps_to_go(self, error: ArrayLike) -> Array:
-        """Expected taps for errors (..., 3), object less goal, when one more must be made."""
+        """Expected taps for errors (..., 3), object minus goal, if one more must be made."""
         e = np.asarray(error, dtype=float)
         where = self.grid.coordinates(e)
         return np.asarray(map_coordinates(self.value, where, order=1, mode="constant", cval=LOST))
 
 
 def scatter_points(settings: PlannerSettings, count: int) -> Array:
-    """Equally likely deviations of a tap, (count, 3): shares of distance and rotation, and rad."""
+    """Equally likely deviations of a tap, (count, 3): relative distance and rotation, and direction
+    (rad)."""
     scatter = settings.scatter
-    # Roberts' additive recurrence: evenly spread in the cube, the same for every computer.
+    # Roberts' additive recurrence: evenly distributed in the cube and deterministic.
     root = 1.2207440846057596
     steps = np.outer(np.arange(1, count + 1), 1.0 / root ** np.arange(1, 4))
     drawn = ndtri((0.5 + steps) % 1.0)
@@ -103,7 +104,7 @@ def states_after(error: Array, heading: Array, slope: Array, length: Array, poin
 
 
 def expected_taps(table: Array, grid: Grid, box: tuple[float, float], after: Array) -> Array:
-    """Mean W over scatter points (..., p, 3) of the states that a tap may lead to; 0 in the box."""
+    """Mean W over the states after a tap at its scatter points, (..., p, 3); W is 0 in the box."""
     where = grid.coordinates(after)
     value = map_coordinates(table, where, order=1, mode="constant", cval=LOST)
     inside = (np.hypot(after[..., 0], after[..., 1]) <= box[0]) & (np.abs(after[..., 2]) <= box[1])

@@ -1,4 +1,4 @@
-"""One positioning task with tappers at fixed mounts: look, decide, tap, observe. Pure."""
+"""Closed loop of one positioning task with tappers at fixed mounts. Uses no clock and no ROS."""
 
 from __future__ import annotations
 
@@ -39,36 +39,39 @@ METHOD = "fixed tappers"
 """Name of the planning method, for records."""
 
 LENGTHS = 32
-"""Lengths in a geometric row that a decision compares for every tapper."""
+"""Number of tap lengths, in geometric progression, that a decision compares per tapper."""
 
 AROUND = np.array([0.94, 0.97, 1.0, 1.03])
-"""Shares of the lengths that end nearest to the goal, and that end the rotation."""
+"""Factors on the length that ends nearest to the goal and on the length that corrects the
+rotation; the products are compared as well."""
 
 POINTS = 24
-"""Equally likely points of the scatter that a decision compares taps with."""
+"""Number of equally likely points that represent the scatter in a decision."""
 
 DEVIATIONS = 3.0
-"""Of all that is not known of a slide that must stay on the table and off the keep-outs."""
+"""Size of the uncertainty bound, in standard deviations, for which a slide must stay on the table
+and off the keep-outs."""
 
 RETRIEVABLE = 1.5
-"""Of all that is not known of a slide that must end where a tap can bring the object back: else a
-person does. An object that was never tapped may slide 1.4 times as far as its file says."""
+"""Size of the uncertainty bound, in standard deviations, for which a tap must be able to bring the
+object back; otherwise a person has to. An object that was never tapped may slide 1.4 times as far
+as its file says."""
 
 WAY = np.linspace(0.25, 1.0, 4)
-"""Shares of a slide at which it is held against keep-outs."""
+"""Shares of a slide at which its distance to the keep-outs is checked."""
 
 
 class FixedTapperSession(GoalSession):
-    """Goal, solved policy, learnt gains and lines of one task.
+    """Closed loop of one task: goal, solved policy, learnt gains and learnt tapper lines.
 
     Args:
         goal_pose: x, y (m), theta (rad) of the object in `table`.
         settings: tolerance, scatter and camera.
-        space: the tappers, the object and what stands in their way.
-        solver: keeps solved goals; one of its own where none is given.
-        gains, mounts: what is known of the object and of the lines from earlier runs.
+        space: the tappers, the object and the obstacles.
+        solver: solves goals and keeps the solutions; None creates a new solver.
+        gains, mounts: what was learnt about the object and the tapper lines in earlier runs.
         adapt: whether ``observe`` learns.
-        most_taps: a limit against endless runs.
+        most_taps: maximum number of taps of the run.
     """
 
     def __init__(
@@ -107,7 +110,7 @@ class FixedTapperSession(GoalSession):
         return METHOD
 
     def use_room(self, space: FixedStrikeSpace) -> None:
-        """Work in this space from now on: what stands on the table may have changed."""
+        """Replace the space, because the obstacles on the table may have changed."""
         self._nominal = space
         self._space = believed(space, self.mounts)
         self._solved: SolvedGoal | None = None
@@ -117,7 +120,7 @@ class FixedTapperSession(GoalSession):
 
     @property
     def ready(self) -> bool:
-        """Whether the goal is solved, coarsely at least."""
+        """True if the goal is solved, at least on the coarse grid."""
         return self._solved is None or self._solved.solution is not None
 
     def observe(
@@ -159,7 +162,7 @@ class FixedTapperSession(GoalSession):
             )
 
     def edge_warning(self, pose: ArrayLike) -> str:
-        """A sentence where the object has left the working area; an empty text else."""
+        """Return a warning if the object has left the working area, else an empty string."""
         room = float(self._space.area.room(np.asarray(pose, dtype=float)[:2]))
         if room >= 0.0:
             return ""
@@ -218,7 +221,8 @@ class FixedTapperSession(GoalSession):
     def _best(
         self, pose: Array, left: Array, lines: Lines, usable: list[int]
     ) -> tuple[int, Array, float] | None:
-        """Tapper, commanded displacement (3,) and its length with the fewest expected taps."""
+        """Return the tap with the fewest expected taps: index of the tapper, commanded
+        displacement (3,) and its length. Return None if no tap is acceptable."""
         assert self._solved is not None
         solution = self._solved.solution
         assert solution is not None, "the goal is not solved yet; ask ready first"
@@ -233,7 +237,7 @@ class FixedTapperSession(GoalSession):
         if not np.any(allowed):
             return None
         size = np.hypot(expected[..., 0], expected[..., 1])
-        # The error is object less goal; to the states around the goal the scatter is as planned.
+        # The error is object minus goal. The scatter is the one that the goal was solved with.
         after = states_after(
             np.broadcast_to(-left, (*size.shape, 3)),
             np.arctan2(expected[..., 1], expected[..., 0]),
@@ -255,9 +259,9 @@ class FixedTapperSession(GoalSession):
         return usable[int(row)], commanded[row, column], float(length[row, column])
 
     def _ends_well(self, pose: Array, commanded: Array, expected: Array) -> BoolArray:
-        """Which displacements (tappers, n, 3) may be made: with all that is not known of them they
-        stay on the table, off the keep-outs, and where the object can be brought back from. From
-        outside the area: they bring the object nearer."""
+        """Return which displacements (tappers, n, 3) are acceptable. Under all uncertainty the
+        object must stay on the table, off the keep-outs and where a tap can bring it back. An
+        object outside the working area must come nearer to the area."""
         far = self._way(pose, commanded, expected, DEVIATIONS)
         here = float(self._space.area.room(pose[:2]))
         needed = min(
@@ -273,9 +277,9 @@ class FixedTapperSession(GoalSession):
         return np.asarray(safe)
 
     def _way(self, pose: Array, commanded: Array, expected: Array, deviations: float) -> Array:
-        """Points of slides (tappers, n, 3) that may go too far or aside by so many deviations of
-        all that is not known: (tappers, n, 3 directions, points, 2), m in `table`."""
-        # It depends on the rotation per distance alone, which is one for all taps of a tapper.
+        """Points on slides (tappers, n, 3) whose length and direction deviate by this many standard
+        deviations: (tappers, n, 3 directions, points, 2), m in `table`."""
+        # The spread depends only on the rotation per distance, which is constant for a tapper.
         spread = self.gains.spread(commanded[:, :1], self.settings.scatter, deviations)
         size = np.hypot(expected[..., 0], expected[..., 1])
         heading = np.arctan2(expected[..., 1], expected[..., 0])
@@ -293,7 +297,7 @@ class FixedTapperSession(GoalSession):
 
 
 def check_fixed_goal(goal_pose: ArrayLike, space: FixedStrikeSpace) -> Refusal | None:
-    """Why no run to this goal (x, y, theta in `table`) can end well, or None."""
+    """Return why the goal (x, y, theta in `table`) cannot be reached, or None."""
     goal = np.asarray(goal_pose, dtype=float)
     if goal.shape != (3,) or not np.all(np.isfinite(goal)):
         return Refusal(
@@ -320,7 +324,7 @@ def check_fixed_goal(goal_pose: ArrayLike, space: FixedStrikeSpace) -> Refusal |
 
 
 def _displacement(heading: ArrayLike, slope: ArrayLike, length: ArrayLike) -> Array:
-    """Displacements (..., 3) of lengths in m along headings in rad, with slopes in rad/m."""
+    """Displacements (..., 3) from headings (rad), rotations per distance (rad/m), lengths (m)."""
     size = np.asarray(length, dtype=float)
     along = np.broadcast_to(np.asarray(heading, dtype=float), size.shape)
     turn = np.broadcast_to(np.asarray(slope, dtype=float), size.shape)
@@ -330,7 +334,8 @@ def _displacement(heading: ArrayLike, slope: ArrayLike, length: ArrayLike) -> Ar
 def _lengths(
     left: Array, heading: Array, slope: Array, least: Array, most: Array, gain: Array
 ) -> Array:
-    """Lengths to compare, (tappers, n): a geometric row and those about the goal."""
+    """Lengths to compare, (tappers, n): a geometric progression and lengths that end near the
+    goal."""
     row = least[:, None] * (most / least)[:, None] ** np.linspace(0.0, 1.0, LENGTHS)
     nearest = (left[0] * np.cos(heading) + left[1] * np.sin(heading)) / gain[0]
     true_slope = slope * gain[1]

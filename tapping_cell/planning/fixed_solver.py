@@ -1,7 +1,7 @@
-"""Goals of fixed tappers, solved once and kept; in a process of its own where nobody can wait.
+"""Cache of solved goals of fixed tappers; goals can be solved in a separate process.
 
-Solving takes seconds of processor time. In a thread it would keep the interpreter from whoever else
-needs it, and the planner from telling that it is alive.
+Solving a goal takes seconds of processor time. A solving thread would block the interpreter for the
+other threads, so that the planner's heartbeat would stop.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ FINER = (0.33, FINE)
 """Steps of the grids that follow the coarse one in the background."""
 
 NICENESS = 5
-"""Of the solving process: the cell's nodes come first."""
+"""Niceness of the solving process, so that the cell's nodes have priority."""
 
 
 class SolvedGoal:
@@ -49,16 +49,16 @@ class SolvedGoal:
 
     @property
     def solution(self) -> Solution | None:
-        """The best solution so far; None while there is none.
+        """Best solution so far, or None.
 
-        Raises what solving it raised.
+        Raises the exception of the solver if it failed before the first solution.
         """
         if self._failure is not None and self._solution is None:
             raise self._failure
         return self._solution
 
     def take(self, result: Solution | Exception) -> None:
-        """A better solution, or why there will be none."""
+        """Store a better solution or the error of the solver."""
         if isinstance(result, Exception):
             self._failure = result
         else:
@@ -94,7 +94,7 @@ class Job:
 
 
 class GoalSolver:
-    """Solves goals and keeps the last ones solved, for one object and cell.
+    """Solves goals for one object and cell, and caches the last solutions.
 
     ``background``: in a process of its own; who asks gets the best solution so far. ``finer``:
     steps of the grids after the coarse one.
@@ -106,7 +106,7 @@ class GoalSolver:
         self._worker = _Worker(self._take) if background else None
 
     def goal(self, space: FixedStrikeSpace, settings: PlannerSettings, goal: Array) -> SolvedGoal:
-        """The solved goal; where it is new and not for the background, after seconds."""
+        """Return the solved goal. Without a background process a new goal takes seconds."""
         turn = 0.0 if space.is_round else float(goal[2])
         place = np.array([goal[0], goal[1], turn])
         key = f"{space.key()};{settings.key()};{np.round(place, 6).tolist()}"
@@ -131,7 +131,7 @@ class GoalSolver:
 
 
 class _Worker:
-    """The solving process, started at once; it ends with this one."""
+    """The solving process, which starts immediately and ends with this process."""
 
     def __init__(self, take: Any) -> None:
         self._take = take

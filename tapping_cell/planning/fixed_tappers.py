@@ -1,9 +1,9 @@
-"""Tappers at fixed mounts: which taps each of them can make of an object at a pose.
+"""Tappers at fixed mounts, and the taps that each of them can make for an object at a given pose.
 
-A fixed tapper has one line of travel. Where it hits an object and in which direction it sends it
-follows from the object's pose alone; only the speed is free. Sliding scales with the square of the
-speed, so that all taps of one tapper at one pose are one direction and one rotation per distance,
-and a length: the choice of a tap is a tapper and a length.
+A fixed tapper has one line of travel. The contact and the direction of the tap follow from the
+object's pose alone; only the speed is free. The slide scales with the square of the speed, so all
+taps of one tapper at one pose have the same direction and the same rotation per distance. A tap is
+therefore chosen by its tapper and its length.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from tapping_cell.planning.workspace import KeepOut, Workspace
 from tapping_cell.se2 import Pose
 
 STEEPEST = math.radians(60.0)
-"""Largest incidence of a tap that is used: beyond it a small error of the line decides whether the
-striker grazes the object or passes it."""
+"""Largest incidence of a tap. Beyond it, the striker may graze or miss the object because of a
+small error of its line."""
 
 STROKE_MARGIN = 0.003
-"""Least rest of the stroke at the contact, m."""
+"""Minimum remaining stroke at the contact, m."""
 
 WAY_POINTS = 40
-"""Points of a stroke that are held against the keep-outs."""
+"""Number of points of a stroke whose distance to the keep-outs is checked."""
 
 
 @dataclass(frozen=True, slots=True)
 class FixedTapper:
     """A tapper at a fixed mount.
 
-    mount: the tip's centre at rest and the direction of its travel, in `table`, m and rad.
-    stroke: largest travel of the tip, m. tap: the mechanics with this tapper's striker.
-    slowest, fastest: speeds that it can make, m/s.
+    mount: centre of the tip at rest and direction of travel, in `table`, m and rad.
+    stroke: largest travel of the tip, m. tap: mechanics with this tapper's striker.
+    slowest, fastest: speed limits, m/s.
     """
 
     name: str
@@ -53,7 +53,7 @@ class FixedTapper:
     fastest: float
 
     def __post_init__(self) -> None:
-        """Refuse what makes no tapper (PlanningError)."""
+        """Reject an invalid stroke or invalid speeds (PlanningError)."""
         if not (self.stroke > 0.0 and 0.0 <= self.slowest < self.fastest):
             raise PlanningError(
                 f"tapper '{self.name}': stroke {self.stroke!r} m must be above 0, and the speeds "
@@ -63,14 +63,14 @@ class FixedTapper:
 
 @dataclass(frozen=True, slots=True)
 class WorkingArea:
-    """The disc in which the object's centre may lie: middle x, y and radius, m, in `table`."""
+    """Disc in which the object's centre must stay: centre x, y and radius, m, in `table`."""
 
     x: float
     y: float
     radius: float
 
     def outline(self, edges: int = 72) -> Array:
-        """Edges of the disc, (edges, 2 ends, 2), to be drawn, m in `table`."""
+        """Edges of the disc, (edges, 2 ends, 2), for drawing, m in `table`."""
         angles = np.linspace(0.0, 2.0 * math.pi, edges + 1)
         ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         corners = np.array([self.x, self.y]) + self.radius * ring
@@ -83,12 +83,12 @@ class WorkingArea:
 
 
 class Lines(NamedTuple):
-    """What the tappers can do with objects; shapes (..., tappers).
+    """Possible taps of each tapper; shapes (..., tappers).
 
-    usable: whether a tap of this tapper may be made at all. heading: direction in which it sends
-    the object, rad, in `table`. slope: rotation per distance, rad/m. reach: displacement per
-    squared speed, m/(m/s)^2. least, most: displacements that it can make, m. travel: of the tip
-    until the contact, m.
+    usable: whether the tapper can make a tap at all. heading: direction of the object's travel in
+    `table`, rad. slope: rotation per distance, rad/m. reach: displacement per squared speed,
+    m/(m/s)^2. least, most: limits of the displacement, m. travel: travel of the tip until the
+    contact, m.
     """
 
     usable: BoolArray
@@ -100,7 +100,7 @@ class Lines(NamedTuple):
     travel: Array
 
     def of(self, rows: NDArray[np.intp]) -> Lines:
-        """The lines of some of many poses."""
+        """Return the lines of the poses in ``rows``."""
         return Lines(
             self.usable[rows],
             self.heading[rows],
@@ -113,7 +113,7 @@ class Lines(NamedTuple):
 
 
 class FixedStrikeSpace:
-    """Which taps can be struck: one object's mechanics, one table, tappers at fixed mounts."""
+    """Set of possible taps for one object, one table and tappers at fixed mounts."""
 
     def __init__(
         self,
@@ -148,11 +148,12 @@ class FixedStrikeSpace:
 
     @property
     def is_round(self) -> bool:
-        """Whether taps do not depend on the object's orientation."""
+        """True if taps do not depend on the object's orientation."""
         return not isinstance(self.tappers[0].tap.body, Polygon)
 
     def key(self) -> str:
-        """A text that is equal where the solved goals are: all but the names of the tappers."""
+        """Return a string that is equal if the solutions are equal: all parameters except the names
+        of the tappers."""
         parts = [
             f"{tapper.mount};{tapper.stroke};{tapper.slowest};{tapper.fastest};{tapper.tap}"
             for tapper in self.tappers
@@ -160,14 +161,14 @@ class FixedStrikeSpace:
         return f"{parts};{self.workspace};{self.area};{self.smallest_distance}"
 
     def among(self, areas: Sequence[KeepOut]) -> FixedStrikeSpace:
-        """The same space with these keep-outs besides the workspace's own."""
+        """Return a copy of this space with additional keep-outs."""
         made = copy(self)
         made.workspace = replace(self.workspace, keep_outs=(*self.workspace.keep_outs, *areas))
         made._clear = made._clear_strokes()
         return made
 
     def with_mounts(self, mounts: Sequence[Pose]) -> FixedStrikeSpace:
-        """The same tappers elsewhere, in order: mounts as they were measured or learnt."""
+        """Return a copy with other mounts, in the order of the tappers (measured or learnt)."""
         made = copy(self)
         made.tappers = tuple(
             replace(tapper, mount=mount) for tapper, mount in zip(self.tappers, mounts, strict=True)
@@ -176,8 +177,8 @@ class FixedStrikeSpace:
         return made
 
     def _clear_strokes(self) -> BoolArray:
-        """Which tappers touch no keep-out with their whole stroke: it ends where it ends, even
-        where the object is not met."""
+        """Return which tappers avoid all keep-outs along the whole stroke, because a striker that
+        misses the object makes the whole stroke."""
         clear = []
         for tapper in self.tappers:
             way = np.linspace(0.0, tapper.stroke, WAY_POINTS)
@@ -193,7 +194,7 @@ class FixedStrikeSpace:
         return np.array(clear)
 
     def lines(self, object_poses: ArrayLike) -> Lines:
-        """What each tapper does with objects at rest at poses (..., 3)."""
+        """Return the possible taps of each tapper for stationary objects at poses (..., 3)."""
         poses = np.asarray(object_poses, dtype=float)[..., None, :]
         groups = self._alike()
         made = [self._lines_of(group, poses) for group in groups]
@@ -203,7 +204,7 @@ class FixedStrikeSpace:
         )
 
     def _alike(self) -> list[list[int]]:
-        """The tappers, those with the same mechanics together: they are worked out at once."""
+        """Group the indices of tappers with the same mechanics, which are computed together."""
         groups: list[list[int]] = []
         for index, tapper in enumerate(self.tappers):
             for group in groups:
@@ -215,7 +216,7 @@ class FixedStrikeSpace:
         return groups
 
     def _lines_of(self, group: list[int], poses: Array) -> Lines:
-        """Of tappers that are alike but for their mounts, speeds and strokes; poses (..., 1, 3)."""
+        """Lines of a group of tappers with the same mechanics; poses (..., 1, 3)."""
         some = [self.tappers[index] for index in group]
         mounts = np.array([[item.mount.x, item.mount.y, item.mount.theta] for item in some])
         slowest, fastest = np.array([[item.slowest, item.fastest] for item in some]).T
@@ -233,7 +234,7 @@ class FixedStrikeSpace:
         return Lines(usable, heading, slope, reach, least, most, hit.travel)
 
     def plan(self, index: int, pose: ArrayLike, distance: float) -> StrikePlan:
-        """The strike by which tapper ``index`` moves an object at (3,) by a distance in m."""
+        """Return the strike of tapper ``index`` that moves an object at (3,) by a distance in m."""
         held = np.asarray(pose, dtype=float)
         tapper = self.tappers[index]
         mount = tapper.mount

@@ -1,10 +1,10 @@
-"""Where on the table an object can be worked on, and how far it is from there to the goal.
+"""Map of the places where an object can be tapped, and path lengths from there to the goal.
 
-A place is *workable* when the object fits there and can be tapped in so many directions that no
-half plane of directions is missing: then every error left by a tap can be corrected from there, if
-need be by a zigzag. Taps may only end in workable places, and a goal must be one: so a run that
-starts does not strand. Around keep-outs the distance that counts is that of the path, from
-Dijkstra's method on a grid (Dijkstra 1959) with 16 neighbours a cell (lengths true to 3 %).
+A place is *workable* if the object fits there and can be tapped in enough directions that no half
+plane of directions is missing. Every error left by a tap can then be corrected from there, if
+necessary by a zigzag. Taps may only end in workable places, and the goal must be workable, so that
+a run does not get stuck. Path lengths around keep-outs are computed on a grid with 16 neighbours
+per cell (accurate to 3 %) by Dijkstra's algorithm (Dijkstra 1959).
 """
 
 from __future__ import annotations
@@ -29,24 +29,25 @@ CELL = 0.010
 """Size of a grid cell in m."""
 
 DIRECTIONS = 24
-"""Directions of taps tried at each place."""
+"""Number of tap directions tried at each place."""
 
 WIDEST_GAP = math.radians(150.0) + 1e-9
-"""Most that two neighbouring directions of possible taps may be apart, below a half plane."""
+"""Largest allowed angle between neighbouring directions of possible taps, below a half plane."""
 
 TURNS = (-0.7, 0.0, 0.7)
 """Rotations of the taps tried, as shares of the cone."""
 
 TYPICAL_TAP = 0.010
-"""Their distance in m; the pose of a strike depends on the ratio of rotation to distance only."""
+"""Distance of the taps tried, m. The choice is arbitrary because the pose of a strike depends only
+on the ratio of rotation to distance."""
 
 STEPS = [(1, 0), (1, 1), (0, 1), (-1, 1), (2, 1), (1, 2), (-1, 2), (-2, 1)]
-"""Neighbours of a cell, each also the other way round."""
+"""Offsets of a cell's neighbours; the opposite offsets are neighbours as well."""
 
 SIGHT_POINTS = 16
 
 MASKS_KEPT = 400
-"""Keep-outs whose effect on the tool is remembered, some 40 kB each."""
+"""Maximum number of keep-outs whose masks are cached, about 40 kB each."""
 
 
 class FreeSpace:
@@ -67,7 +68,7 @@ class FreeSpace:
         self._set(space, _pack(_blocked(space, centres, self._tips)))
 
     def _set(self, space: StrikeSpace, blocked: NDArray[np.uint32]) -> None:
-        """``blocked``: directions of taps that are not possible, a bit each, (turns, cells)."""
+        """``blocked``: bit masks of the impossible tap directions, (turns, cells x, cells y)."""
         self._space = space
         self._blocked = blocked
         self._tappable = ~np.any(_has_long_run(blocked), axis=0)
@@ -75,7 +76,8 @@ class FreeSpace:
         self.workable: BoolArray = self._tappable & fits
 
     def among(self, areas: Sequence[KeepOut]) -> FreeSpace:
-        """The same map with these keep-outs besides: quick, since the arm is not asked again."""
+        """Return the map with additional keep-outs. This is fast because the arm's reach is not
+        computed again."""
         made = copy(self)
         for name in ("_graph", "_nearest", "regions"):
             made.__dict__.pop(name, None)
@@ -92,7 +94,7 @@ class FreeSpace:
 
     @property
     def space(self) -> StrikeSpace:
-        """What the map is of."""
+        """Strike space that the map was made for."""
         return self._space
 
     @cached_property
@@ -105,11 +107,11 @@ class FreeSpace:
 
     @cached_property
     def regions(self) -> NDArray[np.int32]:
-        """Connected regions of workable cells, numbered from 1 (flat); 0 where not workable."""
+        """Region number of each cell (flat): connected workable cells from 1, other cells 0."""
         return np.asarray(label(self.workable, structure=np.ones((3, 3)))[0].reshape(-1))
 
     def contains(self, points: ArrayLike) -> BoolArray:
-        """Whether the object can be worked on at the points (..., 2)."""
+        """Return whether the points (..., 2) are workable."""
         p = np.asarray(points, dtype=float)
         low = np.floor((p - self._origin) / CELL).astype(int)
         found = np.zeros(p.shape[:-1], dtype=bool)
@@ -122,13 +124,13 @@ class FreeSpace:
         return np.asarray(found & (room >= self._space.object_radius - 1e-9))
 
     def outline(self) -> Array:
-        """Edges between workable cells and others, (edges, 2 ends, 2): to be drawn, m in table."""
+        """Edges between workable and other cells, (edges, 2 ends, 2), for drawing, m in `table`."""
         padded = np.pad(self.workable, 1)
         corner = self._origin - CELL / 2
         edges = []
         for axis in (0, 1):
             i, j = np.nonzero(np.diff(padded, axis=axis))
-            # one cell of padding: the line after padded cell i is the line before cell i
+            # Because of the padding, the line after padded cell i is the line before cell i.
             first = np.stack([i, j], axis=-1).astype(float)
             first[:, 1 - axis] -= 1.0
             along = np.eye(2)[1 - axis]
@@ -136,9 +138,9 @@ class FreeSpace:
         return np.asarray(corner + CELL * np.concatenate(edges))
 
     def nearest_cells(self, points: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-        """The nearest workable cell of each point (flat index) and its distance; inf if none.
+        """Nearest workable cell of each point (flat index) and its distance; inf if none exists.
 
-        Exact to the size of a cell: the nearest is that of the cell in which the point lies.
+        Accurate to the size of a cell: all points in one cell have the same nearest cell.
         """
         p = np.asarray(points, dtype=float)
         if not np.any(self.workable):
@@ -148,7 +150,7 @@ class FreeSpace:
         return cell, np.hypot(p[..., 0] - centre[..., 0], p[..., 1] - centre[..., 1])
 
     def in_sight(self, points: ArrayLike, goal: Array) -> BoolArray:
-        """Whether the straight lines from the points (..., 2) to the goal (2,) stay workable."""
+        """Return whether the straight lines from points (..., 2) to the goal (2,) are workable."""
         share = np.linspace(0.0, 1.0, SIGHT_POINTS)[:, None]
         line = np.asarray(points, dtype=float)[..., None, :] * (1.0 - share) + goal * share
         return np.asarray(np.all(self.workable.reshape(-1)[self._cell_of(line)], axis=-1))
@@ -160,11 +162,11 @@ class FreeSpace:
         return np.asarray(i * self._shape[1] + j)
 
     def to_goal(self, goal: ArrayLike) -> PathLengths:
-        """Lengths of paths to the goal's place (2,)."""
+        """Return the path lengths to the goal's position (x, y, ...)."""
         return PathLengths(self, np.asarray(goal, dtype=float)[:2])
 
     def cell_lengths(self, goal: Array) -> Array:
-        """Length of the path from every cell to the goal's cell (flat), inf where there is none."""
+        """Path length from every cell to the goal's cell (flat), m; inf if there is no path."""
         cell, offset = self.nearest_cells(goal)
         if not np.isfinite(offset):
             return np.full(self.workable.size, np.inf)
@@ -172,7 +174,7 @@ class FreeSpace:
 
 
 class PathLengths:
-    """How far it is to one goal: straight where nothing is in the way, else around."""
+    """Path lengths to one goal: the straight distance if it is free, else the path around."""
 
     def __init__(self, free: FreeSpace, goal: Array) -> None:
         self._free = free
@@ -181,12 +183,12 @@ class PathLengths:
         self._open = bool(np.all(free.workable[_hull_mask(free.workable)]))
 
     def reachable(self, point: ArrayLike) -> bool:
-        """Whether a path of workable places leads from the point's nearest one to the goal."""
+        """Return whether a path connects the workable cell nearest to the point with the goal."""
         cell, offset = self._free.nearest_cells(np.asarray(point, dtype=float)[:2])
         return bool(np.isfinite(offset) and np.isfinite(self._lengths[cell]))
 
     def length(self, points: ArrayLike) -> Array:
-        """Length of the path from the points (..., 2) to the goal, m; inf where there is none."""
+        """Path length from the points (..., 2) to the goal, m; inf if there is no path."""
         p = np.asarray(points, dtype=float)
         straight: Array = np.hypot(p[..., 0] - self._goal[0], p[..., 1] - self._goal[1])
         if self._open:
@@ -198,10 +200,10 @@ class PathLengths:
 
 
 def widest_gap(space: StrikeSpace, centres: ArrayLike) -> Array:
-    """Largest angle without a possible tap for an object at the centres (..., 2), rad.
+    """Largest gap between directions of possible taps for objects at ``centres`` (..., 2), rad.
 
-    The worst of taps that turn the object left, right and not at all. Only the arm and the room for
-    the tool count here, not where the object would go.
+    This is the worst case of taps that turn the object left, right and not at all. Only the arm's
+    reach and the clearance of the tool are checked, not the slide of the object.
     """
     p = np.asarray(centres, dtype=float)
     gap = np.zeros(p.shape[:-1])
@@ -215,7 +217,8 @@ def widest_gap(space: StrikeSpace, centres: ArrayLike) -> Array:
 
 
 def _blocked(space: StrikeSpace, centres: Array, tips: Sequence[Array]) -> BoolArray:
-    """Which taps the arm or the tool's room forbid: (turns, cells x, cells y, directions)."""
+    """Return which taps the arm's reach or the tool's clearance exclude: (turns, cells x, cells y,
+    directions)."""
     found = []
     for turn in tips:
         poses = np.empty((*centres.shape[:-1], DIRECTIONS, 3))
@@ -226,7 +229,8 @@ def _blocked(space: StrikeSpace, centres: Array, tips: Sequence[Array]) -> BoolA
 
 
 def _tool_in(area: KeepOut, space: StrikeSpace, centres: Array, tips: Sequence[Array]) -> BoolArray:
-    """Which taps would put tip or bar into this area, margin included; as ``_blocked``."""
+    """Return which taps would put the tip or the bar into this area or its margin; shape as for
+    ``_blocked``."""
     shape = (*centres.shape[:-1], DIRECTIONS)
     heading = np.broadcast_to(tips[0], (DIRECTIONS, 3))[:, 2]
     if isinstance(area, CircleArea):
@@ -247,8 +251,8 @@ def _tool_in(area: KeepOut, space: StrikeSpace, centres: Array, tips: Sequence[A
 def _circle_hits(
     offset: NDArray[np.float32], tips: Array, radius: float, space: StrikeSpace
 ) -> BoolArray:
-    """Which of the tips (directions, 3) about an object hit a circle at ``offset`` (n, 2) from it:
-    shape (n, directions)."""
+    """Return which tools at ``tips`` (directions, 3) around an object hit a circle whose centre has
+    the ``offset`` (n, 2) from the object: (n, directions)."""
     poses = tips.astype(np.float32)
     along = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
     across = np.stack([-along[1], along[0]])
@@ -263,15 +267,15 @@ def _circle_hits(
 
 
 def _pack(missing: BoolArray) -> NDArray[np.uint32]:
-    """Flags of the directions (last axis, ``DIRECTIONS`` of them) as the bits of one number."""
+    """Pack the flags of the ``DIRECTIONS`` directions (last axis) into the bits of one integer."""
     octets = np.packbits(missing, axis=-1, bitorder="little").astype(np.uint32)
     shifts = np.uint32(8) * np.arange(octets.shape[-1], dtype=np.uint32)
     return np.asarray(np.bitwise_or.reduce(octets << shifts, axis=-1))
 
 
 def _has_long_run(blocked: NDArray[np.uint32]) -> BoolArray:
-    """Whether more neighbouring directions are missing than ``WIDEST_GAP`` allows."""
-    needed = int(WIDEST_GAP / (2.0 * math.pi / DIRECTIONS))  # a run this long is a gap too wide
+    """Return whether more adjacent directions are missing than ``WIDEST_GAP`` allows."""
+    needed = int(WIDEST_GAP / (2.0 * math.pi / DIRECTIONS))  # shortest run that is too wide a gap
     full = np.uint32((1 << DIRECTIONS) - 1)
 
     def turned(value: NDArray[np.uint32], by: int) -> NDArray[np.uint32]:
@@ -286,10 +290,11 @@ def _has_long_run(blocked: NDArray[np.uint32]) -> BoolArray:
 
 
 def _tips_around(space: StrikeSpace) -> list[Array]:
-    """Resting tip poses around an object at the origin, (directions, 3), one array a turn.
+    """Tip poses at rest around an object at the origin, (directions, 3), one array per turn.
 
-    Round bodies: by their mechanics. Others can be tapped in few directions at a given angle; for
-    them a tap through the centre of the bounding circle stands for all.
+    The poses for round bodies follow from their mechanics. Polygons can be tapped in only a few
+    directions at a given orientation; they are represented by taps through the centre of the
+    bounding circle.
     """
     heading = np.arange(DIRECTIONS) * (2.0 * math.pi / DIRECTIONS)
     along = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
@@ -306,7 +311,10 @@ def _tips_around(space: StrikeSpace) -> list[Array]:
 
 
 def _largest_run(missing: BoolArray) -> Array:
-    """Angle between the directions on both sides of the longest run of missing ones (..., n)."""
+    """Angle, rad, between the directions that enclose the longest run of missing directions.
+
+    ``missing``: flags (..., DIRECTIONS). Returns (...,).
+    """
     longest = np.zeros(missing.shape[:-1], dtype=int)
     run = np.zeros(missing.shape[:-1], dtype=int)
     for index in range(2 * DIRECTIONS):
@@ -318,7 +326,7 @@ def _largest_run(missing: BoolArray) -> Array:
 def _neighbour_graph(workable: BoolArray) -> coo_array:
     """Symmetric graph of workable cells; an edge's weight is the distance of the centres."""
     columns, rows = workable.shape
-    # SciPy before 1.12 takes no other integers for a graph.
+    # SciPy before 1.12 accepts only 32-bit indices for a graph.
     index = np.arange(columns * rows, dtype=np.int32).reshape(columns, rows)
     starts, ends, weights = [], [], []
     for dx, dy in STEPS:
@@ -337,7 +345,7 @@ def _neighbour_graph(workable: BoolArray) -> coo_array:
 
 
 def _nearest_cells(workable: BoolArray) -> NDArray[np.intp]:
-    """Flat index of the workable cell nearest to each cell; 0 where there is none."""
+    """Flat index of the workable cell nearest to each cell; 0 if no cell is workable."""
     if not np.any(workable):
         return np.zeros(workable.size, dtype=np.intp)
     nearest = distance_transform_edt(~workable, return_distances=False, return_indices=True)
@@ -345,7 +353,7 @@ def _nearest_cells(workable: BoolArray) -> NDArray[np.intp]:
 
 
 def _hull_mask(workable: BoolArray) -> BoolArray:
-    """Cells between two workable cells of the same column and of the same row."""
+    """Cells between two workable cells of the same column or of the same row."""
 
     def between(cells: BoolArray, axis: int) -> BoolArray:
         before = np.logical_or.accumulate(cells, axis=axis)

@@ -1,17 +1,18 @@
-"""Learning, tap by tap, by how much the object's answers differ from the model's.
+"""Online estimation of the ratio between the object's true displacements and the model's.
 
-A tap commanded as (d, turn, direction) and measured as (d', turn', direction') says
+A tap commanded as (d, turn, direction) and measured as (d', turn', direction') gives
 
     ln(d' / d)             = a                      a: logarithm of the gain of the distance
     turn' / d'             = G turn / d + o x u     G: gain of the rotation per distance
     direction' - direction = e + f turn / d         e, f: steady error of direction, and its growth
 
-each judged by itself, with u the direction of travel in the object's frame and o the two numbers of
-an object whose centre of mass or of friction is off its middle: the rotation per distance (rad/m)
-that a tap through the middle makes. The rotation is judged per measured distance since friction
-changes both alike, so that G is left with the friction's torque. Each is a ``Belief``: a prior as
-narrow as a good file's beside one as wide as people's ignorance, measurements weighed by the tap's
-own scatter and the camera's noise, bumps told from changes.
+Each equation is estimated separately. u is the direction of travel in the object's frame. o is an
+offset of two numbers, for an object whose centre of mass or of friction is not at its middle: the
+rotation per distance (rad/m) that a tap through the middle causes. The rotation is divided by the
+measured distance because friction scales both equally; G therefore describes only the torque of the
+friction. Each estimate is a ``Belief``. Its prior mixes a narrow distribution, for an accurate
+object file, with wide ones. Measurements are weighted by the tap's scatter and the camera's noise,
+and outliers are distinguished from lasting changes.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ from tapping_cell.planning.settings import CameraNoise, Scatter
 from tapping_cell.se2 import wrap_angle
 
 NAMES = ("distance", "rotation", "direction", "direction_growth", "offset_x", "offset_y")
-"""Distance gain; gain of the rotation per distance; direction error in rad; its growth in rad per
-rad/m; rotation per distance (rad/m) of taps through the middle along -y and +x of the object."""
+"""Distance gain; gain of the rotation per distance; direction error in rad; growth of this error in
+rad per rad/m; rotation per distance (rad/m) of taps through the middle along -y and +x of the
+object."""
 
 LOWEST = np.array([0.1, 0.1, -0.5, -0.05, -20.0, -20.0])
 HIGHEST = np.array([10.0, 10.0, 0.5, 0.05, 20.0, 20.0])
@@ -44,7 +46,8 @@ DISTANCE = Prior(
     change=1,
     span=4.0,
 )
-"""Of ln(distance gain): 4 % for an object as its file says, else friction within a factor of 4."""
+"""Prior of ln(distance gain): standard deviation of 4 % for an object that matches its file, else
+friction within a factor of 4."""
 
 ROTATION = Prior(
     weight=np.array([0.60, 0.20, 0.12, 0.08]),
@@ -55,7 +58,8 @@ ROTATION = Prior(
     change=3,
     span=20.0,
 )
-"""Of (G, o): as the file says, rotation within a factor of 3, off the middle, or both."""
+"""Prior of (G, o): an object that matches its file, one with G within a factor of 3, one with an
+offset, and one with both."""
 
 DIRECTION = Prior(
     weight=np.array([0.85, 0.15]),
@@ -64,30 +68,30 @@ DIRECTION = Prior(
     change=1,
     span=2.0 * math.pi,
 )
-"""Of (e, f): 0.6 degrees as a rule, else up to some 20 degrees."""
+"""Prior of (e, f): usually a standard deviation of 0.6 degrees, else errors up to 20 degrees."""
 
 LEAST_SLOPE = 0.1
-"""Deviation in rad/m of the rotation per distance of a tap that asks for none: an arm that is
-0.2 mm beside the middle of the paper's disk."""
+"""Standard deviation, rad/m, of the rotation per distance of a tap without commanded rotation. It
+corresponds to an arm that is 0.2 mm beside the middle of the paper's disk."""
 
 KEPT = 0.95
-"""Probability that what was learnt in an earlier run still holds."""
+"""Probability that the gains of an earlier run are still valid."""
 
 LEAST_MOVE = 1e-6
-"""Displacements below this, m, are none."""
+"""Displacements below this length, m, count as no displacement."""
 
 UNEXPLAINED = 0.5
-"""A tap that was taken for a measurement with a lower probability than this is an outlier."""
+"""A tap is an outlier if the probability that it is a valid measurement is below this."""
 
 
 _ONE_DEVIATION = (float(ndtr(-1.0)), float(ndtr(1.0)))
 
 
 class Spread(NamedTuple):
-    """Bounds of where taps end, about the predicted displacements.
+    """Bounds of the true displacements, relative to the predicted displacements.
 
-    longest: (...,), the longest slide over the predicted one. aside: (..., 2), the largest
-    deviations of its direction to the right (negative) and to the left, rad.
+    longest: (...,), ratio of the longest to the predicted slide. aside: (..., 2), the largest
+    deviations of the direction to the right (negative) and to the left, rad.
     """
 
     longest: Array
@@ -96,11 +100,11 @@ class Spread(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """What has been learnt about one object, or about many at once (leading axes).
+    """Learnt parameters of one object, or of several objects (leading axes).
 
-    distance: of (a,). rotation: of (G, o_x, o_y). direction: of (e, f).
-    taken, outliers: shape (...), how many taps were explained and how many not.
-    surprised: shape (...), whether the last tap was not.
+    distance: belief about (a,). rotation: belief about (G, o_x, o_y). direction: belief about
+    (e, f). taken, outliers: shape (...), numbers of explained taps and of outliers.
+    surprised: shape (...), whether the last tap was an outlier.
     """
 
     distance: Belief
@@ -112,7 +116,7 @@ class Gains:
 
     @classmethod
     def start(cls, shape: tuple[int, ...] = ()) -> Gains:
-        """Gains of objects never tapped before."""
+        """Return the gains of objects that were never tapped."""
         return cls(
             Belief.start(DISTANCE, shape),
             Belief.start(ROTATION, shape),
@@ -123,7 +127,7 @@ class Gains:
         )
 
     def of(self, rows: NDArray[np.intp]) -> Gains:
-        """The gains of some of many objects."""
+        """Return the gains of the objects in ``rows``."""
         return Gains(
             self.distance.of(rows),
             self.rotation.of(rows),
@@ -134,7 +138,7 @@ class Gains:
         )
 
     def put(self, rows: NDArray[np.intp], gains: Gains) -> None:
-        """Replace the gains of some of many objects."""
+        """Replace the gains of the objects in ``rows``."""
         self.distance.put(rows, gains.distance)
         self.rotation.put(rows, gains.rotation)
         self.direction.put(rows, gains.direction)
@@ -143,7 +147,7 @@ class Gains:
 
     @property
     def value(self) -> Array:
-        """The numbers of ``NAMES``, (..., 6)."""
+        """Expected values of the parameters in ``NAMES``, (..., 6)."""
         distance = np.exp(self.distance.expected())
         rotation, direction = self.rotation.expected(), self.direction.expected()
         numbers = np.concatenate([distance, rotation[..., :1], direction, rotation[..., 1:]], -1)
@@ -157,11 +161,11 @@ class Gains:
         return np.concatenate([distance, rotation[..., :1], direction, rotation[..., 1:]], axis=-1)
 
     def to_plan(self, remaining: ArrayLike) -> tuple[Array, Array, Array]:
-        """What remains, (..., 3) as dx, dy (m) and rotation (rad), as planning methods see it.
+        """Convert residuals (..., 3), dx, dy (m) and rotation (rad), for a planning method.
 
-        Returns the distance (m), the rotation (rad) in the units in which the cone has its nominal
-        slope, and the heading (rad). The distance stays true, so that the box and the smallest tap
-        keep their size.
+        Returns the distance (m), the rotation (rad) scaled such that the cone has its nominal
+        slope, and the heading (rad). The distance is not scaled, so that the box and the smallest
+        tap keep their size.
         """
         left = np.asarray(remaining, dtype=float)
         turn = left[..., 2] / self.value[..., 1]
@@ -176,17 +180,17 @@ class Gains:
         orientation: ArrayLike,
         cone_slope: float = math.inf,
     ) -> Array:
-        """Displacements (..., 3) to ask of the mechanics, for taps in the units of ``to_plan``.
+        """Displacements (..., 3) to request from the mechanics, for taps as of ``to_plan``.
 
-        orientation: of the object before the tap, rad. cone_slope: the most rotation per distance
-        that can be asked for, rad/m; what an object off its middle needs beyond it is left out.
+        orientation: orientation of the object before the tap, rad. cone_slope: limit of the
+        commanded rotation per distance, rad/m; the compensation of the offset is cut off there.
         """
         return command_of(self.value, distance, rotation, heading, orientation, cone_slope)
 
     def predict(self, commanded: ArrayLike, orientation: ArrayLike) -> Array:
-        """The displacement, (..., 3), that a commanded one is expected to make.
+        """Predict the true displacement, (..., 3), for a commanded displacement.
 
-        orientation: of the object before the tap, rad.
+        orientation: orientation of the object before the tap, rad.
         """
         return prediction_of(self.value, commanded, orientation)
 
@@ -198,14 +202,15 @@ class Gains:
         scatter: Scatter,
         camera: CameraNoise,
     ) -> Gains:
-        """The gains after one tap.
+        """Return the gains updated with one tap.
 
         Args:
-            commanded: dx, dy (m) and rotation (rad) asked of the striker, table frame, (..., 3).
-            measured: what the camera saw of it, (..., 3). A row that is not finite says nothing.
-            orientation: of the object before the tap, rad, (...,).
-            scatter: of a tap, one standard deviation.
-            camera: one look's deviation; two looks make one measured displacement.
+            commanded: commanded dx, dy (m) and rotation (rad) in `table`, (..., 3).
+            measured: measured displacement, (..., 3). A row that is not finite is ignored.
+            orientation: orientation of the object before the tap, rad, (...,).
+            scatter: scatter of a tap, one standard deviation.
+            camera: standard deviation of one observation; a measured displacement is the
+                difference of two observations.
         """
         command, seen = np.asarray(commanded, dtype=float), np.asarray(measured, dtype=float)
         asked = np.hypot(command[..., 0], command[..., 1])
@@ -229,7 +234,7 @@ class Gains:
             zero,
             np.hypot(scatter.distance, aim),
         )
-        # An object that has hardly moved has no direction and no rotation per distance.
+        # The direction and the rotation per distance of a very short slide are not measurable.
         still = np.where(moved > 3.0 * look, blank, math.nan)
         rotation, turned = self.rotation.observe(
             ROTATION,
@@ -257,10 +262,11 @@ class Gains:
         )
 
     def spread(self, commanded: ArrayLike, scatter: Scatter, deviations: float) -> Spread:
-        """How far a commanded displacement (..., 3) may end from ``predict``, with all that is not
-        known: the belief, a possible change at the last tap included, and the scatter.
+        """Bounds of the deviation of commanded displacements (..., 3) from ``predict``.
 
-        deviations: of a normal distribution whose probability is taken on each side.
+        They include the scatter and the belief with a possible change at the last tap.
+        ``deviations``: size of the bounds, in standard deviations of a normal distribution with the
+        same probability on each side.
         """
         command = np.asarray(commanded, dtype=float)
         length = np.hypot(command[..., 0], command[..., 1])
@@ -281,10 +287,10 @@ class Gains:
     def predicted_covariance(
         self, commanded: ArrayLike, orientation: float, scatter: Scatter
     ) -> Array:
-        """Covariance (3, 3) in m and rad of where one commanded displacement (3,) ends.
+        """Covariance (3, 3), m and rad, of the displacement caused by one command (3,).
 
-        Half of the interval that holds 68 % of the belief and the scatter stands for a standard
-        deviation: the belief's tails are wider than a normal distribution's.
+        Half of the interval that contains 68 % of the belief and the scatter is used as the
+        standard deviation, because the belief has heavier tails than a normal distribution.
         """
         command = np.asarray(commanded, dtype=float)
         x, y, turn = self.predict(command, orientation).tolist()
@@ -310,7 +316,8 @@ class Gains:
         return np.asarray(effects.T @ effects)
 
     def as_numbers(self) -> dict[str, float]:
-        """Plain numbers for a file (one object): value and deviation of each gain, SI."""
+        """Convert the gains of one object to numbers for a file: value and standard deviation of
+        each parameter, in SI units."""
         value, deviation = self.value, self.deviation
         return {
             key: float(number)
@@ -320,10 +327,10 @@ class Gains:
 
     @classmethod
     def from_numbers(cls, numbers: dict[str, float]) -> Gains:
-        """Gains kept by ``as_numbers``, for the same object in a later run.
+        """Restore gains saved by ``as_numbers``, for the same object in a later run.
 
-        The kept numbers replace the narrow priors; the wide ones stay, for another table or a humid
-        day.
+        The saved numbers replace the narrow priors. The wide priors stay, because friction may have
+        changed with the table or the humidity.
 
         Raises:
             PlanningError: a number is missing, not finite or outside its bounds.
@@ -385,7 +392,7 @@ def prediction_of(number: Array, commanded: ArrayLike, orientation: ArrayLike) -
 
 
 def _replace_main(belief: Belief, mean: ArrayLike, deviation: ArrayLike) -> None:
-    """Put kept numbers in the place of the narrowest prior, and believe them more than a file."""
+    """Replace the narrowest prior by saved numbers, with a higher weight than a file's prior."""
     belief.weight[1:] *= (1.0 - KEPT) / belief.weight[1:].sum()
     belief.weight[0] = KEPT
     belief.mean[0] = np.asarray(mean)
@@ -393,11 +400,11 @@ def _replace_main(belief: Belief, mean: ArrayLike, deviation: ArrayLike) -> None
 
 
 def _directions(travel: Array) -> tuple[Array, Array]:
-    """Slopes of o_x and o_y for directions of travel (rad) in the object's frame."""
+    """Coefficients of o_x and o_y for directions of travel (rad) in the object's frame."""
     return -np.sin(travel), np.cos(travel)
 
 
 def _across(number: Array, travel: Array) -> Array:
-    """Rotation per distance (rad/m) of taps through the middle, for directions in its frame."""
+    """Rotation per distance (rad/m) due to the offset, for directions in the object's frame."""
     first, second = _directions(travel)
     return np.asarray(number[..., 4] * first + number[..., 5] * second)

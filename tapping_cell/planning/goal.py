@@ -1,4 +1,4 @@
-"""Goals that cannot be reached are refused before the first tap."""
+"""Checks of a goal before the first tap, and texts about poses."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from tapping_cell.planning.strike import StrikeSpace
 
 
 def place_text(pose: ArrayLike) -> str:
-    """A pose for people: "(10.0 mm, 0.0 mm, 5.0 degrees)"."""
+    """Format a pose for messages: "(10.0 mm, 0.0 mm, 5.0 degrees)"."""
     x, y, theta = np.asarray(pose, dtype=float)
     return f"({1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {math.degrees(theta):.1f} degrees)"
 
 
 def others_text(space: StrikeSpace) -> str:
-    """The objects that lie in the way, to be added to a refusal: "; besides it there lie 'a'"."""
+    """Clause for a refusal that names the other objects on the table, or an empty string."""
     others = space.workspace.others()
     return f"; besides it the camera sees {others}: take away what is in the way" if others else ""
 
 
 def edge_warning(pose: ArrayLike, space: StrikeSpace) -> str:
-    """A sentence where the object at a pose (x, y, theta) stands closer to an edge than its margin,
-    or hangs over it; an empty text else."""
+    """Return a warning if the object at a pose (x, y, theta) is closer to an edge than the margin
+    or hangs over the edge, else an empty string."""
     place = np.asarray(pose, dtype=float)
     gap = float(space.workspace.edge_distance(place[:2])) - space.object_radius
     margin = space.workspace.edge_margin
@@ -46,10 +46,10 @@ def edge_warning(pose: ArrayLike, space: StrikeSpace) -> str:
 def check_goal(
     goal_pose: ArrayLike, space: StrikeSpace, free: FreeSpace | None = None
 ) -> Refusal | None:
-    """Why no run to this goal (x, y, theta in `table`) can end well, or None.
+    """Return why the goal (x, y, theta in `table`) cannot be reached, or None.
 
-    With the map of the free space the goal must also be workable by it, so that the closed loop
-    around the goal always has a tap.
+    If a map of the free space is given, the goal must also be workable, so that a tap is always
+    possible near the goal.
     """
     goal = np.asarray(goal_pose, dtype=float)
     if goal.shape != (3,) or not np.all(np.isfinite(goal)):

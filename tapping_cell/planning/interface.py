@@ -1,4 +1,4 @@
-"""The one small interface behind which every planning method stands."""
+"""Interface of the planning methods."""
 
 from __future__ import annotations
 
@@ -25,42 +25,42 @@ class Taps(NamedTuple):
 
 @runtime_checkable
 class Planner(Protocol):
-    """A planning method: which tap next, from what remains to the goal.
+    """A planning method: chooses the next tap from the residual to the goal.
 
-    ``choose`` is a pure function of what remains, vectorised, and never fails: it also answers
-    inside the stopping box (a look with more noise than usual may want one more tap).
+    ``choose`` is a vectorised pure function of the residual that never raises. It also returns a
+    tap inside the stopping box, because a noisier observation than usual may require one more tap.
     """
 
     @property
     def name(self) -> str:
-        """The method that answers now (a fallback may answer while a plan is solved)."""
+        """Name of the method in use now (a fallback may be in use while a plan is solved)."""
         ...
 
     @property
     def settings(self) -> PlannerSettings:
-        """What the plan was made for."""
+        """Settings that the plan was made for."""
         ...
 
     def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
-        """The next tap for what remains: distance >= 0 in m, rotation in rad, any shape."""
+        """Choose the next tap for residuals of any shape: distance >= 0 in m, rotation in rad."""
         ...
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """About how many taps the method needs from there; ranks taps that replace the best one."""
+        """Estimate how many taps these residuals need; used to rank alternative taps."""
         ...
 
 
 @runtime_checkable
 class TapValues(Protocol):
-    """A planning method that also knows what taps beside the line to the goal are worth."""
+    """A planning method that can also evaluate taps that are not on the line to the goal."""
 
     def taps_after(
         self, distance: float, rotation: float, aside: Array, sizes: Array, turns: Array
     ) -> Array | None:
-        """Expected taps that follow a tap, (directions, sizes, turns); infinite outside the cone;
-        None while the method cannot tell.
+        """Expected number of taps after a tap, (directions, sizes, turns); infinite outside the
+        cone. Return None while no solution is available.
 
-        distance, rotation: what remains before it, m and rad. aside: directions of the tap from
-        that of the goal, rad. sizes: m, above 0. turns: rad.
+        distance, rotation: residual before the tap, m and rad. aside: directions of the tap
+        relative to the direction of the goal, rad. sizes: m, above 0. turns: rad.
         """
         ...

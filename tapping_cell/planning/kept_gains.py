@@ -1,8 +1,8 @@
-"""What was learnt about an object, kept between runs: one small file for an object in a cell.
+"""Storage of learnt gains between runs: one small file per object and cell.
 
-``$XDG_STATE_HOME/tapping_cell/gains/<cell>/<object>.json``, or below ``~/.local/state``
-where that is not set. Kept on request only: gains belong to one object on one table on a dry day,
-and those of a simulated cell to no other.
+The file is ``$XDG_STATE_HOME/tapping_cell/gains/<cell>/<object>.json``, or below ``~/.local/state``
+if the variable is not set. Gains are saved only on request, because they are valid only for one
+object on one table at one humidity, and gains of a simulated cell only for that cell.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from tapping_cell.planning.gains import Gains
 
 
 def gains_file(object_name: str, cell: str) -> Path:
-    """The file of an object's gains in a cell, which is named by a file name; the object's name may
-    hold anything."""
+    """Path of the file for an object's gains in a cell. ``cell`` must be a valid file name;
+    ``object_name`` may contain any characters."""
     root = os.environ.get("XDG_STATE_HOME") or os.path.join(
         os.path.expanduser("~"), ".local", "state"
     )
@@ -28,7 +28,7 @@ def gains_file(object_name: str, cell: str) -> Path:
 
 
 def keep_gains(object_name: str, cell: str, gains: Gains) -> Path:
-    """Write an object's gains in a cell; an older file is replaced at once and as a whole.
+    """Write an object's gains in a cell; an older file is replaced atomically.
 
     Raises:
         OSError: the file cannot be written.
@@ -45,10 +45,10 @@ def keep_gains(object_name: str, cell: str, gains: Gains) -> Path:
 
 
 def load_gains(object_name: str, cell: str) -> Gains:
-    """An object's gains from earlier runs in a cell, or those of an object never tapped before.
+    """Load an object's gains in a cell; without a file, return those of an untapped object.
 
     Raises:
-        PlanningError: the file cannot be read or holds impossible numbers; the sentence says which.
+        PlanningError: the file cannot be read or contains invalid numbers; the message names them.
     """
     path = gains_file(object_name, cell)
     if not path.exists():

@@ -1,4 +1,4 @@
-"""Places of values on a grid whose steps are not equal."""
+"""Interpolation on a grid with unequal steps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ Indices = NDArray[np.intp]
 
 
 def bracket(grid: Array, values: ArrayLike) -> tuple[Indices, Array]:
-    """Index of the grid's cell of each value and the share of the way through it, in [0, 1]."""
+    """Return the index of the cell that contains each value, and the relative position in that
+    cell, in [0, 1]."""
     wanted = np.asarray(values, dtype=float)
     found = np.searchsorted(grid, wanted, side="right") - 1
     index = np.clip(found, 0, grid.size - 2).astype(np.intp)

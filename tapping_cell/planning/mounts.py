@@ -1,10 +1,9 @@
-"""What is learnt of the mounts of fixed tappers: how far each line of travel is off.
+"""Online estimation of the mount errors of fixed tappers.
 
-A line that lies beside its place by ``offset`` (m, to the left of its direction) and is turned by
-``angle`` (rad) meets an object elsewhere: direction and rotation per distance of the tap change, by
-some 0.7 degrees a mm for the disk of the paper. Both are measured with every tap; a linear Gaussian
-update (Kalman's) of the two numbers of the tapper that struck, with derivatives by differences of
-the mechanics.
+If a line of travel has an ``offset`` (m, to the left of its direction) and an ``angle`` (rad), the
+contact changes, and with it the direction and the rotation per distance of the tap: by about
+0.7 degrees per mm for the paper's disk. Both are measured with every tap. A Kalman update estimates
+the two numbers of the tapper that fired, with derivatives from finite differences of the mechanics.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ OFFSET_DEVIATION, ANGLE_DEVIATION = 0.0005, math.radians(0.5)
 """Standard deviations of a mount before its first tap, m and rad."""
 
 STEPS = np.array([1e-5, 1e-4])
-"""Of the differences, m and rad."""
+"""Steps of the finite differences, m and rad."""
 
 UNLIKELY = 16.0
-"""Squared deviations (two degrees of freedom) of a measurement that is not believed."""
+"""Squared Mahalanobis distance (two degrees of freedom) above which a measurement is rejected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +43,12 @@ class MountBelief:
         offset_deviation: float = OFFSET_DEVIATION,
         angle_deviation: float = ANGLE_DEVIATION,
     ) -> MountBelief:
-        """Mounts as the cell file gives them."""
+        """Return the belief before the first tap: the mounts of the cell file."""
         spread = np.diag([offset_deviation**2, angle_deviation**2])
         return cls(np.zeros((tappers, 2)), np.tile(spread, (tappers, 1, 1)))
 
     def mount(self, index: int, nominal: Pose) -> Pose:
-        """Where the line of a tapper is believed to be."""
+        """Return the estimated mount of a tapper."""
         return _moved(nominal, self.mean[index])
 
     def observe(
@@ -62,10 +61,11 @@ class MountBelief:
         scatter: Scatter,
         camera: CameraNoise,
     ) -> MountBelief:
-        """The belief after a tap of tapper ``index``, whose nominal mount is ``tapper.mount``.
+        """Update the belief with a tap of tapper ``index``, whose nominal mount is
+        ``tapper.mount``.
 
-        before: pose (3,) of the object; moved: its displacement (3,), both as seen, m and rad.
-        rotation_gain: true rotation per distance over that of the mechanics, as learnt.
+        before: measured pose (3,) of the object; moved: its measured displacement (3,), m and rad.
+        rotation_gain: learnt ratio of the true rotation per distance to that of the mechanics.
         """
         pose, seen = np.asarray(before, dtype=float), np.asarray(moved, dtype=float)
         distance = float(np.hypot(seen[0], seen[1]))
@@ -105,7 +105,7 @@ class MountBelief:
 
 
 def believed(space: FixedStrikeSpace, belief: MountBelief) -> FixedStrikeSpace:
-    """A space with its mounts where they are believed to be."""
+    """Return the space with the estimated mounts."""
     return space.with_mounts(
         [belief.mount(index, tapper.mount) for index, tapper in enumerate(space.tappers)]
     )

@@ -1,13 +1,14 @@
-"""Multi-tap plans: cones chained back from the stopping box (Huang and Mason, section 4.3).
+"""Multi-tap plans: cones chained backwards from the stopping box (Huang and Mason, section 4.3).
 
-Cone 0 is the box. A state belongs to cone i when some tap takes its whole error line, the rotation
-times 1 +- ``error_line``, into the cones below i. At a distance r the cones are intervals
-|theta| <= h_i(r): with rotations from 0 to the largest the error lines cover everything below.
+Cone 0 is the box. A state belongs to cone i if some tap moves its whole error line (the rotation
+times 1 +- ``error_line``) into the cones below i. At a distance r a cone is an interval
+|theta| <= h_i(r), because the error lines of rotations from 0 to the largest cover the interval.
 
     h_i(r) = largest over taps d of  H + (1 - s) min(k |d|, H / s),   H = h_(i-1)(|r - d|)
 
-(the far end of the line must stay below H, its near end above -H). With error lines of 60 % the
-paper's task takes five taps that are guaranteed as far as the lines hold the errors, with 30 % two.
+(the far end of the line must stay below H and its near end above -H). The paper's task takes five
+taps with error lines of 60 %, and two taps with 30 %. These numbers are guaranteed as long as the
+errors stay within the lines.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from tapping_cell.planning.lookup import bracket
 from tapping_cell.planning.settings import PlannerSettings
 
 ERROR_LINE = 0.6
-"""Four standard deviations of the rotation's scatter, 15 %; five taps for the paper's task."""
+"""Four times the standard deviation of the rotation's scatter (15 %). It gives five taps for the
+paper's task."""
 
 AIM = 0.3
 """The last tap must aim within this share of the box's distance from the goal."""
@@ -35,15 +37,15 @@ FARTHEST = 1.0
 MOST_CONES = 200
 TAP_RATIO = 1.05
 ROWS = 2048
-"""States looked at in one go, which bounds the memory."""
+"""Number of states per batch, which bounds the memory."""
 
 
 class MultiPlanner:
-    """Each tap leads to a state from which fewer taps are needed (a lower cone), wherever on its
-    error line it ends.
+    """Planner whose taps lead to a lower cone, which needs fewer taps, for all ends on the error
+    line.
 
-    Of the taps that keep this guarantee the one is taken whose expected end lies in the lowest
-    cone, and of those the shortest.
+    Among the taps with this guarantee it chooses the tap whose expected end is in the lowest cone,
+    and among these the shortest tap.
     """
 
     name = "multi"
@@ -61,10 +63,10 @@ class MultiPlanner:
         far = np.geomspace(4.0 * least, max(FARTHEST, 4.0 * most), 220)
         self.distances: Array = np.concatenate([near, far])
         self.cones: Array = self._chain()
-        """Half openings h_i (rad) at ``distances``, one row a cone from cone 1; -1 where empty."""
+        """Half openings h_i (rad) at ``distances``, one row per cone from cone 1; -1 if empty."""
 
     def planned_taps(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """The cone of a state: how many taps the plan has, 0 inside the box."""
+        """Number of the state's cone, which is the number of planned taps; 0 inside the box."""
         r, theta = np.broadcast_arrays(
             np.asarray(distance, dtype=float), np.abs(np.asarray(rotation, dtype=float))
         )
@@ -80,7 +82,7 @@ class MultiPlanner:
         return np.where((r <= box.distance) & (theta <= box.rotation), 0, level)
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Taps of the plan; a share of the path's length tells states of one cone apart."""
+        """Planned taps plus a share of the path length, which ranks the states within a cone."""
         settings = self.settings
         r = np.asarray(distance, dtype=float)
         path = np.maximum(r, np.abs(rotation) / settings.cone_slope)
@@ -91,7 +93,7 @@ class MultiPlanner:
         )
 
     def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
-        """The next tap down the cones; outside all of them, the one that comes nearest."""
+        """Choose a tap into a lower cone or, if there is none, the tap that ends nearest to one."""
         r, signed = np.broadcast_arrays(
             np.asarray(distance, dtype=float), np.asarray(rotation, dtype=float)
         )
@@ -129,7 +131,7 @@ class MultiPlanner:
         return taps[index, best], turn[index, best]
 
     def _chain(self) -> Array:
-        """Openings of the cones, until the outermost holds every rotation at every distance."""
+        """Compute the openings of the cones, until the outermost cone contains every state."""
         settings, line = self.settings, self.error_line
         own = np.clip(self.distances, settings.smallest_distance, settings.largest_distance)
         taps = np.concatenate(
@@ -161,5 +163,5 @@ class MultiPlanner:
 
 @functools.lru_cache(maxsize=8)
 def multi_planner(settings: PlannerSettings) -> MultiPlanner:
-    """The method with its cones, kept for settings used before."""
+    """Return the method for these settings, cached with its cones."""
     return MultiPlanner(settings)

@@ -25,11 +25,11 @@ from tapping_cell.planning.tap_times import TapTimes
 DIRECTIONS: Array = np.arange(24, dtype=np.float64) * (2.0 * math.pi / 24)
 SIZE_RATIO = 1.35
 SHARES = np.array([-1.0, -0.5, 0.5, 1.0])
-"""Rotations that are tried, as shares of the most of each size."""
+"""Rotations that are tried, as shares of the largest rotation of each size."""
 
 
 class NearTaps(NamedTuple):
-    """Taps in all directions: commanded displacements (n, 3) and expected taps that follow (n,)."""
+    """Taps in all directions: commanded displacements (n, 3) and expected following taps (n,)."""
 
     commanded: Array
     follow: Array
@@ -43,16 +43,16 @@ def near_taps(
     method: TapValues,
     settings: PlannerSettings,
 ) -> NearTaps | None:
-    """Taps of all directions and sizes, each with its best rotation; None while the method knows
-    no values.
+    """Taps of all directions and sizes, each with its best rotation; None while the method has no
+    values.
 
     Args:
-        pose: of the object, (3,).
-        left: goal less object, (3,).
-        own: the method's tap.
-        gains: what is known of the object.
-        method: what the taps that follow are known from.
-        settings: for which it was made.
+        pose: pose of the object, (3,).
+        left: goal minus object, (3,).
+        own: tap chosen by the method.
+        gains: learnt gains of the object.
+        method: planning method that provides the expected number of following taps.
+        settings: settings of the method.
     """
     distance, rotation, heading = (float(number) for number in gains.to_plan(left))
     sizes = _sizes(settings, distance, abs(float(own.distance)))
@@ -86,8 +86,8 @@ def best_first(
     """The taps in the order of the time that is expected, (m, 3). A tap after which the arm has no
     room for the direct one costs one more.
 
-    ``space``: which taps can be struck; ``times``: of the arm's way; ``tip``: where the arm's tip
-    stands, x, y, height, yaw in `table`. The others as for ``near_taps``.
+    ``space``: strike space; ``times``: durations of the arm's motions; ``tip``: pose of the arm's
+    tip, x, y, height, yaw in `table`. The other arguments are as for ``near_taps``.
     """
     commanded, follow = taps.commanded, taps.follow
     after = gains.predict(commanded, pose[2])

@@ -1,4 +1,4 @@
-"""How many taps a plan without errors needs: the common yardstick for states far from the goal."""
+"""Number of taps of a plan without errors, used by several methods to rank states."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from tapping_cell.planning.settings import PlannerSettings
 
 
 def nominal_taps(distance: ArrayLike, rotation: ArrayLike, settings: PlannerSettings) -> Array:
-    """Taps without errors from what remains: 0 in the box, 1 in the cone, 2 and more outside.
+    """Number of taps without errors: 0 in the box, 1 in the cone, 2 or more outside the cone.
 
-    Far from the goal the path's length rules: the distance itself, or the rotation over the cone's
-    slope. A small share of both is added so that among equal counts the nearer state is smaller.
+    Far from the goal it depends on the path length, which is the larger of the distance and the
+    rotation divided by the cone's slope. A small share of this length is added so that of states
+    with equal counts the nearer state has the lower value.
     """
     r, theta = np.asarray(distance, dtype=float), np.abs(np.asarray(rotation, dtype=float))
     k, most = settings.cone_slope, settings.largest_distance

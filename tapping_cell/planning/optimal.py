@@ -1,4 +1,4 @@
-"""The optimal method: the plan with the fewest expected taps, solved once and looked up."""
+"""The optimal method: the plan with the fewest expected taps, solved once and interpolated."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.value_iteration import Solution, solutions
 
 ALIKE = 0.35
-"""Neighbouring taps are interpolated when they differ by less than this share of the larger one."""
+"""Neighbouring taps are interpolated if they differ by at most this share of the largest tap."""
 
 
 class OptimalPolicy:
     """A solved plan as a planning method: bilinear interpolation of the taps on its grid.
 
-    Where the four taps around a state are of different kinds (retreat beside overshoot) the nearest
-    one is taken, since their mean would be neither.
+    If the four taps around a state are of different kinds (retreat and overshoot), the nearest tap
+    is used, because the mean of different kinds would be wrong.
     """
 
     name = "optimal"
@@ -33,7 +33,7 @@ class OptimalPolicy:
         self._solution = solution
 
     def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
-        """The tap with the fewest expected taps in all."""
+        """Choose the tap with the fewest expected taps in total."""
         i, u, j, v, sense = self._cell(distance, rotation)
         tap = _blend(self._solution.tap, i, u, j, v)
         turn = _blend(self._solution.turn, i, u, j, v)
@@ -50,8 +50,9 @@ class OptimalPolicy:
         return Taps(tap, sense * np.minimum(turn, most))
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Expected taps from there, 0 inside the box; beyond the grid one for each largest tap."""
-        # Beyond half a turn, too: the rotation is scaled by what was learnt of the object.
+        """Expected taps for these residuals: 0 inside the box; beyond the grid, one more for each
+        length of the largest tap."""
+        # Rotations may exceed half a turn because they are scaled by the learnt gain.
         most = self.settings.largest_distance
         far = np.asarray(distance, dtype=float) - self._solution.distances[-1]
         turned = np.abs(np.asarray(rotation, dtype=float)) - self._solution.rotations[-1]
@@ -81,10 +82,10 @@ class OptimalPolicy:
 
 
 class OptimalPlanner:
-    """The optimal method for given settings: from the cache, or solved now, or in the background.
+    """The optimal method: its plan is loaded from the cache, or solved now or in the background.
 
-    While a plan is solved in the background, ``fallback`` (exact two-tap plans unless given)
-    answers, then the plan of a coarse grid, and ``name`` says so.
+    While a plan is solved in the background, ``fallback`` (by default exact two-tap plans) is used,
+    then the plan on the coarse grid. ``name`` contains the method in use.
     """
 
     def __init__(
@@ -114,17 +115,17 @@ class OptimalPlanner:
 
     @property
     def ready(self) -> bool:
-        """Whether the optimal plan of the fine grid answers."""
+        """True if the plan on the fine grid is in use."""
         return self._finest
 
     @property
     def failure(self) -> BaseException | None:
-        """Why solving in the background failed, if it did; the fallback keeps answering."""
+        """Exception of the solver, or None. After a failure the fallback stays in use."""
         return self._failure
 
     @property
     def name(self) -> str:
-        """ "optimal", or what answers while the plan is being solved."""
+        """ "optimal", or a description of the method in use while the plan is being solved."""
         if self._finest:
             return "optimal"
         if self._policy is not None:
@@ -147,7 +148,7 @@ class OptimalPlanner:
     def taps_after(
         self, distance: float, rotation: float, aside: Array, sizes: Array, turns: Array
     ) -> Array | None:
-        """See ``interface.TapValues``; None while the fallback answers."""
+        """See ``interface.TapValues``; None while the fallback is in use."""
         policy = self._policy
         if policy is None:
             return None
@@ -159,7 +160,7 @@ class OptimalPlanner:
                 self._policy = OptimalPolicy(self.settings, solution)
             keep_policy(self.settings, solution)
             self._finest = True
-        except Exception as error:  # kept for whoever asks: a thread has no caller to raise to
+        except Exception as error:  # stored in ``failure``, because a thread has no caller
             self._failure = error
         finally:
             self._ready.set()

@@ -1,8 +1,9 @@
-"""Solved plans on disk, named by what they were solved for.
+"""Cache of solved plans on disk, with file names that depend on the settings.
 
-One file a plan in ``$XDG_CACHE_HOME/tapping_cell/policies`` (``~/.cache`` where that is not set). A
-file is written beside its place and renamed, so that a reader never sees half of one; a file that
-cannot be read is solved again. A disk that cannot be written costs the time of solving, no more.
+Each plan is a file in ``$XDG_CACHE_HOME/tapping_cell/policies`` (``~/.cache`` if the variable is
+not set). A file is written under a temporary name and renamed, so that readers never see an
+incomplete file. If a file cannot be read, the plan is solved again. If a file cannot be written,
+only the time for solving is lost.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.value_iteration import FINE_STEPS, RATIO, Solution
 
 FORMAT = 5
-"""To be raised whenever the solver would give other plans for the same settings and grids."""
+"""Version of the format. Increase it whenever the solver gives different plans for the same
+settings and grids."""
 
 MOST_FILES = 64
 
@@ -29,13 +31,13 @@ _log = logging.getLogger(__name__)
 
 
 def cache_folder() -> Path:
-    """Where solved plans are kept (XDG base directory specification)."""
+    """Folder of the solved plans (XDG base directory specification)."""
     root = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
     return Path(root) / "tapping_cell" / "policies"
 
 
 def policy_file(settings: PlannerSettings) -> Path:
-    """The file of the plan for these settings."""
+    """Path of the file with the plan for these settings."""
     digest = hashlib.sha256(
         f"format={FORMAT};grid={RATIO},{FINE_STEPS};{settings.key()}".encode()
     ).hexdigest()
@@ -43,7 +45,7 @@ def policy_file(settings: PlannerSettings) -> Path:
 
 
 def load_policy(settings: PlannerSettings) -> Solution | None:
-    """The kept plan for these settings, or None where there is none that can be read."""
+    """Load the plan for these settings, or return None if there is no readable plan."""
     path = policy_file(settings)
     try:
         with np.load(path, allow_pickle=False) as kept:
@@ -62,7 +64,7 @@ def load_policy(settings: PlannerSettings) -> Solution | None:
 
 
 def keep_policy(settings: PlannerSettings, solution: Solution) -> None:
-    """Write a solved plan; the oldest files beyond ``MOST_FILES`` are removed."""
+    """Write a solved plan and remove the oldest files beyond ``MOST_FILES``."""
     path = policy_file(settings)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

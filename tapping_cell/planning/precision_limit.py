@@ -1,4 +1,4 @@
-"""The finest tolerance that taps of an object can meet: its smallest tap scatters."""
+"""Finest tolerance that taps of an object can meet, given the scatter of its smallest tap."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.stopping import inside_probability
 
 LEAST_SHARE = 0.05
-"""Least share of the smallest taps that must end inside the tolerance: with one in twenty a goal
-takes some forty taps, since a tap that goes wrong costs one that leads away first."""
+"""Minimum share of the smallest taps that must end within the tolerance. With a share of one in
+twenty a goal takes about forty taps, because each failed tap needs another tap away from the
+goal."""
 
 
 def smallest_tap_share(settings: PlannerSettings) -> float:
-    """Share of the smallest taps that end where the cell may stop, of those that start at just
-    their length from the goal and straight towards it."""
+    """Share of the smallest taps that end in the stopping box if they start exactly their own
+    length from the goal and point straight towards it."""
     least, scatter, camera = settings.smallest_distance, settings.scatter, settings.camera
-    # A tap is aimed by one look and judged by another.
+    # One observation is used for aiming the tap and another one for judging it.
     look, turn = 2.0 * camera.position**2, 2.0 * camera.angle**2
     along = (scatter.distance * least) ** 2 + look
     across = (scatter.direction * least) ** 2 + look
@@ -30,9 +31,9 @@ def smallest_tap_share(settings: PlannerSettings) -> float:
 
 
 def precision_limit(settings: PlannerSettings) -> str:
-    """Why taps cannot meet this tolerance, with the number that limits; an empty text if they can.
+    """Return why taps cannot meet this tolerance, with the limiting number, or an empty string.
 
-    Whether the camera can tell is judged by each look (``stopping``).
+    The accuracy of the camera is checked for each observation (see ``stopping``).
     """
     share = smallest_tap_share(settings)
     if share >= LEAST_SHARE or not settings.stopping.camera_suffices:

@@ -1,11 +1,11 @@
-"""One prescribed tap: a striker speed and an incidence are given, the side of the object is free.
+"""A single tap with a prescribed striker speed and incidence; the contact point is free.
 
-For experiments that measure the object, where the planner would otherwise choose the tap. The
-contact is looked for among those whose normal passes through the centre of mass (all of a round
-body's, one an edge of a polygon), so that the incidence alone decides how much the object turns.
-The object's mechanics is what the experiment is to find out: what is known of it only has to be
-good enough to keep the object on the table and in the camera's view, and the room that is asked for
-is that of a model which may well be wrong (``MODEL_DEVIATION``).
+Such taps are for experiments that measure the object, in which the planner must not choose the tap.
+The contact is chosen among those whose normal passes through the centre of mass (every contact of a
+round body, one contact per edge of a polygon), so that the rotation depends on the incidence alone.
+The experiment is to identify the object's mechanics. The prior model only has to be accurate enough
+to keep the object on the table and in the camera's view, and the required clearance allows for
+large errors of the model (``MODEL_DEVIATION``).
 """
 
 from __future__ import annotations
@@ -32,27 +32,28 @@ from tapping_cell.se2 import Pose, wrap_angle
 METHOD = "prescribed"
 
 MODEL_DEVIATION = Scatter(distance=0.10, rotation=0.20, direction=math.radians(2.0))
-"""How wrong the model may be, one standard deviation: friction, restitution and torque factor that
-are 20 % off change the distance by about 30 %, three of these."""
+"""Standard deviations of the model's error. Errors of 20 % in friction, restitution and torque
+factor change the distance by about 30 %, which is three of these standard deviations."""
 
 LARGEST_INCIDENCE = math.radians(60.0)
-"""Beyond this a striker that is a little off its line grazes the object, or misses it."""
+"""Largest allowed incidence. Beyond it, a striker slightly off its line may graze or miss the
+object."""
 
 CONTACTS = 72
-"""Contacts tried around a round body."""
+"""Number of contacts tried around a round body."""
 
 SHORT = 0.003
-"""How far before or behind the contact that is meant the striker may touch the object, m."""
+"""Largest distance between the actual and the intended contact along the striker's travel, m."""
 
 
 @dataclass(frozen=True, slots=True)
 class Prescription:
-    """What is asked for.
+    """Parameters of a prescribed tap.
 
     striker_speed: m/s. incidence: rad, from the contact normal (into the object) to the striker's
     axis, positive counter-clockwise. direction: wanted direction of the object's travel in `table`,
-    rad; None for towards the middle of the table. slack: how far from it the travel may be, rad;
-    the possible contact with the least deviation is taken.
+    rad; None means towards the middle of the table. slack: largest deviation of the travel from
+    this direction, rad; the possible contact with the smallest deviation is used.
 
     Raises:
         PlanningError: a number is not finite or out of range.
@@ -80,7 +81,7 @@ class Prescription:
 
 
 class PrescribedSession:
-    """From the look before the tap to the look after it, with the face of a positioning session."""
+    """Session of one prescribed tap, with the interface of a positioning session."""
 
     def __init__(
         self,
@@ -91,8 +92,8 @@ class PrescribedSession:
         *,
         adapt: bool = True,
     ) -> None:
-        """``space``: with the scatter that the slide must be safe for (``cautious``); ``gains``:
-        what is known of the object from earlier taps; ``adapt``: learn from this one, too."""
+        """``space``: strike space whose scatter covers the model's error (see ``cautious``);
+        ``gains``: gains learnt from earlier taps; ``adapt``: also learn from this tap."""
         self.prescription = prescription
         self.gains = gains
         self._space = space
@@ -102,14 +103,14 @@ class PrescribedSession:
 
     @property
     def method(self) -> str:
-        """Name of what chooses the tap, for records."""
+        """Name of the method, for records."""
         return METHOD
 
     def skip(self, strike: Strike) -> None:
-        """The tap is prescribed: there is no other one."""
+        """Do nothing, because a prescribed tap has no alternative."""
 
     def predicted_covariance(self, strike: Strike, pose: Pose) -> Array:
-        """Covariance (3, 3) in m and rad of where the tap sends an object that lies at ``pose``."""
+        """Covariance (3, 3), m and rad, of the pose after the tap of an object at ``pose``."""
         return self.gains.predicted_covariance(strike.commanded, pose.theta, MODEL_DEVIATION)
 
     def decide(
@@ -118,13 +119,13 @@ class PrescribedSession:
         covariance: ArrayLike | None = None,
         in_view: ArrayLike | None = None,
     ) -> Decision:
-        """The tap, or after it Done, or why it cannot be.
+        """Return the tap, Done after the tap, or the reason why the tap is not possible.
 
         Args:
             object_pose: x, y, theta in `table`, m and rad.
-            covariance: not needed; as for a positioning session.
-            in_view: points (n, 2) of the table that the camera sees, m; the object's centre must
-                stay between them, for what lies between seen points is seen. None for no limit.
+            covariance: unused; present as in a positioning session.
+            in_view: points (n, 2) of the table in the camera's view, m; the object's centre must
+                stay in their convex hull, which is also in view. None means no limit.
         """
         pose = np.asarray(object_pose, dtype=float)
         if self._tapped is not None:
@@ -141,8 +142,8 @@ class PrescribedSession:
         off = np.abs(wrap_angle(np.arctan2(moved[:, 1], moved[:, 0]) - wanted))
         order = np.argsort(off, kind="stable")
         order = order[(off <= self.prescription.slack + 1e-9)[order]]
-        # A model that no tap has been held against may be wrong by ``MODEL_DEVIATION``, which the
-        # space's scatter contains; then what was measured counts.
+        # Before the first measured tap the scatter of the space is used, which should include
+        # ``MODEL_DEVIATION``. Afterwards the spread of the learnt gains is used.
         spread = None
         if float(self.gains.taken + self.gains.outliers) > 0:
             spread = self.gains.spread(
@@ -163,7 +164,7 @@ class PrescribedSession:
         pose_after: ArrayLike,
         covariance: ArrayLike | None = None,
     ) -> None:
-        """The tap was, or may have been, fired: learn from it; the session is over."""
+        """Learn from the tap, which was or may have been fired, and end the session."""
         self._tapped = strike
         if not self._adapt:
             return
@@ -180,7 +181,7 @@ class PrescribedSession:
         return edge_warning(pose, self._space)
 
     def use_room(self, space: StrikeSpace, free: FreeSpace) -> None:
-        """Work in this space from now on: what stands on the table may have changed."""
+        """Replace the space and its map, because the obstacles on the table may have changed."""
         self._space = space
         self._free = free
 
@@ -226,7 +227,7 @@ class PrescribedSession:
         safe: BoolArray,
         in_view: ArrayLike | None,
     ) -> dict[str, BoolArray]:
-        """What is wrong with each contact, (n,) for each kind of trouble."""
+        """Return which contacts have each kind of problem: an array (n,) per kind."""
         space = self._space
         off_contact = (
             made.missed
@@ -269,7 +270,7 @@ class PrescribedSession:
         moved: Array,
         slide: Array,
     ) -> Refusal:
-        """Why the possible contact nearest to the wanted direction cannot be tapped."""
+        """Return why the contact nearest to the wanted direction cannot be tapped."""
         heading = math.degrees(float(wrap_angle(wanted)))
         place = place_text(pose)
         hit = [index for index in order if not problems["contact"][index]]
@@ -312,7 +313,7 @@ class PrescribedSession:
 
 
 def cautious(space: StrikeSpace) -> Scatter:
-    """The scatter of a space's taps and of the model's error together."""
+    """Combine the scatter of a space's taps with the error of the model."""
     known, model = space.scatter, MODEL_DEVIATION
     return Scatter(
         math.hypot(known.distance, model.distance),
@@ -322,9 +323,10 @@ def cautious(space: StrikeSpace) -> Scatter:
 
 
 def between(points: ArrayLike, others: ArrayLike) -> BoolArray:
-    """Whether points (..., 2) lie in the convex hull of others (n, 2); False where it has no area.
+    """Return whether points (..., 2) lie in the convex hull of ``others`` (n, 2); False if the hull
+    has no area.
 
-    The picture of a plane is convex, so what lies between points in view is in view.
+    The visible part of a plane is convex, so the hull of visible points is visible.
     """
     p, given = np.asarray(points, dtype=float), np.asarray(others, dtype=float).reshape(-1, 2)
     try:

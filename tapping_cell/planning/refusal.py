@@ -1,4 +1,4 @@
-"""Why planning will not tap: numbered reasons, each with a sentence that says what to do."""
+"""Refusals of planning: numbered reasons with messages that contain the remedy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import IntEnum
 
 
 class RefusalReason(IntEnum):
-    """Numbers are fixed: they appear in messages and logs."""
+    """Reason of a refusal. The numbers must not change because messages and logs contain them."""
 
     GOAL_NOT_FINITE = 1
     GOAL_OFF_TABLE = 2
@@ -32,7 +32,7 @@ class RefusalReason(IntEnum):
 class Refusal:
     """A tap or a goal that planning refuses.
 
-    ``sentence`` names the value, the limit and what to do, in mm and degrees.
+    ``sentence`` contains the value, the limit and the remedy, in mm and degrees.
     """
 
     reason: RefusalReason

@@ -1,7 +1,7 @@
-"""Planning methods by name: the built-in four, and those that other packages register.
+"""Registry of planning methods: four built-in methods and methods of other packages.
 
-Another package adds a method by an entry point of the group ``tapping_cell.planners`` whose object
-is called with ``PlannerSettings`` and returns a ``Planner``:
+Another package adds a method by an entry point of the group ``tapping_cell.planners``. The object
+is called with ``PlannerSettings`` and must return a ``Planner``:
 
     [project.entry-points."tapping_cell.planners"]
     mine = "my_package.my_module:MyPlanner"
@@ -35,15 +35,15 @@ def _registered() -> dict[str, EntryPoint]:
 
 
 def planner_names() -> list[str]:
-    """Every name that ``make_planner`` knows: the built-in methods first, then registered ones."""
+    """Return all names that ``make_planner`` accepts, the built-in methods first."""
     return [*BUILT_IN, *sorted(set(_registered()) - set(BUILT_IN))]
 
 
 def require_planner(name: str) -> None:
-    """Check that a planning method has this name, without making it.
+    """Check that a planning method with this name exists, without creating it.
 
     Raises:
-        UnknownPlannerError: no such name; the sentence lists the names.
+        UnknownPlannerError: unknown name; the message lists the names.
     """
     if name not in planner_names():
         raise UnknownPlannerError(
@@ -54,17 +54,17 @@ def require_planner(name: str) -> None:
 def make_planner(
     name: str, settings: PlannerSettings | None = None, *, background: bool = False
 ) -> Planner:
-    """The planning method of that name; a built-in name cannot be taken by an entry point.
+    """Create the planning method of that name. Entry points cannot replace built-in methods.
 
     Args:
         name: one of ``planner_names()``.
-        settings: what the method is told; the paper's cell by default.
-        background: ``optimal`` returns at once and solves in a thread while a method that needs no
-            solving answers; the others need no time and ignore it.
+        settings: settings of the method; by default those of the paper's cell.
+        background: make ``optimal`` return immediately and solve in a thread; until then a method
+            without a solver is used. The other methods need no time and ignore this argument.
 
     Raises:
-        UnknownPlannerError: no such name; the sentence lists the names.
-        PlanningError: a registered method that cannot be loaded or is not a ``Planner``.
+        UnknownPlannerError: unknown name; the message lists the names.
+        PlanningError: a registered method cannot be loaded or is not a ``Planner``.
     """
     require_planner(name)
     settings = PlannerSettings() if settings is None else settings
@@ -75,7 +75,7 @@ def make_planner(
     registered = _registered()
     try:
         planner = registered[name].load()(settings)
-    except Exception as error:  # a plug-in may raise anything; users see one sentence
+    except Exception as error:  # a plug-in may raise anything; users get one message
         raise PlanningError(
             f"the registered planning method {name!r} ({registered[name].value}) cannot be made: "
             f"{error}"

@@ -1,4 +1,4 @@
-"""One positioning task in closed loop: look, decide, tap, observe. Pure: no clock, no ROS."""
+"""Closed loop of one positioning task: measure, decide, tap, learn. Uses no clock and no ROS."""
 
 from __future__ import annotations
 
@@ -29,41 +29,42 @@ from tapping_cell.planning.tap_times import TapTimes
 from tapping_cell.se2 import Pose, wrap_angle
 
 MOST_TAPS = 100
-"""Taps after which something is wrong that planning cannot see."""
+"""Maximum number of taps of a run. More taps indicate a fault that the planner cannot detect."""
 
 MISSED = 0.1
-"""A tap that moved the object by less than this share of what was wanted has missed it."""
+"""A tap has missed if it moved the object by less than this share of the expected distance."""
 
 ELSEWHERE = math.radians(20.0)
-"""After a miss the next tap differs in direction by at least this: the same would miss again."""
+"""Minimum change of direction after a miss, because the same tap would miss again."""
 
 WORTH_A_LOOK = 0.02
-"""Probability of being inside from which a longer look comes before another tap."""
+"""Minimum probability of being within the tolerance for requesting a longer observation."""
 
 PROBE_SIZE = 1.5
-"""A probe tap is this many of the smallest taps long."""
+"""Length of a probe tap, in lengths of the smallest tap."""
 
 MOST_PROBES = 3
 
 PROBE_HEADINGS = np.arange(24) * (2.0 * math.pi / 24)
 
 UNKNOWN = 1.6
-"""Longest slide over the predicted one from which an object wants to be probed first: an object as
-its file says has 1.2 after one tap."""
+"""Ratio of the longest possible slide to the predicted slide above which the object is probed
+first. An object that matches its file has a ratio of 1.2 after one tap."""
 
 NEAR_CHUNK = 12
 """Taps whose room is looked at together, from the best on."""
 
 BLOCKED = 1.05
-"""Path over straight distance beyond which the way is not straight (the grid is true to 3 %)."""
+"""Ratio of path length to straight distance above which the straight line counts as blocked.
+Path lengths on the grid are accurate to 3 %."""
 
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """The object is at the goal, as far as the camera can honestly say.
+    """The object is at the goal with the required confidence.
 
-    residual: goal less object, (dx, dy, dtheta) in `table`, m and rad. box: where it had to be;
-    None for a prescribed tap, which has no goal but where it was expected to end.
+    residual: goal minus object, (dx, dy, dtheta) in `table`, m and rad. box: the stopping box;
+    None for a prescribed tap, whose residual is relative to the predicted end pose.
     """
 
     residual: Pose
@@ -72,10 +73,10 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class LookAgain:
-    """The object may be at the goal, and a longer look at it may say so.
+    """The object may be at the goal, and a longer observation may confirm this.
 
-    residual: goal less object, (dx, dy, dtheta) in `table`, m and rad. probability: that it is
-    within the tolerance.
+    residual: goal minus object, (dx, dy, dtheta) in `table`, m and rad. probability: probability
+    that the object is within the tolerance.
     """
 
     residual: Pose
@@ -86,11 +87,11 @@ class LookAgain:
 class Strike:
     """The next tap.
 
-    commanded: displacement (dx, dy, dtheta) that the mechanics is asked for, in `table`.
-    wanted: displacement that it is expected to make by the gains learnt; predicted: the pose after.
-    residual: goal less object before the tap. plan: where the arm goes.
-    method: the planning method that chose it; detour: why it is not the method's first choice, or
-    an empty text.
+    commanded: displacement (dx, dy, dtheta) requested from the mechanics model, in `table`.
+    wanted: expected displacement according to the learnt gains; predicted: expected final pose.
+    residual: goal minus object before the tap. plan: strike and arm waypoints.
+    method: planning method that chose the tap; detour: reason why the method's first choice was
+    rejected, or an empty string.
     """
 
     commanded: Pose
@@ -106,17 +107,18 @@ Decision = Done | LookAgain | Strike | Refusal
 
 
 class GoalSession(ABC):
-    """What every closed loop to a goal does alike: when it is done, looks again, refuses or taps.
+    """Base class of the closed loops to a goal: decides to stop, observe again, refuse or tap.
 
-    ``goal``: x, y (m), theta (rad) of the object in `table`; ``gains``: what is known of the
-    object; ``taps``: fired so far. A kind of cell adds what it refuses and how it taps.
+    ``goal``: x, y (m), theta (rad) of the object in `table`; ``gains``: what was learnt about the
+    object; ``taps``: number of taps fired. Subclasses add the refusals and the choice of a tap for
+    one kind of cell.
     """
 
     goal: Array
     gains: Gains
     taps: int
     arm: ArrayLike | None = None
-    """Where the arm's tip stands, x, y, height (m) and yaw (rad) in `table`; None: not known."""
+    """Pose of the arm's tip in `table`: x, y, height (m) and yaw (rad); None if unknown."""
     _goal_refusal: Refusal | None
 
     @property
@@ -126,7 +128,7 @@ class GoalSession(ABC):
 
     @property
     def ready(self) -> bool:
-        """Whether a decision can be made: where a goal must be solved first, when it is."""
+        """True if a decision can be made, that is, if any required solution is available."""
         return True
 
     @abstractmethod
@@ -141,7 +143,7 @@ class GoalSession(ABC):
 
     @abstractmethod
     def edge_warning(self, pose: ArrayLike) -> str:
-        """A sentence where the object lies where few taps are left; an empty text else."""
+        """Return a warning if few taps are possible at this pose, else an empty string."""
 
     @property
     @abstractmethod
@@ -150,29 +152,29 @@ class GoalSession(ABC):
 
     @abstractmethod
     def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
-        """Why no tap may be made, or None."""
+        """Return the reason why no tap may be made, or None."""
 
     @abstractmethod
     def _next_tap(self, pose: Array, left: Array) -> Strike | Refusal:
-        """The tap to make, or why there is none."""
+        """Return the tap to make, or the reason why no tap is possible."""
 
     @abstractmethod
     def skip(self, strike: Strike) -> None:
-        """Choose another tap than this one, which a person did not want, as long as there is one;
-        until the object was tapped."""
+        """Reject a tap that the operator did not want: until the next tap is fired, choose a
+        different tap if one is possible."""
 
     def predicted_covariance(self, strike: Strike, pose: Pose) -> Array:
-        """Covariance (3, 3) in m and rad of where a tap sends an object that lies at ``pose``."""
+        """Covariance (3, 3), m and rad, of the pose after a tap of an object at ``pose``."""
         return self.gains.predicted_covariance(strike.commanded, pose.theta, self.settings.scatter)
 
     def residual(self, object_pose: ArrayLike) -> Array:
-        """Goal less object: (dx, dy, dtheta) in `table`, the rotation the short way round."""
+        """Goal minus object: (dx, dy, dtheta) in `table`, with the shorter sense of rotation."""
         left: Array = self.goal - np.asarray(object_pose, dtype=float)
         left[2] = wrap_angle(left[2])
         return left
 
     def stopping(self, covariance: ArrayLike | None) -> StoppingBox:
-        """The box in which a look with this covariance, (3, 3) in m and rad, may say done."""
+        """Stopping box for an observation with this covariance, (3, 3) in m and rad."""
         settings = self.settings
         noise = settings.camera if covariance is None else noise_of(covariance)
         return stopping_box(
@@ -190,12 +192,13 @@ class GoalSession(ABC):
         *,
         look_again: bool = False,
     ) -> Decision:
-        """What to do with the object at rest at this pose, seen with this covariance.
+        """Decide on the next step for a stationary object.
 
         Args:
-            object_pose: x, y, theta in `table`, m and rad.
-            covariance: (3, 3) of that pose; None takes the nominal noise of the camera.
-            look_again: whether a longer look can be had; ``LookAgain`` is answered only then.
+            object_pose: measured x, y, theta in `table`, m and rad.
+            covariance: covariance (3, 3) of that pose; None uses the camera's nominal noise.
+            look_again: whether a longer observation is possible; ``LookAgain`` is returned only
+                if this is True.
         """
         if self._goal_refusal is not None:
             return self._goal_refusal
@@ -257,22 +260,22 @@ class GoalSession(ABC):
 
 
 class PositioningSession(GoalSession):
-    """Goal, method, learnt gains and the room for strikes of one task.
+    """Closed loop of one task of the arm: goal, method, learnt gains and possible strikes.
 
     Args:
         goal_pose: x, y (m), theta (rad) of the object in `table`.
-        planner: the method; its settings hold the tolerance and the box.
-        space: which taps can be struck.
-        free: its map of workable places; made here when not given (about 0.1 s: keep it between
-            goals).
-        gains: what is known of the object from earlier runs.
-        times: of the arm's ways, to choose the taps that reach the goal in the least time; None for
-            the fewest taps. It takes a method that knows values (``interface.TapValues``) and that
-            ``arm`` is told before a decision.
+        planner: planning method; its settings hold the tolerance and the box.
+        space: the set of possible strikes.
+        free: map of workable places in ``space``. If None, the map is computed here, which takes
+            about 0.1 s; reuse one map for several goals.
+        gains: gains learnt about the object in earlier runs.
+        times: durations of the arm's motions, for choosing the taps that reach the goal in the
+            least time; None chooses the fewest taps. This requires a method that implements
+            ``interface.TapValues``, and ``arm`` must be set before a decision.
         adapt: whether ``observe`` learns.
-        probe: begin with a few of the smallest taps that measure friction and rotation, for an
-            object that is not known.
-        most_taps: a limit against endless runs.
+        probe: begin with a few of the smallest taps, which measure friction and rotation of an
+            unknown object.
+        most_taps: maximum number of taps of the run.
     """
 
     def __init__(
@@ -292,8 +295,8 @@ class PositioningSession(GoalSession):
         self.planner = planner
         self.gains = Gains.start() if gains is None else gains
         self.taps = 0
-        self._missed: tuple[float, ...] = ()  # headings of taps since the object last moved
-        self._skipped: tuple[float, ...] = ()  # headings that a person did not want
+        self._missed: tuple[float, ...] = ()  # headings of consecutive missed taps
+        self._skipped: tuple[float, ...] = ()  # headings that the operator rejected
         self._times = times
         self._adapt = adapt
         self._probes_left = MOST_PROBES if probe else 0
@@ -301,7 +304,7 @@ class PositioningSession(GoalSession):
         self.use_room(space, FreeSpace(space) if free is None else free)
 
     def use_room(self, space: StrikeSpace, free: FreeSpace) -> None:
-        """Work in this space from now on: what stands on the table may have changed."""
+        """Replace the space and its map, because the obstacles on the table may have changed."""
         self._space = space
         self._free = free
         self._goal_refusal = check_goal(self.goal, space, free)
@@ -310,7 +313,7 @@ class PositioningSession(GoalSession):
 
     @property
     def settings(self) -> PlannerSettings:
-        """Of the planning method."""
+        """Settings of the planning method."""
         return self.planner.settings
 
     @property
@@ -319,7 +322,8 @@ class PositioningSession(GoalSession):
         return self.planner.name
 
     def _inside(self, left: Array, covariance: ArrayLike | None, box: StoppingBox) -> float:
-        """As of every session; by the box where the user chose its size."""
+        """Return the probability of being within the tolerance. If the user set the size of the
+        box, return 1 inside the box and 0 outside it."""
         if self.settings.box is not None:
             inside = math.hypot(left[0], left[1]) <= box.distance and abs(left[2]) <= box.rotation
             return float(inside)
@@ -340,9 +344,9 @@ class PositioningSession(GoalSession):
         pose_after: ArrayLike,
         covariance: ArrayLike | None = None,
     ) -> None:
-        """Learn from a tap that was fired: poses at rest before and after it.
+        """Learn from a fired tap, given the stationary poses before and after it.
 
-        Call it once for each tap fired, also when nothing is known of the result (NaN poses).
+        Call this method once per fired tap. If the result is unknown, pass NaN poses.
         """
         self.taps += 1
         self._probes_left = max(0, self._probes_left - 1)
@@ -476,10 +480,11 @@ class PositioningSession(GoalSession):
     def _no_strike(
         self, pose: Array, first: str, allowed: bool, struck: bool, trusted: bool
     ) -> Refusal:
-        """Why nothing can be tapped.
+        """Return the refusal that explains why no tap is possible.
 
-        ``allowed``: some slide would be safe; ``struck``: some contact would give it; ``trusted``:
-        some would be safe if the object were known; ``first``: what is against the first choice.
+        ``allowed``: some slide would be safe; ``struck``: some contact gives a safe slide;
+        ``trusted``: some slide would be safe if the object were known; ``first``: reason against
+        the method's first choice.
         """
         place = place_text(pose)
         if allowed and not struck:
@@ -507,13 +512,13 @@ class PositioningSession(GoalSession):
         )
 
     def _longest_factor(self) -> float:
-        """How much farther than predicted a tap may slide, for all that is not known."""
+        """Ratio of the longest possible slide to the predicted slide, with all uncertainty."""
         spread = self._spread([1.0, 0.0, 0.0])
         return 1.0 if spread is None else float(spread.longest)
 
     def _longest_tap(self) -> float:
-        """The longest tap that is chosen now, m. After a tap that nothing explains: such that even
-        what may have changed sends the object no farther than the largest tap."""
+        """Length of the longest tap allowed now, m. After a tap that was an outlier the length is
+        reduced, so that a changed object slides no farther than the largest tap."""
         settings = self.planner.settings
         if not bool(self.gains.surprised):
             return settings.largest_distance
@@ -522,7 +527,7 @@ class PositioningSession(GoalSession):
         )
 
     def _probe(self, pose: Array, left: Array) -> Strike | None:
-        """One of the smallest taps, where a probe was asked for and is still needed."""
+        """Return a probe tap if a probe was requested and is still needed, else None."""
         if self._probes_left == 0 or self._longest_factor() <= UNKNOWN:
             return None
         settings = self.planner.settings
@@ -543,28 +548,29 @@ class PositioningSession(GoalSession):
         )
 
     def _ends_well(self, pose: Array, commanded: Array, *, trusting: bool = False) -> BoolArray:
-        """Which displacements (n, 3) slide safely, whatever is not known, and end where taps go on
-        as far as the scatter alone sends them. ``trusting``: as if the object were known."""
+        """Return which displacements (n, 3) are acceptable, (n,). The slide must be safe under all
+        uncertainty and, under the scatter alone, must end in a workable place. ``trusting``:
+        ignore the uncertainty of the gains."""
         expected = self.gains.predict(commanded, pose[2])
         end = self._space.footprint(pose, expected)[..., -1, :]
         workable = np.all(self._free.contains(end), axis=-1)
         nominal = self._free.contains(pose[:2] + expected[..., :2])
         if not self._free.contains(pose[:2]):
-            workable = nominal  # an escape: better than here, its footprint cannot be asked for
+            workable = nominal  # leaving an unworkable place: require only the expected end
         spread = None if trusting else self._spread(commanded)
         safe = self._space.slide_is_safe(pose, expected, spread)
         return np.asarray(workable & nominal & safe)
 
     def _spread(self, commanded: ArrayLike) -> Spread | None:
-        """Where displacements (..., 3) may end; None, the scatter alone, where nothing is learnt:
-        then the object's file is taken at its word."""
+        """Bounds of where displacements (..., 3) may end. Return None, which means the scatter
+        alone, if the session does not learn and therefore trusts the object's file."""
         if not self._adapt:
             return None
         scatter, deviations = self.planner.settings.scatter, self._space.settings.footprint
         return self.gains.spread(commanded, scatter, deviations)
 
     def _obstacle(self, pose: Array, commanded: Array, missed: tuple[float, ...]) -> str:
-        """Why the slide of a displacement (3,) is not acceptable, or an empty text."""
+        """Return why the slide of a displacement (3,) is not acceptable, or an empty string."""
         if missed and not bool(_elsewhere(commanded, self._skipped)):
             return "a tap in this direction was skipped"
         if not bool(_elsewhere(commanded, missed)):
@@ -576,20 +582,20 @@ class PositioningSession(GoalSession):
         return "the tap along the line might leave the table, enter a keep-out or end out of reach"
 
     def _blocked(self, pose: Array) -> bool:
-        """Whether something stands between the object and the goal."""
+        """Return whether an obstacle blocks the straight line from the object to the goal."""
         straight = math.hypot(self.goal[0] - pose[0], self.goal[1] - pose[1])
         return float(self._paths.length(pose[:2])) > BLOCKED * straight + 1e-9
 
 
 def _elsewhere(commanded: Array, missed: tuple[float, ...]) -> BoolArray:
-    """Which displacements (..., 3) differ in direction from every tap that just missed."""
+    """Return which displacements (..., 3) differ enough from all ``missed`` headings (rad)."""
     heading = np.arctan2(commanded[..., 1], commanded[..., 0])
     between = np.abs(wrap_angle(heading[..., None] - np.array(missed)))
     return np.asarray(np.all(between >= ELSEWHERE, axis=-1))
 
 
 def noise_of(covariance: ArrayLike) -> CameraNoise:
-    """The camera's noise that a pose's covariance (3, 3) stands for: the worse of its axes."""
+    """Convert a pose covariance (3, 3) to camera noise, using the worse of the position axes."""
     matrix = np.asarray(covariance, dtype=float)
     largest = float(np.max(np.linalg.eigvalsh(matrix[:2, :2])))
     return CameraNoise(math.sqrt(max(largest, 0.0)), math.sqrt(max(float(matrix[2, 2]), 0.0)))

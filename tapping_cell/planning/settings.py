@@ -1,8 +1,9 @@
-"""What a planning method is told: the cone of taps, their scatter, the camera, the box.
+"""Settings of a planning method: the cone of taps, their scatter, the camera and the box.
 
-All lengths in metres, angles in radians. The numbers of the paper's cell are the defaults: a cone
-of 10 degrees in 30 mm (Huang and Mason, section 4: the task needs three times the rotation of one
-tap), a smallest tap of 1.7 mm (section 4), 5 % and 15 % of scatter (section 3.1.1).
+All lengths are in metres and all angles in radians. The defaults are the numbers of the paper's
+cell: a cone of 10 degrees per 30 mm (Huang and Mason, section 4: the task needs three times the
+rotation of one tap), a smallest tap of 1.7 mm (section 4), and scatter of 5 % and 15 %
+(section 3.1.1).
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ def _check_range(owner: object, name: str, low: float, high: float, unit: str) -
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """One standard deviation of a tap's result: shares of distance and rotation; direction in rad.
+    """Standard deviations of a tap's result: relative distance, relative rotation, direction (rad).
 
-    The first two as measured by Huang and Mason, section 3.1.1; the direction is an assumption.
+    The first two were measured by Huang and Mason, section 3.1.1; the direction is an assumption.
     """
 
     distance: float = 0.05
@@ -49,14 +50,14 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True)
 class CameraNoise:
-    """One standard deviation of a look at rest: position (each axis, m) and angle (rad)."""
+    """Standard deviations of a stationary observation: position (each axis, m) and angle (rad)."""
 
     position: float = 0.0
     angle: float = 0.0
 
     @property
     def covariance(self) -> Array:
-        """Of a look, (3, 3), m and rad."""
+        """Covariance of an observation, (3, 3), m and rad."""
         return np.diag([self.position**2, self.position**2, self.angle**2])
 
     def __post_init__(self) -> None:
@@ -67,17 +68,18 @@ class CameraNoise:
 
 @dataclass(frozen=True, slots=True)
 class PlannerSettings:
-    """Everything a planning method may depend on; equal settings give equal plans.
+    """All inputs of a planning method; equal settings give equal plans.
 
-    cone_slope: most rotation per distance of a tap, rad/m.
-    smallest_distance, largest_distance: of one tap, m.
-    tolerance_position, tolerance_angle: where the object must end, m and rad.
-    box: share of the tolerance to plan for and to stop in, whatever the camera's noise; None stops
-        by the probability of being inside and plans for the box where a long look does so.
-    variant: which two-tap plan ``exact`` and ``conservative`` make: "retreat" first taps away from
-        the goal, "overshoot" first taps past it.
+    cone_slope: largest rotation per distance of a tap, rad/m.
+    smallest_distance, largest_distance: limits of the distance of one tap, m.
+    tolerance_position, tolerance_angle: allowed final error, m and rad.
+    box: share of the tolerance used for planning and for stopping, independent of the camera's
+        noise. None stops by the probability of being within the tolerance and plans for the box in
+        which a long observation stops.
+    variant: two-tap plan of ``exact`` and ``conservative``: "retreat" first taps away from the
+        goal, "overshoot" first taps past it.
     error_line: half length of a tap's error line as a share of its rotation, for ``conservative``
-        and ``multi``; None takes the method's own (0.3 and 0.6).
+        and ``multi``; None uses the method's default (0.3 and 0.6).
     """
 
     cone_slope: float = math.radians(10.0) / 0.030
@@ -109,7 +111,7 @@ class PlannerSettings:
 
     @property
     def stopping(self) -> StoppingBox:
-        """The box that plans are made for: where a long look stops."""
+        """Box that plans are made for: the box in which a long observation stops."""
         longer = math.sqrt(LONG_LOOK)
         return stopping_box(
             self.tolerance_position,
@@ -123,7 +125,8 @@ class PlannerSettings:
     def for_tap(cls, tap: Tap, **others: Any) -> PlannerSettings:
         """Settings with the cone and the smallest distance of an object's mechanics.
 
-        The cone is taken a hair narrower, so that a tap on its edge is not refused for rounding.
+        The cone is made slightly narrower, so that a tap on its edge is not rejected because of
+        rounding.
         """
         return cls(
             cone_slope=tap.cone_slope * (1.0 - 1e-6),
@@ -132,5 +135,5 @@ class PlannerSettings:
         )
 
     def key(self) -> str:
-        """A text that is equal exactly when the settings are: the identity of a solved plan."""
+        """Return a string that is equal exactly if the settings are equal; identifies a plan."""
         return ";".join(f"{item.name}={getattr(self, item.name)!r}" for item in fields(self))

@@ -1,14 +1,15 @@
-"""When the cell may say that the object is at the goal.
+"""Stopping rule: the conditions for declaring that the object is at the goal.
 
-A look has an error: an object just outside the tolerance can look inside. The cell stops only where
-the probability that the true pose lies within the tolerance, given the look and its covariance, is
-at least ``CONFIDENCE``: the integral of the look's normal distribution over the circle of the
-position's tolerance, less the part of the rotation outside its own (Bonferroni's bound, so no
-independence is assumed). A look at the edge of the tolerance is inside with one half: then looking
-longer helps, and only where that did not, another tap does.
+An observation has an error, so an object just outside the tolerance can be measured inside it. The
+cell stops only if the probability that the true pose is within the tolerance is at least
+``CONFIDENCE``. This probability is the integral of the observation's normal distribution over the
+circle of the position tolerance, minus the probability that the rotation is outside its tolerance
+(Bonferroni's bound, which does not assume independence). For an observation at the edge of the
+tolerance the probability is about one half. A longer observation may then decide; if it does not,
+the object is tapped again.
 
-Plans are made for the box in which a look along one axis would stop: the tolerance less
-``MARGIN`` deviations of a long look.
+Plans are made for the box in which an observation along one axis would stop: the tolerance minus
+``MARGIN`` standard deviations of a long observation.
 """
 
 from __future__ import annotations
@@ -23,27 +24,29 @@ from scipy.special import ndtr
 Array = NDArray[np.float64]
 
 CONFIDENCE = 0.995
-"""Least probability of being inside with which the cell stops."""
+"""Minimum probability of being within the tolerance for stopping."""
 
 MARGIN = 2.5758293035489004
-"""Deviations that leave half a percent beyond: the normal quantile of ``CONFIDENCE``."""
+"""Quantile of the standard normal distribution for the probability ``CONFIDENCE``."""
 
 LONG_LOOK = 4
-"""A long look is as good as this many of the nominal looks fused."""
+"""Number of nominal observations that are fused in a long observation."""
 
 SMALLEST_SHARE = 0.25
-"""A smaller box than this share of the tolerance would cost endless taps."""
+"""Smallest box as a share of the tolerance; a smaller box would need too many taps."""
 
 _REACH = 6.0
-"""Deviations beyond which a normal distribution counts as nothing."""
+"""Number of standard deviations beyond which a normal distribution is neglected."""
 
 _NODES, _ROUND_NODES = 241, 41
-"""Of the quadrature; fewer where both axes of the position are alike: then the nodes can lie across
-the residual, where the chord changes slowly. Either is good to 1e-8 (tested)."""
+"""Numbers of quadrature nodes. An isotropic position covariance needs fewer nodes because they can
+be placed across the residual, where the chord changes slowly. Both are accurate to 1e-8
+(tested)."""
 
 
 class StoppingBox(NamedTuple):
-    """Half widths of the box: distance in m, rotation in rad; and whether the camera allows it."""
+    """Half widths of the box, distance (m) and rotation (rad), and whether the camera is accurate
+    enough for it."""
 
     distance: float
     rotation: float
@@ -51,9 +54,9 @@ class StoppingBox(NamedTuple):
 
 
 def stopping_share(relative_noise: float) -> float:
-    """Share of the tolerance within which a look stops on one axis, in [0, 1].
+    """Share of the tolerance within which an observation along one axis stops, in [0, 1].
 
-    ``relative_noise`` is the look's standard deviation as a share of the tolerance.
+    ``relative_noise``: standard deviation of the observation as a share of the tolerance.
     """
     return max(0.0, 1.0 - MARGIN * relative_noise)
 
@@ -65,10 +68,10 @@ def stopping_box(
     angle_noise: float,
     share: float | None = None,
 ) -> StoppingBox:
-    """The box for a tolerance (m, rad) and one standard deviation of the measured pose (m, rad).
+    """Compute the box for a tolerance and the standard deviations of a measured pose (m, rad).
 
-    A ``share`` given by the user is taken as it is. Below ``SMALLEST_SHARE`` on an axis that share
-    is used and ``camera_suffices`` is False.
+    A ``share`` set by the user is used unchanged. Otherwise, if the share of an axis is below
+    ``SMALLEST_SHARE``, that limit is used and ``camera_suffices`` is False.
     """
     if share is not None:
         return StoppingBox(share * tolerance_position, share * tolerance_angle, True)
@@ -84,11 +87,11 @@ def stopping_box(
 def inside_probability(
     residual: ArrayLike, covariance: ArrayLike, tolerance_position: float, tolerance_angle: float
 ) -> Array:
-    """Probability (a lower bound) that the true residual lies within the tolerance, (...,).
+    """Lower bound of the probability that the true residual is within the tolerance, (...,).
 
     Args:
         residual: measured dx, dy (m) and rotation (rad), (..., 3).
-        covariance: of that measurement, (..., 3, 3), m and rad.
+        covariance: covariance of that measurement, (..., 3, 3), m and rad.
         tolerance_position: radius of the circle, m.
         tolerance_angle: half width, rad.
     """
@@ -115,14 +118,14 @@ def inside_probability(
 
 
 def _inside_circle(left: Array, axes: Array, deviation: Array, radius: float) -> Array:
-    """Probability (n,) that normal distributions about ``left`` (n, 3), with these principal axes
-    (n, 2, 2) and deviations (n, 2) in rising order, lie within the circle about the origin."""
+    """Probability (n,) of the circle about the origin for normal distributions about ``left``
+    (n, 3) with these principal axes (n, 2, 2) and standard deviations (n, 2) in rising order."""
     centre = np.einsum("nij,ni->nj", axes, left[:, :2])
     nodes = _NODES
     if np.all(deviation[:, 1] <= deviation[:, 0] * (1.0 + 1e-9)):
         nodes = _ROUND_NODES
         centre = np.stack([np.zeros(len(left)), np.hypot(left[:, 0], left[:, 1])], axis=-1)
-    # Over the chord of the circle that matters, in an angle in which its ends are smooth.
+    # Integrate over the relevant part of the diameter, in an angle for which the ends are smooth.
     first, width = centre[:, :1], deviation[:, :1]
     low = np.maximum(first - _REACH * width, -radius)
     high = np.maximum(np.minimum(first + _REACH * width, radius), low)

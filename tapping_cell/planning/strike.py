@@ -1,8 +1,8 @@
-"""The strike: where the arm must put the striker, and which taps the room around it allows.
+"""Strikes of the arm: the pose of the striker for a tap, and the taps that the obstacles allow.
 
-Frames: everything in `table`. A strike pose is the pose of the centre of the striker's ball tip
-with x along the direction of travel. The tool behind the tip is a straight bar (a capsule) on that
-line.
+All poses are in `table`. A strike pose is the pose of the centre of the striker's ball tip, with x
+along the direction of travel. The tool behind the tip is modelled as a straight bar (a capsule) on
+that line.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from tapping_cell.se2 import Pose, transform_points
 BoolArray = NDArray[np.bool_]
 
 ArmReach = Callable[[Array], BoolArray]
-"""Which tip poses, (..., 3) in `table`, the arm can take: (...,) or, a column for each elbow side,
-(..., sides). A strike uses one side for all of its waypoints."""
+"""Function that returns which tip poses, (..., 3) in `table`, the arm can reach: (...,) or, with
+one column per elbow side, (..., sides). A strike uses one side for all of its waypoints."""
 
 OUTLINE_POINTS = 72
 PATH_POINTS = 12
 
 
 def reach_everywhere(tip_poses: Array) -> BoolArray:
-    """An arm without limits, for evaluation on an open table."""
+    """Return True for every pose: an arm without limits, for evaluation on an open table."""
     return np.ones(np.shape(tip_poses)[:-1], dtype=bool)
 
 
@@ -42,13 +42,14 @@ def reach_everywhere(tip_poses: Array) -> BoolArray:
 class StrikeSettings:
     """The striker's shape and the margins of a strike, lengths in m, speeds in m/s.
 
-    standoff: from the tip at rest to the contact, along the line of travel.
-    strike_height, travel_height: of the tip above the table when striking and when travelling.
-    tool_radius, tool_start, tool_length: the bar behind the tip: its half width, where it begins
-        and where it ends behind the centre of the tip.
-    clearance: least gap between the tool at rest and the object.
-    slowest, fastest: speeds that the striker can make.
-    footprint: deviations of all that is not known of a slide that must stay on the table.
+    standoff: distance from the tip at rest to the contact, along the line of travel.
+    strike_height, travel_height: height of the tip above the table when striking and travelling.
+    tool_radius, tool_start, tool_length: half width of the bar behind the tip, and the distances
+        from the centre of the tip to its start and its end.
+    clearance: minimum gap between the tool at rest and the object.
+    slowest, fastest: speed limits of the striker.
+    footprint: size of the uncertainty bound, in standard deviations, for which a slide must stay
+        on the table.
     """
 
     standoff: float = 0.015
@@ -93,13 +94,13 @@ class Waypoint:
 
 @dataclass(frozen=True, slots=True)
 class StrikePlan:
-    """Where the arm goes for one tap.
+    """Contact, striker speed and arm waypoints of one tap.
 
-    contact_angle: of the contact on the outline, in the object's frame, rad.
+    contact_angle: polar angle of the contact on the outline, in the object's frame, rad.
     contact_pose: tip at the moment of contact; strike_pose: tip at rest, ``standoff`` before it.
     striker_speed: m/s. elbow: index of the arm's elbow side that reaches every waypoint.
-    approach: waypoints to the strike pose, the last one at rest there; retreat: away from it.
-    tapper: name of the tapper that strikes; empty where there is only one.
+    approach: waypoints that end at the strike pose; retreat: waypoints after the tap.
+    tapper: name of the tapper that strikes; empty if the cell has only one.
     """
 
     contact_angle: float
@@ -113,7 +114,7 @@ class StrikePlan:
 
 
 class StrikeSpace:
-    """Which taps can be struck: one object's mechanics, one table, one arm, one striker."""
+    """Set of possible strikes for one object, one table, one arm and one striker."""
 
     def __init__(
         self,
@@ -124,9 +125,9 @@ class StrikeSpace:
         scatter: Scatter | None = None,
     ) -> None:
         self.tap = replace(tap, sliding=tap.sliding.tabulated(), smallest_distance=0.0)
-        """The mechanics, with a polygon's slides from a table, and without its smallest tap: that
-        is for the planning method to keep, since it counts in true distance and commands are
-        scaled by the gains learnt."""
+        """The mechanics, with tabulated slides for a polygon. The smallest tap is set to 0 here
+        because the planning method applies that limit: it refers to the true distance, but
+        commands are scaled by the learnt gains."""
         self.workspace = workspace
         self.settings = StrikeSettings() if settings is None else settings
         self.scatter = Scatter() if scatter is None else scatter
@@ -138,13 +139,13 @@ class StrikeSpace:
         self.tip_radius = float(tap.impact.striker.tip_radius)
 
     def among(self, areas: Sequence[KeepOut]) -> StrikeSpace:
-        """The same space with these keep-outs besides the workspace's own."""
+        """Return a copy of this space with additional keep-outs."""
         made = copy(self)
         made.workspace = replace(self.workspace, keep_outs=(*self.workspace.keep_outs, *areas))
         return made
 
     def elbows(self, tip_poses: ArrayLike) -> BoolArray:
-        """Which elbow sides reach the tip poses (..., 3): shape (..., sides)."""
+        """Return which elbow sides reach the tip poses (..., 3): shape (..., sides)."""
         poses = np.asarray(tip_poses, dtype=float)
         sides = np.asarray(self._arm_reach(poses), dtype=bool)
         return sides[..., None] if sides.ndim == poses.ndim - 1 else sides
@@ -152,10 +153,11 @@ class StrikeSpace:
     def footprint(
         self, object_pose: ArrayLike, displacement: ArrayLike, spread: Spread | None = None
     ) -> Array:
-        """Centres that the object may pass or rest at: shape (..., rays, points, 2), m.
+        """Possible positions of the object's centre during and after a slide, m in `table`.
 
-        Rays over all directions from the start to the longest slide; displacements (..., 3).
-        ``spread`` bounds both; None takes ``settings.footprint`` deviations of the scatter alone.
+        The result, (..., rays, points, 2), contains rays for displacements (..., 3) from the start
+        to the end of the longest slide. ``spread`` bounds their direction and length; None uses
+        ``settings.footprint`` standard deviations of the scatter alone.
         """
         start = np.asarray(object_pose, dtype=float)
         moved = np.asarray(displacement, dtype=float)
@@ -184,10 +186,10 @@ class StrikeSpace:
     def slide_is_safe(
         self, object_pose: ArrayLike, displacement: ArrayLike, spread: Spread | None = None
     ) -> BoolArray:
-        """Whether the whole slide with its footprint keeps its margins: (...,) for (..., 3).
+        """Return whether the whole footprint of each slide (..., 3) keeps the margins: (...,).
 
-        An object that already stands closer to an edge or a keep-out than the margin may leave,
-        but not come closer.
+        An object that is already closer to an edge or a keep-out than the margin may move away from
+        it, but not closer to it.
         """
         room = self.workspace.object_room(self.footprint(object_pose, displacement, spread))
         needed = np.minimum(self.object_radius, room[..., 0, 0]) - 1e-9
@@ -201,14 +203,15 @@ class StrikeSpace:
         return transform_points(poses[..., None, :], points)
 
     def tool_has_room(self, tip_poses: ArrayLike) -> BoolArray:
-        """Whether tip and bar at (..., 3) stay out of the keep-outs and near the table."""
+        """Return whether the tip and the bar at tip poses (..., 3) avoid the keep-outs and stay
+        within the allowed overhang of the table."""
         poses = np.asarray(tip_poses, dtype=float)
         bar = self.workspace.striker_room(self.tool_points(poses)) >= self.settings.tool_radius
         tip = self.workspace.striker_room(poses[..., :2]) >= self.tip_radius
         return np.asarray(np.all(bar, axis=-1) & tip)
 
     def tool_clears_object(self, object_pose: ArrayLike, tip_poses: ArrayLike) -> BoolArray:
-        """Whether the resting tool at (..., 3) touches no point of the object's outline."""
+        """Return whether the tool at rest at tip poses (..., 3) has clearance to the object."""
         tips = np.asarray(tip_poses, dtype=float)
         pose = np.asarray(object_pose, dtype=float)
         outline = transform_points(pose[..., None, :], self.outline)
@@ -236,8 +239,8 @@ class StrikeSpace:
         )
 
     def strike_poses(self, object_pose: Array, displacements: Array) -> tuple[BoolArray, Array]:
-        """Which displacements (n, 3) a contact of the object gives, (n,), and the strike poses of
-        the tip at rest, (n, 3); NaN for the others. Whether there is room is not looked at here."""
+        """Return which displacements (n, 3) are possible with some contact, (n,), and the strike
+        poses of the tip at rest, (n, 3), or NaN. Reach and clearance are not checked here."""
         possible = np.asarray(self.tap.reachable(displacements, object_pose))
         poses = np.full(displacements.shape, math.nan)
         if np.any(possible):
@@ -248,9 +251,9 @@ class StrikeSpace:
     def first_strike(
         self, object_pose: Pose, displacements: Array
     ) -> tuple[int, StrikePlan] | None:
-        """The first of the displacements (n, 3) that can be struck, with its strike, or None.
+        """Return the index and the strike of the first possible displacement (n, 3), or None.
 
-        The slide itself is not looked at here (``slide_is_safe``).
+        The slide itself is not checked here (see ``slide_is_safe``).
         """
         known = np.flatnonzero(self.tap.reachable(displacements, object_pose))
         if known.size == 0:
@@ -268,7 +271,7 @@ class StrikeSpace:
         )
 
     def strikeable(self, object_poses: Array, displacements: Array) -> BoolArray:
-        """Which displacements (n, 3) of the object can be struck, each from its own pose (n, 3)."""
+        """Return which displacements (n, 3) are possible, each from its own object pose (n, 3)."""
         found = np.asarray(self.tap.reachable(displacements, object_poses))
         if not np.any(found):
             return found
@@ -280,7 +283,10 @@ class StrikeSpace:
         return found
 
     def tool_fits(self, object_pose: ArrayLike, contact_poses: ArrayLike) -> BoolArray:
-        """Whether arm and tool have room to strike with the tip at (..., 3) at the contact."""
+        """Return whether the arm reaches, and the tool fits at, the rest pose of these contacts.
+
+        ``contact_poses``: poses (..., 3) of the tip at the contact.
+        """
         rest = self.rest_pose(contact_poses)
         return np.asarray(
             np.any(self.elbows(rest), axis=-1)
@@ -289,7 +295,7 @@ class StrikeSpace:
         )
 
     def plan_at(self, contact_angle: float, contact_pose: Array, speed: float) -> StrikePlan:
-        """The strike with the tip at (3,) at the contact; ``tool_fits`` says whether it can be."""
+        """Return the strike for a tip pose (3,) at the contact. Check ``tool_fits`` first."""
         rest = self.rest_pose(contact_pose)
         pose = Pose(*rest.tolist())
         above = Waypoint(pose, self.settings.travel_height)

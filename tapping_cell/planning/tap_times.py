@@ -1,4 +1,4 @@
-"""What taps cost in seconds, as a cell tells it to planning."""
+"""Interface through which a cell provides the durations of taps to planning."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from numpy.typing import ArrayLike
 from tapping_cell.planning.interface import Array
 
 OBJECTIVES = ("taps", "time")
-"""What a goal is reached with the fewest of: taps, or seconds of the taps and the arm's way."""
+"""Quantity that planning minimises: the number of taps, or the time of taps and arm motions."""
 
 
 class TapTimes(Protocol):
-    """Seconds of the arm's moves; poses in ``table``, m and rad."""
+    """Durations of the arm's motions, s; poses in ``table``, m and rad."""
 
     @property
     def mean_way(self) -> float:
-        """Mean time in s of the arm's way to a strike."""
+        """Mean time of the arm's motion to a strike, s."""
         ...
 
     @property
     def mean_tap(self) -> float:
-        """Mean time in s from the command of a tap to that of the next."""
+        """Mean time from the command of a tap to the command of the next tap, s."""
         ...
 
     def to_strikes(self, tip: ArrayLike, strikes: ArrayLike) -> Array:
-        """Time (n,) in s of the arm's way from where its tip stands, (4,) as x, y, height and yaw,
-        to strike poses (n, 3); infinite where the arm cannot reach one."""
+        """Time (n,) of the arm's motion from tip pose (4,), as x, y, height and yaw, to strike
+        poses (n, 3), s; infinite for unreachable poses."""
         ...
 
     def between(self, strikes: ArrayLike, following: ArrayLike) -> Array:
-        """Time (n,) in s of the arm's way to strikes (n, 3) that follow others (n, 3), from where
-        it withdraws to after those; the mean where the arm cannot reach one."""
+        """Time (n,) of the arm's motion to the ``following`` strikes (n, 3), s, from the retreat
+        poses after ``strikes`` (n, 3); the mean time for unreachable poses."""
         ...

@@ -1,8 +1,8 @@
-"""Geometry shared by the two-tap methods: which subgoal is nearest, and which tap leads to it.
+"""Geometry shared by the two-tap methods: the nearest subgoal and the tap that leads to it.
 
-State: what remains to the goal, a distance r >= 0 (m) and a rotation theta (rad). A tap moves
+The state is the residual to the goal, a distance r >= 0 (m) and a rotation theta (rad). A tap moves
 along the line to the goal by d (either sign) and rotates by at most k |d| (either sense). From a
-subgoal with distance r' and rotation theta' one more tap can reach the goal when r' is at least the
+subgoal with distance r' and rotation theta' one more tap can reach the goal if r' is at least the
 smallest tap and |theta'| <= k r'.
 """
 
@@ -15,30 +15,32 @@ from tapping_cell.planning.interface import Array, Taps
 from tapping_cell.planning.settings import PlannerSettings
 
 SECOND_TAP_MARGIN = 1.4
-"""Least second tap over the smallest tap. A subgoal exactly one smallest tap away would be lost in
-half of the runs to the scatter of the first tap; measured in docs/planning.md."""
+"""Minimum ratio of the second tap to the smallest tap. With a subgoal exactly one smallest tap from
+the goal, half of the runs would fail because of the first tap's scatter (measured in
+docs/planning.md)."""
 
 ROUNDING = 1e-6
-"""What the edge of the cone forgives: an exact plan without errors ends right on it."""
+"""Relative tolerance at the edge of the cone, because exact plans end exactly on the edge."""
 
 
 def two_tap_choice(
     distance: ArrayLike, rotation: ArrayLike, settings: PlannerSettings, error_line: float
 ) -> Taps:
-    """The tap to the goal where one suffices, else the first tap of a two-tap plan.
+    """Choose the tap to the goal if one tap suffices, else the first tap of a two-tap plan.
 
-    The subgoal is the nearest one whose error line, the rotation of the first tap times
-    1 +- ``error_line``, lies wholly where a second, opposite tap reaches the goal; ``error_line`` 0
-    is the exact two-tap plan (Huang and Mason, sections 4.1 and 4.2). Retreat taps away from the
-    goal by a, so that r + a remains; overshoot taps past it by b, so that b remains:
+    The error line of a subgoal is the rotation of the first tap times 1 +- ``error_line``. The
+    nearest subgoal is chosen from whose whole error line a second, opposite tap reaches the goal.
+    ``error_line`` 0 gives the exact two-tap plan (Huang and Mason, sections 4.1 and 4.2). A retreat
+    taps away from the goal by a, so that r + a remains. An overshoot taps past the goal by b, so
+    that b remains:
 
         retreat:    theta - k a (1 - s) = k (r + a)  ->  a = (theta - k r) / (k (2 - s))
         overshoot:  theta - k (r + b)(1 - s) = k b   ->  b = (theta - k r (1 - s)) / (k (2 - s))
 
-    Both at the full slope k of the cone. The whole error line fits into what the second tap can
-    undo, theta (1 +- s) into k b, only from b = s theta / k on; a retreat is always that far. The
-    second is at least ``SECOND_TAP_MARGIN`` smallest taps. A tap cannot be larger than the largest:
-    what is left is for the next plan.
+    Both use the full slope k of the cone. The second tap can correct the whole error line, theta
+    (1 +- s) within k b, only if b >= s theta / k; a retreat always satisfies this. The second tap
+    is at least ``SECOND_TAP_MARGIN`` smallest taps. A tap is limited to the largest tap; the next
+    plan corrects the rest.
     """
     r, signed = np.broadcast_arrays(
         np.asarray(distance, dtype=float), np.asarray(rotation, dtype=float)
@@ -61,7 +63,7 @@ def two_tap_choice(
         second = subgoal
     turn = _first_rotation(theta, k * np.abs(first), k * second, error_line)
 
-    # A plan that needs larger taps than there are: turn as much as a tap can, stay near the goal.
+    # The plan needs taps above the limit: rotate as much as one tap can and stay near the goal.
     too_large = ~direct & (np.maximum(np.abs(first), second) > most)
     tap = np.where(direct, np.clip(r, least, most), np.where(too_large, most, first))
     turn = np.where(direct, np.minimum(theta, k * r) * most / np.maximum(r, most), turn)
@@ -70,7 +72,8 @@ def two_tap_choice(
 
 
 def _first_rotation(theta: Array, most: Array, reach: Array, error_line: float) -> Array:
-    """The first tap's rotation: the middle of what leaves the whole error line within ``reach``."""
+    """Rotation of the first tap: half of theta, limited such that the whole error line of the
+    residual rotation stays within ``reach``."""
     least = np.clip((theta - reach) / (1.0 - error_line), 0.0, most)
     largest = np.clip((theta + reach) / (1.0 + error_line), 0.0, most)
     return np.asarray(np.maximum(least, np.minimum(theta * 0.5, largest)))

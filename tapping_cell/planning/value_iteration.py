@@ -1,27 +1,27 @@
-"""Fewest expected taps: the stochastic shortest path over what remains.
+"""Plan with the fewest expected taps, solved as a stochastic shortest path over the residual.
 
-(Bertsekas, *Dynamic Programming and Optimal Control*, 2012, vol. 2, ch. 3.)
+Source: Bertsekas, *Dynamic Programming and Optimal Control*, 2012, vol. 2, ch. 3.
 
-State: distance r >= 0 and rotation theta >= 0 to the goal (the other sense is its mirror image). A
-tap (d, turn) moves the state to ::
+The state is the distance r >= 0 and the rotation theta >= 0 to the goal (the other sense is the
+mirror image). A tap (d, turn) changes the state to ::
 
     r'     = hypot(r - d (1 + a), |d| c)     a, c scatter of distance and direction, plus the camera
     theta' = |theta - turn (1 + b)|          b scatter of rotation, plus the camera
 
 and the run ends inside the stopping box. The value W(r, theta) is the least expected number of
-taps when one more tap must be made; the value of a state is 0 inside the box and W outside. W is
-smooth (each tap blurs it), so it is kept on a product grid and interpolated linearly. Given the
-tap, r' and theta' are independent: the expectation over all taps from a state is two matrix
-products,
+taps if at least one more tap must be made. The value of a state is 0 inside the box and W outside.
+W is smooth because the scatter of a tap averages it, so it is stored on a product grid and
+interpolated linearly. For a given tap, r' and theta' are independent. The expectations for all taps
+from a state are therefore two matrix products,
 
-    E = P_r W P_t^T - (the same over the part inside the box),
+    E = P_r W P_t^T - (the same over the part inside the box).
 
-where a row of P_r or P_t holds the expected weights of linear interpolation, exact integrals over
-the distribution. Policy iteration: all taps of the action grid are compared in each improvement,
-and the policy is evaluated by repeated sweeps between improvements. It is solved on a coarse grid
-first, whose values are the first guess for the fine one (Chow and Tsitsiklis, IEEE Trans. Automatic
-Control 36, 1991): the coarse plan is ready in a fraction of a second, and few improvements are left
-to be made on the fine grid.
+A row of P_r or P_t contains the expected weights of linear interpolation, as exact integrals over
+the distribution. The solver uses policy iteration: each improvement compares all taps of the action
+grid, and repeated sweeps between improvements evaluate the policy. The problem is first solved on a
+coarse grid, whose values initialise the fine grid (Chow and Tsitsiklis, IEEE Trans. Automatic
+Control 36, 1991). The coarse plan is ready in a fraction of a second, and the fine grid then needs
+only few improvements.
 """
 
 from __future__ import annotations
@@ -43,41 +43,42 @@ RATIO = 1.1
 """Ratio of neighbouring grid values far from the box, for states and for taps."""
 
 COARSE_RATIO = 1.3
-"""The same of the coarse grid."""
+"""The same ratio for the coarse grid."""
 
 FINE_STEPS = 5
-"""Grid steps from the goal to the edge of the box."""
+"""Number of grid steps from the goal to the edge of the box."""
 
 FARTHEST = 1.0
 """Distance in m beyond which the plan does not change."""
 
 SMALLEST_TURN = 0.26
-"""Smallest rotation on the action grid, as a share of the largest one of the smallest tap."""
+"""Smallest rotation on the action grid, as a share of the largest rotation of the smallest tap."""
 
 LATERAL_NODES = 8
-"""Nodes of the quadrature over the error of direction (half of it, by symmetry)."""
+"""Number of quadrature nodes over one half of the (symmetric) error of direction."""
 
 LEAST_SCATTER = Scatter(0.02, 0.04, 0.0)
-"""Plans allow for at least this much: without scatter they would aim at the very edge of the cone,
-between two points of the grid."""
+"""Minimum scatter that plans assume. Without scatter they would aim exactly at the edge of the
+cone, between two grid points."""
 
 IMPROVEMENTS = 12
 EVALUATIONS = 25
 SETTLED, NEAR = 1e-3, 10.0
-"""Stop when an improvement changes no state within ten taps by more than this many taps."""
+"""Stop when an improvement changes no value below ``NEAR`` taps by ``SETTLED`` taps or more."""
 
 LEAST_DEVIATION = 0.01
-"""Floor of the deviations, as a share of the box: keeps the integrals finite without scatter."""
+"""Minimum standard deviation as a share of the box; keeps the integrals finite without scatter."""
 
 
 Values = NDArray[np.float32]
-"""Single precision: the products are the whole cost, and a tap in a million does not matter."""
+"""Single precision, because the matrix products take most of the time and an error of 1e-6 taps is
+negligible."""
 
 
 class Solution(NamedTuple):
     """A solved plan on the product grid of distances (m) and rotations (rad).
 
-    value: expected taps when one more must be made; tap, turn: that tap's distance and rotation.
+    value: expected taps if one more must be made; tap, turn: distance and rotation of that tap.
     """
 
     distances: Array
@@ -88,13 +89,13 @@ class Solution(NamedTuple):
 
 
 def solve(settings: PlannerSettings) -> Solution:
-    """Solve the shortest path for these settings; a few seconds."""
+    """Solve the shortest path for these settings, which takes a few seconds."""
     *_, finest = solutions(settings)
     return finest
 
 
 def solutions(settings: PlannerSettings) -> Iterator[Solution]:
-    """Plans for these settings, each better than the one before: on a coarse grid, on the fine."""
+    """Generate plans for these settings: first on the coarse grid, then on the fine grid."""
     known: Solution | None = None
     for ratio in (COARSE_RATIO, RATIO):
         problem = _Problem(settings, ratio)
@@ -107,7 +108,7 @@ def solutions(settings: PlannerSettings) -> Iterator[Solution]:
 
 
 def _resampled(known: Solution, r: Array, theta: Array) -> Array:
-    """The values of a plan on another grid, by bilinear interpolation."""
+    """Interpolate the values of a plan bilinearly on another grid."""
     i, u = bracket(known.distances, r)
     j, v = bracket(known.rotations, theta)
     rows = (1.0 - u[:, None]) * known.value[i] + u[:, None] * known.value[i + 1]
@@ -153,7 +154,7 @@ class _Problem:
         self.p_t = folded_weights(self.theta, self.theta[:, None] - self.turns, spread)
 
     def solved(self, value: Values) -> Solution:
-        """Policy iteration from a first guess of the values."""
+        """Run policy iteration from initial values."""
         best = self.improve(value)
         for _ in range(IMPROVEMENTS):
             value = self.evaluate(value, best)
@@ -171,7 +172,7 @@ class _Problem:
         )
 
     def improve(self, value: Values) -> _Improvement:
-        """The best tap of every state against a value function."""
+        """Return the best tap of every state for a value function."""
         rows, columns = self.r.size, self.theta.size
         after_turn, after_turn_in = self.p_t
         flat = after_turn.reshape(-1, columns).T.copy()
@@ -196,7 +197,7 @@ class _Problem:
         return best
 
     def evaluate(self, value: Values, policy: _Improvement) -> Values:
-        """The value of always following a policy, from a first guess."""
+        """Return the value function of a fixed policy, iterated from the initial ``value``."""
         rows, columns = np.indices(policy.tap.shape)
         to_r, in_r = (weights[rows, policy.tap] for weights in self.p_r)
         to_t, in_t = (weights[columns, policy.turn] for weights in self.p_t)
@@ -210,9 +211,10 @@ class _Problem:
 def state_grid(
     box: float, smallest: float, farthest: float, ratio: float = RATIO
 ) -> tuple[Array, int]:
-    """Grid from 0 through the edge of the box to ``farthest``; also the index of the box's edge.
+    """Return a grid from 0 through the edge of the box to ``farthest`` and the index of this edge.
 
-    Even steps to a little beyond the box and the smallest tap, then steps that grow by ``ratio``.
+    The steps are uniform up to slightly beyond the box and the smallest tap; then they grow by
+    ``ratio``.
     """
     step = box / FINE_STEPS
     even = np.arange(0.0, max(2.0 * box, 2.0 * smallest) + step, step)
@@ -231,8 +233,8 @@ def state_grid(
 def _weights(grid: Array, cumulative: Array, box: int, at_box: Array) -> tuple[Array, Array]:
     """Expected weights of linear interpolation, from the integral of the distribution function.
 
-    ``cumulative`` holds I(z) = integral of F from 0 to z at the grid (last axis), ``at_box`` F at
-    the box's edge. Integration by parts of the hat function of node k against dF leaves the
+    ``cumulative``: I(z) = integral of F from 0 to z at the grid points (last axis); ``at_box``: F
+    at the edge of the box. Integration by parts of the hat function of node k against dF gives the
     difference of the slopes of I on both sides. The second result is the part inside the box.
     """
     slope = np.diff(cumulative, axis=-1) / np.diff(grid)
@@ -263,8 +265,8 @@ def folded_weights(grid: Array, mean: Array, deviation: Array) -> tuple[Array, A
 def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tuple[Array, Array]:
     """Weights for hypot(N(mean, along), N(0, aside)).
 
-    The lateral part by nodes of equal probability, the integral over each cell of the grid by
-    Gauss's rule with three points.
+    The lateral part is represented by nodes of equal probability. The integral over each cell of
+    the grid is computed by Gaussian quadrature with three points.
     """
     box = FINE_STEPS
     lateral = _normal_quantiles(LATERAL_NODES)

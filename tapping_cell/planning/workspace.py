@@ -1,4 +1,4 @@
-"""Where things may be: the table's edges and the keep-out areas, seen from the `table` frame.
+"""Workspace: the table's edges and the keep-out areas, in the `table` frame.
 
 Distances are signed: positive inside the table and outside every keep-out. Points have shape
 (..., 2) in m.
@@ -17,8 +17,8 @@ from tapping_cell.planning.interface import Array
 
 @dataclass(frozen=True, slots=True)
 class CircleArea:
-    """A round keep-out: a clamp, a screw, a camera's foot. Centre and radius in m; ``name`` of the
-    object that it is, where it is one."""
+    """A round keep-out, for example a clamp, a screw or a camera's foot. Centre and radius in m;
+    ``name``: name of the object if the keep-out is an object."""
 
     x: float
     y: float
@@ -38,7 +38,7 @@ class CircleArea:
 
 @dataclass(frozen=True, slots=True)
 class PolygonArea:
-    """A keep-out with straight edges, convex or not; corners in m in order around the area;
+    """A polygonal keep-out, convex or not. The corners, in m, are in order around the area;
     ``name`` as for a circle."""
 
     vertices: tuple[tuple[float, float], ...]
@@ -73,13 +73,13 @@ KeepOut = CircleArea | PolygonArea
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """The table and what stands on it.
+    """The table and its obstacles.
 
-    length, width: of the table area along its x and y, centred on the table's origin, m.
-    edge_margin: least distance of the object's outline from an edge, m.
-    keep_outs: areas where neither the object nor the striker may be.
-    keep_out_margin: least distance of either from a keep-out, m.
-    overhang: how far beyond the edges the striker may stand, m.
+    length, width: size of the table area along x and y, centred on the table's origin, m.
+    edge_margin: minimum distance of the object's outline from an edge, m.
+    keep_outs: areas that the object and the striker must not enter.
+    keep_out_margin: minimum distance of both from a keep-out, m.
+    overhang: largest distance of the striker beyond the edges, m.
     """
 
     length: float = 0.60
@@ -112,7 +112,7 @@ class Workspace:
         )
 
     def keep_out_distance(self, points: ArrayLike) -> Array:
-        """Distance to the nearest keep-out, negative inside one, infinite where there is none."""
+        """Distance to the nearest keep-out, negative inside; infinite if there is no keep-out."""
         p = np.asarray(points, dtype=float)
         nearest = np.full(p.shape[:-1], np.inf)
         for area in self.keep_outs:
@@ -120,18 +120,19 @@ class Workspace:
         return nearest
 
     def nearest_keep_out(self, point: ArrayLike) -> str:
-        """The keep-out nearest to a point (2,), for people; an empty text where there is none."""
+        """Description of the keep-out nearest to a point (2,), or an empty string."""
         if not self.keep_outs:
             return ""
         nearest = min(self.keep_outs, key=lambda area: float(area.distance(point)))
         return f"the object '{nearest.name}'" if nearest.name else "a keep-out area"
 
     def others(self) -> str:
-        """The objects among the keep-outs, for people: "'a', 'b'"; empty where there are none."""
+        """Names of the objects among the keep-outs for messages, such as "'a', 'b'", or an empty
+        string."""
         return ", ".join(f"'{area.name}'" for area in self.keep_outs if area.name)
 
     def object_room(self, points: ArrayLike) -> Array:
-        """Largest radius of an object centred at the points that respects both margins."""
+        """Largest radius of an object centred at the points that keeps both margins."""
         return np.asarray(
             np.minimum(
                 self.edge_distance(points) - self.edge_margin,

@@ -1,16 +1,16 @@
-"""Several objects, each to its place: which object next, by which tap.
+"""Arrangement of several objects: choice of the next object to move and of its tap.
 
-The whole of it in use::
+Example::
 
     maps = AmongOthers()
     bodies = [Body("left", FreeSpace(space), planner, goal_pose), ...]
     session = ArrangementSession(bodies, maps=maps)
     decision = session.decide({"left": Observation(pose, covariance), ...})
     # AllDone, LookLonger, TapOf(name, strike, move) or Refusal
-    ...  # fire decision.strike.plan, look again at every object
+    ...  # fire decision.strike.plan, measure the pose of every object again
     session.observe(decision, before, after)
 
-Deliberate contact between objects is not planned. Another object counts as its bounding circle.
+Contacts between objects are never planned. Other objects are represented by bounding circles.
 """
 
 from tapping_cell.planning.arrangement.among import AmongOthers

@@ -1,4 +1,4 @@
-"""Maps of workable places for one object among the others, and what follows from them."""
+"""Maps of workable places for one object among others, and queries on these maps."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from tapping_cell.planning.workspace import CircleArea, KeepOut
 from tapping_cell.se2 import Pose
 
 KEPT = 300
-"""Maps remembered, some 60 kB each."""
+"""Maximum number of cached maps, about 60 kB each."""
 
 
 class AmongOthers:
-    """Makes and remembers the maps; every question is about one object among some others."""
+    """Creates and caches the maps; every query concerns one object among some other objects."""
 
     def __init__(self) -> None:
         self._maps: dict[tuple[int, frozenset[CircleArea]], FreeSpace] = {}
         self._paths: dict[tuple[int, frozenset[CircleArea], float, float], PathLengths] = {}
 
     def map(self, body: Body, others: Iterable[CircleArea]) -> FreeSpace:
-        """Where the object can be worked on among these areas."""
+        """Return the map of workable places of an object among these areas."""
         areas = frozenset(others)
         key = (id(body.free), areas)
         if key not in self._maps:
             if len(self._maps) >= KEPT:
                 del self._maps[next(iter(self._maps))]
-            # Sorted, so that equal sets make equal maps whatever the hash seed.
+            # Sorted, so that equal sets give equal maps for every hash seed.
             ordered: list[KeepOut] = [*sorted(areas, key=_order)]
             self._maps[key] = body.free.among(ordered)
         return self._maps[key]
 
     def path(self, body: Body, others: Iterable[CircleArea], start: Pose, end: Pose) -> float:
-        """Length of the path of workable places between two poses, m; inf where there is none."""
+        """Length of the path of workable places between two poses, m; inf if there is no path."""
         areas = frozenset(others)
         key = (id(body.free), areas, end.x, end.y)
         if key not in self._paths:
@@ -49,11 +49,11 @@ class AmongOthers:
         return float(paths.length(np.array([start.x, start.y])))
 
     def fits(self, body: Body, others: Iterable[CircleArea], pose: Pose) -> bool:
-        """Whether the object can be worked on at a pose."""
+        """Return whether a pose of the object is workable."""
         return bool(self.map(body, others).contains(np.array([pose.x, pose.y])))
 
     def in_largest_region(self, body: Body, others: Iterable[CircleArea], pose: Pose) -> bool:
-        """Whether a pose is workable and joined to the largest region of workable places."""
+        """Return whether a pose is in the largest connected region of workable places."""
         free = self.map(body, others)
         if not bool(free.contains(np.array([pose.x, pose.y]))):
             return False
@@ -73,7 +73,7 @@ class AmongOthers:
 
 
 def gap(first: CircleArea, second: CircleArea) -> float:
-    """Least distance between two bounding circles, m; negative where they overlap."""
+    """Gap between two bounding circles, m; negative if they overlap."""
     apart = float(np.hypot(first.x - second.x, first.y - second.y))
     return apart - first.radius - second.radius
 
@@ -81,7 +81,7 @@ def gap(first: CircleArea, second: CircleArea) -> float:
 def areas_of(
     bodies: Iterable[Body], poses: Mapping[str, Pose], without: Iterable[str] = ()
 ) -> list[CircleArea]:
-    """The ground of the objects at these poses, but for those named."""
+    """Return the bounding circles of the objects at these poses, except those in ``without``."""
     left_out = frozenset(without)
     return [body.area(poses[body.name]) for body in bodies if body.name not in left_out]
 

@@ -1,7 +1,7 @@
-"""Simple orders to compare with: each object in the order given, or the nearest to its goal first.
+"""Baselines for comparison: objects in the given order, or the object nearest to its goal first.
 
-Both avoid the other objects and wait for no free goal: an object that cannot go is passed over, and
-nothing makes way.
+Both avoid the other objects. They skip an object whose goal is occupied or unreachable, and they
+never move an object out of the way.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from tapping_cell.planning.refusal import Refusal, RefusalReason
 
 
 class FileOrder:
-    """Each object in the order of the list."""
+    """Baseline that moves the objects in the order of the list."""
 
     name = "file order"
 
@@ -23,12 +23,12 @@ class FileOrder:
         self._maps = AmongOthers() if maps is None else maps
 
     def next_move(self, scene: Scene) -> Move | Refusal:
-        """The first object whose goal is free and can be reached."""
+        """Return the move of the first object whose goal is free and reachable."""
         return _first_possible(scene, _unfinished(scene), self._maps)
 
 
 class NearestFirst:
-    """The object that is nearest to its goal."""
+    """Baseline that moves the object nearest to its goal first."""
 
     name = "nearest first"
 
@@ -36,7 +36,7 @@ class NearestFirst:
         self._maps = AmongOthers() if maps is None else maps
 
     def next_move(self, scene: Scene) -> Move | Refusal:
-        """The nearest object whose goal is free and can be reached."""
+        """Return the move of the nearest object whose goal is free and reachable."""
 
         def away(body: Body) -> float:
             assert body.goal is not None

@@ -1,4 +1,4 @@
-"""What an arrangement planner is asked and what it answers: the interface for other planners."""
+"""Interface of arrangement planners: the scene as input and the next move as output."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from tapping_cell.se2 import Pose
 class Body:
     """One object of an arrangement.
 
-    name: its identity. free: its map of workable places on the table without the other objects;
-    objects of one shape may share it. planner: the method that chooses its taps; its settings hold
-    the tolerance of the goal. goal: pose in `table`; None for an object without one.
-    movable: whether it may be tapped: an object with a goal, or one that may make way.
+    name: unique name. free: map of workable places on the table without other objects; objects of
+    the same shape may share it. planner: method that chooses the taps; its settings contain the
+    tolerance of the goal. goal: pose in `table`; None for an object without a goal.
+    movable: whether the object may be tapped, to reach its goal or to make way.
     """
 
     name: str
@@ -36,13 +36,12 @@ class Body:
         return self.free.space.object_radius
 
     def area(self, pose: Pose) -> CircleArea:
-        """The ground that it may cover at a pose, as a keep-out for the others: its bounding
-        circle."""
+        """Return the bounding circle at a pose, which is a keep-out for the other objects."""
         return CircleArea(pose.x, pose.y, self.radius, self.name)
 
 
 class Purpose(Enum):
-    """Why an object is moved."""
+    """Purpose of a move."""
 
     TO_GOAL = "to its goal"
     MAKE_WAY = "out of the way"
@@ -50,7 +49,7 @@ class Purpose(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """One object to be brought to a target, by as many taps as it takes. ``reason``: for people."""
+    """Move of one object to a target by one or more taps. ``reason``: text for messages."""
 
     name: str
     target: Pose
@@ -60,10 +59,10 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Where everything is.
+    """State of all objects on the table.
 
-    bodies: every object. poses: of each, at rest. finished: names of those at their goals.
-    excluded: moves that were tried from here and could not be tapped, as (name, purpose).
+    bodies: all objects. poses: stationary pose of each object. finished: names of the objects at
+    their goals. excluded: moves as (name, purpose) for which no tap was possible in this state.
     """
 
     bodies: Sequence[Body]
@@ -73,7 +72,7 @@ class Scene:
 
 
 class ArrangementPlanner(Protocol):
-    """Chooses which object is moved next, and where to."""
+    """Chooses the next object to move and its target."""
 
     @property
     def name(self) -> str:
@@ -81,5 +80,5 @@ class ArrangementPlanner(Protocol):
         ...
 
     def next_move(self, scene: Scene) -> Move | Refusal:
-        """The next move; a refusal where none leads on. Some goal is not finished."""
+        """Return the next move, or a refusal if no move helps. At least one goal is unfinished."""
         ...

@@ -1,10 +1,10 @@
-"""Whether a layout can be reached at all, judged before the first tap.
+"""Check before the first tap whether a layout can be reached.
 
-The order of placing is found backwards: from the finished layout, an object that can be worked on
-at its goal and leave it may have come last; it is taken away and the next one is looked for. Taking
-an object away never blocks another one, so the greedy choice finds an order wherever there is one
-(disassembly planning: Wilson and Latombe, Artificial Intelligence 71, 1994). How the objects get
-out of each other's way on the table before that is not judged here.
+The order of placement is found backwards from the finished layout. An object that can be tapped at
+its goal and can leave it may have been placed last; it is removed and the search continues.
+Removing an object never blocks another object, so the greedy choice finds an order if one exists
+(disassembly planning: Wilson and Latombe, Artificial Intelligence 71, 1994). Whether the objects
+can make way for each other on the table before that is not checked here.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tapping_cell.se2 import Pose
 
 
 def check_layout(scene: Scene, maps: AmongOthers) -> Refusal | None:
-    """Why the goals of a scene cannot all be reached, with the objects; None where they can."""
+    """Return why some goals of a scene cannot be reached, with the objects' names, or None."""
     goals = {body.name: body.goal for body in scene.bodies if body.goal is not None}
     for body in scene.bodies:
         place = scene.poses[body.name]
@@ -38,7 +38,7 @@ def check_layout(scene: Scene, maps: AmongOthers) -> Refusal | None:
 
 
 def _overlap(scene: Scene) -> Refusal | None:
-    """Two goals, or a goal and an object that may not be moved, that are too close together."""
+    """Return a refusal if two goals, or a goal and an unmovable object, are too close together."""
     placed = [
         (body, body.goal) if body.goal is not None else (body, scene.poses[body.name])
         for body in scene.bodies
@@ -81,9 +81,9 @@ def stuck_goals(
     fixed: list[CircleArea],
     maps: AmongOthers,
 ) -> list[str]:
-    """Names of the unplaced objects for which no order of placing exists; empty where one does.
+    """Return the names of unplaced objects without a possible order of placement; empty if none.
 
-    ``placed`` stand at their goals already and stay there; ``fixed`` is further ground taken.
+    ``placed``: objects that stay at their goals; ``fixed``: other occupied areas.
     """
     left = list(unplaced)
     standing = [body.area(body.goal) for body in placed if body.goal is not None]

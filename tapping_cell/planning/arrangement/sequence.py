@@ -1,12 +1,12 @@
-"""The built-in arrangement planner: free goals first, then whoever stands in the way makes way.
+"""The built-in arrangement planner: free goals first, then objects in the way make way.
 
-A move to a goal is possible where the goal is free, a path of workable places leads to it among the
-other objects as they lie, and every goal left after it can still be reached (``stuck_goals``). Of
-the possible ones the cheapest is taken, in taps that the way around others costs, less what it
-frees. Where none is possible (goals that are occupied, swaps, cycles, blocked paths), an object
-that is in the way goes to a buffer place: reachable, clear of every open goal, and close to its own
-way. Each such move opens a goal or a path, so the sequence ends; with no buffer place it is
-refused.
+A move to a goal is possible if the goal is free, a path of workable places leads to it among the
+other objects, and every remaining goal can still be reached afterwards (``stuck_goals``). The
+cheapest possible move is chosen. Its cost is the number of taps for the way around other objects,
+minus a bonus for goals that it frees. If no such move is possible (occupied goals, swaps, cycles,
+blocked paths), an object in the way is moved to a buffer place, which must be reachable, clear of
+every open goal and close to the object's own path. Each such move opens a goal or a path, so the
+sequence ends. Without a buffer place the planner refuses.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from tapping_cell.planning.workspace import CircleArea
 from tapping_cell.se2 import Pose, wrap_angle
 
 FREED = 0.4
-"""Taps that opening another object's goal is worth, against a detour."""
+"""Bonus, in taps, for freeing another object's goal."""
 
 BUFFER_SLACK = 0.012
-"""Clearance in m between a buffer place and an open goal besides the margin: a tap aimed at the
-place may end some way off."""
+"""Clearance between a buffer place and an open goal in addition to the margin, m, because a tap
+towards the place may end beside it."""
 
 BUFFERS_TRIED = 12
 
 TOOL_ROOM = 0.10
-"""Gap in m between a buffer place and an open goal below which taps at the goal have little room:
-the tool stands there, and a polygon can be tapped along few lines only."""
+"""Gap between a buffer place and an open goal below which the object obstructs taps at the goal, m.
+The tool needs this space, and a polygon can be tapped along only a few lines."""
 
 CROWDED = 2.0
-"""Taps that a buffer place right beside an open goal costs more."""
+"""Extra cost, in taps, of a buffer place directly beside an open goal."""
 
 NARROW = 0.03
-"""Gap in m below which a buffer place beside another object costs a tap more: little room."""
+"""Gap to another object below which a buffer place has an extra cost of up to one tap, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class _Option:
 
 
 class SequencePlanner:
-    """See the module's docstring."""
+    """The built-in planner; see the module's docstring."""
 
     name = "sequence"
 
@@ -61,7 +61,7 @@ class SequencePlanner:
         self._maps = AmongOthers() if maps is None else maps
 
     def next_move(self, scene: Scene) -> Move | Refusal:
-        """The next move, see ``ArrangementPlanner``."""
+        """Return the next move; see ``ArrangementPlanner``."""
         options = [
             option
             for body in _open(scene)
@@ -88,7 +88,7 @@ class SequencePlanner:
             for other in _open(scene)
             if other is not body and other.goal is not None
         )
-        # Ties: the nearest first, its path is the least likely to be shut by the others.
+        # For equal costs prefer the shortest path, which other objects are least likely to block.
         cost = around - FREED * freed + path
         return _Option(cost, Move(body.name, goal, Purpose.TO_GOAL))
 
@@ -99,7 +99,7 @@ class SequencePlanner:
         return not stuck_goals(left, [*placed, body], fixed, self._maps)
 
     def _make_way(self, scene: Scene) -> Move | None:
-        """The cheapest move that takes an object out of the way of another one's goal or path."""
+        """Return the cheapest move that clears the goal or the path of another object, or None."""
         found: list[_Option] = []
         for blocked in _open(scene):
             for name in self._in_the_way(scene, blocked):
@@ -112,7 +112,10 @@ class SequencePlanner:
         return min(found, key=lambda option: option.cost).move if found else None
 
     def _in_the_way(self, scene: Scene, blocked: Body) -> list[str]:
-        """Objects of which any one's removal lets the other one through; else all near its way."""
+        """Return the names of the objects that block ``blocked``.
+
+        These are the objects whose removal alone opens the path. If there are none, they are the
+        objects on the goal, or else all objects in order of distance from the straight line."""
         goal, pose = blocked.goal, scene.poses[blocked.name]
         assert goal is not None
         others = [body for body in scene.bodies if body is not blocked]
@@ -139,7 +142,7 @@ class SequencePlanner:
         return [body.name for body in near]
 
     def _buffer(self, scene: Scene, body: Body, blocked: Body) -> _Option | None:
-        """The cheapest buffer place for an object that is in the way of another one."""
+        """Return the move to the cheapest buffer place for an object that blocks another object."""
         pose = scene.poses[body.name]
         others = areas_of(scene.bodies, scene.poses, [body.name])
         places = self._maps.places(body, others, pose)
@@ -166,14 +169,14 @@ class SequencePlanner:
         return None
 
     def _opens(self, scene: Scene, body: Body, place: Pose, blocked: Body) -> bool:
-        """Whether the other object can go to its goal, or comes closer to it, with the buffer."""
+        """Return whether the buffer place opens the blocked object's goal, or helps to open it."""
         assert blocked.goal is not None
         poses = {**scene.poses, body.name: place}
         areas = areas_of(scene.bodies, poses, [blocked.name])
         if not any(gap(area, blocked.area(blocked.goal)) < _margin(blocked) for area in areas):
             path = self._maps.path(blocked, areas, poses[blocked.name], blocked.goal)
             return math.isfinite(path) and self._maps.fits(blocked, areas, blocked.goal)
-        # Others occupy the goal as well: this one at least has left it.
+        # Other objects occupy the goal as well; moving this object at least clears its own part.
         before = gap(body.area(scene.poses[body.name]), blocked.area(blocked.goal))
         return before < _margin(blocked)
 
@@ -196,12 +199,12 @@ class SequencePlanner:
 
 
 def taps(body: Body, distance: float, turn: float) -> float:
-    """About how many taps an object needs for a path of this length (m) and a turn (rad)."""
+    """Estimate how many taps an object needs for a path length (m) and a turn (rad)."""
     return float(body.planner.taps_to_go(distance, float(wrap_angle(turn))))
 
 
 def _open(scene: Scene) -> list[Body]:
-    """Objects with a goal that are not there yet."""
+    """Return the objects that are not yet at their goals."""
     return [b for b in scene.bodies if b.goal is not None and b.name not in scene.finished]
 
 
@@ -210,7 +213,7 @@ def _margin(body: Body) -> float:
 
 
 def _from_line(place: Pose, start: Pose, end: Pose) -> float:
-    """Distance of a place from the straight line between two others, m."""
+    """Distance of a place from the line segment between two poses, m."""
     dx, dy = end.x - start.x, end.y - start.y
     along = ((place.x - start.x) * dx + (place.y - start.y) * dy) / (dx * dx + dy * dy or 1.0)
     share = min(1.0, max(0.0, along))
@@ -218,7 +221,8 @@ def _from_line(place: Pose, start: Pose, end: Pose) -> float:
 
 
 def _buffer_cost(body: Body, pose: Pose, places: Array, others: Sequence[CircleArea]) -> Array:
-    """About how many taps each buffer place (n, 2) costs: there, onward, and for little room."""
+    """Estimate the cost of each buffer place (n, 2), in taps: the way there, the extra way to the
+    goal, and a penalty for little clearance."""
     longest = body.planner.settings.largest_distance
     there = np.hypot(places[:, 0] - pose.x, places[:, 1] - pose.y)
     cost = np.ceil(there / longest) + 0.5 * there / longest

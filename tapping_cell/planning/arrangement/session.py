@@ -1,8 +1,8 @@
-"""Several objects in closed loop: which is tapped next, and how. Pure: no clock, no ROS.
+"""Closed loop for several objects: chooses the next object and its tap. Uses no clock and no ROS.
 
-One object is the case n = 1: its only move is to its goal. A move is carried out by a
-``PositioningSession`` among the other objects as they were last seen; what is not as the plan
-expected (an object that was touched, pushed by hand, or does not go on) makes a new plan.
+A single object is the special case n = 1, with the move to its goal as the only move. A
+``PositioningSession`` carries out a move among the other objects at their last measured poses. The
+session plans again if an object was touched, was pushed by hand or cannot be moved on.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.se2 import Pose
 
 COARSE_ANGLE = 1.5
-"""Tolerance in rad of the rotation of an object that only makes way."""
+"""Tolerance of the rotation of an object that only makes way, rad."""
 
 TOUCHED = 0.002
-"""Shift in m of an object that was not tapped, beyond the camera's noise, that counts as a
-contact."""
+"""Displacement of an untapped object, beyond the camera's noise, that counts as a contact, m."""
 
 SETTLED = 0.0005
-"""Shift in m below which another object has not moved, so that the map of the table is kept."""
+"""Displacement up to which another object counts as stationary, so that the map is reused, m."""
 
 MOST_TAPS_EACH = 60
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """One object at rest: pose in `table` and covariance (3, 3) in m and rad; None: nominal."""
+    """Observation of a stationary object: pose in `table` and covariance (3, 3), m and rad; None
+    means the camera's nominal noise."""
 
     pose: Pose
     covariance: ArrayLike | None = None
@@ -61,7 +61,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class TapOf:
-    """The next tap, and of which object."""
+    """The next tap and the name of its object."""
 
     name: str
     strike: Strike
@@ -70,7 +70,7 @@ class TapOf:
 
 @dataclass(frozen=True, slots=True)
 class LookLonger:
-    """A longer look at an object may say that it is at its goal."""
+    """Request for a longer observation, which may confirm that the object is at its goal."""
 
     name: str
     look: LookAgain
@@ -78,7 +78,7 @@ class LookLonger:
 
 @dataclass(frozen=True, slots=True)
 class AllDone:
-    """Every object with a goal is at it, as far as the camera can honestly say."""
+    """Every object with a goal is at its goal with the required confidence."""
 
     residuals: Mapping[str, Pose]
 
@@ -87,15 +87,15 @@ ArrangementDecision = AllDone | LookLonger | TapOf | Refusal
 
 
 class ArrangementSession:
-    """Goals, plan, learnt gains and taps of one arrangement.
+    """Closed loop of one arrangement: goals, plan, learnt gains and taps.
 
     Args:
-        bodies: every object on the table, those that may not be moved as well.
-        planner: which object next; the built-in sequence planner by default.
-        gains: what is known of each object from earlier runs.
-        adapt: whether taps teach.
-        order: names of objects to be finished in this order, before the others.
-        most_taps: of all objects together.
+        bodies: all objects on the table, including unmovable ones.
+        planner: chooses the next object; by default the built-in sequence planner.
+        gains: gains of each object that were learnt in earlier runs.
+        adapt: whether to learn from taps.
+        order: names of objects to be finished in this order before the other objects.
+        most_taps: maximum number of taps of all objects together.
     """
 
     def __init__(
@@ -128,23 +128,23 @@ class ArrangementSession:
         self._settled: dict[str, Pose] = {}
         self._tapped = ""
         self.move: Move | None = None
-        """The move under way; None before the first one and after the last."""
+        """Current move; None before the first move and after the last move."""
         self.finished: frozenset[str] = frozenset()
-        """Names of the objects that are at their goals."""
+        """Names of the objects at their goals."""
         self.taps = dict.fromkeys(self._by_name, 0)
-        """Taps fired at each object."""
+        """Number of taps fired at each object."""
         self.touched: tuple[str, ...] = ()
-        """Names of objects that moved with the last tap although another one was tapped."""
+        """Names of the objects that moved during the last tap of another object."""
 
     @property
     def current(self) -> PositioningSession | None:
-        """The session of the move under way, or of the last one."""
+        """Session of the current or the last move."""
         return self._session
 
     def decide(
         self, seen: Mapping[str, Observation], *, look_again: bool = False
     ) -> ArrangementDecision:
-        """What to do with the objects at rest as they are seen; every object must be there."""
+        """Decide on the next step; ``seen`` must contain an observation of every object."""
         missing = [body.name for body in self.bodies if body.name not in seen]
         if missing:
             return Refusal(
@@ -179,7 +179,7 @@ class ArrangementSession:
         )
 
     def observe(self, tap: TapOf, before: Observation, after: Observation) -> None:
-        """Learn from a tap that was fired: its object at rest before and after."""
+        """Learn from a fired tap, given the stationary object before and after it."""
         self.taps[tap.name] += 1
         self._tapped = tap.name
         self._excluded = frozenset()
@@ -205,7 +205,7 @@ class ArrangementSession:
     def _choose(
         self, seen: Mapping[str, Observation], poses: Mapping[str, Pose], look_again: bool
     ) -> Move | AllDone | LookLonger | Refusal:
-        """The next move, after every object was asked whether it is at its goal."""
+        """Check which objects are at their goals, then return the next move or the end."""
         done = set()
         for body in self.bodies:
             if body.goal is None:
@@ -237,14 +237,14 @@ class ArrangementSession:
         return Scene(self.bodies, self._settled, self.finished, excluded)
 
     def _alone(self, body: Body) -> PositioningSession:
-        """Only asked whether the object is at its goal: the others do not matter."""
+        """Return a session that only checks the goal and therefore ignores the other objects."""
         assert body.goal is not None
         return _at_goal(body, self._most_taps)
 
     def _step(
         self, move: Move, seen: Observation, look_again: bool
     ) -> TapOf | LookLonger | Refusal | None:
-        """One decision of the move under way; None where it has ended and another is needed."""
+        """Return the next step of the current move, or None if another move is needed."""
         body = self._by_name[move.name]
         free = self._maps.map(body, areas_of(self.bodies, self._settled, [body.name]))
         if self._session is None or self._session_move is not move:
@@ -284,7 +284,7 @@ def _at_goal(body: Body, most_taps: int) -> PositioningSession:
 
 
 def coarse(planner: Planner) -> Planner:
-    """The method for an object that only makes way: roughly there is enough."""
+    """Return a planning method with a wide tolerance, for an object that only makes way."""
     return _coarse(planner.settings)
 
 

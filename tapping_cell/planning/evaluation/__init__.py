@@ -1,4 +1,4 @@
-"""Many positioning trials of a method: in lockstep on an open table, or in a whole cell."""
+"""Evaluation of planning methods: many trials, on an open table or in a complete cell."""
 
 from tapping_cell.planning.evaluation.open_table import run_open_trials
 from tapping_cell.planning.evaluation.parallel import evaluate

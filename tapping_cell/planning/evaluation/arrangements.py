@@ -1,10 +1,9 @@
-"""Trials of several objects on one table: random scenes, each object to its place, truth kept.
+"""Trials with several objects on one table: random scenes with ground truth.
 
-Objects slide in straight lines, as a tapped object does (mechanics, section on sliding). Where one
-meets another on its way, the impact is inelastic: both go on with the normal velocity of their
-common centre of mass, and each slides the distance that belongs to its speed (proportional to the
-square). A trial reports every such contact, and every strike whose tool would have touched another
-object.
+Objects slide in straight lines, as a tapped object does (mechanics, section on sliding). If an
+object hits another object, the impact is inelastic: both continue with the normal velocity of their
+common centre of mass, and each slides a distance proportional to the square of its speed. A trial
+counts every such contact and every strike whose tool would have touched another object.
 """
 
 from __future__ import annotations
@@ -57,12 +56,12 @@ GOAL_GAP = 0.040
 START_GAP = 0.040
 DRAWS = 4000
 SWEEP = 25
-"""Points of a slide at which contacts are looked for."""
+"""Number of points of a slide at which contacts are checked."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kind:
-    """One shape of objects: its map on the empty table and the method that chooses its taps."""
+    """A shape of objects, with its map on the empty table and the method that chooses its taps."""
 
     free: FreeSpace
     planner: Planner
@@ -70,12 +69,12 @@ class Kind:
 
 @dataclass(frozen=True, slots=True)
 class ArrangementTask:
-    """What is drawn and asked. Lengths in m, angles in rad.
+    """Parameters of random scenes. Lengths in m, angles in rad.
 
-    count: of objects. goals: one of ``GOALS``. grid_gap: between neighbours of a grid of goals.
-    gap: least distance of two starts, and of two random goals.
-    gain_bias: steady errors of distance and rotation, as shares with random signs, for each object.
-    method: one of ``METHODS``. adapt: learn from taps.
+    count: number of objects. goals: one of ``GOALS``. grid_gap: gap between neighbours in a grid of
+    goals. gap: minimum gap between two starts and between two random goals.
+    gain_bias: systematic errors of distance and rotation of each object, as shares with random
+    signs. method: one of ``METHODS``. adapt: learn from taps.
     """
 
     count: int
@@ -88,7 +87,7 @@ class ArrangementTask:
     most_taps: int = 60
 
     def __post_init__(self) -> None:
-        """Refuse what is not known (PlanningError)."""
+        """Reject unknown or invalid parameters (PlanningError)."""
         if self.goals not in GOALS:
             raise PlanningError(f"goals are {self.goals!r}, allowed: {', '.join(GOALS)}")
         if self.method not in METHODS:
@@ -99,15 +98,15 @@ class ArrangementTask:
 
 @dataclass(slots=True)
 class ArrangementTrial:
-    """How one scene went.
+    """Result of one scene.
 
-    end: "done", "refused before" the first tap, "refused later". inside: every true pose within its
-    tolerance. taps: in all; lone_taps: the same objects, each alone on the table. contacts: between
-    objects; tool_contacts: strikes whose tool would have touched another object. made_way: moves
-    of objects out of the way. slowest, planning: longest decision and the sum, s of processor.
-    history: true
-    poses before the first tap and after every one; goals, outlines (n, 2) in the objects' frames
-    and the table's length and width: for pictures.
+    end: "done", "refused before" (the first tap) or "refused later". inside: whether every true
+    pose is within its tolerance. taps: total number; lone_taps: number for the same objects, each
+    alone on the table. contacts: number of contacts between objects; tool_contacts: number of
+    strikes whose tool would have touched another object. made_way: number of moves out of the way.
+    slowest, planning: processor time of the longest decision and of all decisions, s.
+    history: true poses before the first tap and after every tap. goals, outlines (n, 2) in the
+    objects' frames, and the length and width of the table are for drawings.
     """
 
     end: str = "refused later"
@@ -130,7 +129,7 @@ class ArrangementTrial:
 def run_arrangement(
     task: ArrangementTask, kinds: Sequence[Kind], rng: np.random.Generator
 ) -> tuple[ArrangementTrial, list[Body]]:
-    """One scene, drawn and arranged; the trial and its objects."""
+    """Draw one scene and run it; return the trial and its objects."""
     bodies, poses = draw_scene(task, kinds, rng)
     gains = _draw_gains(task, rng)
     trial = arrange(task, bodies, poses, gains, rng)
@@ -144,9 +143,9 @@ def run_arrangement(
 def draw_scene(
     task: ArrangementTask, kinds: Sequence[Kind], rng: np.random.Generator
 ) -> tuple[list[Body], dict[str, Pose]]:
-    """Objects of random kinds, where they lie and where they are to go.
+    """Draw objects of random kinds with their goals and start poses.
 
-    Every place alone is workable; layouts as a whole are not filtered.
+    Every pose is workable for the object alone; complete layouts are not filtered.
     """
     for _ in range(100):
         chosen = [kinds[int(index)] for index in rng.integers(len(kinds), size=task.count)]
@@ -187,7 +186,7 @@ def arrange(
     gains: Array,
     rng: np.random.Generator,
 ) -> ArrangementTrial:
-    """Arrange these objects from these poses; ``gains`` (n, 4): the truth of each of them."""
+    """Run a trial from these start poses; ``gains``: true gains of the objects, (n, 4)."""
     maps = AmongOthers()
     limit = task.most_taps * len(bodies)
     session = ArrangementSession(
@@ -246,7 +245,7 @@ def arrange(
 
 
 def shape_at(body: Body, pose: Array) -> KeepOut:
-    """The true ground of an object at a pose: a circle, or the polygon of its corners."""
+    """Return the true shape of an object at a pose: a circle or the polygon of its corners."""
     solid = body.free.space.tap.body
     if not isinstance(solid, Polygon):
         return CircleArea(float(pose[0]), float(pose[1]), body.radius)
@@ -255,7 +254,8 @@ def shape_at(body: Body, pose: Array) -> KeepOut:
 
 
 def _slide(body: Body, moved: Array, bodies: Sequence[Body], true: dict[str, Array]) -> int:
-    """Slide an object by ``moved``, and whatever it meets; the number of contacts."""
+    """Slide an object by ``moved``, push the objects that it hits, and return the number of
+    contacts."""
     path = true[body.name] + np.linspace(0.0, 1.0, SWEEP)[:, None] * moved
     outlines = np.stack([transform_points(pose, body.free.space.outline) for pose in path])
     first, met = SWEEP, None
@@ -288,7 +288,7 @@ def _slide(body: Body, moved: Array, bodies: Sequence[Body], true: dict[str, Arr
 
 
 def _tool_touches(tap: TapOf, bodies: Sequence[Body], true: Mapping[str, Array]) -> bool:
-    """Whether tip or bar at rest would stand in another object."""
+    """Return whether the tip or the bar at rest would overlap another object."""
     by_name = {body.name: body for body in bodies}
     space = by_name[tap.name].free.space
     pose = np.array(tap.strike.plan.strike_pose)
@@ -313,7 +313,7 @@ def _look(body: Body, true: Array, rng: np.random.Generator) -> Observation:
 def _longer(
     body: Body, seen: Observation, true: Array, looks: int, rng: np.random.Generator
 ) -> Observation:
-    """One more look, averaged with those before it."""
+    """Return the mean of all observations after one more observation."""
     before, one = np.array(seen.pose), np.array(_look(body, true, rng).pose)
     step = one - before
     step[2] = wrap_angle(step[2])
@@ -337,7 +337,7 @@ def _draw_gains(task: ArrangementTask, rng: np.random.Generator) -> Array:
 
 
 def draw_places(kinds: Sequence[Kind], least: float, rng: np.random.Generator) -> list[Pose] | None:
-    """A workable place for each, at least so far apart; None where the draws do not suffice."""
+    """Draw a workable pose for each object with a minimum gap; None if too many draws fail."""
     placed: list[tuple[Pose, float]] = []
     for kind in kinds:
         space = kind.free.space
@@ -358,7 +358,7 @@ def draw_places(kinds: Sequence[Kind], least: float, rng: np.random.Generator) -
 
 
 def _grid(kinds: Sequence[Kind], between: float) -> list[Pose]:
-    """Goals in a square grid about the middle of the workable places, ``between`` apart."""
+    """Goals in a square grid about the middle of the workable places, with gaps ``between``."""
     columns = math.ceil(math.sqrt(len(kinds)))
     radius = max(kind.free.space.object_radius for kind in kinds)
     pitch = 2.0 * radius + between
@@ -390,7 +390,8 @@ def evaluate_arrangements(
     seed: int,
     processes: int | None = None,
 ) -> list[ArrangementTrial]:
-    """Trials in parallel; trial i depends on the seed and i alone, also for another method."""
+    """Run trials in parallel. The scene of trial i depends only on the seed and i, so it is the
+    same for all methods."""
     seeds = np.random.SeedSequence(seed).spawn(trials)
     workers = min(processes or os.cpu_count() or 1, trials)
     if workers <= 1:
@@ -411,7 +412,7 @@ def _run_share(
 
 
 def summarise_arrangements(trials: Sequence[ArrangementTrial]) -> dict[str, Any]:
-    """The figures of a campaign; rates as shares of all scenes."""
+    """Summarise the trials; rates are shares of all scenes."""
     count = len(trials)
     done = [trial for trial in trials if trial.end == "done"]
     lone = sum(trial.lone_taps for trial in done)

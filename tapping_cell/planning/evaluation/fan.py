@@ -1,4 +1,4 @@
-"""A fan of runs in the plane of distance and rotation, like figures 5 and 6 of the paper."""
+"""Repeated runs in the plane of distance and rotation, like figures 5 and 6 of the paper."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from tapping_cell.planning.interface import Array, Planner
 def fan_of_runs(
     planner: Planner, goal: tuple[float, float], count: int, seed: int, most_taps: int = 20
 ) -> list[Array]:
-    """Runs from (0, 0) to ``goal`` = (distance in m, rotation in rad), each (taps + 1, 2).
+    """Simulate runs from (0, 0) to ``goal`` = (distance in m, rotation in rad), each (taps + 1, 2).
 
-    Perfect camera, the planner's own scatter. The first coordinate is the object's place along the
-    line from the start to the goal: what drifts sideways is not shown.
+    The camera is perfect and the scatter is the planner's. The first coordinate is the object's
+    position along the line from the start to the goal; sideways drift is not included.
     """
     rng = np.random.default_rng(seed)
     scatter, box = planner.settings.scatter, planner.settings.stopping

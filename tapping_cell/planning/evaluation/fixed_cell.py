@@ -1,4 +1,4 @@
-"""Trials of a cell with fixed tappers: whole sessions, one after the other."""
+"""Trials of a cell with fixed tappers, as complete sessions one after the other."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from tapping_cell.se2 import Pose, wrap_angle
 
 @dataclass(frozen=True, slots=True)
 class FixedEvaluation:
-    """One evaluation. Lengths in m, angles in rad.
+    """Parameters of an evaluation. Lengths in m, angles in rad.
 
-    space: the cell as its file says. goal: x, y, theta in `table`. start_angle: starts lie anywhere
-    in the working area, turned by up to this much from the goal. mount_error: standard deviations
-    of the true lines' offset (m) and angle (rad), drawn anew for each trial. truth: the mechanics
-    that answers; None for the one that the planner believes.
+    space: the cell according to its file. goal: x, y, theta in `table`. start_angle: largest
+    rotation of the start relative to the goal; starts are anywhere in the working area.
+    mount_error: standard deviations of the true lines' offset (m) and angle (rad), drawn for each
+    trial. truth: true mechanics; None means the planner's mechanics.
     """
 
     space: FixedStrikeSpace
@@ -43,7 +43,7 @@ class FixedEvaluation:
     most_taps: int = 40
 
     def __post_init__(self) -> None:
-        """Refuse numbers that make no evaluation (PlanningError)."""
+        """Reject invalid parameters (PlanningError)."""
         if not 1 <= self.trials <= 10**7:
             raise PlanningError(f"{self.trials} trials: needs 1 to 10000000")
         if not np.all(np.isfinite(self.goal)):
@@ -62,7 +62,7 @@ class FixedEvaluation:
 def evaluate_fixed(
     evaluation: FixedEvaluation, progress: Callable[[int], None] | None = None
 ) -> Results:
-    """Run all trials of an evaluation; ``progress`` is called with the trials just finished."""
+    """Run all trials; ``progress`` is called with the number of trials just finished."""
     solver, rows = GoalSolver(), []
     for stream in np.random.SeedSequence(evaluation.seed).spawn(evaluation.trials):
         rows.append(_run_one(evaluation, solver, np.random.default_rng(stream)))
@@ -127,7 +127,7 @@ def _run_one(
 
 
 def _true_space(evaluation: FixedEvaluation, rng: np.random.Generator) -> FixedStrikeSpace:
-    """The tappers as they truly stand and strike in one trial."""
+    """Return the space with the true mounts and the true mechanics of one trial."""
     space = evaluation.space
     off, turn = evaluation.mount_error
     drawn = rng.standard_normal((len(space.tappers), 2)) * np.array([off, turn])
@@ -154,7 +154,7 @@ def _answer(
     settings: PlannerSettings,
     rng: np.random.Generator,
 ) -> Array:
-    """The true displacement (3,) of a strike, with its scatter; zero where the striker misses."""
+    """Return the true displacement (3,) of a strike with scatter; zero if the striker misses."""
     index = [tapper.name for tapper in true.tappers].index(strike.plan.tapper)
     tapper, speed = true.tappers[index], strike.plan.striker_speed
     line = np.array([tapper.mount.x, tapper.mount.y, tapper.mount.theta])
@@ -177,7 +177,8 @@ def _answer(
 def _decide(
     session: FixedTapperSession, pose: Array, look: Array, rng: np.random.Generator
 ) -> tuple[Decision, Array]:
-    """The session's decision and the pose that it was made on, after looking longer if it asks."""
+    """Return the session's decision and the measured pose, after the longer observations that the
+    session requests."""
     camera = session.settings.camera
     seen = pose + look * rng.standard_normal(3)
     for looks in range(1, LONG_LOOK + 1):

@@ -1,4 +1,4 @@
-"""Trials on a table with edges, keep-outs and an arm: whole sessions, one after the other."""
+"""Trials on a table with edges, keep-outs and an arm, as complete sessions one after the other."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ MOST_DRAWS = 1000
 def run_table_trials(
     evaluation: Evaluation, planner: Planner, count: int, rng: np.random.Generator
 ) -> Results:
-    """``count`` sessions: starts anywhere where the object can be worked on, goals around them.
+    """Run ``count`` sessions with random workable starts and goals relative to them.
 
-    Goals are not filtered: those that cannot be reached must be refused before the first tap.
+    Goals are not filtered; the session must refuse unreachable goals before the first tap.
     """
     if evaluation.space is None:
         raise PlanningError("trials on a table need a function that makes its StrikeSpace")
@@ -40,7 +40,7 @@ def run_table_trials(
     tasks = draw_tasks(evaluation, count, rng)
     true_gains = draw_gains(evaluation, count, rng)
     rows = []
-    # A stream for each trial: what one method draws does not change another's next task.
+    # Each trial has its own random stream, so that all methods get the same tasks.
     for index, own in enumerate(rng.spawn(count)):
         start = _draw_start(space, free, own)
         goal = start + tasks[index]
@@ -129,7 +129,8 @@ def _decide(
     evaluation: Evaluation,
     rng: np.random.Generator,
 ) -> tuple[Decision, Array]:
-    """The session's decision and the pose that it was made on, after looking longer if it asks."""
+    """Return the session's decision and the measured pose, after the longer observations that the
+    session requests."""
     camera = evaluation.settings.camera
     look = np.array([camera.position, camera.position, camera.angle])
     for looks in range(1, LONG_LOOK + 1):

@@ -1,4 +1,4 @@
-"""Trials on an open table, all at once: every step of the loop is done for all trials together."""
+"""Vectorised trials on an open table: every step of the loop is computed for all trials."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from tapping_cell.planning.stopping import CONFIDENCE, LONG_LOOK, inside_probabi
 from tapping_cell.se2 import wrap_angle
 
 MISSED = 0.1
-"""A tap that moved the object by less than this share of what was asked has missed it."""
+"""A tap has missed if it moved the object by less than this share of the expected distance."""
 
 ASIDE = math.radians(30.0)
-"""After a miss the next tap is turned by up to this much: the same tap would miss again."""
+"""Largest random turn of the next tap after a miss, because the same tap would miss again."""
 
 
 def run_open_trials(
     evaluation: Evaluation, planner: Planner, count: int, rng: np.random.Generator
 ) -> Results:
-    """``count`` trials from one random stream."""
+    """Run ``count`` trials with one random stream."""
     camera = evaluation.settings.camera
     pose = draw_starts(count, rng)
     goal = pose + draw_tasks(evaluation, count, rng)
@@ -115,8 +115,10 @@ def look_longer(
     settings: PlannerSettings,
     rng: np.random.Generator,
 ) -> NDArray[np.bool_]:
-    """Whether the objects in these rows are surely at their goals, after looking again where that
-    may tell: ``seen`` becomes the mean of the looks at an object, at most ``LONG_LOOK``."""
+    """Return which objects in ``rows`` are at their goals with the required confidence.
+
+    Undecided objects are observed again, at most ``LONG_LOOK`` times in total; ``seen`` is
+    overwritten with the mean of the observations."""
     look = np.array([settings.camera.position, settings.camera.position, settings.camera.angle])
     tolerance = settings.tolerance_position, settings.tolerance_angle
     if settings.box is not None:

@@ -1,4 +1,4 @@
-"""Trials spread over the cores; the result depends on the seed alone, not on how many there are."""
+"""Parallel trials; the result depends only on the seed and not on the number of cores."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from tapping_cell.planning.evaluation.task import Evaluation, Results
 from tapping_cell.planning.registry import make_planner
 
 OPEN_CHUNK = 4000
-"""Trials in lockstep: one random stream each chunk."""
+"""Number of trials on an open table per chunk; each chunk has its own random stream."""
 
 TABLE_CHUNK = 50
 
 WORTH_PROCESSES = 4.0
-"""Work in s from which starting processes, which takes a second or two, pays."""
+"""Minimum expected work for starting processes, s, because starting them takes 1 to 2 s."""
 
 Progress = Callable[[int], None]
 
@@ -32,15 +32,15 @@ def evaluate(
     """Run all trials of an evaluation.
 
     Args:
-        evaluation: what to run.
-        processes: how many to use; None for one a core.
+        evaluation: parameters of the evaluation.
+        processes: number of processes; None uses one per core.
         progress: called with the number of trials just finished.
 
     Raises:
-        UnknownPlannerError: no such method.
-        PlanningError: settings that the method refuses.
+        UnknownPlannerError: unknown method.
+        PlanningError: the method rejects the settings.
     """
-    make_planner(evaluation.planner, evaluation.settings)  # solved once, found by every process
+    make_planner(evaluation.planner, evaluation.settings)  # solve once; all processes load the plan
     chunk = OPEN_CHUNK if evaluation.space is None else TABLE_CHUNK
     sizes = [chunk] * (evaluation.trials // chunk)
     if evaluation.trials % chunk:
@@ -67,7 +67,7 @@ def evaluate(
 
 
 def run_chunk(evaluation: Evaluation, count: int, seed: np.random.SeedSequence) -> Results:
-    """One chunk of trials with its own random stream."""
+    """Run one chunk of trials with its own random stream."""
     planner = make_planner(evaluation.planner, evaluation.settings)
     rng = np.random.default_rng(seed)
     if evaluation.space is not None:
@@ -76,5 +76,5 @@ def run_chunk(evaluation: Evaluation, count: int, seed: np.random.SeedSequence) 
 
 
 def join(parts: list[Results]) -> Results:
-    """The trials of all chunks as one."""
+    """Concatenate the results of all chunks."""
     return Results(*(np.concatenate(column) for column in zip(*parts, strict=True)))

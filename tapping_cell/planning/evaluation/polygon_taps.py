@@ -1,4 +1,4 @@
-"""Taps on polygons, for many trials at once: where no contact gives a method's tap, another one."""
+"""Vectorised choice of taps on polygons, with alternatives for taps that no contact can give."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from tapping_cell.planning.alternatives import candidate_taps, indirect
 from tapping_cell.planning.interface import Array, Planner
 
 BLOCK = 32
-"""Trials whose candidates are ranked at once: what fits the cache."""
+"""Number of trials whose candidates are ranked per batch, so that a batch fits in the cache."""
 
 BEST = 24
-"""Candidates of the least cost that are looked at before all the others are."""
+"""Number of cheapest candidates that are evaluated before all other candidates."""
 
 ATTEMPTS = 8
-"""Choices of one tap that may turn out to be out of reach by the exact slide."""
+"""Maximum number of candidates per tap that are checked with the exact slide."""
 
 
 def contact_taps(
     pose: Array, goal: Array, first: Array, number: Array, planner: Planner, tap: Tap
 ) -> Array:
-    """Displacements (n, 3) to command that a contact of the object gives, first choice or not; NaN
-    where none was found.
+    """Return displacements (n, 3) that are possible with some contact: the first choices or
+    alternatives; NaN if none was found.
 
-    Ranked as ``alternative_taps`` does for a session on an open table, with candidates that slide
-    like the equivalent disk; what is chosen is checked with the polygon's own slide. Poses, goals
-    and first choices (n, 3); number: ``Gains.value``, (n, 6).
+    Alternatives are ranked as by ``alternative_taps`` on an open table, with candidates that slide
+    like the equivalent disk. The chosen candidate is checked with the polygon's own slide. Poses,
+    goals and first choices are (n, 3); number: ``Gains.value``, (n, 6).
     """
     if not isinstance(tap.body, Polygon):
         return first
@@ -54,7 +54,7 @@ def contact_taps(
 
 
 class _Ranking:
-    """The candidates of some trials; a choice that was given out is not given again."""
+    """Ranked candidates of several trials; each candidate is returned only once."""
 
     def __init__(
         self, pose: Array, goal: Array, first: Array, number: Array, planner: Planner, tap: Tap
@@ -70,7 +70,7 @@ class _Ranking:
         self._made.cost[~_passed_on(tap, pose, self._made.commanded)] = np.inf
 
     def best(self, rows: NDArray[np.intp]) -> Array:
-        """The best candidates left, (n, 3); NaN where there is none."""
+        """Return the best remaining candidates, (n, 3), or NaN."""
         made = self._made
         chosen = np.full((rows.size, 3), np.nan)
         count = made.cost.shape[1]
@@ -79,7 +79,7 @@ class _Ranking:
             at = rows[left]
             order = np.argpartition(made.cost[at], min(tried, count - 1), axis=1)
             some = np.sort(order[:, :tried], axis=1)
-            # The least cost of all that are not looked at.
+            # Lower bound of the cost of the candidates that are not evaluated.
             bound: Array = np.full(left.size, np.inf)
             if tried < count:
                 bound = made.cost[at, order[:, tried]]
@@ -96,7 +96,7 @@ class _Ranking:
         return chosen
 
     def _total(self, rows: NDArray[np.intp], some: NDArray[np.intp]) -> Array:
-        """Cost with what follows of some candidates (n, k); infinite for those out of reach."""
+        """Total cost of the candidates ``some`` (n, k); infinite for impossible candidates."""
         made, at = self._made, rows[:, None]
         total = made.cost[at, some]
         reached = self._tap.reachable(made.commanded[at, some], self._pose[at])
@@ -109,13 +109,13 @@ class _Ranking:
         return total
 
     def _given(self, poses: Array, commanded: Array) -> NDArray[np.bool_]:
-        """Which displacements some contact gives."""
+        """Return which displacements are possible with some contact."""
         return np.asarray(self._tap.reachable(commanded, poses))
 
 
 def _passed_on(tap: Tap, pose: Array, commanded: Array) -> NDArray[np.bool_]:
-    """Whether the direction of displacements (n, m, 3) is within the contact friction of the normal
-    of any edge: a polygon that slides like a disk goes where the impulse points."""
+    """Return which displacements (n, m, 3) lie in the friction cone of some edge, because a polygon
+    that slides like a disk moves in the direction of the impulse."""
     body = tap.body
     assert isinstance(body, Polygon)
     inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0]) + pose[:, 2:]

@@ -1,4 +1,4 @@
-"""From trials to numbers for people and programs; lengths in mm and angles in degrees."""
+"""Summary of the results of trials; lengths in mm and angles in degrees."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ NORMAL_95 = 1.959963984540054
 
 
 def summarise(results: Results, planned_taps: int | None = None) -> dict[str, Any]:
-    """The figures of an evaluation.
+    """Summarise an evaluation.
 
-    ``success_rate``: share of trials that were declared done (of those not refused before the first
-    tap). ``truly_inside_rate``: share of the trials declared done whose true pose is within the
-    full tolerance. ``taps``: over the trials that were not refused before the first tap.
-    ``planned_taps``, where the method has a plan with a fixed number of taps, adds
-    ``within_planned_rate``.
+    Trials that were refused before the first tap are excluded from ``success_rate`` and ``taps``.
+    ``success_rate``: share of trials that were declared done. ``truly_inside_rate``: share of these
+    whose true pose is within the full tolerance. ``planned_taps``: number of taps of the method's
+    plan, if it is fixed; it adds ``within_planned_rate``.
     """
     began = results.end != End.REFUSED_BEFORE
     done = results.end == End.DONE
@@ -53,7 +52,7 @@ def summarise(results: Results, planned_taps: int | None = None) -> dict[str, An
 
 
 def tap_figures(taps: np.ndarray[Any, np.dtype[np.int64]]) -> dict[str, Any]:
-    """Mean with its 95 % interval, percentiles, maximum and histogram of tap counts."""
+    """Mean with its 95 % confidence interval, percentiles, maximum and histogram of tap counts."""
     if taps.size == 0:
         return {"mean": math.nan, "mean_interval": [math.nan] * 2, "histogram": {}}
     mean = float(np.mean(taps))

@@ -1,4 +1,4 @@
-"""What is asked of an evaluation and what comes out of its trials."""
+"""Parameters of an evaluation and results of its trials."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tapping_cell.se2 import Pose
 
 
 class End(IntEnum):
-    """How a trial ended."""
+    """End of a trial."""
 
     DONE = 0
     ENDLESS = 1
@@ -31,22 +31,21 @@ class End(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """One evaluation: a method, a task, and the world that answers. Lengths in m, angles in rad.
+    """Method, task and simulated world of one evaluation. Lengths in m, angles in rad.
 
     goal: dx, dy and rotation from the start.
-    world: what answers a tap; None for the abstract one with the scatter that the planner is told.
-    random_tasks: largest distance and rotation of tasks drawn anew for each trial; replaces goal.
-    gain_bias: steady errors of the object's distance and rotation gains, as shares; each trial has
-        them with its own random signs.
-    unknown: factors by which the true distance gain and rotation per distance may be wrong either
-        way, drawn anew for each trial (evenly in the logarithm).
-    off_centre: standard deviation, rad/m, of both numbers that an object off its middle turns by
-        per distance.
-    probe: on a table, begin with a probe of the object.
-    objective: "taps" or "time"; on a table whose ``clock`` tells times only.
-    clock: makes what tells how long taps take, as ``space`` is made; None: times are not counted.
-    space: makes the table, arm and striker of trials on a table, starts and goals all over it; can
-        be pickled, so that every process makes its own. None for an open table.
+    world: simulation of a tap; None means ``AbstractWorld`` with the scatter of the settings.
+    random_tasks: largest distance and rotation of tasks drawn for each trial; replaces goal.
+    gain_bias: systematic errors of the object's distance and rotation gains, as shares; their signs
+        are random in each trial.
+    unknown: largest factors by which the true distance gain and the true rotation per distance
+        deviate in either direction, drawn for each trial (uniformly in the logarithm).
+    off_centre: standard deviation of both components of the offset in ``Gains``, rad/m.
+    probe: begin with a probe of the object (only on a table).
+    objective: "taps" or "time"; "time" requires a table and a ``clock``.
+    clock: factory of the clock that computes the durations of taps; None does not compute times.
+    space: factory of the table, arm and striker for trials with starts and goals all over a table.
+        It must be picklable, because every process calls it. None means an open table.
     """
 
     planner: str
@@ -67,7 +66,7 @@ class Evaluation:
     clock: Callable[[], TapClock] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse numbers that make no evaluation (PlanningError)."""
+        """Reject invalid parameters (PlanningError)."""
         if self.objective not in OBJECTIVES:
             raise PlanningError(
                 f"the objective is {self.objective!r}, allowed are {', '.join(OBJECTIVES)}"
@@ -103,35 +102,36 @@ class Evaluation:
         gains: Array,
         rng: np.random.Generator,
     ) -> Array:
-        """True displacements (n, 3) of taps commanded at poses (n, 3) that a camera saw at ``seen``
-        (n, 3), with true gains (n, 4)."""
+        """True displacements (n, 3) of commanded taps, for true poses (n, 3), measured poses
+        ``seen`` (n, 3) and true gains (n, 4)."""
         world = AbstractWorld(self.settings.scatter) if self.world is None else self.world
         return world.answer(poses, seen, commanded, gains, rng)
 
 
 class TapClock(TapTimes, Protocol):
-    """What counts the seconds of trials on a table."""
+    """Computes the durations of trials on a table."""
 
     @property
     def parked(self) -> Array:
-        """Where the arm's tip stands at first: x, y, height, yaw (4,)."""
+        """Initial pose of the arm's tip: x, y, height, yaw (4,)."""
         ...
 
     def tap(self, tip: Array, before: Pose, strike: Strike) -> tuple[float, Array]:
-        """Seconds of a tap of an arm whose tip stands at (4,), and where it stands afterwards.
+        """Return the duration of a tap, s, and the pose of the arm's tip (4,) after the tap.
 
-        ``before``: the object when the tap was planned.
+        ``tip``: pose of the arm's tip before the tap, (4,). ``before``: pose of the object for
+        which the tap was planned.
         """
         ...
 
 
 class Results(NamedTuple):
-    """Trials, one entry each.
+    """Results of trials, one entry per trial.
 
-    taps: fired. end: an ``End``. inside: whether the true pose is within the full tolerance.
-    distance, rotation: what truly remains, m and rad.
-    over_edge: whether any of the object's bounding circle ever came to rest over the table's edge.
-    seconds: of the taps; NaN where no times are known.
+    taps: number of fired taps. end: an ``End``. inside: whether the true pose is within the full
+    tolerance. distance, rotation: true residual, m and rad.
+    over_edge: whether the object's bounding circle ever came to rest across the table's edge.
+    seconds: total duration of the taps, s; NaN if unknown.
     """
 
     taps: NDArray[np.int64]
@@ -157,7 +157,7 @@ def draw_tasks(evaluation: Evaluation, count: int, rng: np.random.Generator) -> 
 
 
 def draw_gains(evaluation: Evaluation, count: int, rng: np.random.Generator) -> Array:
-    """True gains of distance and rotation and the two numbers of an object off its middle (rad/m),
+    """Draw true gains of distance and rotation and the two components of the offset (rad/m),
     (count, 4)."""
     signs = rng.choice([-1.0, 1.0], size=(count, 2))
     bias = 1.0 + signs * np.asarray(evaluation.gain_bias)

@@ -1,4 +1,4 @@
-"""What answers a commanded tap: displacement and scatter alone, or the whole physics of a tap."""
+"""Simulations of a commanded tap: displacement with scatter, or the complete physics of a tap."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tapping_cell.planning.settings import Scatter
 
 @dataclass(frozen=True, slots=True)
 class AbstractWorld:
-    """The object moves as commanded, but for gains and scatter."""
+    """The object moves as commanded, apart from gains and scatter."""
 
     scatter: Scatter = field(default_factory=Scatter)
     model: None = None
@@ -28,21 +28,21 @@ class AbstractWorld:
         gains: Array,
         rng: np.random.Generator,
     ) -> Array:
-        """True displacements (n, 3) of commanded ones, at poses (n, 3) that the camera saw at
-        ``seen`` (n, 3), for true gains (n, 4)."""
+        """True displacements (n, 3) of commanded taps, for true poses (n, 3), measured poses
+        ``seen`` (n, 3) and true gains (n, 4)."""
         return scattered(commanded, gains, poses, self.scatter, rng)
 
 
 @dataclass(frozen=True, slots=True)
 class PhysicsWorld:
-    """The arm puts the striker where it was told, rounded; then impact and slide by true mechanics.
+    """Simulates the rounded strike pose, the impact and the slide with the true mechanics.
 
-    model: the mechanics that the planner believes, by which a displacement becomes a strike.
-    truth: the mechanics that answers.
-    standoff: from the tip at rest to the contact, m.
+    model: the planner's mechanics, which convert a displacement to a strike.
+    truth: the true mechanics.
+    standoff: distance from the tip at rest to the contact, m.
     round_position, round_angle: the tip's pose at rest is rounded to multiples of these (m, rad) in
-        the table frame, as in section 5 of the paper; 0 for none. The planner is not told.
-    speed_factor: true over commanded speed of the striker.
+        the table frame, as in section 5 of the paper; 0 means no rounding. The planner ignores it.
+    speed_factor: ratio of the true to the commanded speed of the striker.
     """
 
     model: Tap
@@ -61,7 +61,8 @@ class PhysicsWorld:
         gains: Array,
         rng: np.random.Generator,
     ) -> Array:
-        """True displacements (n, 3) of taps that are planned for the poses seen, (n, 3)."""
+        """True displacements (n, 3) of taps that are planned for the measured poses ``seen``
+        (n, 3)."""
         plan = self.model.plan(commanded, seen)
         tips = np.array(plan.strike_pose)
         tips[..., 0] -= self.standoff * np.cos(tips[..., 2])
@@ -77,7 +78,7 @@ class PhysicsWorld:
 def scattered(
     moved: Array, gains: Array, poses: Array, scatter: Scatter, rng: np.random.Generator
 ) -> Array:
-    """Displacements (n, 3) at poses (n, 3) with steady gains (n, 4) and one draw of the scatter."""
+    """Apply constant gains (n, 4) and random scatter to displacements (n, 3) at poses (n, 3)."""
     noise = rng.standard_normal((3, moved.shape[0]))
     length = gains[:, 0] * (1.0 + scatter.distance * noise[0])
     turned = scatter.direction * noise[2]
@@ -96,9 +97,9 @@ def scattered(
 
 
 class World(Protocol):
-    """What answers commanded taps.
+    """Simulation of commanded taps.
 
-    model: the mechanics by which the planner makes them; None where every tap can be made.
+    model: mechanics with which the planner converts taps; None if every tap is possible.
     """
 
     @property
@@ -113,15 +114,15 @@ class World(Protocol):
         gains: Array,
         rng: np.random.Generator,
     ) -> Array:
-        """True displacements (n, 3) of commanded ones, at poses (n, 3) that the camera saw at
-        ``seen`` (n, 3), for true gains (n, 4)."""
+        """True displacements (n, 3) of commanded taps, for true poses (n, 3), measured poses
+        ``seen`` (n, 3) and true gains (n, 4)."""
 
 
 START_REACH = 0.1
-"""Starts on the open table are spread over a square of twice this size in m, at any angle."""
+"""Half width of the square in which starts on the open table are drawn, at any angle, m."""
 
 
 def draw_starts(count: int, rng: np.random.Generator) -> Array:
-    """Poses of objects at the start of trials on an open table, (count, 3)."""
+    """Draw start poses of the objects for trials on an open table, (count, 3)."""
     place = rng.uniform(-START_REACH, START_REACH, (count, 2))
     return np.concatenate([place, rng.uniform(-math.pi, math.pi, (count, 1))], axis=1)
