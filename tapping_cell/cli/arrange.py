@@ -50,8 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb. Return 0 if every object reached its goal, 1 if not, 2 for wrong input, 130 if
-    canceled."""
+    """Run the verb. Return 0 if every object reached its goal, 1 if not, 2 for invalid input, 130
+    if canceled."""
     console = session.console_of(arguments)
     session.end_on_signals()
     try:

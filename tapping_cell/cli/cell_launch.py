@@ -47,7 +47,7 @@ class LaunchedNode:
     """Parameter name for each launch argument."""
     respawn: bool = False
     parameters: Mapping[str, object] = field(default_factory=dict)
-    """Parameter values that are the same for every such node of this graph."""
+    """Fixed parameter values, used for every instance of this node in the graph."""
 
 
 PAGE = LaunchedNode(
@@ -161,5 +161,5 @@ def _has_state_publisher() -> bool:
 
 
 def _own_frames(namespace: str) -> list[tuple[str, str]]:
-    """Remap the topics of frames into the namespace, because two cells use the same frame names."""
+    """Return remappings of /tf and /tf_static into the namespace: all cells use the same frames."""
     return [("/tf", "tf"), ("/tf_static", "tf_static")] if namespace else []

@@ -56,8 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb. Return 0 if every step succeeded, 1 if a step failed, 2 for wrong input, 130 if
-    interrupted."""
+    """Run the verb. Return 0 if every step succeeded, 1 if a step failed, 2 for invalid input, 130
+    if interrupted."""
     if arguments.yes and arguments.hardware:
         tell_error("--yes is for the simulated cell: on hardware a person watches every step")
         return ExitStatus.REFUSED

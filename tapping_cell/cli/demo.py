@@ -99,7 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb. Return 0 if the goal was reached, 1 if not, 2 for wrong input, 130 if
+    """Run the verb. Return 0 if the goal was reached, 1 if not, 2 for invalid input, 130 if
     interrupted."""
     console = session.console_of(arguments)
     session.end_on_signals()

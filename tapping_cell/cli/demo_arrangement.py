@@ -29,7 +29,7 @@ from tapping_cell.se2 import Pose
 
 READY_PATIENCE_S = 90.0
 TRUTH_S = 0.5
-"""After the end, so that the last true poses are heard."""
+"""Waiting time (s) after the end of the arrangement, so that the final true poses are received."""
 PICTURE, SUMMARY = "arrangement.png", "arrangement.json"
 
 

@@ -1,5 +1,5 @@
 """Several objects on the simulated table for the demo: object files, a cell file that names them,
-a truth file with their places, and a layout."""
+a simulation parameter file with their poses, and a layout."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from tapping_cell.planning.evaluation.arrangements import Kind, draw_places
 from tapping_cell.se2 import Pose
 
 FIRST_MARKER = 20
-"""Id of the first further object's marker; the shipped table and objects have others."""
+"""Marker id of the first generated object. The supplied table and objects use other ids."""
 DISKS_M, SQUARES_M = (0.030, 0.026), (0.024, 0.028)
-"""Radii of the disks and half sides of the squares that take turns."""
+"""Alternating radii of the disks and half side lengths of the squares."""
 DENSITY = 2700 * 0.012
 """kg/m^2 of 12 mm of aluminium, as the shipped objects."""
 GAP_M = 0.04
@@ -90,7 +90,7 @@ def _kind(cell: Cell, file: ObjectFile) -> Kind:
 
 
 def _drawn(kinds: list[Kind], seed: int, source: Path) -> tuple[list[Pose], list[Pose]]:
-    """Where the objects lie, and where they are to go."""
+    """Return random start and goal poses of the objects."""
     rng = np.random.default_rng(seed)
     for _ in range(TRIES):
         starts, goals = draw_places(kinds, GAP_M, rng), draw_places(kinds, GAP_M, rng)

@@ -409,7 +409,7 @@ class TrialCell:
                 self._note(f"shot {shot} was reported {outcome.value}, which is not true")
 
     def forget(self) -> None:
-        """Discard the records of the witness and the faults that are still planned."""
+        """Discard the recorded faults, shots and reports, and cancel the scheduled faults."""
         for line in (self.arm_line, self.tapper_line):
             line.happened.clear()
             line.forget()
@@ -448,8 +448,8 @@ def bytes_of_a_tap(dialect: Dialect) -> dict[tuple[str, Direction], int]:
 def run_sweep(
     dialect: Dialect, kind: FaultKind, line: str, direction: Direction, places: range
 ) -> Tally:
-    """Make one tap with a fault at each of the given bytes, each followed by a tap without
-    faults."""
+    """For each given byte position, make one tap with a fault at that byte, then one tap without
+    a fault."""
     total = Tally()
     for place in places:
         cell = TrialCell(dialect, 0)

@@ -140,7 +140,7 @@ def _probed(arguments: argparse.Namespace, content: ObjectFile) -> tuple[list[Pa
 
 
 def _resume(arguments: argparse.Namespace, folders: list[Path]) -> str:
-    """Return a hint for learning from the recorded runs."""
+    """Return a message with the command that learns from the runs recorded so far."""
     runs = " ".join(str(folder) for folder in folders)
     return (
         f"what is recorded is kept: python -m tapping_cell learn-object {runs} --object "

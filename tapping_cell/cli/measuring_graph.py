@@ -1,4 +1,4 @@
-"""The graph of a verb that measures: its own, simulated or on hardware, or one that is running."""
+"""ROS graph of a measuring verb: started by the verb (simulated or hardware) or already running."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tapping_cell.cli.up import add_truth_arguments
 
 
 def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which graph, of which cell."""
+    """Declare the options that select graph and cell."""
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
         "--hardware", action="store_true", help="start the nodes of the real camera, arm and tapper"
@@ -43,9 +43,10 @@ def measuring_graph(
     logs: Path,
     tell: Callable[[str], None],
 ) -> Iterator[Callable[[], None]]:
-    """The graph, started here or joined; gives what raises once a node of it died.
+    """Start the graph or attach to a running one. Yield a function that raises an exception if a
+    node has died.
 
-    ``tell`` is told in which ROS domain it can be watched.
+    ``tell`` is called with a message that names the ROS domain.
 
     Raises:
         GraphError: it cannot be started.

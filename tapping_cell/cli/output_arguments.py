@@ -32,7 +32,7 @@ def add_output_arguments(
 def output_of(
     arguments: argparse.Namespace, record_at: tuple[str, ...] = ("calibration",)
 ) -> Output:
-    """Return the output settings. ``record_at`` is the key path of the calibration record in the
-    file."""
+    """Return the calibration's output file and its overwrite permissions. ``record_at`` is the
+    key path of the calibration record in that file."""
     path = arguments.output.expanduser()
     return Output(path, arguments.force, arguments.accept_worse, record_at)

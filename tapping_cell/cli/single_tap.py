@@ -137,7 +137,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb. Return 0 if the experiment is complete, 1 after a failure, 2 for wrong input,
+    """Run the verb. Return 0 if the experiment is complete, 1 after a failure, 2 for invalid input,
     130 if interrupted."""
     console = Console(stderr=arguments.json)
     session.end_on_signals()
@@ -282,7 +282,7 @@ def _measure(
 def _graph(
     arguments: argparse.Namespace, cell: Cell, logs: Path, seed: int, console: Console
 ) -> Iterator[Callable[[], None]]:
-    """The graph, started here or joined; gives what raises once a node of it died."""
+    """Start or attach to the graph. Yield a function that raises an exception if a node died."""
     parameters = node_parameters(argparse.Namespace(**{**vars(arguments), "seed": seed}), cell)
     parameters["sim_world"] |= {
         "frame_rate": arguments.camera_rate,

@@ -63,8 +63,9 @@ class TapMaker:
     _failures: int = field(default=0, init=False)
 
     def make(self, striker_speed: float, incidence: float, number: int) -> SingleTap.Result | None:
-        """Make one tap (m/s, rad) with its ``number`` in the whole experiment. Return None if no
-        tap was made and it should be repeated.
+        """Make one tap at ``striker_speed`` (m/s) and ``incidence`` (rad). ``number``, the index of
+        the tap in the whole experiment, determines the direction of travel. Return None if no tap
+        was made; the caller should try again.
 
         Raises:
             SeriesStopped: the experiment cannot continue.

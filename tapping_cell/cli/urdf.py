@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb. Return 0 on success, 2 for wrong input."""
+    """Run the verb. Return 0 on success, 2 for invalid input."""
     try:
         cell = load_cell(arguments.cell)
     except ConfigurationError as error:

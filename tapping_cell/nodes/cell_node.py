@@ -52,7 +52,7 @@ COMMAND = QoSProfile(
 BEST_EFFORT_COMMAND = QoSProfile(
     depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
-"""For commands from publishers that do not resend lost messages."""
+"""QoS of subscriptions to commands from best-effort publishers."""
 
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PROFILES = {True: "fastdds_profile.xml", False: "fastdds_messages.xml"}

@@ -73,12 +73,12 @@ class LogicHost(Generic[Machine]):
         self._publishers[topic] = self._node.create_publisher(kind, topic, profile)
 
     def observes(self, topic: str, observe: Callable[[Any], None]) -> None:
-        """Also pass the machine's messages on a topic to the node, as mirror objects, not ROS
-        messages."""
+        """Call ``observe`` for each message that the state machine publishes on ``topic``, with
+        the dataclass of :mod:`tapping_cell.messages` rather than the ROS message."""
         self._observers[topic] = observe
 
     def subscribes(self, kind: type[Mirrored], topic: str, profile: Any) -> None:
-        """Pass the messages of a topic to the machine."""
+        """Pass the messages of a topic to the state machine."""
         self._node.create_subscription(
             ros_class(kind.ROS_TYPE),
             topic,
@@ -239,8 +239,8 @@ class LogicHost(Generic[Machine]):
         future.add_done_callback(done)
 
     def _ask_stops(self, token: Any) -> None:
-        """Create a new subscription, so that every latched publisher of a stop resends its
-        level."""
+        """Subscribe again, so that every transient-local publisher of the stop topic resends its
+        current value (True: stopped)."""
         levels: list[bool] = []
 
         def hear(message: Bool) -> None:

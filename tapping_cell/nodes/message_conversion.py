@@ -34,7 +34,7 @@ def ros_class(name: str) -> Any:
 
 
 def to_ros(message: Mirrored) -> Any:
-    """Convert a mirror to a ROS message."""
+    """Convert a dataclass of :mod:`tapping_cell.messages` to its ROS message."""
     made = ros_class(message.ROS_TYPE)()
     for field in dataclasses.fields(message):
         value = getattr(message, field.name)

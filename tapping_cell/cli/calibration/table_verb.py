@@ -202,7 +202,7 @@ def _sizes(ids: list[int], size: float) -> Mapping[int, float]:
 def _placed(
     references: ReferenceMap, arguments: argparse.Namespace, old: ReferenceMap | None
 ) -> tuple[ReferenceMap, list[str]]:
-    """Return the map at the requested scale and in the requested frame, and notes about both."""
+    """Return the marker map, scaled and transformed as requested, and messages that describe it."""
     notes = []
     if arguments.distance:
         references, factor = _at_distance(references, arguments.distance)

@@ -35,7 +35,7 @@ from tapping_cell.se2 import Pose
 READY_S = 90.0
 HOMING_S = 180.0
 JOINT_STEP = 0.1
-"""Rotation of each revolute joint that shows its direction, rad."""
+"""Rotation (rad) by which each revolute joint is moved to check its direction."""
 SPEED = 1.0
 """Speed of the fastest joint, rad/s; a quarter of it in set-up mode."""
 LIMIT_SHARE = 0.9
@@ -406,7 +406,7 @@ def goal(session: Session) -> Proof:
 
 
 def _first_goal(here: Pose) -> Pose:
-    """Return the first goal, a short distance towards the middle from the object's position."""
+    """Return the first goal: the object's pose moved towards the middle and rotated by GOAL."""
     towards = math.copysign(GOAL.x, -here.x)
     return here._replace(x=here.x + towards, theta=here.theta + GOAL.theta)
 

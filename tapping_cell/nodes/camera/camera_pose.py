@@ -338,7 +338,7 @@ class CameraPose(CellNode[Parameters]):
         self._note(observation)
 
     def _note(self, observation: Observation) -> None:
-        """Log a warning that does not invalidate the pose: a covered reference, a moved camera."""
+        """Log a condition under which the pose remains valid, such as an occluded reference marker."""
         if observation.visible and observation.sentence != self._notice:
             self._notice = observation.sentence
             if self._notice:

@@ -193,7 +193,7 @@ class OverheadCamera(CellNode[Parameters]):
         self._frames += 1
 
     def _say(self, sentence: str) -> None:
-        """Log a problem, once per kind."""
+        """Log a problem, unless it is the current one."""
         if sentence != self._problem:
             self.get_logger().error(sentence)
         self._problem = sentence

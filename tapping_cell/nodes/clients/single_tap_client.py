@@ -42,8 +42,8 @@ AFTER_S = 0.7
 KEPT_POSES = 4000
 LONGEST_TAP_S = 120.0
 LONGEST_AWAY_S = 3.0
-"""An action server that is undiscovered for longer than this has gone. Shorter gaps are discovery
-errors."""
+"""Time (s) after which an action server that is no longer discovered is considered dead. Shorter
+gaps are errors of discovery."""
 LATCHED_QUALITY = Quality(1, latched=True)
 RECORDED: tuple[tuple[type, str, Any, Quality], ...] = (
     (PoseWithCovarianceStamped, "object_pose", 50, Quality()),

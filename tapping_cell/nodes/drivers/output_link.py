@@ -1,5 +1,5 @@
-"""Link to a robot's digital output: a service or topic for commands, topics for guard and
-read-back."""
+"""Connection to a robot's digital output. Commands go to a service or topic; the state of the
+safety guard and the read-back of the output come from topics."""
 
 from __future__ import annotations
 

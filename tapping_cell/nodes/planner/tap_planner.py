@@ -150,7 +150,7 @@ class TapPlanner(CellNode[Parameters]):
         self.host.lifecycle(Activated())
 
     def deactivate(self) -> None:
-        """Make the machine abort its goal."""
+        """Make the state machine abort its current goal."""
         self.host.lifecycle(Deactivated())
 
     def cleanup(self) -> None:

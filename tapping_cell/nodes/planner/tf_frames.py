@@ -21,8 +21,8 @@ except ImportError:
 KEPT_S = 60.0
 """Time for which transforms are kept, which is the maximum age of a goal's stamp."""
 NEWEST_S = 0.5
-"""Maximum time by which a goal's stamp may be newer than the newest transform, which is then
-used."""
+"""If a goal's stamp is newer than the newest transform by at most this time (s), the newest
+transform is used."""
 
 
 class TfFrames:
