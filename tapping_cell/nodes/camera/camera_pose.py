@@ -338,7 +338,7 @@ class CameraPose(CellNode[Parameters]):
         self._note(observation)
 
     def _note(self, observation: Observation) -> None:
-        """Log a condition under which the pose stays valid, such as an occluded reference marker."""
+        """Log a condition under which the pose is still valid, such as an occluded reference."""
         if observation.visible and observation.sentence != self._notice:
             self._notice = observation.sentence
             if self._notice:
