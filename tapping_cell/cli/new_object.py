@@ -6,7 +6,6 @@ the height has to be measured. Friction and torque factor are set to typical val
 measures them with the cell.
 
   python -m tapping_cell new-object shot.png --name bracket --height 12 --output bracket.yaml
-  python -m tapping_cell learn-object --object bracket.yaml --output bracket_learnt.yaml
 
 Without a marker, the orientation of an object with a rotationally symmetric outline (a disk, a
 square) is ambiguous: stick a marker on it.

@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the Jacobian and the sweep. Return 1 for an infeasible tap."""
+    """Print the Jacobian and the sweep. Return 2 for an infeasible tap."""
     tap = paper_tap()
     asked = paper_tap(mirrored=True) if arguments.rotation < 0 else tap
     displacement = [arguments.distance / 1e3, 0.0, math.radians(arguments.rotation)]

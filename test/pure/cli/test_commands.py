@@ -41,7 +41,7 @@ def test_every_command_in_the_documents_parses(page: Path) -> None:
         # a name in capitals stands for a number or a file of the reader's
         verb_parser(words[0])[0].parse_args(["1" if word.isupper() else word for word in words[1:]])
     for line in re.findall(r"python -m benchmarks( --[^`\n]+)", text):
-        make_parser().parse_args(shlex.split(line))
+        make_parser().parse_args(shlex.split(line, comments=True))
 
 
 def test_the_former_verb_for_benchmarks_says_what_replaced_it(capsys) -> None:
