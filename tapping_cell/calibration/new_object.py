@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from tapping_cell.configuration.objects import (
     MarkerSection,
     ObjectFile,
     OutlineSection,
     ShapeSection,
 )
+from tapping_cell.vision.outline.shape import signed_area
 from tapping_cell.vision.outline.tracing import TracedObject
 
 FRICTION = 0.17
@@ -86,9 +89,7 @@ def _area(shape: ShapeSection) -> float:
     if shape.vertices is None:
         assert shape.radius is not None
         return math.pi * shape.radius**2
-    following = (*shape.vertices[1:], shape.vertices[0])
-    pairs = zip(shape.vertices, following, strict=True)
-    return 0.5 * abs(sum(x * v - u * y for (x, y), (u, v) in pairs))
+    return abs(signed_area(np.array(shape.vertices)))
 
 
 def _rounded(length: float) -> float:

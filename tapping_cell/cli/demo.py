@@ -20,7 +20,6 @@ import argparse
 import contextlib
 import json
 import math
-import os
 import tempfile
 import time
 from datetime import datetime
@@ -123,10 +122,7 @@ def run(arguments: argparse.Namespace) -> int:
             cell = load_cell(scene.cell)
     except (ConfigurationError, UnknownPlannerError, GraphError, OSError) as error:
         return tell_refusal(error)
-    # The client below runs in this process and must discover the nodes.
-    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
-    # Overrides the shell's setting, because a demo must not be visible on the network.
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    domain.use()
     console.print(f"run folder {folder}; watch it with ROS_DOMAIN_ID={domain.number}")
     parameters = node_parameters(arguments, cell)
     parameters[RECORDER] |= {"folder": folder.parent, "name": folder.name}

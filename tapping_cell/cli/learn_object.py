@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from tapping_cell.calibration.estimates import Estimate
     from tapping_cell.configuration.objects import ObjectFile
 
+Move = tuple[float, float, float]
+Moves = tuple[Move, Move]
+"""Commanded and measured displacement of a tap: m, m, rad."""
+
 MOST_GOALS = 9
 LEAST_TAPS = 15
 FRICTION_KNOWN, FACTOR_KNOWN = 0.02, 0.1
@@ -81,12 +85,13 @@ def run(arguments: argparse.Namespace) -> int:
             refuse_existing(output)
         content = load_object(arguments.object.expanduser())
         folders = [folder.expanduser() for folder in arguments.runs]
-        if not folders:
-            folders, status = _probed(arguments, content)
+        if folders:
+            taps = [tap for folder in folders for tap in _taps(folder, content.name)]
+        else:
+            folders, taps, status = _probed(arguments, content)
             if status:
                 return status
-        commanded, measured = _taps(folders, content.name)
-        learnt = learn_object(content, commanded, measured)
+        learnt = learn_object(content, *_arrays(taps))
         record = learning_record(learnt, [folder / TAPS for folder in folders])
         if output is not None:
             made = replace(learnt.content, calibration=record)
@@ -109,12 +114,17 @@ def run(arguments: argparse.Namespace) -> int:
 LEARNT = "Learnt from taps (tapping_cell learn-object)."
 
 
-def _probed(arguments: argparse.Namespace, content: ObjectFile) -> tuple[list[Path], int]:
-    """Send goals now. Return their folders and the exit code if that failed.
+def _probed(
+    arguments: argparse.Namespace, content: ObjectFile
+) -> tuple[list[Path], list[Moves], int]:
+    """Send goals until their taps determine the object well enough. Return the folders, the taps,
+    and the exit code if that failed.
 
     Raises:
         ConfigurationError: the cell's files are unusable.
     """
+    from contextlib import closing
+
     from rich.console import Console
 
     from tapping_cell.cli import session
@@ -124,19 +134,24 @@ def _probed(arguments: argparse.Namespace, content: ObjectFile) -> tuple[list[Pa
     console = Console(stderr=arguments.json)
     session.end_on_signals()
     folders: list[Path] = []
+    taps: list[Moves] = []
     try:
-        for folder in probe(arguments, lambda made: _known(made, content), console):
-            folders.append(folder)
+        with closing(probe(arguments, console)) as runs:
+            for folder in runs:
+                folders.append(folder)
+                taps += _taps(folder, content.name)
+                if _known(taps, content):
+                    break
     except (GraphError, session.NotReadyInTime, session.NotRecorded, ProbingStopped) as error:
         tell_error(str(error))
         if folders:
             print(_resume(arguments, folders), file=sys.stderr)
-        return folders, 1
+        return folders, taps, 1
     except KeyboardInterrupt:
         if folders:
             print(f"interrupted; {_resume(arguments, folders)}", file=sys.stderr)
-        return folders, 130
-    return folders, 0
+        return folders, taps, 130
+    return folders, taps, 0
 
 
 def _resume(arguments: argparse.Namespace, folders: list[Path]) -> str:
@@ -148,16 +163,16 @@ def _resume(arguments: argparse.Namespace, folders: list[Path]) -> str:
     )
 
 
-def _known(folders: list[Path], content: ObjectFile) -> bool:
-    """Return whether these runs determine friction and torque factor well enough."""
+def _known(taps: list[Moves], content: ObjectFile) -> bool:
+    """Return whether these taps determine friction and torque factor well enough."""
     from tapping_cell.calibration.csv_table import RecordError
     from tapping_cell.calibration.learnt_object import learn_object
 
     try:
-        learnt = learn_object(content, *_taps(folders, content.name)) if folders else None
+        learnt = learn_object(content, *_arrays(taps))
     except RecordError:
         return False  # too few taps so far
-    if learnt is None or learnt.used < LEAST_TAPS:
+    if learnt.used < LEAST_TAPS:
         return False
     known = {entry.name: entry for entry in learnt.estimates}
     friction, factor = known["friction"], known["torque_factor"]
@@ -168,39 +183,53 @@ def _known(folders: list[Path], content: ObjectFile) -> bool:
     )
 
 
-def _taps(folders: list[Path], name: str) -> tuple[Any, Any]:
-    """Return commanded and measured displacements of the fired taps, (n, 3), in the object's
-    axes."""
-    import numpy as np
+def _taps(folder: Path, name: str) -> list[Moves]:
+    """Return the commanded and the measured displacement of each fired tap of a run, in the
+    object's axes.
 
+    Raises:
+        RecordError: the run is of another object.
+    """
     from tapping_cell.calibration.csv_table import RecordError
     from tapping_cell.report.run_folder import read_run
     from tapping_cell.se2 import Pose
 
-    rows: list[tuple[tuple[float, float, float], tuple[float, float, float]]] = []
-    for folder in folders:
-        run_ = read_run(folder)
-        if run_.object_name and run_.object_name != name:
-            raise RecordError(
-                f"{folder} is a run of '{run_.object_name}', but the object file is of '{name}'; "
-                "give the file that was in use"
-            )
-        for tap in run_.taps:
-            if tap.outcome != "fired" or not math.isfinite(tap.measured.x):
-                continue
-            moved = Pose(
-                tap.measured.x - tap.before.x,
-                tap.measured.y - tap.before.y,
-                tap.before.rotation_to(tap.measured),
-            )
-            rows.append((_turned(tap.commanded, tap), _turned(moved, tap)))
-    if not rows:
+    run_ = read_run(folder)
+    if run_.object_name and run_.object_name != name:
+        raise RecordError(
+            f"{folder} is a run of '{run_.object_name}', but the object file is of '{name}'; "
+            "give the file that was in use"
+        )
+    taps: list[Moves] = []
+    for tap in run_.taps:
+        if tap.outcome != "fired" or not math.isfinite(tap.measured.x):
+            continue
+        moved = Pose(
+            tap.measured.x - tap.before.x,
+            tap.measured.y - tap.before.y,
+            tap.before.rotation_to(tap.measured),
+        )
+        taps.append((_turned(tap.commanded, tap), _turned(moved, tap)))
+    return taps
+
+
+def _arrays(taps: list[Moves]) -> tuple[Any, Any]:
+    """Return commanded and measured displacements, (n, 3).
+
+    Raises:
+        RecordError: there are no taps.
+    """
+    import numpy as np
+
+    from tapping_cell.calibration.csv_table import RecordError
+
+    if not taps:
         raise RecordError("no fired tap with a measured result is in these runs")
-    commanded, measured = zip(*rows, strict=True)
+    commanded, measured = zip(*taps, strict=True)
     return np.array(commanded), np.array(measured)
 
 
-def _turned(move: Any, tap: Any) -> tuple[float, float, float]:
+def _turned(move: Any, tap: Any) -> Move:
     """Rotate a displacement from ``table`` to the axes of the object before the tap."""
     cos, sin = math.cos(tap.before.theta), math.sin(tap.before.theta)
     return cos * move.x + sin * move.y, cos * move.y - sin * move.x, move.theta

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -55,9 +54,7 @@ def measuring_graph(
         yield lambda: None
         return
     domain = own_domain()
-    # The client of this process must meet the nodes, and nobody else.
-    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    domain.use()
     tell(f"records in {logs.parent}; watch with ROS_DOMAIN_ID={domain.number}")
     with tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports:
         if not arguments.hardware:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Generator
 from pathlib import Path
 
 from rich.console import Console
@@ -39,11 +39,8 @@ class ProbingStopped(RuntimeError):
     """No further goal can be made, for the stated reason. Recorded runs are kept."""
 
 
-def probe(
-    arguments: argparse.Namespace, enough: Callable[[list[Path]], bool], console: Console
-) -> Iterator[Path]:
-    """Send goals until ``enough`` accepts the folders so far, or ``arguments.goals`` goals are
-    made. Yield the folder of each run.
+def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, None, None]:
+    """Send ``arguments.goals`` goals, fewer if the caller stops. Yield the folder of each run.
 
     Raises:
         ConfigurationError: the cell's files are unusable, or another object is in the cell.
@@ -70,21 +67,21 @@ def probe(
                 f"the cell looks for '{client.object_state.object_id}', but --object is of "
                 f"'{cell.object.name}': start the cell with this object file"
             )
-        middle, folders, barren = client.object_pose(), list[Path](), 0
-        while len(folders) < arguments.goals and not enough(folders):
-            goal = goal_of(middle, client.object_pose(), len(folders))
-            console.print(f"goal {len(folders) + 1}: {session.pose_text(goal)}")
+        middle, barren = client.object_pose(), 0
+        for number in range(arguments.goals):
+            goal = goal_of(middle, client.object_pose(), number)
+            console.print(f"goal {number + 1}: {session.pose_text(goal)}")
             client.last_run = ""
-            session.send(client, goal, (0.0, 0.0), console, probe=not folders)
+            session.send(client, goal, (0.0, 0.0), console, probe=number == 0)
             try:
                 finished = session.follow(client, check, console)
             except BaseException:
                 client.cancel()
                 raise
-            folders.append(session.wait_for_record(client, RECORD_PATIENCE_S, check, console))
-            yield folders[-1]
+            folder = session.wait_for_record(client, RECORD_PATIENCE_S, check, console)
             if finished.error_code:
                 console.print(f"goal not reached: {finished.error_msg}")
+            yield folder
             barren = barren + 1 if finished.taps == 0 and finished.error_code else 0
             if barren == IN_A_ROW:
                 raise ProbingStopped(

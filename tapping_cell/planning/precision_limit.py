@@ -24,7 +24,6 @@ def smallest_tap_share(settings: PlannerSettings) -> float:
     along = (scatter.distance * least) ** 2 + look
     across = (scatter.direction * least) ** 2 + look
     box = settings.stopping
-    box = settings.stopping
     spread = np.diag([along, across, 0.0])
     placed = float(inside_probability(np.zeros(3), spread, box.distance, math.pi))
     return placed * math.erf(box.rotation / math.sqrt(2.0 * max(turn, 1e-18)))

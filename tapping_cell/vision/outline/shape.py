@@ -28,6 +28,20 @@ class OutlineError(ValueError):
     """An outline that cannot be detected or has no defined angle; the message gives the reason."""
 
 
+def signed_area(corners: Array) -> float:
+    """Area of the polygon with these corners (N, 2), in m^2 for corners in m; negative if they are
+    listed clockwise."""
+    following = np.roll(corners, -1, axis=0)
+    return 0.5 * float((corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]).sum())
+
+
+def centroid(corners: Array) -> Array:
+    """Centre (2,) of the area of the polygon with these corners (N, 2)."""
+    following = np.roll(corners, -1, axis=0)
+    cross = corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]
+    return np.asarray(((corners + following) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
+
+
 @dataclass(frozen=True, slots=True)
 class Dot:
     """A round dot on the top: radius and centre in m; ``brighter`` or darker than the top."""
@@ -100,10 +114,7 @@ class ObjectOutline:
         """Centre (2,) of the area in m, which is the centre of symmetry of a symmetric outline."""
         if self.vertices is None:
             return np.zeros(2)
-        p = np.array(self.vertices)
-        q = np.roll(p, -1, axis=0)
-        cross = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
-        return np.asarray(((p + q) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
+        return centroid(np.array(self.vertices))
 
     @property
     def area(self) -> float:
@@ -111,9 +122,7 @@ class ObjectOutline:
         if self.vertices is None:
             assert self.radius is not None
             return math.pi * self.radius**2
-        p = np.array(self.vertices)
-        q = np.roll(p, -1, axis=0)
-        return 0.5 * float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum())
+        return signed_area(np.array(self.vertices))
 
     @property
     def reach(self) -> float:

@@ -26,6 +26,7 @@ from tapping_cell.vision.markers.detection import (
     marker_pattern,
 )
 from tapping_cell.vision.markers.measurement import measure
+from tapping_cell.vision.outline.shape import centroid, signed_area
 from tapping_cell.vision.tracker import PoseTracker
 
 Mask = NDArray[np.uint8]
@@ -322,7 +323,7 @@ def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
     ahead = np.roll(rough, -wide, axis=0) - np.roll(rough, wide, axis=0)
     length = np.maximum(np.hypot(ahead[:, 0], ahead[:, 1]), 1e-9)
     outward = np.stack([ahead[:, 1], -ahead[:, 0]], axis=1) / length[:, None]
-    if _signed_area(rough) < 0.0:
+    if signed_area(rough) < 0.0:
         outward = -outward
     at = (rough[:, None, :] + _ACROSS[:, None] * outward[:, None, :]).astype(np.float32)
     read = _sampled(excess, at).astype(float)
@@ -352,19 +353,13 @@ def _sampled(image: NDArray[np.float32], at: NDArray[np.float32]) -> NDArray[np.
     return np.asarray(read, dtype=np.float32)
 
 
-def _signed_area(points: Array) -> float:
-    """Area of a closed line; positive if its direction is from x to y."""
-    following = np.roll(points, -1, axis=0)
-    return 0.5 * float((points[:, 0] * following[:, 1] - points[:, 1] * following[:, 0]).sum())
-
-
 def _shape(rim: Array) -> tuple[float | None, Array | None, Array, float]:
     """Fit the shape: radius or corners (n, 2), centre (2,), and rms distance of the rim (N, 2), in
     m."""
-    if _signed_area(rim) < 0.0:
+    if signed_area(rim) < 0.0:
         rim = rim[::-1]
     hull = cv2.convexHull(rim.astype(np.float32))[:, 0].astype(float)
-    hollow = abs(_signed_area(hull)) / abs(_signed_area(rim))
+    hollow = abs(signed_area(hull)) / abs(signed_area(rim))
     if hollow > _HOLLOW:
         raise NotTraced(
             f"the object's outline is not convex (its hull is {100 * (hollow - 1):.0f} % larger): "
@@ -377,7 +372,7 @@ def _shape(rim: Array) -> tuple[float | None, Array | None, Array, float]:
     if corners is not None:
         polygon_by = float(np.sqrt(np.mean(_distances(rim, corners) ** 2)))
         if polygon_by < round_by:
-            return None, corners, _centroid(corners), polygon_by
+            return None, corners, centroid(corners), polygon_by
     if round_by > _ROUND * radius:
         raise NotTraced(
             f"the outline is neither a disk (off by {1e3 * round_by:.1f} mm) nor a convex polygon "
@@ -437,13 +432,6 @@ def _distances(points: Array, corners: Array) -> Array:
     share = ((points[:, None] - begin) * along).sum(axis=-1) / (along * along).sum(axis=-1)
     nearest = begin + np.clip(share, 0.0, 1.0)[..., None] * along
     return np.asarray(np.linalg.norm(points[:, None] - nearest, axis=-1).min(axis=1))
-
-
-def _centroid(corners: Array) -> Array:
-    """Centroid (2,) of a polygon."""
-    p, q = corners, np.roll(corners, -1, axis=0)
-    cross = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
-    return np.asarray(((p + q) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
 
 
 def _direction(corners: Array | None) -> float:
