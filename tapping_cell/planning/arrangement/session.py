@@ -259,7 +259,7 @@ class ArrangementSession:
                 most_taps=self._most_taps,
             )
         elif self._session_map is not free:
-            self._session.use_room(free.space, free)
+            self._session.use_free_space(free.space, free)
         self._session_move, self._session_map = move, free
         decision = self._session.decide(seen.pose, seen.covariance, look_again=look_again)
         if isinstance(decision, Done):
