@@ -76,7 +76,8 @@ def solve_coarse(space: FixedStrikeSpace, settings: PlannerSettings, goal: Array
     Over 300 tasks each at three goals, first taps from this solution cost as many taps as first
     taps from six improvements with 12 lengths and 8 points, which take three times as long.
     """
-    problem = _Problem(space, settings, np.asarray(goal, dtype=float), COARSE, LENGTHS[0], POINTS[0])
+    place = np.asarray(goal, dtype=float)
+    problem = _Problem(space, settings, place, COARSE, LENGTHS[0], POINTS[0])
     return _solve_on(problem, IMPROVEMENTS[0], None)
 
 
