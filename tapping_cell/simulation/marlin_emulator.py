@@ -113,8 +113,11 @@ class MarlinEmulator:
 
     def fall_asleep(self, now: float) -> None:
         """Cut the motors and end any move, as ``M84`` from another sender does."""
+        self.advance(now)
         self._track.freeze(now)
         self._blocks.clear()
+        self._due = self._after = None
+        self._commanded = self._native(now)
         self._torque.cut(now)
 
     @property
