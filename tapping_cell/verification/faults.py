@@ -43,8 +43,8 @@ CLOSEST_S = 2e-4
 
 @dataclass(frozen=True, slots=True)
 class Mix:
-    """Distribution of the faults. ``only``: kinds of faults, empty for all; ``mean``: mean number
-    of faults per goal."""
+    """Distribution of the faults. ``only``: kinds of faults, empty for all; a kind that is named
+    several times is drawn more often. ``mean``: mean number of faults per goal."""
 
     only: tuple[str, ...] = ()
     mean: float = 2.0
@@ -124,7 +124,8 @@ def draw_faults(
         moment, kinds, closest = Moment(name, times), AT_A_SHOT, CLOSEST_S
     elif place < SHARE_AT_THE_SHOT + SHARE_AT_A_MOMENT:
         moment = Moment(_pick(rng, MOMENTS), int(rng.integers(1, 3)))
-    kinds = tuple(kind for kind in kinds if kind in only) or tuple(only) if only else kinds
+    if only:
+        kinds = tuple(kind for kind in only if kind in kinds) or only
     faults = []
     for _ in range(number):
         kind = _pick(rng, kinds)
@@ -676,6 +677,7 @@ AT_A_SHOT = (
     *("object moved", "foreign withdrawal") * 2,
     "slow topic",
     "kill",
+    "restart",
     "motors off",
     "deactivate",
     "cancel",

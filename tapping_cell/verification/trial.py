@@ -574,6 +574,8 @@ class Trial:
     def kill(self, node: str, away: float) -> None:
         """Kill a process; it restarts after ``away`` s."""
         if node == "camera_pose":
+            if not self.camera.alive:
+                return
             self.report.by_node["kill camera_pose"] += 1
             self.camera.alive = False
             self.network.leave("camera_pose")
