@@ -154,10 +154,10 @@ class _Problem:
         self.grid = Grid(step, fine, (sizes[0], sizes[1]))
         self.states = self.grid.states().reshape(-1, 3)
         places = self.states + goal
-        live = (area.room(places[:, :2]) >= -OUTER) & (
+        live = (area.clearance(places[:, :2]) >= -OUTER) & (
             np.abs(self.states[:, 2]) <= math.pi * math.exp(step)
         )
-        live &= space.workspace.object_room(places[:, :2]) >= space.object_radius
+        live &= space.workspace.object_clearance(places[:, :2]) >= space.object_radius
         rows = np.flatnonzero(live)
         lines = _lines_at(space, places, rows, self.grid.shape)
         some = np.any(lines.usable, axis=1)

@@ -21,7 +21,7 @@ def place_text(pose: ArrayLike) -> str:
 def others_text(space: StrikeSpace) -> str:
     """Clause for a refusal that names the other objects on the table, or an empty string."""
     others = space.workspace.others()
-    return f"; besides it the camera sees {others}: take away what is in the way" if others else ""
+    return f"; the camera also sees {others}: remove the obstacles" if others else ""
 
 
 def edge_warning(pose: ArrayLike, space: StrikeSpace) -> str:

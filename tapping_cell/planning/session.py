@@ -207,7 +207,8 @@ class GoalSession(ABC):
         if pose.shape != (3,) or not np.all(np.isfinite(pose)):
             return Refusal(
                 RefusalReason.OBJECT_POSE_NOT_FINITE,
-                f"the object's pose {pose.tolist()} is not three finite numbers; look again",
+                f"the object's pose {pose.tolist()} is not three finite numbers; observe the "
+                "object again",
             )
         arrived = self.arrived(pose, covariance, look_again=look_again)
         if arrived is not None:
@@ -247,10 +248,10 @@ class GoalSession(ABC):
         if within and not box.camera_suffices:
             return Refusal(
                 RefusalReason.CAMERA_TOO_COARSE,
-                "the object may be at the goal, but the camera is too uncertain to say so within "
-                f"{1e3 * settings.tolerance_position:.2f} mm and "
-                f"{math.degrees(settings.tolerance_angle):.2f} degrees; look longer at the object "
-                "at rest, calibrate the camera or widen the tolerance",
+                "the object may be at the goal, but the measured pose is too uncertain to "
+                f"confirm it within {1e3 * settings.tolerance_position:.2f} mm and "
+                f"{math.degrees(settings.tolerance_angle):.2f} degrees; observe the object at "
+                "rest for longer, calibrate the camera or widen the tolerance",
             )
         return None
 
@@ -314,9 +315,9 @@ class PositioningSession(GoalSession):
         self._probes_left = MOST_PROBES if probe else 0
         self._most_taps = most_taps
         self._visited = VisitedPoses(self.goal)
-        self.use_room(space, FreeSpace(space) if free is None else free)
+        self.use_free_space(space, FreeSpace(space) if free is None else free)
 
-    def use_room(self, space: StrikeSpace, free: FreeSpace) -> None:
+    def use_free_space(self, space: StrikeSpace, free: FreeSpace) -> None:
         """Replace the space and its map, because the obstacles on the table may have changed."""
         self._space = space
         self._free = free
@@ -397,9 +398,9 @@ class PositioningSession(GoalSession):
         if not self._paths.reachable(pose):
             return Refusal(
                 RefusalReason.NO_PATH_TO_GOAL,
-                f"no path of places where the object can be tapped leads from {place_text(pose)} "
-                f"to the goal {place_text(self.goal)}; remove a keep-out or choose another goal"
-                + others_text(self._space),
+                f"there is no path from {place_text(pose)} to the goal "
+                f"{place_text(self.goal)} along which the object can be tapped; remove a "
+                "keep-out or choose another goal" + others_text(self._space),
             )
         if self.taps >= self._most_taps:
             return Refusal(
@@ -504,18 +505,18 @@ class PositioningSession(GoalSession):
         if allowed and not struck:
             return Refusal(
                 RefusalReason.NO_CONTACT,
-                f"no contact of the object at {place} gives a tap that is safe and leads on: its "
-                "edges pass on impulses within the contact friction of their normals only (first: "
-                f"{first}); turn the object by hand, or move it towards the middle",
+                f"no contact of the object at {place} gives a safe tap that makes progress: "
+                f"its edges transmit only impulses within the friction cone (first: {first}); "
+                "turn the object by hand, or move it towards the middle",
             )
         longest = self._longest_factor()
         if trusted and not allowed and longest > UNKNOWN:
             return Refusal(
                 RefusalReason.PROBE_NEEDED,
-                f"no tap is surely safe with the object at {place}: until its friction is measured "
-                f"it may slide {longest:.1f} times as far as its file says; ask for a probe "
-                "(goal --probe: a few of the smallest taps), or move it towards the middle"
-                + others_text(self._space),
+                f"no tap is certain to be safe with the object at {place}: until its friction "
+                f"is measured it may slide {longest:.1f} times as far as its file says; "
+                "request a probe (goal --probe: a few of the smallest taps), or move it "
+                "towards the middle" + others_text(self._space),
             )
         return Refusal(
             RefusalReason.NO_STRIKE,

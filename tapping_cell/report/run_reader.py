@@ -149,7 +149,7 @@ def _notes(bag: Bag) -> dict[str, Any]:
         try:
             found.update(json.loads(message.data))
         except ValueError as error:
-            raise BagError(f"{bag.path}: its {NOTES} is no JSON: {error}") from error
+            raise BagError(f"{bag.path}: its {NOTES} is not JSON: {error}") from error
     return found
 
 

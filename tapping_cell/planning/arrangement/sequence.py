@@ -35,7 +35,7 @@ towards the place may end beside it."""
 
 BUFFERS_TRIED = 12
 
-TOOL_ROOM = 0.10
+TOOL_CLEARANCE = 0.10
 """Gap between a buffer place and an open goal below which the object obstructs taps at the goal, m.
 The tool needs this space, and a polygon can be tapped along only a few lines."""
 
@@ -184,7 +184,7 @@ class SequencePlanner:
         for other in _open(scene):
             if other is not body and other.goal is not None:
                 away = np.hypot(places[:, 0] - other.goal.x, places[:, 1] - other.goal.y)
-                room = (away - other.radius - body.radius) / TOOL_ROOM
+                room = (away - other.radius - body.radius) / TOOL_CLEARANCE
                 cost = cost + CROWDED * np.clip(1.0 - room, 0.0, 1.0)
         for index in np.argsort(cost, kind="stable")[:: max(1, len(cost) // 400)][:BUFFERS_TRIED]:
             place = Pose(float(places[index, 0]), float(places[index, 1]), pose.theta)

@@ -327,7 +327,7 @@ class ArrangementSession:
                 most_taps=self._most_taps,
             )
         elif self._session_map is not free:
-            self._session.use_room(free.space, free)
+            self._session.use_free_space(free.space, free)
         self._session_move, self._session_map = move, free
         # An object that makes way need not be seen as well as one at its goal.
         look_again = look_again and move.purpose is Purpose.TO_GOAL
