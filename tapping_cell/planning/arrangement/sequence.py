@@ -179,7 +179,7 @@ class SequencePlanner:
             return None
         cost = _buffer_cost(body, pose, places, others)
         for earlier in scene.buffers.get(body.name, ()):
-            near = np.hypot(places[:, 0] - earlier.x, places[:, 1] - earlier.y) < TOOL_ROOM
+            near = np.hypot(places[:, 0] - earlier.x, places[:, 1] - earlier.y) < TOOL_CLEARANCE
             cost = cost + AGAIN * (1.0 + near)
         for other in _open(scene):
             if other is not body and other.goal is not None:
