@@ -11,7 +11,7 @@ contains residuals, standard deviations, date and inputs. An existing file is re
       --output table.yaml
   python -m tapping_cell calibrate arm arm.csv --cell config/cell.yaml --output cell.yaml
   python -m tapping_cell calibrate tapper taps.csv --cell config/cell.yaml --output cell.yaml
-  python -m tapping_cell calibrate mounts taps.csv --cell config/positioning_cell/cell.yaml \\
+  python -m tapping_cell calibrate mounts runs/* --cell config/positioning_cell/cell.yaml \\
       --output cell.yaml
 """
 
@@ -26,6 +26,7 @@ from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.keep import KeptFile
 from tapping_cell.cli.errors import tell_error
 from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.report.run_folder import RunError
 
 
 class Verb(Protocol):
@@ -73,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     except CalibrationRefused as error:
         tell_error(str(error))
         return 1
-    except (RecordError, KeptFile, ConfigurationError, OSError) as error:
+    except (RecordError, RunError, KeptFile, ConfigurationError, OSError) as error:
         tell_error(str(error))
         return 2
 

@@ -74,8 +74,9 @@ class TapperSettings:
     fire_reply_timeout: float = 0.03
     """Wait before FIRE is repeated; shorter than the window, so that a lost frame can be resent."""
     attempts: int = 5
-    charge_timeout: float = 4.0
-    """Longest charging time: 6000 steps at 2000 steps/s, plus a margin."""
+    charge_timeout: float = 7.0
+    """Longest charging time: the firmware's LONGEST_DRAW_STEPS (12000) at 2000 steps/s, plus a
+    margin."""
     home_timeout: float = 8.0
     """Longest duration of homing and of the carriage's return to its front end."""
     poll_period: float = 0.002

@@ -68,6 +68,8 @@ class TapRow:
     """Reason why the tap was not straight to the goal; empty if it was, or if unknown."""
     predicted_covariance: Covariance | None = None
     """Covariance of ``predicted`` in x, y, theta (m, rad); None if unknown."""
+    tapper: str = ""
+    """Name of the tapper that struck; empty in a cell with one tapper."""
 
 
 @dataclass(frozen=True, slots=True)

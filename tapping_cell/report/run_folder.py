@@ -148,6 +148,7 @@ def tap_columns(tap: TapRow) -> dict[str, object]:
         known = tap.predicted_covariance
         row[column] = f"{unit * (known[first][second] if known else math.nan):.6g}"
     row["reason"] = tap.reason
+    row["tapper"] = tap.tapper
     return row
 
 
@@ -352,4 +353,5 @@ def _tap(row: dict[str, str]) -> TapRow:
         ),
         reason=row.get("reason", ""),
         predicted_covariance=_covariance(row),
+        tapper=row.get("tapper", ""),
     )

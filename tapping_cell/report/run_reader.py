@@ -203,6 +203,7 @@ def _taps(
                 learnt=_learnt(record),
                 reason=str(getattr(record, "reason", "")),
                 predicted_covariance=_covariance(record),
+                tapper=str(getattr(record, "tapper", "")),
             )
         )
     return tuple(rows)

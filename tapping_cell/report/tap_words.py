@@ -21,7 +21,7 @@ SHORTER = 0.85
 
 def tap_sentence(tap: TapRow, goal: Pose | None) -> str:
     """Describe a tap for the user, in mm and degrees."""
-    parts = [_moved(tap)]
+    parts = [f"Tapper '{tap.tapper}'." if tap.tapper else "", _moved(tap)]
     if goal is not None:
         parts.append(_purpose(tap, goal))
         if math.isfinite(tap.measured.x):

@@ -1,12 +1,13 @@
 """Calibrate line and speed of each fixed tapper from single taps measured by the camera.
 
-Each row is one tap: tapper (its name in the cell file), speed (m/s; or speed_mm_s) and the object's
-pose at rest before and after it: x_before, y_before, theta_before, x_after, y_after, theta_after (m
-and rad; or with the suffixes _mm and _deg). Place the object by hand in the working area, at
-several positions along each tapper's line. Twelve taps per tapper are usual. Writes a copy of the
-cell file with the measured positions and directions. A tapper without taps keeps its values.
+The taps are those of the goals in run folders, or the rows of a CSV file. Each row is one tap:
+tapper (its name in the cell file), speed (m/s; or speed_mm_s) and the object's pose at rest before
+and after it: x_before, y_before, theta_before, x_after, y_after, theta_after (m and rad; or with
+the suffixes _mm and _deg). The object must be struck at several positions along each tapper's line.
+Twelve taps per tapper are usual. Writes a copy of the cell file with the measured positions and
+directions. A tapper without taps keeps its values.
 
-  python -m tapping_cell calibrate mounts taps.csv --cell config/positioning_cell/cell.yaml \\
+  python -m tapping_cell calibrate mounts runs/* --cell config/positioning_cell/cell.yaml \\
       --output cell.yaml
 """
 
@@ -15,18 +16,21 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tapping_cell.calibration.cell_file import calibrated_cell
-from tapping_cell.calibration.csv_table import CsvTable, RecordError, read_csv
+from tapping_cell.calibration.csv_table import RecordError, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
 from tapping_cell.calibration.mounts import (
     RECORD_COLUMNS,
     WANTED,
+    Array,
     MountFit,
     TapScatter,
     fit_mount,
@@ -35,12 +39,16 @@ from tapping_cell.calibration.yaml_edit import numbers_text, with_entry
 from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.provenance import Provenance
+from tapping_cell.report.run import TapRow
+from tapping_cell.report.run_folder import TAPS, read_run
 from tapping_cell.se2 import Pose
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("record", type=Path, metavar="RECORD.csv", help="the taps")
+    parser.add_argument(
+        "record", type=Path, nargs="+", metavar="RECORD", help="one CSV file, or run folders"
+    )
     parser.add_argument(
         "--cell", type=Path, metavar="FILE", required=True, help="cell file to start from"
     )
@@ -56,9 +64,9 @@ def run(arguments: argparse.Namespace) -> int:
     output = output_of(arguments, ("fixed_tappers", "calibration"))
     refuse_existing(output)
     cell = load_cell(arguments.cell, arguments.object)
-    table = read_csv(arguments.record, RECORD_COLUMNS, texts=("tapper",))
-    fits = fit_all(cell, table)
-    record = _provenance(fits, table, cell)
+    taps = read_taps(arguments.record, cell)
+    fits = fit_all(cell, taps)
+    record = _provenance(fits, taps, cell)
     text = calibrated_cell(cell, "fixed_tappers", {}, record, output.path)
     entries = [entry.name for entry in cell.fixed_tappers.tappers]
     for fit in fits:
@@ -68,24 +76,90 @@ def run(arguments: argparse.Namespace) -> int:
         }
         text = with_entry(text, ("fixed_tappers", "tappers"), entries.index(fit.name), values)
     write_kept(output, text, record, load_cell)
-    found = report(fits, table, output.path, entries)
+    found = report(fits, taps, output.path, entries)
     print(json.dumps(found, indent=1) if arguments.json else "\n".join(lines(found)))
     return 0
 
 
-def fit_all(cell: Cell, table: CsvTable) -> list[MountFit]:
+@dataclass(frozen=True, slots=True)
+class Taps:
+    """Single taps and the files that they were read from.
+
+    ``tapper``: names (n,). ``speed``: commanded, (n,), m/s. ``before``, ``after``: poses of the
+    object at rest (n, 3), m and rad. ``faults``: rows that were left out, with the reason.
+    """
+
+    files: tuple[Path, ...]
+    tapper: NDArray[np.str_]
+    speed: Array
+    before: Array
+    after: Array
+    faults: tuple[str, ...] = ()
+
+
+def read_taps(paths: Sequence[Path], cell: Cell) -> Taps:
+    """Read the taps of one CSV file, or of the goals in run folders.
+
+    Raises:
+        RecordError: a file and folders are mixed, a run is of another object, or there are no taps.
+        tapping_cell.report.run_folder.RunError: a run folder is damaged.
+    """
+    if all(path.is_dir() for path in paths):
+        return _taps_of_runs(paths, cell)
+    if len(paths) > 1:
+        raise RecordError(f"{len(paths)} records were given; give one CSV file, or run folders")
+    table = read_csv(paths[0], RECORD_COLUMNS, texts=("tapper",))
+    return Taps(
+        (table.path,),
+        np.array(table.texts["tapper"]),
+        table.values["speed"],
+        table.columns("x_before", "y_before", "theta_before"),
+        table.columns("x_after", "y_after", "theta_after"),
+        tuple(str(fault) for fault in table.faults),
+    )
+
+
+def _taps_of_runs(folders: Sequence[Path], cell: Cell) -> Taps:
+    taps: list[TapRow] = []
+    for folder in folders:
+        run_ = read_run(folder)
+        if run_.object_name != cell.object.name:
+            raise RecordError(
+                f"{folder} is a run of '{run_.object_name}', the object file is of "
+                f"'{cell.object.name}'; give the object that was tapped (--object)"
+            )
+        # A pose that was not measured is not finite.
+        taps += [
+            tap
+            for tap in run_.taps
+            if tap.outcome == "fired" and tap.tapper and math.isfinite(tap.measured.x)
+        ]
+    if not taps:
+        raise RecordError(
+            f"the {len(folders)} run folders contain no fired tap of a named tapper; give runs of "
+            "a cell with fixed tappers"
+        )
+    return Taps(
+        tuple(folder / TAPS for folder in folders),
+        np.array([tap.tapper for tap in taps]),
+        np.array([tap.striker_speed for tap in taps]),
+        np.array([tap.before for tap in taps]),
+        np.array([tap.measured for tap in taps]),
+    )
+
+
+def fit_all(cell: Cell, taps: Taps) -> list[MountFit]:
     """Fit every tapper that has taps, in the order of the cell file.
 
     Raises:
-        RecordError: a row names a tapper that the cell does not have.
+        RecordError: a tap is of a tapper that the cell does not have.
         CalibrationRefused: a tapper has too few taps.
     """
-    names = np.array(table.texts["tapper"])
     entries = cell.fixed_tappers.tappers
-    unknown = sorted(set(names.tolist()) - {entry.name for entry in entries})
+    unknown = sorted(set(taps.tapper.tolist()) - {entry.name for entry in entries})
     if unknown:
         raise RecordError(
-            f"{table.path}: there is no tapper {', '.join(map(repr, unknown))} in {cell.path}; "
+            f"{taps.files[0]}: there is no tapper {', '.join(map(repr, unknown))} in {cell.path}; "
             f"its tappers are {', '.join(entry.name for entry in entries)}"
         )
     scatter, camera = cell.object.scatter, cell.file.camera
@@ -96,28 +170,35 @@ def fit_all(cell: Cell, table: CsvTable) -> list[MountFit]:
         camera.position_noise,
         camera.angle_noise,
     )
-    before = table.columns("x_before", "y_before", "theta_before")
-    after = table.columns("x_after", "y_after", "theta_after")
     fits = []
     for entry in entries:
-        rows = names == entry.name
+        rows = taps.tapper == entry.name
         if not np.any(rows):
             continue
         tap = cell.object.tap(cell.tapper_of(entry).striker())
         tap = replace(tap, sliding=tap.sliding.approximated(), smallest_distance=0.0)
         nominal = Pose(*entry.position, entry.direction)
-        speeds = table.values["speed"][rows]
-        fits.append(fit_mount(entry.name, nominal, tap, speeds, before[rows], after[rows], noise))
+        fits.append(
+            fit_mount(
+                entry.name,
+                nominal,
+                tap,
+                taps.speed[rows],
+                taps.before[rows],
+                taps.after[rows],
+                noise,
+            )
+        )
     return fits
 
 
-def _provenance(fits: list[MountFit], table: CsvTable, cell: Cell) -> Provenance:
+def _provenance(fits: list[MountFit], taps: Taps, cell: Cell) -> Provenance:
     return Provenance(
         by="calibrate mounts",
         made=now(),
-        inputs=fingerprints([table.path, cell.object_path]),
+        inputs=fingerprints([*taps.files, cell.object_path]),
         observations=sum(fit.taps for fit in fits),
-        left_out=sum(fit.left_out for fit in fits) + len(table.faults),
+        left_out=sum(fit.left_out for fit in fits) + len(taps.faults),
         residual=math.sqrt(sum(fit.residual**2 for fit in fits) / len(fits)),
         residual_of="residuals relative to the scatter in the object file",
         uncertainty=max(fit.line_deviation for fit in fits),
@@ -131,7 +212,7 @@ def _provenance(fits: list[MountFit], table: CsvTable, cell: Cell) -> Provenance
     )
 
 
-def report(fits: list[MountFit], table: CsvTable, path: Path, entries: list[str]) -> dict[str, Any]:
+def report(fits: list[MountFit], taps: Taps, path: Path, entries: list[str]) -> dict[str, Any]:
     """Return the result for JSON output, in SI units."""
     return {
         "output": str(path),
@@ -153,7 +234,7 @@ def report(fits: list[MountFit], table: CsvTable, path: Path, entries: list[str]
             for fit in fits
         ],
         "without_taps": [name for name in entries if name not in {fit.name for fit in fits}],
-        "faults": [str(fault) for fault in table.faults],
+        "faults": list(taps.faults),
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,9 @@ from tapping_cell.calibration.mounts import WANTED, TapScatter, fit_mount
 from tapping_cell.cli import main
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
+from tapping_cell.report.run import Run, TapRow
+from tapping_cell.report.run_folder import write_story
+from tapping_cell.report.run_reader import Story
 from tapping_cell.se2 import Pose, wrap_angle
 
 FILE = shared_folder() / "positioning_cell" / "cell.yaml"
@@ -95,6 +99,69 @@ def test_the_verb_writes_the_measured_mounts(tmp_path: Path) -> None:
     assert found.tappers[0] == CELL.fixed_tappers.tappers[0]
     assert found.calibration is not None
     assert found.calibration.observations + found.calibration.left_out == 16
+
+
+def run_of(name: str, taps) -> Run:
+    """A run of taps by one tapper, as the recorder writes it."""
+    rows = [
+        TapRow(
+            number=number,
+            tap_id=number,
+            method="fixed tappers",
+            before=Pose(*before),
+            commanded=Pose(0.0, 0.0, 0.0),
+            predicted=Pose(*after),
+            measured=Pose(*after),
+            true_pose=None,
+            strike=Pose(0.0, 0.0, 0.0),
+            striker_speed=float(speed),
+            contact_angle=0.0,
+            outcome="fired",
+            tapper=name,
+        )
+        for number, (speed, before, after) in enumerate(taps, start=1)
+    ]
+    end = rows[-1].measured
+    return Run(
+        name="made",
+        goal=end,
+        start=rows[0].before,
+        tolerance=(0.001, 0.0174),
+        taps=tuple(rows),
+        final_measured=end,
+        final_true=None,
+        outcome="reached",
+        wall_time=1.0,
+        seed=None,
+        versions={},
+        error_code=0,
+        error_msg="",
+        outline=(),
+        table_size=(0.6, 0.44),
+        object_name=CELL.object.name,
+        began=0.0,
+    )
+
+
+def test_the_verb_reads_the_taps_of_goals_from_run_folders(tmp_path: Path, capsys) -> None:
+    rng = np.random.default_rng(7)
+    entry = CELL.fixed_tappers.tappers[2]
+    true = moved(Pose(*entry.position, entry.direction), -7e-4, 0.005)
+    taps = list(zip(*made_taps(entry, true, 1.0, 16, rng), strict=True))
+    folders = [tmp_path / "one", tmp_path / "two"]
+    for folder, part in zip(folders, (taps[:7], taps[7:]), strict=True):
+        folder.mkdir()
+        write_story(folder, Story(run_of(entry.name, part), ()), pictures=False)
+    made = tmp_path / "cell.yaml"
+    command = ["calibrate", "mounts", *map(str, folders), "--cell", str(FILE)]
+    assert main([*command, "--output", str(made)]) == 0
+    measured = load_cell(made).fixed_tappers.tappers[2]
+    assert abs(line_error(Pose(*measured.position, measured.direction), true)) < 2 * WANTED
+
+    other = replace(run_of(entry.name, taps), object_name="teapot")
+    write_story(folders[0], Story(other, ()), pictures=False)
+    assert main([*command, "--output", str(tmp_path / "other.yaml")]) == 2
+    assert "teapot" in capsys.readouterr().err
 
 
 def test_an_unknown_tapper_and_too_few_taps_are_refused(tmp_path: Path, capsys) -> None:

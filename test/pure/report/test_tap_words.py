@@ -43,6 +43,10 @@ def tap(number: int = 1, **changed: Any) -> TapRow:
     return TapRow(**{**plain, **changed})
 
 
+def test_a_tap_of_a_cell_with_several_tappers_names_its_own() -> None:
+    assert tap_sentence(tap(tapper="north"), None).startswith("Tapper 'north'. Expected")
+
+
 @pytest.mark.parametrize(
     ("goal", "words"),
     [
