@@ -117,7 +117,9 @@ class CellMonitor:
         if board is None or (self._expected and board not in self._expected):
             return  # this board has not read its cell file yet, or belongs to another cell
         if board:
+            # Before it has read its cell file, a board does not name its tappers.
             self._boards.pop((), None)
+            self._boards_heard.pop((), None)
         self._spoke = board
         self._boards[self._spoke] = message
         self._boards_heard[self._spoke] = now.steady
