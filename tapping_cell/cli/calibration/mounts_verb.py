@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.cell_file import calibrated_cell
 from tapping_cell.calibration.csv_table import RecordError, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
@@ -65,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_existing(output)
     cell = load_cell(arguments.cell, arguments.object)
     taps = read_taps(arguments.record, cell)
-    fits = fit_all(cell, taps)
+    fits, too_few = fit_all(cell, taps)
     record = _provenance(fits, taps, cell)
     text = calibrated_cell(cell, "fixed_tappers", {}, record, output.path)
     entries = [entry.name for entry in cell.fixed_tappers.tappers]
@@ -76,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         }
         text = with_entry(text, ("fixed_tappers", "tappers"), entries.index(fit.name), values)
     write_kept(output, text, record, load_cell)
-    found = report(fits, taps, output.path, entries)
+    found = report(fits, taps, output.path, entries) | {"too_few_taps": too_few}
     print(json.dumps(found, indent=1) if arguments.json else "\n".join(lines(found)))
     return 0
 
@@ -148,12 +149,13 @@ def _taps_of_runs(folders: Sequence[Path], cell: Cell) -> Taps:
     )
 
 
-def fit_all(cell: Cell, taps: Taps) -> list[MountFit]:
-    """Fit every tapper that has taps, in the order of the cell file.
+def fit_all(cell: Cell, taps: Taps) -> tuple[list[MountFit], list[str]]:
+    """Fit every tapper that has enough taps, in the order of the cell file. Also return a sentence
+    about each tapper that has too few.
 
     Raises:
         RecordError: a tap is of a tapper that the cell does not have.
-        CalibrationRefused: a tapper has too few taps.
+        CalibrationRefused: no tapper has enough taps.
     """
     entries = cell.fixed_tappers.tappers
     unknown = sorted(set(taps.tapper.tolist()) - {entry.name for entry in entries})
@@ -170,7 +172,8 @@ def fit_all(cell: Cell, taps: Taps) -> list[MountFit]:
         camera.position_noise,
         camera.angle_noise,
     )
-    fits = []
+    fits: list[MountFit] = []
+    too_few: list[str] = []
     for entry in entries:
         rows = taps.tapper == entry.name
         if not np.any(rows):
@@ -178,18 +181,14 @@ def fit_all(cell: Cell, taps: Taps) -> list[MountFit]:
         tap = cell.object.tap(cell.tapper_of(entry).striker())
         tap = replace(tap, sliding=tap.sliding.approximated(), smallest_distance=0.0)
         nominal = Pose(*entry.position, entry.direction)
-        fits.append(
-            fit_mount(
-                entry.name,
-                nominal,
-                tap,
-                taps.speed[rows],
-                taps.before[rows],
-                taps.after[rows],
-                noise,
-            )
-        )
-    return fits
+        measured = taps.speed[rows], taps.before[rows], taps.after[rows]
+        try:
+            fits.append(fit_mount(entry.name, nominal, tap, *measured, noise))
+        except CalibrationRefused as refusal:
+            too_few.append(str(refusal))
+    if not fits:
+        raise CalibrationRefused("; ".join(too_few))
+    return fits, too_few
 
 
 def _provenance(fits: list[MountFit], taps: Taps, cell: Cell) -> Provenance:
@@ -233,7 +232,7 @@ def report(fits: list[MountFit], taps: Taps, path: Path, entries: list[str]) -> 
             }
             for fit in fits
         ],
-        "without_taps": [name for name in entries if name not in {fit.name for fit in fits}],
+        "without_taps": [name for name in entries if name not in taps.tapper],
         "faults": list(taps.faults),
     }
 
@@ -254,6 +253,7 @@ def lines(found: dict[str, Any]) -> list[str]:
                 f"{1e3 * fit['line_deviation']:.2f} mm at the object ({1e3 * WANTED:.1f} mm "
                 f"is needed); make about {fit['taps_wanted']} taps"
             )
+    rows += [f"note: unchanged: {sentence}" for sentence in found["too_few_taps"]]
     if found["without_taps"]:
         rows.append(f"note: without taps, unchanged: {', '.join(found['without_taps'])}")
     rows += [f"left out: {fault}" for fault in found["faults"]]
