@@ -75,6 +75,8 @@ def covariance_from_message(values: Sequence[float]) -> NDArray[np.float64]:
 
 def covariance_to_message(covariance: NDArray[np.float64]) -> list[float]:
     """Convert a 3 x 3 covariance of (x, y, theta) to the 36 numbers of a pose covariance."""
-    full = np.zeros((6, 6))
-    full[np.ix_(_PLANAR, _PLANAR)] = covariance
-    return [float(value) for value in full.reshape(-1)]
+    full = [0.0] * 36
+    for row, values in zip(_PLANAR, covariance.tolist(), strict=True):
+        for column, value in zip(_PLANAR, values, strict=True):
+            full[6 * row + column] = value
+    return full

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import pytest
 
@@ -134,9 +135,8 @@ def test_nothing_moves_while_the_emergency_stop_flaps_and_impatient_people_clear
     for step in range(200):
         level = Bool(data=step % 2 == 0)
         later = 0.005 * step
-        trial.scheduler.after(
-            later, lambda level=level: trial.network.publish("panel", "emergency_stop", level)
-        )
+        press = partial(trial.network.publish, "panel", "emergency_stop", level)
+        trial.scheduler.after(later, press)
         if step % 4 == 0:
             for node in ("scara_arm", "tapper_trigger"):
                 trial.scheduler.after(
