@@ -804,7 +804,7 @@ class Trial:
         if process == "scara_arm" and self._may_move_arm(topic, message):
             self.witness.ask_to_move()
         if process == "tapper_trigger" and topic == "plan_state":
-            self.witness.planner_heard = now
+            self.witness.planner_received = now
         if process == "tapper_trigger" and topic == "object_state" and message.visible:
             self.witness.seen_by_tapper.append((now, from_message(message.pose.pose)))
         if topic == "emergency_stop" and message.data:

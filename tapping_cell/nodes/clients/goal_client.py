@@ -96,8 +96,8 @@ class GoalClient(ActionFollower[Event]):
         """Folder of the run that the recorder finished last; empty before the first."""
         self.planner_active = False
         """Whether the planner has published its state, which it does once it is active."""
-        self._true_pose_heard = 0.0
-        self._taps_heard = 0
+        self._true_pose_received = 0.0
+        self._taps_received = 0
         self._phase = ""
         self._proposed = 0
         self._watch: GoalWatch | None = None
@@ -168,7 +168,7 @@ class GoalClient(ActionFollower[Event]):
         message.goal_pose.pose = to_message(goal)
         message.position_tolerance, message.angle_tolerance = tolerance
         message.probe, message.ask = probe, ask
-        self._taps_heard, self._phase, self._proposed = 0, "", 0
+        self._taps_received, self._phase, self._proposed = 0, "", 0
         self._watch = GoalWatch(goal, self._planners(), time.monotonic())
         self._send_goal(message)
 
@@ -199,10 +199,10 @@ class GoalClient(ActionFollower[Event]):
 
     def _event_of_silence(self) -> PlannerLost | Finished | None:
         """That the planner is gone, told once; or the end of a goal that nobody will answer."""
-        watch, heard = self._watch, self._plan
+        watch, received = self._watch, self._plan
         if watch is None:
             return None
-        plan, at = heard if heard is not None else (None, -math.inf)
+        plan, at = received if received is not None else (None, -math.inf)
         pose = from_message(plan.goal.pose) if plan is not None else None
         mirror = from_ros(plan, messages.PlanState) if plan is not None else None
         was_gone = watch.gone
@@ -216,7 +216,7 @@ class GoalClient(ActionFollower[Event]):
             self.object_pose() if seen is not None and seen.visible else None,
             plan.residual_distance if plan is not None else math.nan,
             plan.residual_rotation if plan is not None else math.nan,
-            plan.taps if plan is not None else self._taps_heard,
+            plan.taps if plan is not None else self._taps_received,
         )
 
     def settled_truth(self, patience: float = 1.0) -> Pose | None:
@@ -224,7 +224,7 @@ class GoalClient(ActionFollower[Event]):
         arrives."""
         asked = time.monotonic()
         while time.monotonic() < asked + patience:
-            if self._true_pose_heard > asked:
+            if self._true_pose_received > asked:
                 return self.true_pose
             time.sleep(0.01)
         return None
@@ -249,13 +249,13 @@ class GoalClient(ActionFollower[Event]):
 
     def _on_ground_truth(self, message: PoseStamped) -> None:
         self.true_pose = from_message(message.pose)
-        self._true_pose_heard = time.monotonic()
+        self._true_pose_received = time.monotonic()
 
     def _on_feedback(self, feedback: PositionObject.Feedback) -> None:
         self._follow(feedback.plan_state)
 
     def _follow(self, state: PlanState) -> None:
-        self._hear(state.last_tap, state.taps, state.residual_distance, state.residual_rotation)
+        self._receive(state.last_tap, state.taps, state.residual_distance, state.residual_rotation)
         phase = PHASES[state.state]
         if phase != self._phase:
             self._phase = phase
@@ -265,14 +265,14 @@ class GoalClient(ActionFollower[Event]):
             self._events.put(TapProposed(state.planned_tap))
         self._proposed = proposed
 
-    def _hear(self, record: TapRecord, taps: int, distance: float, rotation: float) -> None:
-        if record.number > self._taps_heard:
-            self._taps_heard = record.number
+    def _receive(self, record: TapRecord, taps: int, distance: float, rotation: float) -> None:
+        if record.number > self._taps_received:
+            self._taps_received = record.number
             self._events.put(TapDone(record, distance, rotation, self.true_pose))
 
     def _on_result(self, result: PositionObject.Result) -> None:
         if result.records:
-            self._hear(
+            self._receive(
                 result.records[-1],
                 result.taps,
                 result.residual_distance,

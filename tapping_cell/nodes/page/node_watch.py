@@ -41,7 +41,7 @@ class _Peer:
     life: str = ""
     level: str = ""
     sentence: str = ""
-    heard_at: float = 0.0
+    received_at: float = 0.0
 
 
 class NodeWatch:
@@ -102,7 +102,7 @@ class NodeWatch:
             if name:
                 peer = self._peers.setdefault(name, _Peer())
                 peer.level = LEVELS.get(status.level, "error")
-                peer.sentence, peer.heard_at = status.message, time.monotonic()
+                peer.sentence, peer.received_at = status.message, time.monotonic()
 
     def _own_name(self, name: str) -> str:
         """Return a node's name without the namespace; empty for a node of another cell."""
@@ -133,7 +133,7 @@ class NodeWatch:
         row = {"name": name, "life": peer.life or "not running"}
         if not peer.life:
             return {**row, "level": "error", "sentence": f"start {name}"}
-        if time.monotonic() - peer.heard_at > SILENCE_LIMIT_S:
-            silent = NOT_YET if not peer.heard_at else "has stopped sending"
+        if time.monotonic() - peer.received_at > SILENCE_LIMIT_S:
+            silent = NOT_YET if not peer.received_at else "has stopped sending"
             return {**row, "level": "warn", "sentence": silent}
         return {**row, "level": peer.level, "sentence": peer.sentence}

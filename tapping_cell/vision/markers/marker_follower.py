@@ -119,7 +119,7 @@ class MarkerFollower(ObjectFollower):
         self._shape, self.trouble = shape, None
         return self._pose(frame.image, frame.working, fit)
 
-    def doubt(self, frame: Frame) -> tuple[Array, str]:
+    def extra_uncertainty(self, frame: Frame) -> tuple[Array, str]:
         """Return the uncertainty of the pose due to the marker's shape, and a warning."""
         assert self._shape is not None
         sentence = self._warnings.sentence(self._shape, frame.table.camera_height)

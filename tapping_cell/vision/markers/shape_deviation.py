@@ -78,12 +78,12 @@ def shape_deviation(
     strain = math.hypot(oblong, float(_SIGN @ turns) / 4.0)
     pull = min(float(edges.pull[row]), 0.9)
     spread = max(float(edges.spread[row]), 0.01) / math.sqrt(max(float(total.mean()), 1.0))
-    doubt = (
+    uncertainty = (
         (_CONFIDENCE * 2.0 * spread + _PIXELS + _SMEARED * pull / (1.0 - pull))
         * pixel
         / marker.size
     )
-    allowance = _SHARE + doubt
+    allowance = _SHARE + uncertainty
     return ShapeDeviation(
         stretch,
         strain,

@@ -66,7 +66,7 @@ class OutlineFollower(ObjectFollower):
             self.forget()
         return answer
 
-    def doubt(self, frame: Frame) -> tuple[Array, str]:
+    def extra_uncertainty(self, frame: Frame) -> tuple[Array, str]:
         """Return the uncertainty common to all frames, due to edges between pixels and to light
         across the rim."""
         return self._shared, ""

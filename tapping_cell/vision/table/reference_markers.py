@@ -42,7 +42,7 @@ class ReferenceMarkers:
         return [row for row, looks in self._misses.items() if looks >= _MISSED]
 
     @property
-    def doubtful(self) -> bool:
+    def suspect(self) -> bool:
         """True if a marker was missed, but not yet often enough to be reported as occluded."""
         return any(0 < looks < _MISSED for looks in self._misses.values())
 
