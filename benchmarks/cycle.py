@@ -270,8 +270,8 @@ def in_graph(count: int) -> Stopwatch:
                 )
             for number in range(count):
                 session.wait_until_ready(client, READY_PATIENCE_S, graph.check, quiet)
-                look = client.object_state
-                client.send(_goal(client.object_pose(), number), look=look)
+                observed = client.object_state
+                client.send(_goal(client.object_pose(), number), observed=observed)
                 session.follow(client, graph.check, quiet)
     return watch
 

@@ -44,7 +44,7 @@ class GoalWatch:
         self.gone = False
         """Whether the planner that accepted the goal has ended or has timed out."""
 
-    def look(
+    def check(
         self,
         plan: PlanState | None,
         pose: Pose | None,

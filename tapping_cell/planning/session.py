@@ -37,7 +37,7 @@ MISSED = 0.1
 ELSEWHERE = math.radians(20.0)
 """Minimum change of direction after a miss, because the same tap would miss again."""
 
-WORTH_A_LOOK = 0.02
+WORTH_OBSERVING = 0.02
 """Minimum probability of being within the tolerance for requesting a longer observation."""
 
 PROBE_SIZE = 1.5
@@ -72,7 +72,7 @@ class Done:
 
 
 @dataclass(frozen=True, slots=True)
-class LookAgain:
+class ObserveAgain:
     """The object may be at the goal, and a longer observation may confirm this.
 
     residual: goal minus object, (dx, dy, dtheta) in `table`, m and rad. probability: probability
@@ -103,7 +103,7 @@ class Strike:
     detour: str = ""
 
 
-Decision = Done | LookAgain | Strike | Refusal
+Decision = Done | ObserveAgain | Strike | Refusal
 
 
 class GoalSession(ABC):
@@ -190,15 +190,15 @@ class GoalSession(ABC):
         object_pose: ArrayLike,
         covariance: ArrayLike | None = None,
         *,
-        look_again: bool = False,
+        observe_again: bool = False,
     ) -> Decision:
         """Decide on the next step for a stationary object.
 
         Args:
             object_pose: measured x, y, theta in `table`, m and rad.
             covariance: covariance (3, 3) of that pose; None uses the camera's nominal noise.
-            look_again: whether a longer observation is possible; ``LookAgain`` is returned only
-                if this is True.
+            observe_again: whether a longer observation is possible; ``ObserveAgain`` is
+                returned only if this is True.
         """
         if self._goal_refusal is not None:
             return self._goal_refusal
@@ -215,8 +215,8 @@ class GoalSession(ABC):
         probability = self._inside(left, covariance, box)
         if probability >= CONFIDENCE and box.camera_suffices:
             return Done(residual, box)
-        if look_again and probability >= WORTH_A_LOOK:
-            return LookAgain(residual, probability)
+        if observe_again and probability >= WORTH_OBSERVING:
+            return ObserveAgain(residual, probability)
         return self._refusal_before_tap(pose, left, box) or self._next_tap(pose, left)
 
     def _inside(self, left: Array, covariance: ArrayLike | None, box: StoppingBox) -> float:

@@ -29,7 +29,7 @@ CONFIDENCE = 0.995
 MARGIN = 2.5758293035489004
 """Quantile of the standard normal distribution for the probability ``CONFIDENCE``."""
 
-LONG_LOOK = 4
+LONG_OBSERVATION = 4
 """Number of nominal observations that are fused in a long observation."""
 
 SMALLEST_SHARE = 0.25

@@ -124,7 +124,7 @@ class ObjectFollower(ABC):
         """Receive the detections in the whole image of the next frame."""
 
     @abstractmethod
-    def look(self, frame: Frame) -> tuple[Array, Array] | Trouble:
+    def measure(self, frame: Frame) -> tuple[Array, Array] | Trouble:
         """Return pose (3,) and covariance (3, 3) in the working view, or the reason for none."""
 
     @abstractmethod
@@ -159,7 +159,7 @@ class ObjectFollower(ABC):
 
     def observe(self, frame: Frame) -> Observation:
         """Measure the object in this frame and evaluate the result."""
-        answer = self.look(frame)
+        answer = self.measure(frame)
         if isinstance(answer[0], Problem):
             if self._vain_since is None:
                 self._vain_since = frame.stamp

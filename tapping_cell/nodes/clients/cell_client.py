@@ -101,7 +101,7 @@ class CellClient(ClientNode):
         """
         deadline = time.monotonic() + patience
         while True:
-            self.in_executor(self._watch.look)
+            self.in_executor(self._watch.check)
             state = self.state()
             rows = {row["name"]: row for row in state["nodes"]}
             received = [row for row in rows.values() if row["life"] != "not running"]

@@ -150,7 +150,7 @@ class GoalClient(ActionFollower[Event]):
         self,
         goal: Pose,
         tolerance: tuple[float, float] = (0.0, 0.0),
-        look: ObjectState | None = None,
+        observed: ObjectState | None = None,
         *,
         probe: bool = False,
         ask: bool = False,
@@ -158,13 +158,13 @@ class GoalClient(ActionFollower[Event]):
         """Send a goal in ``table``. A tolerance (m, rad) of 0 selects the cell's default.
         ``probe``: start with a few of the smallest taps. ``ask``: every tap waits for confirmation.
 
-        If the goal is relative to an observation ``look``, it receives the stamp of this
+        If the goal is relative to an observation ``observed``, it receives the stamp of this
         observation.
         """
         message = PositionObject.Goal()
         message.goal_pose.header.frame_id = "table"
         now = self.node.get_clock().now().to_msg()
-        message.goal_pose.header.stamp = look.header.stamp if look is not None else now
+        message.goal_pose.header.stamp = observed.header.stamp if observed is not None else now
         message.goal_pose.pose = to_message(goal)
         message.position_tolerance, message.angle_tolerance = tolerance
         message.probe, message.ask = probe, ask
@@ -206,7 +206,7 @@ class GoalClient(ActionFollower[Event]):
         pose = from_message(plan.goal.pose) if plan is not None else None
         mirror = from_ros(plan, messages.PlanState) if plan is not None else None
         was_gone = watch.gone
-        ended = watch.look(mirror, pose, at, self._planners(), time.monotonic())
+        ended = watch.check(mirror, pose, at, self._planners(), time.monotonic())
         if ended is None:
             return PlannerLost() if watch.gone and not was_gone else None
         seen = self.object_state

@@ -88,10 +88,10 @@ class SingleTapClient(GoalClient):
         """Return whether the taps are made in a simulated world."""
         return bool(self.node.count_publishers("ground_truth") > 0)
 
-    def camera_rate(self, look_for: float, check: Callable[[], None]) -> float:
-        """Measure the number of poses per second for ``look_for`` s; NaN if no pose arrives."""
+    def camera_rate(self, duration: float, check: Callable[[], None]) -> float:
+        """Measure the number of poses per second for ``duration`` s; NaN if no pose arrives."""
         self._poses.clear()
-        end = time.monotonic() + look_for
+        end = time.monotonic() + duration
         while time.monotonic() < end:
             check()
             time.sleep(0.05)

@@ -56,7 +56,7 @@ class NodeWatch:
         self._subscription = node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, 10
         )
-        self._timer = node.create_timer(1.0, self.look)
+        self._timer = node.create_timer(1.0, self.check)
 
     def close(self) -> None:
         """Stop monitoring."""
@@ -66,7 +66,7 @@ class NodeWatch:
             if peer.client is not None:
                 self._node.destroy_client(peer.client)
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Query the life-cycle state of every node."""
         found = set()
         for service, types in self._node.get_service_names_and_types():

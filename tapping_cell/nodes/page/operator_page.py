@@ -333,7 +333,7 @@ class OperatorPage(CellNode[Parameters]):
             subscribe(Image, "camera/image_annotated", self._on_picture, LATEST),
         ]
         self._watch = NodeWatch(self)
-        self._watch.look()
+        self._watch.check()
         self._timer = self.create_timer(STATE_PERIOD_S, self._show)
 
     def _unsubscribe(self) -> None:

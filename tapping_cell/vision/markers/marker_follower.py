@@ -94,7 +94,7 @@ class MarkerFollower(ObjectFollower):
                 image if search.first else image[::2, ::2], found, expected
             )
 
-    def look(self, frame: Frame) -> tuple[Array, Array] | Trouble:
+    def measure(self, frame: Frame) -> tuple[Array, Array] | Trouble:
         """Measure the marker at its detected or predicted position, or near it."""
         searched = self._searched_at == frame.stamp
         if searched and self._detected is None and self.trouble is not None:

@@ -52,10 +52,10 @@ class OutlineFollower(ObjectFollower):
         self.wants_search = False
         self._finder.search()
 
-    def look(self, frame: Frame) -> tuple[Array, Array] | Trouble:
+    def measure(self, frame: Frame) -> tuple[Array, Array] | Trouble:
         """Measure the outline at its predicted position, or search for it in the whole frame."""
         expected, step = self.expected(frame.stamp), self.step(frame.stamp)
-        answer = self._finder.look(frame.image, frame.working, expected, step)
+        answer = self._finder.measure(frame.image, frame.working, expected, step)
         if isinstance(answer, OutlineFit):
             pose = answer.pose.copy()
             pose[2] = wrap_angle(pose[2])

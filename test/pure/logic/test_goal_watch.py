@@ -42,7 +42,7 @@ class Client:
             if state is not None:
                 self.received, self.pose = self.now, pose
                 self.plan = PlanState(state=state, error_code=code, error_msg="why" if code else "")
-            found = self.watch.look(
+            found = self.watch.check(
                 self.plan, self.pose, self.received, frozenset(planners), self.now
             )
             if found is not None:

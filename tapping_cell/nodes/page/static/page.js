@@ -532,7 +532,7 @@ setInterval(() => {
   for (const [name, since] of waiting) {
     if (now - since < ANSWER_MS) continue;
     waiting.delete(name);
-    show(name, "no answer so far; look at the list of nodes", "bad");
+    show(name, "no answer so far; check at the list of nodes", "bad");
   }
   renderBanner();
   renderPicture();
